@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from vehanchor.errors import PromptError, VehAnchorError
-from vehanchor.imagery.sources.addresses import is_address
-from vehanchor.imagery.sources.files import where_it_is
+from vehanchor.imagery.sources.image_table import read_image_table
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
@@ -29,9 +26,8 @@ if TYPE_CHECKING:
 
 Kind: TypeAlias = Literal["box", "point", "line"]
 
-_NEEDED = ("file", "x1", "y1")
+_NEEDED, _OPTIONAL = ("file", "x1", "y1"), ("x2", "y2", "kind", "name")
 _KINDS: tuple[Kind, ...] = ("box", "point", "line")
-_MOST_BYTES = 64 << 20
 _SIZES = (
     *("area_m2", "area_ci95_low_m2", "area_ci95_high_m2", "length_m", "width_m", "perimeter_m"),
     *("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "gsd_m_per_px", "confidence"),
@@ -114,30 +110,7 @@ def read_targets(path: str | os.PathLike[str]) -> dict[str, tuple[Target, ...]]:
     Raises:
         PromptError: the table cannot be read, or a row is invalid; the message names the row.
     """
-    table = Path(path)
-    found: dict[str, tuple[Target, ...]] = {}
-    try:
-        if table.stat().st_size > _MOST_BYTES:
-            raise PromptError(f"{str(table)!r} is larger than {_MOST_BYTES >> 20} MiB: give a table of targets")
-        with table.open(newline="", encoding="utf-8-sig") as handle:
-            reader = csv.DictReader(handle)
-            missing = [name for name in _NEEDED if name not in (reader.fieldnames or ())]
-            if missing:
-                raise PromptError(
-                    f"{str(table)!r} has no column {', '.join(missing)}: the first line must be file,kind,x1,y1,x2,y2"
-                )
-            for row in reader:
-                try:
-                    target = _target(row)
-                except (ValueError, PromptError) as error:
-                    raise PromptError(f"{str(table)!r}, line {reader.line_num}: {error}") from None
-                image = where_it_is(target.file if is_address(target.file) else table.parent / target.file)
-                found[image] = (*found.get(image, ()), target)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise PromptError(f"cannot read the targets in {str(table)!r}: {error}") from None
-    if not found:
-        raise PromptError(f"{str(table)!r} has no target: give at least one")
-    return found
+    return read_image_table(path, "targets", _NEEDED, _target, PromptError, optional=_OPTIONAL)
 
 
 def measure_targets(
@@ -164,16 +137,13 @@ def measure_targets(
 
 
 def _target(row: Mapping[str, str | None]) -> Target:
-    file = row["file"]
-    if not file:
-        raise PromptError("the file is not named")
     numbers = tuple(float(row.get(name) or "") for name in ("x1", "y1", "x2", "y2") if row.get(name) or name[1] == "1")
     kind = row.get("kind") or ("point" if len(numbers) == 2 else "box")
     if kind not in _KINDS:
         raise PromptError(f"kind is {kind!r}: use {', '.join(_KINDS)}")
     if len(numbers) != (2 if kind == "point" else 4):
         raise PromptError(f"a {kind} has {len(numbers)} numbers: a point has x1, y1; a box or line has x1, y1, x2, y2")
-    return Target(file, row.get("name") or "", kind, numbers)
+    return Target(row["file"] or "", row.get("name") or "", kind, numbers)
 
 
 def _rows(

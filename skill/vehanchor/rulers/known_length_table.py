@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.errors import KnownLengthError
-from vehanchor.imagery.sources.addresses import is_address
 from vehanchor.imagery.sources.files import where_it_is
+from vehanchor.imagery.sources.image_table import read_image_table
 from vehanchor.options.rulers import KnownLength, Rulers, number_or_name
 from vehanchor.rulers.standards import check_name
 
@@ -24,7 +22,6 @@ KnownLengthTable: TypeAlias = "Mapping[str, tuple[KnownLength, ...]]"
 
 _COLUMNS = ("file", "x1", "y1", "x2", "y2", "metres")
 _OPTIONAL = ("basis", "tolerance_m", "what")
-_MOST_BYTES = 64 << 20
 
 
 def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLength, ...]]:
@@ -42,27 +39,7 @@ def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLen
     Raises:
         KnownLengthError: the table cannot be read, or a row is invalid; the message names the row.
     """
-    table = Path(path)
-    found: dict[str, tuple[KnownLength, ...]] = {}
-    try:
-        if table.stat().st_size > _MOST_BYTES:
-            raise KnownLengthError(f"{str(table)!r} is larger than {_MOST_BYTES >> 20} MiB: give a table of lines")
-        with table.open(newline="", encoding="utf-8-sig") as handle:
-            reader = csv.DictReader(handle)
-            missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                raise KnownLengthError(
-                    f"{str(table)!r} has no column {', '.join(missing)}: the first line must be {','.join(_COLUMNS)}"
-                )
-            for row in reader:
-                named = row["file"] or ""
-                image = where_it_is(named if is_address(named) else table.parent / named)
-                found[image] = (*found.get(image, ()), _line(table, reader.line_num, row))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise KnownLengthError(f"cannot read the known lengths in {str(table)!r}: {error}") from None
-    if not found:
-        raise KnownLengthError(f"{str(table)!r} has no line of known length: give at least one")
-    return found
+    return read_image_table(path, "known lengths", _COLUMNS, _line, KnownLengthError)
 
 
 def lines_in(path: str | os.PathLike[str] | None, images: Iterable[str | os.PathLike[str]]) -> KnownLengthTable:
@@ -94,17 +71,12 @@ def with_lines_of(options: ScaleOptions, lines: KnownLengthTable, image: str | o
     return options if own is None else replace(options, rulers=replace(options.rulers, known_lengths=own))
 
 
-def _line(table: Path, number: int, row: Mapping[str, str | None]) -> KnownLength:
-    try:
-        if not row["file"]:
-            raise KnownLengthError("the file is not named")
-        basis, tolerance, what = (row.get(name) or None for name in _OPTIONAL)
-        ends = [float(row[name] or "") for name in _COLUMNS[1:5]]
-        length = what if what and not row["metres"] else number_or_name(row["metres"] or "")
-        line = KnownLength.of((*ends, length, basis or "assumed", float(tolerance) if tolerance else None))
-        check_name(line.what)
-        rulers = Rulers(known_lengths=(line,))
-        rulers.check_lengths()
-    except (ValueError, KnownLengthError) as error:
-        raise KnownLengthError(f"{str(table)!r}, line {number}: {error}") from None
+def _line(row: Mapping[str, str | None]) -> KnownLength:
+    basis, tolerance, what = (row.get(name) or None for name in _OPTIONAL)
+    ends = [float(row[name] or "") for name in _COLUMNS[1:5]]
+    length = what if what and not row["metres"] else number_or_name(row["metres"] or "")
+    line = KnownLength.of((*ends, length, basis or "assumed", float(tolerance) if tolerance else None))
+    check_name(line.what)
+    rulers = Rulers(known_lengths=(line,))
+    rulers.check_lengths()
     return rulers.known_lengths[0]

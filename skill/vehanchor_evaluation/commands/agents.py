@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +11,7 @@ import typer
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.commands.request import plain_command
-from vehanchor_evaluation.commands.service import STOPPED, ProviderName, ServiceRequest
+from vehanchor_evaluation.commands.service import MODEL_PANEL, PlannerRequest, exit_if_stopped
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.agent_tools import ToolCaller
     from vehanchor_evaluation.agents import AgentScore
     from vehanchor_evaluation.question_set import SetQuestion
-
-_MODEL = "A real model"
 
 
 class TaskName(StrEnum):
@@ -33,7 +30,7 @@ class TaskName(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AgentsRequest(ServiceRequest):
+class AgentsRequest(PlannerRequest):
     """Options of the command, one per field."""
 
     pictures: Annotated[
@@ -47,25 +44,12 @@ class AgentsRequest(ServiceRequest):
     )
     limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of pictures.")] = 40
     as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON per planner.")] = False
-    provider: Annotated[
-        ProviderName | None,
-        typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...", rich_help_panel=_MODEL),
-    ] = None
-    model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.", rich_help_panel=_MODEL)] = ""
     descriptions: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
             help="JSON of other descriptions by the tool's name: the model is asked with both versions.",
-            rich_help_panel=_MODEL,
-        ),
-    ] = None
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder of stored replies, a transcript: they are never requested again.",
-            rich_help_panel=_MODEL,
+            rich_help_panel=MODEL_PANEL,
         ),
     ] = None
 
@@ -105,8 +89,7 @@ def agents(request: AgentsRequest) -> None:
     from vehanchor.cli.terminal import print_json
     from vehanchor_evaluation.agent_tools import open_agent_tools
 
-    if (request.provider is None) != (not request.model):
-        raise InvalidParameterError("a real model needs --provider and --model, and its key in the environment")
+    request.check_model()
     asked = request.questions()
     with open_agent_tools(sorted({path.resolve().parent for _, path in asked})) as tools:
         rows, stopped = _rows(request, asked, tools)
@@ -115,9 +98,7 @@ def agents(request: AgentsRequest) -> None:
             print_json(row.model_dump(mode="json"))
     else:
         _print_rows(rows)
-    if stopped:
-        print(f"stopped: {stopped}; with --out the same command resumes", file=sys.stderr)
-        raise typer.Exit(STOPPED)
+    exit_if_stopped(stopped)
 
 
 def _rows(
@@ -139,10 +120,10 @@ def _rows(
             [(task_of(each, kind), path) for each, path in asked for kind in kinds], tools, catalogue=catalogue
         )
         rows += [agent_score(name, kind, [each for each in done if each.task.kind == kind]) for kind in kinds]
-    if request.provider is None:
+    api = request.model_api()
+    if api is None:
         return rows, None
     stopped = None
-    api = request.open_api(request.provider, request.model, request.out)
     for name, described in versions:
         for kind in kinds:
             run = ask_agent([(task_of(each, kind), path) for each, path in asked], api, described)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +10,7 @@ import typer
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.commands.request import plain_command
-from vehanchor_evaluation.commands.service import STOPPED, ProviderName, ServiceRequest
+from vehanchor_evaluation.commands.service import PlannerRequest, exit_if_stopped
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,11 +21,11 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.asked_model import ModelAnswers
     from vehanchor_evaluation.questions import Outcome, PlannerScore, Question
 
-_PHOTOGRAPHS, _MODEL = "Photographs instead of scenes", "A real model"
+_PHOTOGRAPHS = "Photographs instead of scenes"
 
 
 @dataclass(frozen=True, kw_only=True)
-class QuestionsRequest(ServiceRequest):
+class QuestionsRequest(PlannerRequest):
     """Options of the command, one per field."""
 
     folder: Annotated[
@@ -50,17 +49,6 @@ class QuestionsRequest(ServiceRequest):
         str | None,
         typer.Option(metavar="NAME", help="Only this split of the table, e.g. val.", rich_help_panel=_PHOTOGRAPHS),
     ] = None
-    provider: Annotated[
-        ProviderName | None,
-        typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...", rich_help_panel=_MODEL),
-    ] = None
-    model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.", rich_help_panel=_MODEL)] = ""
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder of stored replies, which are never requested again.", rich_help_panel=_MODEL
-        ),
-    ] = None
 
     def questions(self) -> list[Question]:
         """Create the questions.
@@ -78,22 +66,13 @@ class QuestionsRequest(ServiceRequest):
         data = survey_known_scale(table=self.table, set_name=self.set_name, split=self.split)
         return questions_of_photographs(data.images, self.limit)
 
-    def check_model(self) -> None:
-        """Check, before the work, that provider and model are both given or both missing.
-
-        Raises:
-            InvalidParameterError: one of them is missing.
-        """
-        if (self.provider is None) != (not self.model):
-            raise InvalidParameterError("a real model needs --provider and --model, and its key in the environment")
-
     def ask_model(self, asked: Sequence[Question], tools: ToolCaller) -> dict[str, ModelAnswers]:
         """Ask the real model, by row of the table; empty without a model."""
         from vehanchor_evaluation.asked_model import ask_model
 
-        if self.provider is None:
+        api = self.model_api()
+        if api is None:
             return {}
-        api = self.open_api(self.provider, self.model, self.out)
         return {
             f"{self.model} with tools": ask_model(asked, api, tools),
             f"{self.model} without tools": ask_model(asked, api),
@@ -129,10 +108,7 @@ def questions(request: QuestionsRequest) -> None:
         print_table(_table(rows))
         for name in ("with tools", "with tools and a measured line"):
             _print_wrong(name, outcomes[name])
-    stopped = next((answers.stopped for answers in by_model.values() if answers.stopped), None)
-    if stopped:
-        print(f"stopped: {stopped}; with --out the same command resumes", file=sys.stderr)
-        raise typer.Exit(STOPPED)
+    exit_if_stopped(next((answers.stopped for answers in by_model.values() if answers.stopped), None))
 
 
 def _table(rows: Sequence[PlannerScore]) -> Table:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from pathlib import Path
+from vehanchor.errors import InvalidParameterError
 
+if TYPE_CHECKING:
     from vehanchor_evaluation.vlm_api import ModelApi
 
 STOPPED = 3  # exit status of a run that ended early; its results are written or printed
 _LIMITS = "Limits and service"
+MODEL_PANEL = "A real model"
 
 
 class ProviderName(StrEnum):
@@ -91,3 +94,46 @@ class ServiceRequest:
             timeout_s=self.timeout,
             max_retries=self.retries,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannerRequest(ServiceRequest):
+    """Options for a real model beside the scripted planner, one per field."""
+
+    provider: Annotated[
+        ProviderName | None,
+        typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...", rich_help_panel=MODEL_PANEL),
+    ] = None
+    model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.", rich_help_panel=MODEL_PANEL)] = ""
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of stored replies, a transcript: they are never requested again.",
+            rich_help_panel=MODEL_PANEL,
+        ),
+    ] = None
+
+    def check_model(self) -> None:
+        """Check, before the work, that provider and model are both given or both missing.
+
+        Raises:
+            InvalidParameterError: one of them is missing.
+        """
+        if (self.provider is None) != (not self.model):
+            raise InvalidParameterError("a real model needs --provider and --model, and its key in the environment")
+
+    def model_api(self) -> ModelApi | None:
+        """Connect to the real model; None without one.
+
+        Raises:
+            VehAnchorError: as ``open_api``.
+        """
+        return None if self.provider is None else self.open_api(self.provider, self.model, self.out)
+
+
+def exit_if_stopped(stopped: str | None) -> None:
+    """End the command with exit status 3 if a limit stopped its run early."""
+    if stopped:
+        print(f"stopped: {stopped}; with --out the same command resumes", file=sys.stderr)
+        raise typer.Exit(STOPPED)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import typer
 
 from vehanchor.cli.terminal import tile_progress
 from vehanchor_evaluation.commands.request import plain_command
-from vehanchor_evaluation.commands.service import STOPPED, ProviderName, ServiceRequest
+from vehanchor_evaluation.commands.service import ProviderName, ServiceRequest, exit_if_stopped
 from vehanchor_evaluation.commands.sources import print_issues
 
 if TYPE_CHECKING:
@@ -86,6 +85,4 @@ def vlm(request: VlmRequest) -> None:
     report = vlm_report(built, sha256, api, query, run, len(entries))
     write_area_report(request.out, report_stem(query), report, run.trials, run.issues)
     print(area_markdown(report), end="")
-    if run.stopped:
-        print(f"stopped: {run.stopped}; the same command resumes", file=sys.stderr)
-        raise typer.Exit(STOPPED)
+    exit_if_stopped(run.stopped)
