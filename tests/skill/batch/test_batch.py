@@ -643,7 +643,7 @@ def test_images_may_be_addresses(folder: Path, detector: Path, table: Path) -> N
         ("file,x1,y1,x2,y2,metres\n,1,2,300,4,40\n", "not named"),
         ("file,x1,y1,x2,y2,metres,basis\ncars.png,1,2,300,4,40,guessed\n", "use one of assumed, measured"),
         ("file,x1,y1,x2,y2,metres\ncar.png,1,2,300,4,40\n", "not one of the images"),
-        ("file,x1,y1,x2,y2,metres\n", "no line"),
+        ("file,x1,y1,x2,y2,metres\n", "no known lengths"),
         ("", "no column file"),
     ],
 )
