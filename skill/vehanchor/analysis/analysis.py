@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Reading
+    from vehanchor.pictures.placement import Cut
 
 
 class Analysis:
@@ -30,7 +31,7 @@ class Analysis:
     ground: Ground | None
 
     def overlay(self, image: ImageSource | None = None) -> NDArray[np.uint8]:
-        """Draw the result and a scale bar over the image.
+        """Draw the result and a scale bar over the image; a measurement shows its part of the image with a margin.
 
         Args:
             image: source to read the image from; None for the first source, unless it is a stream.
@@ -51,10 +52,15 @@ class Analysis:
             raise InvalidParameterError("the analysis does not have its image: give it, as overlay(image)")
         reading = self.reading or Reading()
         with open_raster(source, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
-            return self._draw(read_reduced(raster))
+            cut = self._cut()
+            return self._draw(read_reduced(raster, cut and cut.part), cut)
 
-    def _draw(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Draw the result over ``[h, w, 3]`` RGB, the image or a reduced copy."""
+    def _cut(self) -> Cut | None:
+        """Choose the part of the image to draw; None for all of it."""
+        return None
+
+    def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
+        """Draw the result over ``[h, w, 3]`` RGB: the image, the part of ``cut``, or a reduced copy of either."""
         raise NotImplementedError
 
     def _repr_png_(self) -> bytes | None:

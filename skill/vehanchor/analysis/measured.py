@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Reading
+    from vehanchor.pictures.placement import Cut
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation
@@ -54,10 +55,15 @@ class AreaAnalysis(MeasuredAnalysis):
     segmentation: Segmentation
     prompt: Prompt
 
-    def _draw(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _cut(self) -> Cut:
+        from vehanchor.pictures.area import cut_to_objects
+
+        return cut_to_objects([self])
+
+    def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
         from vehanchor.pictures.area import draw_area
 
-        return draw_area(image, self)
+        return draw_area(image, self, cut=cut)
 
     def full_mask(self) -> NDArray[np.bool_]:
         """Make the mask in the size of the image, ``[h, w]``.
@@ -109,10 +115,15 @@ class DistanceAnalysis(MeasuredAnalysis):
 
     measurement: DistanceMeasurement
 
-    def _draw(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _cut(self) -> Cut:
+        from vehanchor.pictures.distance import cut_to_lines
+
+        return cut_to_lines([self.measurement])
+
+    def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
         from vehanchor.pictures.distance import draw_distance
 
-        return draw_distance(image, self)
+        return draw_distance(image, self, cut=cut)
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Reading
+    from vehanchor.pictures.placement import Cut
     from vehanchor.records import GsdEstimate
     from vehanchor.rulers.evidence import Evidence, Mark
     from vehanchor.rulers.vehicles import VehicleEvidence
@@ -69,9 +70,10 @@ class ScaleAnalysis(Analysis):
         """Share of the pixels' resolution at which there is detail."""
         return self.vehicles.resolved
 
-    def _draw(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
         from vehanchor.pictures.scale import draw_overlay
 
+        del cut
         return draw_overlay(image, self)
 
     def plot(self) -> Figure:

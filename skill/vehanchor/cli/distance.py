@@ -52,7 +52,9 @@ def _distance(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     overlay: Annotated[
         Path | None,
-        typer.Option(metavar="OUT.png", help="Write the image with line, length, vehicles and scale bar."),
+        typer.Option(
+            metavar="OUT.png", help="Write the line and its surroundings with length, vehicles and scale bar."
+        ),
     ] = None,
     strict: Strict = False,
     *,

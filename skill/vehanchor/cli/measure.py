@@ -74,7 +74,7 @@ def _measure(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     overlay: Annotated[
         str | None,
-        typer.Option(metavar="OUT.png", help="Write the image with outline, vehicles and scale bar."),
+        typer.Option(metavar="OUT.png", help="Write the object with outline, vehicles and scale bar."),
     ] = None,
     mask: MaskFile = None,
     outline: OutlineFile = None,

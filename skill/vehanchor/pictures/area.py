@@ -10,7 +10,7 @@ import numpy as np
 from vehanchor.errors import OutputError
 from vehanchor.pictures.lettering import text_px, text_width, write_on
 from vehanchor.pictures.measured import MEASURED_RGB, finish, numbered, open_canvas, size_in_words
-from vehanchor.pictures.placement import Cut, part_around
+from vehanchor.pictures.placement import CUT_SIDE_PX, Cut, part_around
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def draw_area(image: NDArray[np.uint8], *analyses: DrawableArea, cut: Cut | None
     return finish(canvas, analyses[0], [_size(analysis.measurement) for analysis in analyses])
 
 
-def cut_to_objects(analyses: Sequence[DrawableArea], long_side_px: int) -> Cut:
+def cut_to_objects(analyses: Sequence[DrawableArea], long_side_px: int = CUT_SIDE_PX) -> Cut:
     """Cut the image to measured objects and their prompts."""
     points = np.concatenate([_extent(analysis) for analysis in analyses])
     record = analyses[0].measurement

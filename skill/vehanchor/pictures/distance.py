@@ -8,7 +8,7 @@ import numpy as np
 
 from vehanchor.pictures.marks import draw_marks
 from vehanchor.pictures.measured import MEASURED_RGB, finish, numbered, open_canvas, size_in_words
-from vehanchor.pictures.placement import Cut, part_around
+from vehanchor.pictures.placement import CUT_SIDE_PX, Cut, part_around
 from vehanchor.records.digits import significant
 from vehanchor.rulers.evidence import Mark
 
@@ -43,7 +43,7 @@ def draw_distance(image: NDArray[np.uint8], *analyses: DrawableDistance, cut: Cu
     return finish(canvas, analyses[0], [_size(record) for record in records])
 
 
-def cut_to_lines(records: Sequence[DistanceMeasurement], long_side_px: int) -> Cut:
+def cut_to_lines(records: Sequence[DistanceMeasurement], long_side_px: int = CUT_SIDE_PX) -> Cut:
     """Cut the image to measured lines."""
     points = np.array([end for record in records for end in _ends(record)])
     return Cut(part_around(points, records[0].image_width_px, records[0].image_height_px), long_side_px)

@@ -12,6 +12,9 @@ from vehanchor.imagery.raster import Window
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+CUT_SIDE_PX = 1000
+"""Longer side of a picture of a part, unless chosen."""
+
 _MARGIN = 0.5  # around what a part shows, as a share of its longer side
 _MIN_MARGIN_PX = 24
 _MAX_ENLARGEMENT = 4.0  # a larger one shows nothing more

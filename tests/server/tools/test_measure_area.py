@@ -22,6 +22,7 @@ from tests.tiles import Tiles
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.pictures.area import PROMPT_RGB
+from vehanchor.pictures.placement import CUT_SIDE_PX
 from vehanchor_server import models as models_module
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
@@ -145,7 +146,7 @@ async def test_an_empty_mask_is_told_as_such(settings: Settings, images: Path, t
 async def test_the_overlay_is_cut_to_the_object_and_small(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, pool_in(images / "pool.png", include_overlay=True))
     decoded = picture_of(result)
-    assert max(decoded.shape) <= OVERLAY_SIDE_PX
+    assert max(decoded.shape) <= OVERLAY_SIDE_PX == CUT_SIDE_PX, "the commands cut alike"
     # box of 60 x 108 px with a margin of 54 px: 168 x 216 px, four times enlarged
     pool = np.abs(decoded[:, :, ::-1].astype(int) - [97, 134, 195]).max(2) < 12
     assert pool.sum() > 0.1 * 4 * 168 * 4 * 216, "the pool is small in its picture"

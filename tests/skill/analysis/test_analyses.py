@@ -174,10 +174,11 @@ def test_a_distance_is_drawn_where_it_lies_as_by_the_command(
     written = cv2.imread(str(out))
     assert written is not None
     assert np.array_equal(written[:, :, ::-1], line.overlay())
-    factor = written.shape[1] / 480
-    y, x = np.nonzero((line.overlay()[: round(360 * factor)] == MEASURED_RGB).all(axis=2))
-    assert (x.min(), x.max()) == pytest.approx((100 * factor, 220 * factor), abs=8)  # strokes across the ends
-    assert (y.min(), y.max()) == pytest.approx((300 * factor, 340 * factor), abs=8)
+    # the part from 40 to 280 and from 240 to 360 px, four times enlarged
+    assert written.shape[1] == 960
+    y, x = np.nonzero((line.overlay()[:480] == MEASURED_RGB).all(axis=2))
+    assert (x.min(), x.max()) == pytest.approx((240, 720), abs=8)  # strokes across the ends
+    assert (y.min(), y.max()) == pytest.approx((240, 400), abs=8)
     assert line._repr_png_() is not None
     words[words.index(out)] = photograph
     refused = CliRunner().invoke(app, list(map(str, words)))

@@ -135,7 +135,12 @@ def test_overlay_and_mask_are_written(run: Any, tmp_path: Path) -> None:
     over, mask = tmp_path / "over.jpg", tmp_path / "mask.png"
     result = run("cars.png", "--box", *BOX, "--json", "--overlay", over, "--mask", mask)
     assert result.exit_code == 0, result.output
-    assert _read(over).shape[1] == 800
+    shown = _read(over)
+    assert max(shown.shape) <= 1000
+    pool = (np.abs(shown[:, :, ::-1].astype(int) - [97, 133, 195]).max(2) < 25).nonzero()  # tinted
+    # the box of 67 x 108 px with a margin of 54 px, four times enlarged
+    assert np.ptp(pool[1]) == pytest.approx(4 * (POOL[2] - POOL[0]), abs=12)
+    assert np.ptp(pool[0]) == pytest.approx(4 * (POOL[3] - POOL[1]), abs=12)
     written = _read(mask)
     assert written.shape[:2] == (600, 800)
     assert set(np.unique(written)) == {0, 255}
