@@ -176,14 +176,18 @@ class _Worker:
         self.process: BaseProcess | None = None
         self.loaded = False
         self.failure: str | None = None
+        self._lost = False  # killed or ended during a call, even if the system still counts it as alive
+
+    @property
+    def _runs(self) -> bool:
+        return self.process is not None and self.process.is_alive() and not self._lost
 
     def start(self) -> None:
         """Start a process if none runs, or if the models of the running one failed to load."""
         with self._lock:
-            if self.process is not None and self.process.is_alive():
-                if not self.failure:
-                    return
-                self.process.kill()
+            if self._runs and not self.failure:
+                return
+            self.kill()
             self._reap()
             context = _start_context()
             ours, theirs = context.Pipe()
@@ -216,13 +220,12 @@ class _Worker:
 
     def renew(self) -> None:
         """Replace an ended process; one that never loaded is replaced by the next call."""
-        if self.process is not None and not self.process.is_alive() and self.loaded:
+        if self.process is not None and not self._runs and self.loaded:
             self.start()
 
     def readiness(self) -> int:
         """Return 2 for loaded models, 1 for a running process, 0 for none."""
-        process = self.process
-        if process is None or not process.is_alive():
+        if not self._runs:
             return 0
         self.poll_loaded()
         return 2 if self.loaded else 1
@@ -294,20 +297,23 @@ class _Worker:
         self._start_and_wait(stop)
         assert self.process is not None
         assert self._connection is not None
-        with _KillOnStop(self.process, stop) as turn:
-            stop.check()
-            try:
-                send_task(self._connection, task)
-                result = self._listen(self._connection, task, turn, report, enter)
-            except MessageError as error:
-                _logger.error("a worker sent an invalid message: %s", error)
-                self.process.kill()
-                raise self._ended() from error
-            except (EOFError, OSError) as error:  # a broken pipe: the process ended
-                self.process.join(_ENDS_WITHIN_S)
+        turn = _KillOnStop(self.process, stop)
+        try:
+            with turn:
                 stop.check()
-                raise self._ended() from error
-        return result
+                try:
+                    send_task(self._connection, task)
+                    return self._listen(self._connection, task, turn, report, enter)
+                except MessageError as error:
+                    _logger.error("a worker sent an invalid message: %s", error)
+                    self.process.kill()
+                    raise self._ended() from error
+                except (EOFError, OSError) as error:  # a broken pipe: the process ended
+                    self.process.join(_ENDS_WITHIN_S)
+                    stop.check()
+                    raise self._ended() from error
+        finally:
+            self._lost = turn.killed
 
     def _start_and_wait(self, stop: Stop) -> None:
         """Start the process and wait for its models; retry once if it is killed from outside.
@@ -382,7 +388,7 @@ class _Worker:
         if self._connection is not None:
             self._connection.close()
         self.process = self._connection = self.failure = None
-        self.loaded = False
+        self.loaded = self._lost = False
 
 
 def _confinement_message(loaded: Loaded) -> tuple[int, str]:
@@ -413,13 +419,14 @@ class _KillOnStop:
 
     Attributes:
         over: whether the process has answered and waits for the next call.
+        killed: whether the process was killed, or had ended by itself.
     """
 
     def __init__(self, process: BaseProcess, stop: Stop) -> None:
         self._process = process
         self._lock = threading.Lock()
         self._has_turn = True
-        self._killed = False
+        self.killed = False
         self.over = False
         stop.on_request(self._kill)
 
@@ -431,11 +438,11 @@ class _KillOnStop:
             self._kill()
         with self._lock:
             self._has_turn = False
-        if self._killed:
+        if self.killed:
             self._process.join(_ENDS_WITHIN_S)
 
     def _kill(self) -> None:
         with self._lock:
             if self._has_turn:
-                self._killed = True
+                self.killed = True
                 self._process.kill()

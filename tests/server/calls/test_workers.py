@@ -139,6 +139,15 @@ def test_a_crash_is_told_and_the_next_call_works(isolated: Services) -> None:
     assert done(isolated, number) != before
 
 
+def test_a_worker_that_ends_slowly_gets_no_further_call(isolated: Services, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its pipe is closed, but the system still counts it as alive, as on a machine under load."""
+    monkeypatch.setattr("vehanchor_server.calls.workers._ENDS_WITHIN_S", 0.0)
+    for _ in range(5):
+        with pytest.raises(CallError, match="worker_killed"):
+            done(isolated, crash)
+        done(isolated, number)
+
+
 def test_a_worker_is_replaced_before_the_next_call(isolated: Services) -> None:
     assert isolated.workers is not None
     with pytest.raises(CallError, match="worker_killed"):
