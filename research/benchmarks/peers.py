@@ -84,7 +84,7 @@ def search_here(model: Path, image: Path) -> Pass:
         raise FileNotFoundError(image)
     pixels = np.ascontiguousarray(read[:, :, ::-1]).astype(np.uint8, copy=False)
     detector = Detector(model)
-    detector.detect_tile(pixels[:_TILE_PX, :_TILE_PX], 0.5)
+    detector.detect_tile(detector.prepared(pixels[:_TILE_PX, :_TILE_PX]), 0.5)
     wall, cpu = time.perf_counter(), time.process_time()
     with open_raster(pixels) as raster:
         found = search(raster, detector, Search(search_scales=False, effort="full"))

@@ -23,7 +23,7 @@ from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, UN
 from research.training.detector.data import TrainImage, is_dev, load_scenes, load_train_images
 from research.training.detector.places import is_held_out, places
 from research.training.detector.scenery import CAR_M, load_scenery
-from vehanchor.detection.boxes import box_corners, boxes_from_corners, canonical_boxes, pair_iou
+from vehanchor.detection.boxes import box_corners, boxes_from_corners, oriented_iou
 from vehanchor.detection.car_verifier import VEHICLE_TYPES
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
@@ -89,17 +89,10 @@ def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[
 
 def overlaps(boxes: NDArray[np.float64], labels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Largest IoU of each box with a label, and which label ``[n]``; 0 and 0 where none is near."""
-    best, which = np.zeros(len(boxes)), np.zeros(len(boxes), np.intp)
     if not len(labels):
-        return best, which
-    both = canonical_boxes(np.concatenate([boxes, labels]))
-    gap = np.linalg.norm(boxes[:, None, :2] - labels[None, :, :2], axis=2)
-    near = gap < 0.6 * (boxes[:, None, 2] + labels[None, :, 2])
-    for row, column in zip(*np.nonzero(near), strict=True):
-        iou = pair_iou(both, int(row), len(boxes) + int(column))
-        if iou > best[row]:
-            best[row], which[row] = iou, column
-    return best, which
+        return np.zeros(len(boxes)), np.zeros(len(boxes), np.intp)
+    iou = oriented_iou(boxes, labels)
+    return iou.max(axis=1), iou.argmax(axis=1)
 
 
 def _ignored(boxes: NDArray[np.float64], polygons: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -159,7 +152,7 @@ def found(
             continue
         way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
         scaled = np.asarray(cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8)
-        seen = detector.detect_tile(scaled, _LEAST_SCORE).vehicles
+        seen = detector.detect_tile(detector.prepared(scaled), _LEAST_SCORE).vehicles
         seen = seen.take(oriented_nms(seen.boxes, seen.scores))
         if not len(seen):
             continue

@@ -99,7 +99,7 @@ def search(image: NDArray[np.uint8], gsd_m_per_px: float, detector: Detector) ->
     height, width = scaled.shape[:2]
     boxes, scores, views = [], [], []
     for k in range(_N_SYMMETRIES):
-        seen = detector.detect_tile(symmetric(scaled, k), _SEARCH_SCORE).vehicles
+        seen = detector.detect_tile(detector.prepared(symmetric(scaled, k)), _SEARCH_SCORE).vehicles
         score, kept = seen.scores, oriented_nms(seen.boxes, seen.scores, iou_threshold=_IOU)
         box = restored(seen.boxes, k, width, height)
         boxes.append(box[kept])

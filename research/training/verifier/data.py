@@ -91,7 +91,7 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
                 continue
             way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
             scaled = np.asarray(cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8)
-            found = detector.detect_tile(scaled, _LEAST_SCORE).vehicles
+            found = detector.detect_tile(detector.prepared(scaled), _LEAST_SCORE).vehicles
             kept = oriented_nms(found.boxes, found.scores)
             boxes, score = found.boxes[kept], found.scores[kept]
             truth = truth_of(boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor)

@@ -20,6 +20,7 @@ from vehanchor.detection.search import search
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
+from vehanchor.imagery.identity import begin_image_id
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.records import (
     FrameScale,
@@ -102,7 +103,7 @@ def search_raster(
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
     rulers = active_rulers(options.rulers)
-    facts = image_facts(raster)
+    facts, image_id = image_facts(raster), begin_image_id(raster)
     tilt = metadata_tilt(facts, options)  # refuses an image with the horizon before the work
     kinds = {ruler.kind for ruler in rulers}
     weighed = detector.card.votes or Vehicles.kind not in kinds  # otherwise the prior has no use
@@ -114,7 +115,7 @@ def search_raster(
     if not any(ruler.needs_search for ruler in rulers):
         if options.by_hand.given:
             raise InvalidParameterError(f"{options.by_hand.given} needs the ruler vehicles: add it to rulers")
-        return view
+        return replace(view, image=facts._replace(image_id=image_id()))
     detections = search(
         raster,
         detector,
@@ -124,7 +125,8 @@ def search_raster(
         check_stretch=check_stretch,
     )
     chosen, size_px = options.search, (raster.width_px, raster.height_px)
-    return replace(view, detections=corrected(detections, options.by_hand, options.frame, size_px, chosen.nms_iou))
+    detections = corrected(detections, options.by_hand, options.frame, size_px, chosen.nms_iou)
+    return replace(view, image=facts._replace(image_id=image_id()), detections=detections)
 
 
 def _convergence(view: View, detections: Detections) -> Convergence:

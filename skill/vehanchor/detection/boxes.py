@@ -6,10 +6,8 @@ the angle of the long side in radians, counted from +x towards +y (image axes: x
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -74,57 +72,90 @@ def boxes_from_corners(corners: ArrayLike) -> NDArray[np.float64]:
     return canonical_boxes(np.column_stack([points.mean(axis=1), sides, angle]))
 
 
-def pair_iou(boxes: NDArray[np.float64], i: int, j: int) -> float:
-    """Compute the exact IoU of two canonical boxes about a local origin (float32 is coarse at 1e5 px).
+def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the exact IoU of canonical boxes, pair by pair.
 
     Args:
-        boxes: ``[n, 5]`` canonical boxes.
-        i: index of the first box.
-        j: index of the second box.
+        first: ``[k, 5]`` canonical boxes.
+        second: ``[k, 5]`` canonical boxes.
 
     Returns:
-        In [0, 1].
+        ``[k]`` float64 in [0, 1].
     """
-    a, b = boxes[i], boxes[j]
-    shared = _parallel_overlap(a, b)
-    if shared is None:
-        shared = _slanted_overlap(a, b)
-    union = a[2] * a[3] + b[2] * b[3] - shared
-    return float(min(shared / union, 1.0)) if union > 0 else 0.0
+    turn = second[:, 4] - first[:, 4]
+    cosine, sine = np.cos(turn), np.sin(turn)
+    shift = _turned((second[:, :2] - first[:, :2]).T, np.cos(first[:, 4]), -np.sin(first[:, 4]))
+    half_a, half_b = first[:, 2:4].T / 2, second[:, 2:4].T / 2
+    across = np.abs(cosine) < np.abs(sine)
+    parallel = np.minimum(np.abs(cosine), np.abs(sine)) < _PARALLEL_RAD
+    with np.errstate(divide="ignore", invalid="ignore"):  # of boxes without a width
+        shared = np.where(
+            parallel,
+            _parallel_overlap(half_a, np.where(across, half_b[::-1], half_b), shift),
+            _slanted_overlap(half_a, half_b, shift, cosine, sine),
+        )
+        iou = shared / (4 * (half_a.prod(axis=0) + half_b.prod(axis=0)) - shared)
+    return np.asarray(np.clip(np.nan_to_num(iou, nan=0.0), 0.0, 1.0))
 
 
-def _parallel_overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> float | None:
-    """Compute the shared area of two boxes with parallel sides, for which OpenCV loses vertices; else None."""
-    turn = b[4] - a[4]
-    if abs(math.sin(turn)) < _PARALLEL_RAD:
-        along, across = b[2], b[3]
-    elif abs(math.cos(turn)) < _PARALLEL_RAD:
-        along, across = b[3], b[2]
-    else:
-        return None
-    dx, dy, cosine, sine = b[0] - a[0], b[1] - a[1], math.cos(a[4]), math.sin(a[4])
-    shared_along = _overlap(a[2], along, abs(dx * cosine + dy * sine))
-    shared_across = _overlap(a[3], across, abs(dy * cosine - dx * sine))
-    return shared_along * shared_across
+def _turned(
+    vectors: NDArray[np.float64], cosine: NDArray[np.float64], sine: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Turn vectors ``[2, ..., k]`` by angles."""
+    x, y = vectors
+    return np.stack([x * cosine - y * sine, x * sine + y * cosine])
 
 
-def _overlap(first: float, second: float, distance: float) -> float:
-    """Compute the overlap of two intervals from their lengths and the distance of their centres."""
-    return max(0.0, min(first, second, (first + second) / 2 - distance))
+def _parallel_overlap(
+    half_a: NDArray[np.float64], half_b: NDArray[np.float64], shift: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compute the area that parallel boxes share, from their half sides ``[2, k]`` and the shift of their centres."""
+    sides = np.clip(half_a + half_b - np.abs(shift), 0, 2 * np.minimum(half_a, half_b))
+    return np.asarray(sides[0] * sides[1])
 
 
-def _slanted_overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    degrees = 180.0 / math.pi
-    kind, region = cv2.rotatedRectangleIntersection(
-        ((0.0, 0.0), (a[2], a[3]), a[4] * degrees),
-        ((b[0] - a[0], b[1] - a[1]), (b[2], b[3]), b[4] * degrees),
-    )
-    if kind == cv2.INTERSECT_NONE or region is None:
-        return 0.0
-    points = region.reshape(-1, 2)  # (k, 2) in OpenCV 5, (k, 1, 2) in 4
-    if len(points) < 3:
-        return 0.0
-    return float(cv2.contourArea(cv2.convexHull(points)))
+def _slanted_overlap(
+    half_a: NDArray[np.float64],
+    half_b: NDArray[np.float64],
+    shift: NDArray[np.float64],
+    cosine: NDArray[np.float64],
+    sine: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Compute the area that boxes with no parallel sides share, by Green's theorem.
+
+    The shared polygon is bounded by the parts of each box's edges that lie in the other box. Each part adds half the
+    cross product of its ends about the first centre.
+
+    Args:
+        half_a: ``[2, k]`` half sides of the first boxes.
+        half_b: ``[2, k]`` half sides of the second boxes.
+        shift: ``[2, k]`` centres of the second boxes in the frames of the first.
+        cosine: ``[k]`` of the angle from the first box to the second.
+        sine: ``[k]`` of that angle.
+
+    Returns:
+        ``[k]`` areas.
+    """
+    signs = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]])[:, :, None]  # of the corners, in order around the box
+    corners_b = shift[:, None] + _turned(signs * half_b[:, None], cosine, sine)
+    corners_a = _turned(signs * half_a[:, None] - shift[:, None], cosine, -sine)
+    edges_b = np.roll(corners_b, -1, axis=1) - corners_b
+    edges_a = np.roll(corners_a, -1, axis=1) - corners_a
+    cross_b = corners_b[0] * edges_b[1] - corners_b[1] * edges_b[0]
+    cross_a = 2 * half_a.prod(axis=0)  # of every edge
+    shares_b, shares_a = _share_inside(corners_b, edges_b, half_a), _share_inside(corners_a, edges_a, half_b)
+    area: NDArray[np.float64] = ((shares_b * cross_b).sum(axis=0) + shares_a.sum(axis=0) * cross_a) / 2
+    return area
+
+
+def _share_inside(
+    corners: NDArray[np.float64], edges: NDArray[np.float64], half: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compute the share ``[4, k]`` of each edge ``[2, 4, k]`` from its corner that lies in a box around the origin."""
+    sides = half[:, None]
+    enter, leave = (-np.copysign(sides, edges) - corners) / edges, (np.copysign(sides, edges) - corners) / edges
+    inside: NDArray[np.float64] = np.minimum(leave.min(axis=0), 1) - np.maximum(enter.max(axis=0), 0)
+    return np.maximum(inside, 0)
 
 
 def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
@@ -138,10 +169,9 @@ def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
         ``[n, m]`` float64 in [0, 1].
     """
     first, second = canonical_boxes(a), canonical_boxes(b)
-    both = np.concatenate([first, second])
     out = np.zeros((len(first), len(second)))
-    for i, j in _touching_pairs(first, second):
-        out[i, j] = pair_iou(both, i, len(first) + j)
+    i, j = _touching_pairs(first, second).T
+    out[i, j] = pair_iou(first[i], second[j])
     return out
 
 

@@ -56,6 +56,18 @@ class TileDetections(NamedTuple):
     ran_out: bool
 
 
+class PreparedTile(NamedTuple):
+    """Tile as the model takes it.
+
+    Attributes:
+        pixels: ``[h, w, 3]`` uint8 RGB.
+        batch: ``[1, 3, H, W]`` in 0..1, padded right and below.
+    """
+
+    pixels: NDArray[np.uint8]
+    batch: NDArray[Any]
+
+
 class Detector(LoadedModel):
     """Oriented-box vehicle detector with its model card and auxiliary models.
 
@@ -180,8 +192,9 @@ class Detector(LoadedModel):
         outputs = run_session(self._session, None, {self._input.name: batch}, self.runtime, described)
         return [np.asarray(output) for output in outputs]
 
-    def _prepared(self, tile: NDArray[np.uint8]) -> NDArray[Any]:
-        """Convert ``[h, w, 3]`` uint8 to the model's ``[1, 3, H, W]`` in 0..1, padded right and below."""
+    def prepared(self, pixels: NDArray[np.uint8]) -> PreparedTile:
+        """Convert a tile ``[h, w, 3]`` uint8 RGB, no larger than the model's fixed input, to the model's input."""
+        tile = pixels
         height, width = tile.shape[:2]
         stride = self.card.stride_px
         full_h, full_w = self.fixed_size or (-(-side // stride) * stride for side in (height, width))
@@ -192,19 +205,19 @@ class Detector(LoadedModel):
         batch = np.empty((1, 3, full_h, full_w), dtype=self._dtype)
         for plane, channel in zip(batch[0], cv2.split(tile), strict=True):
             np.multiply(channel, np.float32(1 / 255), out=plane, casting="unsafe")
-        return batch
+        return PreparedTile(pixels, batch)
 
-    def detect_tile(self, tile: NDArray[np.uint8], min_score: float) -> TileDetections:
+    def detect_tile(self, tile: PreparedTile, min_score: float) -> TileDetections:
         """Detect objects in one tile, without non-maximum suppression.
 
         Args:
-            tile: ``[h, w, 3]`` uint8 RGB, no larger than the model's fixed input.
+            tile: the tile; another thread may prepare it while the model runs on the one before.
             min_score: detections below it are dropped.
 
         Returns:
             Vehicles and other objects with canonical boxes, in tile pixels.
         """
-        outputs = self._run(self._prepared(tile))
+        outputs = self._run(tile.batch)
         try:
             vehicles = self._contract.objects(outputs, min_score, self._vehicle_classes)
             others = Objects.joined()
@@ -215,7 +228,7 @@ class Detector(LoadedModel):
         except (LookupError, ValueError, TypeError) as error:  # other shapes than for the blank image
             shapes = ", ".join(str(list(output.shape)) for output in outputs)
             raise ModelContractError(f"the detector {self.path} puts out {shapes}, no layout of its") from error
-        return TileDetections(self._checked(vehicles, tile), self._checked(others, tile), ran_out)
+        return TileDetections(self._checked(vehicles, tile.pixels), self._checked(others, tile.pixels), ran_out)
 
     def _checked(self, found: Objects, tile: NDArray[np.uint8]) -> Objects:
         """Select the boxes that can be objects of a tile.

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 _MOST_PAIRS = 20_000_000  # 0.3 GiB of indices
+_BLOCK_PAIRS = 16_384  # whose overlaps are computed at once, in 30 MiB
 
 
 def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = NMS_IOU) -> NDArray[np.intp]:
@@ -42,18 +43,29 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
         return np.zeros(0, dtype=np.intp)
     order = np.lexsort((*rows.T[::-1], -score))
     rows = rows[order]
-    neighbours = _overlap_candidates(rows, iou_threshold)
-    alive = np.ones(len(rows), dtype=bool)
-    kept = []
-    for i in range(len(rows)):
-        if not alive[i]:
-            continue
-        kept.append(i)
-        for j in neighbours[i]:
-            if alive[j] and pair_iou(rows, i, j) > iou_threshold:
-                alive[j] = False
-    result: NDArray[np.intp] = order[kept]
+    better, worse = _overlap_candidates(rows, iou_threshold)
+    kept, open_ = np.zeros(len(rows), bool), np.ones(len(rows), bool)
+    while len(better):  # each round keeps the boxes that no better open box may overlap
+        best = open_.copy()
+        best[worse] = False
+        kept |= best
+        of_best = best[better]
+        open_[_overlapping(rows, better[of_best], worse[of_best], iou_threshold)] = False
+        open_ &= ~best
+        both = open_[better] & open_[worse]
+        better, worse = better[both], worse[both]
+    result: NDArray[np.intp] = order[kept | open_]
     return result
+
+
+def _overlapping(
+    rows: NDArray[np.float64], better: NDArray[np.intp], worse: NDArray[np.intp], iou_threshold: float
+) -> NDArray[np.intp]:
+    """List the worse boxes of the pairs whose IoU exceeds the threshold."""
+    blocks = [slice(start, start + _BLOCK_PAIRS) for start in range(0, len(better), _BLOCK_PAIRS)]
+    return np.concatenate(
+        [worse[:0], *(worse[each][pair_iou(rows[better[each]], rows[worse[each]]) > iou_threshold] for each in blocks)]
+    )
 
 
 def _shared_bound(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -72,13 +84,13 @@ def _shared_bound(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.
     return bound
 
 
-def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> list[list[int]]:
-    """List for each box the later ones that may exceed the threshold, by distance, area ratio and extent."""
+def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """List the pairs, the earlier box first, that may exceed the threshold, by distance, area ratio and extent."""
     length, width = rows[:, 2], rows[:, 3]
     radius = np.hypot(length, width) / 2
     area = length * width
     size_class = np.floor(np.log2(np.maximum(radius, 1e-6))).astype(int)
-    later: list[list[int]] = [[] for _ in range(len(rows))]
+    found = []
     classes = np.unique(size_class)
     members = {c: np.flatnonzero(size_class == c) for c in classes}
     trees = {c: cKDTree(rows[members[c], :2]) for c in classes}
@@ -103,6 +115,6 @@ def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> list
             first, second = first[ratio > iou_threshold], second[ratio > iou_threshold]
             shared = np.minimum(_shared_bound(rows[first], rows[second]), _shared_bound(rows[second], rows[first]))
             possible = shared > iou_threshold / (1 + iou_threshold) * (area[first] + area[second]) * (1 - 1e-9)
-            for i, j in zip(first[possible].tolist(), second[possible].tolist(), strict=True):
-                later[min(i, j)].append(max(i, j))
-    return later
+            found.append(np.sort([first[possible], second[possible]], axis=0))
+    better, worse = np.concatenate(found, axis=1)
+    return better, worse

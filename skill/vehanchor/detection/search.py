@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.car_verifier import CarVerifier
     from vehanchor.detection.convergence import Convergence, StopRule
-    from vehanchor.detection.detector import Detector, TileDetections
+    from vehanchor.detection.detector import Detector, PreparedTile, TileDetections
     from vehanchor.detection.levels import SearchLevel
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster, Window
@@ -98,9 +98,9 @@ def search(
 def _search_all(work: _Work, tell: Callable[[int, int], None]) -> Stopped:
     """Visit all tiles."""
     order = work.reading_order()
-    for k, pixels in work.read(order):
+    for k, tile in work.read(order):
         tell(work.n_visited, len(order))
-        work.visit(k, pixels)
+        work.visit(k, tile)
     return "all_searched"
 
 
@@ -122,11 +122,11 @@ def _search_likely(
         if work.n_visited and convergence is not None and rule.share is not None:
             order.leave_out(work.excluded(convergence(work.detections(embed=False))))
         while tiles := order.next_tiles(min(_TILES_AT_ONCE, most - work.n_visited)):
-            for k, pixels in work.read(tiles):
+            for k, tile in work.read(tiles):
                 if rule.max_seconds is not None and work.n_visited and time.monotonic() - started > rule.max_seconds:
                     return "max_seconds"
                 tell(work.n_visited, total)
-                order.report(k, work.visit(k, pixels))
+                order.report(k, work.visit(k, tile))
             if convergence is not None and rule.share is not None and due <= work.n_visited < most:
                 due = next_check(work.n_visited)
                 for embed in (False, True):  # most checks fail without the appearance, which costs more than the rest
@@ -221,39 +221,35 @@ class _Work:
         ends = [(level.factor * (tile.y_px + tile.height_px), k) for k, (level, tile) in enumerate(self.visits)]
         return [k for _, k in sorted(ends)]
 
-    def read(self, tiles: Sequence[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Yield tiles with their pixels; in a large image the next tile is read while the caller works on this one."""
+    def read(self, tiles: Sequence[int]) -> Iterator[tuple[int, PreparedTile]]:
+        """Yield prepared tiles; the next one is read and prepared while the caller works on this one."""
 
-        def read_one(k: int) -> NDArray[np.uint8]:
+        def read_one(k: int) -> PreparedTile:
             level, tile = self.visits[k]
-            return read_reduced_window(self._raster, tile, level.factor)
+            return self._detector.prepared(read_reduced_window(self._raster, tile, level.factor))
 
-        if len(tiles) < 2 or self._raster.width_px * self._raster.height_px < WINDOWED_PIXELS:
-            for k in tiles:
-                yield k, read_one(k)
-            return
         with ThreadPoolExecutor(1) as reader:
             ahead = reader.submit(read_one, tiles[0])
             for k, following in zip(tiles, [*tiles[1:], None], strict=True):
-                pixels = ahead.result()
+                tile = ahead.result()
                 if following is not None:
                     ahead = reader.submit(read_one, following)
-                yield k, pixels
+                yield k, tile
 
-    def visit(self, k: int, pixels: NDArray[np.uint8]) -> int:
+    def visit(self, k: int, prepared: PreparedTile) -> int:
         """Detect objects in a tile; return its number of vehicles."""
         level, tile = self.visits[k]
-        seen = self._detect(pixels, level)
+        seen = self._detect(prepared, level)
         vehicles, others = (_in_image(found, tile, level, self._overlap_px) for found in (seen.vehicles, seen.others))
         self._found[k] = seen._replace(vehicles=vehicles, others=others)
         return self._count(vehicles)
 
-    def _detect(self, pixels: NDArray[np.uint8], level: SearchLevel) -> TileDetections:
+    def _detect(self, prepared: PreparedTile, level: SearchLevel) -> TileDetections:
         """Detect vehicles of the level's lengths in a tile, rescored by the verifier, and other objects."""
         verifier = self._verifier
         # The verifiers can raise the score of a weak detection.
         least = min(self._min_score, verifier.card.least_score) if verifier else self._least_score
-        seen = self._detector.detect_tile(pixels, least)
+        seen = self._detector.detect_tile(prepared, least)
         vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
         if verifier:
             candidates = len(vehicles)
@@ -261,7 +257,7 @@ class _Work:
                 vehicles = vehicles.take(position_sample(vehicles.boxes, _MOST_VERIFIED))
             self._n_skipped += candidates - len(vehicles)
             size_odds = 0.0 if self._prior is None else self._prior.size_odds(vehicles.boxes[:, 2] * level.factor)
-            vehicles = verifier.scored(pixels, vehicles, size_odds=size_odds)
+            vehicles = verifier.scored(prepared.pixels, vehicles, size_odds=size_odds)
         vehicles = vehicles.take(vehicles.scores >= self._least_score)
         # The range of lengths applies to vehicles only.
         return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= self._min_score))

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,6 +18,8 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.addresses import is_address
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from vehanchor.imagery.raster import Raster
 
 _WINDOWS_PER_SIDE = 8
@@ -65,6 +69,20 @@ def image_id(raster: Raster) -> str:
         for x, width in columns:
             digest.update(raster.read(Window(x, y, width, height)).data)
     return digest.hexdigest()[:_DIGITS]
+
+
+def begin_image_id(raster: Raster) -> Callable[[], str]:
+    """Begin to hash an image; return a call that waits for the result of ``image_id``.
+
+    A decoded image is hashed in a thread beside the caller's work; others are hashed at once, because only one thread
+    may read them.
+    """
+    if not raster.in_memory:
+        return partial(str, image_id(raster))
+    beside = ThreadPoolExecutor(1)
+    waiting = beside.submit(image_id, raster)
+    beside.shutdown(wait=False)  # the thread ends after its work
+    return waiting.result
 
 
 def _update_with_file(digest: hashlib._Hash, encoded: str | bytes | int | None) -> None:

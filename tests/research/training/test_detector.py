@@ -154,7 +154,7 @@ def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: P
         columns = UltralyticsLayout(network)(tensor)[0].numpy()
     found = onnxruntime.InferenceSession(path).run(None, {"images": tensor.numpy()})[0][0]
     np.testing.assert_allclose(found[[0, 1, 2, 3, 5]], columns[[0, 1, 2, 3, 5]], atol=1e-3)
-    seen = detector.detect_tile(image, 1e-6).vehicles
+    seen = detector.detect_tile(detector.prepared(image), 1e-6).vehicles
     boxes, scores = seen.boxes, seen.scores
     assert len(boxes) == (found[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)  # untrained: near ties
     assert scores.max() == pytest.approx(columns[4].max(), abs=1e-5)

@@ -103,12 +103,13 @@ def test_other_classes_are_not_vehicles_unless_asked_for(tmp_path: Path) -> None
 def test_a_tiles_other_objects_keep_their_class(tmp_path: Path, layout: Any) -> None:
     image, painted = _picture(classes=[10, 9, 0], scores=[0.9, 0.6, 0.3])
     path = write_detector(tmp_path / "m.onnx", names=_DOTA, layout=layout)
-    seen = Detector(path).detect_tile(image, 0.1)
+    detector = Detector(path)
+    seen = detector.detect_tile(detector.prepared(image), 0.1)
     assert seen.vehicles.classes.tolist() == [10]
     _assert_same(seen.others.boxes, painted[1:])
     found = sorted(zip(seen.others.classes.tolist(), seen.others.scores.tolist(), strict=True))
     assert found == [(0, pytest.approx(0.3, abs=1 / 255)), (9, pytest.approx(0.6, abs=1 / 255))]
-    both = Detector(path, classes=["small vehicle", "large vehicle"]).detect_tile(image, 0.1)
+    both = Detector(path, classes=["small vehicle", "large vehicle"]).detect_tile(detector.prepared(image), 0.1)
     assert sorted(both.vehicles.classes.tolist()) == [9, 10]
     assert both.others.classes.tolist() == [0]
 
