@@ -3,7 +3,7 @@
 Encoders average the picture over the cells of the mask's grid. Decoders put out, for every cell, the least of
 
 * how far the cell's centre is inside the box, in pixels of the model's input (a linear function: interpolation between
-  cells finds the box's sides again exactly);
+  cells finds the box's sides again exactly); beside points the box is a cell wider on every side;
 * how like its colour is to that at the positive points, or at the box's centre: a cell's side or, for another colour,
   minus as much;
 * minus the same for the negative points.
@@ -337,6 +337,8 @@ def _logits(graph: Graph, colours: str, coords: str, labels: str, cell_px: int) 
     x2, y2 = (summed(graph.add("Mul", [at, last]), 0) for at in (x, y))
     has_box = summed(first, 0)
     inside = graph.add("Min", [less(column, x1), less(x2, column), less(row, y1), less(y2, row)])
+    has_point = graph.add("Min", [summed(labelled(1), 0), graph.constant([1.0])])
+    inside = graph.add("Add", [inside, _times(graph, has_point, cell_px)])
 
     def hit(at_x: str, at_y: str) -> str:
         half = graph.constant([cell_px / 2])

@@ -12,7 +12,7 @@ from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult
 from pydantic import Field
 
-from vehanchor.records import AreaMeasurement
+from vehanchor.records import AreaMeasurement, BoundingBox, OtherObject
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
@@ -222,10 +222,21 @@ def _area_of_object(area: AreaMeasurement) -> str:
     if box is None:
         return _area_in_words(area)
     seen = "image" if area.frame is None else f"{area.frame.width_px} x {area.frame.height_px} copy"
-    return (
-        f"{_area_in_words(area)} The mask spans x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to "
-        f"{box.y2_px:.0f} px of your {seen}."
-    )
+    others = [_other_in_words(area, other) for other in area.alternatives]
+    instead = f" Or you mean {' or '.join(others)}: give the box of the right one." if others else ""
+    return f"{_area_in_words(area)} The mask spans {_span(box)} px of your {seen}.{instead}"
+
+
+def _other_in_words(area: AreaMeasurement, other: OtherObject) -> str:
+    size = f"{other.mask_area_px} px" if other.area_m2 is None else f"{rounded(other.area_m2)} m2"
+    box, frame = other.bounding_box, area.frame
+    if frame is not None:
+        box = box.scaled(frame.width_px / area.image_width_px, frame.height_px / area.image_height_px)
+    return f"{size} in {_span(box)}"
+
+
+def _span(box: BoundingBox) -> str:
+    return f"x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f}"
 
 
 def _area_in_words(area: AreaMeasurement) -> str:

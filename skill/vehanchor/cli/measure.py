@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.measured import AreaAnalysis
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import AreaMeasurement
+    from vehanchor.records import AreaMeasurement, OtherObject
 
 _SHORT_SHA = 12
 
@@ -186,6 +186,7 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
             ),
         ]
     facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
+    facts += [("or the object", _other_object(each)) for each in record.alternatives]
     if record.estimate is None:
         facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}"))
     else:
@@ -198,3 +199,10 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
     facts.append(("status", record.status))
     facts.append(("segmenter", f"{record.segmenter} ({record.segmenter_sha256[:_SHORT_SHA]})"))
     return facts
+
+
+def _other_object(other: OtherObject) -> str:
+    box = other.bounding_box
+    size = f"{other.mask_area_px} px" if other.area_m2 is None else f"{significant(other.area_m2)} m2"
+    corners = " ".join(f"{side:.0f}" for side in (box.x1_px, box.y1_px, box.x2_px, box.y2_px))
+    return f"of {size}, score {other.mask_score:.2f}: --box {corners}"

@@ -16,6 +16,7 @@ from vehanchor.records import (
     BoundingBox,
     FrameArea,
     ImagePoint,
+    OtherObject,
     OutlinePolygon,
     OutlineRing,
 )
@@ -24,7 +25,6 @@ from vehanchor.segmentation.prompt import prompt_in_image
 from vehanchor.segmentation.segmenter import Segmenter
 from vehanchor.segmentation.shape import (
     inscribed_circle,
-    mask_bounds,
     outline_parts,
     perimeter,
     rotated_extents,
@@ -100,7 +100,7 @@ def _conclude(
 ) -> AreaMeasurement:
     """Make the record from mask and scale."""
     mask, left, top = found.mask, found.window.x_px, found.window.y_px
-    bounds, circle = mask_bounds(mask), inscribed_circle(mask)
+    circle = inscribed_circle(mask)
     n_px = int(mask.sum())
     gsd, estimate = scale.gsd_m_per_px, scale.estimate
     outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
@@ -108,7 +108,7 @@ def _conclude(
     size = _Size()
     if measured is not None and circle is not None:
         size = _size(n_px, outline_px, circle.diameter, measured, scale.spread, card.mask_area_log_sd)
-    box = None if bounds is None else _moved_box((bounds.x1, bounds.y1, bounds.x2, bounds.y2), left, top)
+    box = _box(found)
     return AreaMeasurement(
         status=_status(scale, found.score, card, n_px, prompt),
         area_m2=size.area_m2,
@@ -129,6 +129,7 @@ def _conclude(
         inscribed_diameter_ci95_high_m=size.diameter_interval and size.diameter_interval.high,
         inscribed_center=None if circle is None else ImagePoint(x_px=circle.x + left, y_px=circle.y + top),
         bounding_box=box,
+        alternatives=tuple(_other_object(each, scale) for each in found.alternatives),
         outline=_outline(mask, left, top),
         image_width_px=raster.width_px,
         image_height_px=raster.height_px,
@@ -182,9 +183,16 @@ def _diameter_log_sd(area_log_sd: float, area_px: float, perimeter_px: float, di
     return max(area_log_sd / 2, 2 * area_log_sd * area_px / (perimeter_px * diameter_px))
 
 
-def _moved_box(corners: tuple[float, float, float, float], dx: float, dy: float) -> BoundingBox:
-    x1, y1, x2, y2 = corners
-    return BoundingBox(x1_px=x1 + dx, y1_px=y1 + dy, x2_px=x2 + dx, y2_px=y2 + dy)
+def _other_object(found: Segmentation, scale: ResolvedScale) -> OtherObject:
+    n_px, box = int(found.mask.sum()), _box(found)
+    assert box is not None, "alternatives are not empty"
+    gsd = scale.gsd_over(found.mask, found.window.x_px, found.window.y_px)
+    return OtherObject(area_m2=gsd and n_px * gsd**2, mask_area_px=n_px, mask_score=found.score, bounding_box=box)
+
+
+def _box(found: Segmentation) -> BoundingBox | None:
+    box = found.bounding_box
+    return box and BoundingBox(x1_px=box[0], y1_px=box[1], x2_px=box[2], y2_px=box[3])
 
 
 def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolygon, ...]:
@@ -206,8 +214,5 @@ def _frame(frame: Frame, raster: Raster, gsd: float | None, box: BoundingBox | N
         width_px=width,
         height_px=height,
         gsd_m_per_px=None if gsd is None else gsd / across,
-        bounding_box=box
-        and BoundingBox(
-            x1_px=box.x1_px * across, y1_px=box.y1_px * down, x2_px=box.x2_px * across, y2_px=box.y2_px * down
-        ),
+        bounding_box=box and box.scaled(across, down),
     )

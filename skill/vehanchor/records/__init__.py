@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vehanchor.records.area import AreaMeasurement, FrameArea
+from vehanchor.records.area import AreaMeasurement, FrameArea, OtherObject
 from vehanchor.records.distance import DistanceMeasurement
 from vehanchor.records.flight import FlightComponent, FlightEstimate, FlightLink, FlightPhotograph, FlightRuler
 from vehanchor.records.geometry import BoundingBox, ImagePoint, OutlinePolygon, OutlineRing
@@ -47,6 +47,7 @@ __all__ = [
     "ModelRuler",
     "ModelScale",
     "Notice",
+    "OtherObject",
     "OutlinePolygon",
     "OutlineRing",
     "Reason",

@@ -32,6 +32,15 @@ class FrameArea(Record):
     bounding_box: BoundingBox | None = Field(description="The object's box in pixels of that copy; null for no mask.")
 
 
+class OtherObject(Record):
+    """Another object that points may mean; its box is a prompt for it."""
+
+    area_m2: float | None = Field(description="Its area, square metres; null without a scale.")
+    mask_area_px: int = Field(gt=0, description="Pixels of its mask in the full image.")
+    mask_score: float = Field(ge=0, le=1, description="The segmenter's estimate of its mask's IoU.")
+    bounding_box: BoundingBox = Field(description="Its box, pixels of the full image.")
+
+
 class AreaMeasurement(Record):
     """Area of one object: the pixels of its mask times the square of the scale."""
 
@@ -64,6 +73,9 @@ class AreaMeasurement(Record):
         description="Centre of that circle, pixels of the full image; null for no mask."
     )
     bounding_box: BoundingBox | None = Field(description="The mask's box, pixels of the full image; null for no mask.")
+    alternatives: tuple[OtherObject, ...] = Field(
+        default=(), description="Other objects that the points may mean, best score first; empty for a box."
+    )
     outline: tuple[OutlinePolygon, ...] = Field(
         description="The mask's outline, largest piece first, simplified to 200 points at most: for drawing. Areas "
         "come from the mask itself."

@@ -22,6 +22,12 @@ class BoundingBox(Record):
     x2_px: float = Field(description="Right side, pixels from the left edge.")
     y2_px: float = Field(description="Lower side, pixels from the upper edge.")
 
+    def scaled(self, across: float, down: float) -> BoundingBox:
+        """Return the box in a copy of the image; the factors are the copy's sides over the image's."""
+        return BoundingBox(
+            x1_px=self.x1_px * across, y1_px=self.y1_px * down, x2_px=self.x2_px * across, y2_px=self.y2_px * down
+        )
+
 
 class OutlineRing(Record):
     """A closed line; the last point is joined to the first."""

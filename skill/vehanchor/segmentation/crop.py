@@ -17,19 +17,30 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.contracts import MaskLogits
     from vehanchor.segmentation.prompt import Prompt
 
+MAX_POINT_CROP_PX = 1024
+"""Largest crop in which points are tried, unless the object does not end in it."""
+
 _BOX_CONTEXT = 2.0  # side of the crop over the box's longer side
 _MIN_CROP_PX = 256
-_POINT_CROP_PX = 512  # for points, which do not show the object's size
+_MIN_POINT_CROP_PX = 128
 _ROWS_PER_STRIP = 1024
 _ROOM = 0.25  # of the box's longer side: least margin around it in another prompt's crop
 _MOST_WIDER = 1.25  # largest side of a shared crop over that of the prompt's own
 
 
 def crop_side(prompt: Prompt) -> int:
-    """Compute the initial side of a prompt's crop, pixels."""
+    """Compute the side of a box's crop, pixels."""
+    return max(_MIN_CROP_PX, _context_px(prompt))
+
+
+def point_crop_side(prompt: Prompt) -> int:
+    """Compute the side of the smallest crop in which points are tried, pixels."""
+    return max(_MIN_POINT_CROP_PX, _context_px(prompt))
+
+
+def _context_px(prompt: Prompt) -> int:
     x1, y1, x2, y2 = prompt.extent
-    least = _POINT_CROP_PX if prompt.box is None else _MIN_CROP_PX
-    return max(least, math.ceil(_BOX_CONTEXT * max(x2 - x1, y2 - y1)))
+    return math.ceil(_BOX_CONTEXT * max(x2 - x1, y2 - y1))
 
 
 def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_px: int) -> Window:
@@ -52,17 +63,19 @@ def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_
 
 
 def shares_window(prompt: Prompt, window: Window, image_width_px: int, image_height_px: int) -> bool:
-    """Test whether another prompt's crop can replace this prompt's own.
+    """Test whether another box's crop can replace this prompt's own; points have crops of their own.
 
     Args:
         prompt: in pixels of the image.
-        window: the other prompt's crop.
+        window: the other box's crop.
         image_width_px: width of the image.
         image_height_px: height of the image.
 
     Returns:
         True if the crop is about as large as the prompt's own and contains it with a margin, up to the image's edge.
     """
+    if prompt.box is None:
+        return False
     own = crop_window(prompt, image_width_px, image_height_px, crop_side(prompt))
     if not 1 <= max(window.width_px, window.height_px) / max(own.width_px, own.height_px) <= _MOST_WIDER:
         return False

@@ -1,13 +1,14 @@
 """Promptable segmentation: the mask of the object that a box or points name, in pixels of the image.
 
 The model runs on a crop around the prompt: memory does not grow with the image, and small objects get the model's full
-resolution. The crop of a box has twice its longer side, at least 256 px. Points do not show the object's size: their
-crop has 512 px or twice their extent, and doubles while the mask touches an inner side of it.
+resolution. The crop of a box has twice its longer side, at least 256 px. Points do not show the object's size: they are
+tried in crops of 128 to 1024 px, or from twice their extent on. The mask with the best score is refined by its bounding
+box; masks of other objects are its alternatives.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,10 +19,19 @@ from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import metadata_number, open_session
 from vehanchor.options import ImageLimits
+from vehanchor.segmentation.alternatives import distinct
 from vehanchor.segmentation.contracts import recognise_contract
-from vehanchor.segmentation.crop import crop_side, crop_window, place_mask, read_resized, shares_window
-from vehanchor.segmentation.prompt import Prompt
-from vehanchor.segmentation.shape import touches_edge
+from vehanchor.segmentation.crop import (
+    MAX_POINT_CROP_PX,
+    crop_side,
+    crop_window,
+    place_mask,
+    point_crop_side,
+    read_resized,
+    shares_window,
+)
+from vehanchor.segmentation.prompt import MIN_BOX_PX, Box, Prompt
+from vehanchor.segmentation.shape import mask_bounds, touches_edge
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,11 +79,21 @@ class Segmentation:
         mask: ``[h, w]`` bool, the pixels of ``window``; nothing outside it belongs to the object.
         window: crop of the image on which the model ran.
         score: IoU of the mask as predicted by the model, 0..1.
+        alternatives: other objects that the points may mean, best first; none for a box.
     """
 
     mask: NDArray[np.bool_]
     window: Window
     score: float
+    alternatives: tuple[Segmentation, ...] = ()
+
+    @property
+    def bounding_box(self) -> Box | None:
+        """Smallest box of whole pixels around the mask, in pixels of the image; None for an empty mask."""
+        bounds, left, top = mask_bounds(self.mask), self.window.x_px, self.window.y_px
+        if bounds is None:
+            return None
+        return bounds.x1 + left, bounds.y1 + top, bounds.x2 + left, bounds.y2 + top
 
 
 class Segmenter(LoadedModel):
@@ -169,27 +189,41 @@ class Segmenter(LoadedModel):
         for first, prompt in enumerate(prompts):
             if first in found:
                 continue
+            if prompt.box is None:
+                found[first] = self._segment_points(raster, prompt, limits)
+                continue
             view = self._encode(raster, prompt, crop_side(prompt), limits)
-            found[first] = self._segment_in(raster, prompt, view, limits)
+            found[first] = self._decode(view, prompt)
             for k in range(first + 1, len(prompts)):
                 if k not in found and shares_window(prompts[k], view.window, raster.width_px, raster.height_px):
-                    found[k] = self._segment_in(raster, prompts[k], view, limits)
+                    found[k] = self._decode(view, prompts[k])
         return tuple(found[k] for k in range(len(prompts)))
 
-    def _segment_in(
-        self,
-        raster: Raster,
-        prompt: Prompt,
-        view: _View,
-        limits: ImageLimits | None,
-    ) -> Segmentation:
-        """Segment the object in a view; for points, enlarge the view while the mask touches an inner side."""
-        found = self._decode(view, prompt)
-        side = crop_side(prompt)
-        while prompt.box is None and _runs_into_inner_side(found, raster):
+    def _segment_points(self, raster: Raster, prompt: Prompt, limits: ImageLimits | None) -> Segmentation:
+        """Choose among the masks of several crops, and refine the chosen one by its bounding box and the points."""
+        chosen, *others = distinct(self._masks_at(raster, prompt, limits))
+        box = chosen.bounding_box
+        if box is None or min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
+            return chosen
+        boxed = Prompt(box, prompt.points)
+        refined = self._decode(self._encode(raster, boxed, crop_side(boxed), limits), boxed)
+        best = refined if refined.mask.any() else chosen
+        return replace(best, score=min(chosen.score, best.score), alternatives=tuple(others))
+
+    def _masks_at(self, raster: Raster, prompt: Prompt, limits: ImageLimits | None) -> list[Segmentation]:
+        """Segment points in growing crops; keep masks that end inside, of one crop at least."""
+        found: list[Segmentation] = []
+        side = point_crop_side(prompt)
+        while True:
+            window = crop_window(prompt, raster.width_px, raster.height_px, side)
+            if found and (side > MAX_POINT_CROP_PX or not _allowed(window, limits)):
+                return found
+            mask = self._decode(self._encode(raster, prompt, side, limits), prompt)
+            if not _runs_into_inner_side(mask, raster):
+                found.append(mask)
+            if (window.width_px, window.height_px) == (raster.width_px, raster.height_px):
+                return found
             side *= 2
-            found = self._decode(self._encode(raster, prompt, side, limits), prompt)
-        return found
 
     def _encode(
         self,
@@ -228,9 +262,12 @@ def _loaded(encoder_path: Path, decoder_path: Path, *, runtime: Runtime) -> Segm
     return Segmenter(encoder_path, decoder_path, runtime=runtime)
 
 
+def _allowed(window: Window, limits: ImageLimits | None) -> bool:
+    return window.width_px * window.height_px <= (limits or ImageLimits()).max_pixels
+
+
 def _check_window(window: Window, limits: ImageLimits) -> None:
-    n_pixels = window.width_px * window.height_px
-    if n_pixels > limits.max_pixels:
+    if not _allowed(window, limits):
         raise ImageTooLargeError(
             f"the object's surroundings are {window.width_px} x {window.height_px} px, the limit is "
             f"{limits.max_pixels} pixels; give a smaller box, or measure in a reduced copy of the image"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import anyio
+import cv2
 import numpy as np
 import pytest
 from mcp import Client
@@ -85,7 +86,29 @@ async def test_points_say_what_is_on_the_object_and_what_is_beside_it(
     )
     named[1]["label"] = "include"
     other = record_of(await asked(server, {**by_path(images / "pool.png"), "target": {"points": named}}))
-    assert other["mask_area_px"] > expected.mask_area_px
+    assert other["bounding_box"] != expected.model_dump(mode="json")["bounding_box"]
+
+
+async def test_another_object_that_a_point_may_mean_is_told_in_the_callers_pixels(
+    server: MCPServer[object], images: Path
+) -> None:
+    pools = cv2.imread(str(images / "pool_alone.png"))
+    assert pools is not None
+    pools[330:426, 400:448] = pools[330:426, 300:348]  # beside the first; the toy network takes both in a large crop
+    path = images / "pools.png"
+    cv2.imwrite(str(path), pools)
+    asking = {**by_path(path), "target": {"points": [{"x": 162, "y": 189}]}, "gsd_m_per_px": 0.15}
+    result = await asked(server, {**asking, "frame": {"width_px": 320, "height_px": 256}})
+    assert record_of(result)["status"] == "low_confidence"
+    (first, *_) = record_of(
+        await asked(server, {**asking, "frame": {"width_px": 320, "height_px": 256}, "detail": "full"})
+    )["alternatives"]
+    assert first["area_m2"] == pytest.approx(first["mask_area_px"] * 0.15**2)
+    told = text_of(result)
+    assert "The mask spans x 150 to 174, y 165 to 213 px of your 320 x 256 copy. Or you mean " in told
+    x1, y1, x2, y2 = (side / 2 for side in first["bounding_box"].values())
+    assert f"Or you mean {first['area_m2']:.3g} m2 in x {x1:.0f} to {x2:.0f}, y {y1:.0f} to {y2:.0f}" in told
+    assert "give the box of the right one" in told
 
 
 async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServer[object], images: Path) -> None:

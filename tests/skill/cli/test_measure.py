@@ -113,6 +113,20 @@ def test_points_can_be_repeated_and_denied(run: Any) -> None:
     assert by_point["scale_source"] == "given"
 
 
+def test_other_objects_at_a_point_are_listed_with_their_boxes(run: Any, folder: Path) -> None:
+    image = blank_image(800, 800)
+    image[376:424, 376:424] = image[376:424, 504:552] = (40, 140, 210)
+    cv2.imwrite(str(folder / "two.png"), image[:, :, ::-1])
+    given = ("two.png", "--point", 392, 392, "--gsd", 0.5)
+    listed = run(*given).stdout
+    assert "or the object" in listed
+    assert "--box 376 376 552 424" in listed
+    first = _line(run(*given, "--json"))["alternatives"][0]
+    assert first["area_m2"] == first["mask_area_px"] / 4
+    assert first["bounding_box"] == {"x1_px": 376, "y1_px": 376, "x2_px": 552, "y2_px": 424}
+    assert _line(run("two.png", "--box", 370, 370, 430, 430, "--gsd", 0.5, "--json"))["alternatives"] == []
+
+
 def test_prompts_are_read_in_the_frame(run: Any) -> None:
     half = [float(side) / 2 for side in BOX]
     record = _line(run("cars.png", "--box", *half, "--frame", 400, 300, "--json"))

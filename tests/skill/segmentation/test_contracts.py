@@ -192,12 +192,12 @@ def test_the_contracts_are_told_by_their_names(tmp_path: Path) -> None:
 
 
 def test_a_box_takes_the_single_mask_and_a_point_the_best_of_the_others(tmp_path: Path) -> None:
-    four = Segmenter(*write_sam(tmp_path, masks=[OBJECT, EMPTY, OBJECT, FULL], scores=[0.5, 0.7, 0.9, 0.8]))
+    four = Segmenter(*write_sam(tmp_path, masks=[OBJECT, EMPTY, OBJECT, FULL], scores=[0.95, 0.7, 0.9, 0.8]))
     image = picture(512, 512, (224, 64, 352, 128))
     on, off = (248.0, 100.0, True), (10.0, 500.0, False)
-    assert segmented(four, image, Prompt(box=(220.0, 60.0, 360.0, 130.0))).score == pytest.approx(0.5)
+    assert segmented(four, image, Prompt(box=(220.0, 60.0, 360.0, 130.0))).score == pytest.approx(0.95)
     assert segmented(four, image, Prompt(points=(on,))).score == pytest.approx(0.9)
-    assert segmented(four, image, Prompt(points=(on, off))).score == pytest.approx(0.5)
+    assert segmented(four, image, Prompt(points=(on, off))).score == pytest.approx(0.95)
 
 
 def test_without_a_single_mask_the_one_with_the_best_score_is_taken(tmp_path: Path) -> None:

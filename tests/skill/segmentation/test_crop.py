@@ -16,14 +16,16 @@ from vehanchor.errors import (
 )
 from vehanchor.imagery.raster import Window
 from vehanchor.options import ImageLimits
-from vehanchor.segmentation.contracts import MaskLogits
+from vehanchor.segmentation.contracts import MaskLogits, SamContract
 from vehanchor.segmentation.crop import crop_window, place_mask
 from vehanchor.segmentation.prompt import Prompt
 from vehanchor.segmentation.segmenter import Segmenter
 from vehanchor.segmentation.shape import mask_bounds
 
 if TYPE_CHECKING:
-    pass
+    from numpy.typing import NDArray
+
+    from vehanchor.segmentation.contracts import Encoding
 
 
 @pytest.fixture(scope="module")
@@ -50,25 +52,54 @@ def test_the_crop_is_a_square_around_the_prompt_inside_the_image(prompt: Prompt,
     [
         (Prompt(box=(1500.0, 1500.0, 1510.0, 1505.0)), 256),
         (Prompt(box=(1200.0, 1500.0, 1500.0, 1600.0)), 600),
-        (Prompt(points=((1500.0, 1500.0, True),)), 512),
-        (Prompt(points=((1200.0, 1500.0, True), (1600.0, 1500.0, False))), 800),
     ],
 )
-def test_the_crop_is_twice_the_prompt_and_at_least_256_px_or_512(sam: Segmenter, prompt: Prompt, side: int) -> None:
-    image = blank_image(3000, 3000)
-    x, y = (1500, 1500) if prompt.box is None else (int(prompt.box[0]), int(prompt.box[1]))
-    image[y - 2 : y + 8, x - 302 : x + 8] = OBJECT_RGB
-    if prompt.box is None:
-        image[1490:1510, 1490 if len(prompt.points) == 1 else 1190 : 1510] = OTHER_RGB
-    window = segmented(sam, image, prompt).window
+def test_the_crop_of_a_box_has_twice_its_side_and_at_least_256_px(sam: Segmenter, prompt: Prompt, side: int) -> None:
+    window = segmented(sam, blank_image(3000, 3000), prompt).window
     assert (window.width_px, window.height_px) == (side, side)
+
+
+@pytest.mark.parametrize(
+    ("points", "object_px", "limits", "sides"),
+    [
+        (((1500.0, 1500.0, True),), (32, 32), {}, [128, 256, 512, 1024, 256]),
+        (((1500.0, 1500.0, True),), (32, 32), {"max_pixels": 300_000}, [128, 256, 512, 256]),
+        (((1500.0, 1500.0, True),), (160, 160), {}, [128, 256, 512, 1024, 320]),  # the last is that of its box
+        (((1500.0, 1500.0, True), (1400.0, 1500.0, False)), (32, 32), {}, [200, 400, 800, 256]),
+        (((1500.0, 1500.0, True), (900.0, 1500.0, False)), (96, 96), {}, [1200, 256]),
+    ],
+)
+def test_points_are_tried_in_crops_of_several_sizes_and_their_box_in_its_own(
+    sam: Segmenter,
+    monkeypatch: pytest.MonkeyPatch,
+    points: tuple[tuple[float, float, bool], ...],
+    object_px: tuple[int, int],
+    limits: dict[str, int],
+    sides: list[int],
+) -> None:
+    image = blank_image(3000, 3000)
+    width, height = object_px
+    image[1500 - height // 2 : 1500 + height // 2, 1500 - width // 2 : 1500 + width // 2] = OBJECT_RGB
+    image[1480:1520, 880:920] = image[1480:1520, 1380:1420] = OTHER_RGB
+    encode, crops = SamContract.encode, []
+
+    def counted(contract: SamContract, crop: NDArray[np.uint8], crop_size: tuple[int, int]) -> Encoding:
+        crops.append(crop_size[0])
+        return encode(contract, crop, crop_size)
+
+    monkeypatch.setattr(SamContract, "encode", counted)
+    found = segmented(sam, image, Prompt(points=points), limits=ImageLimits(**limits))
+    assert crops[:-1] == sides[:-1]
+    assert crops[-1] == pytest.approx(sides[-1], rel=0.1)
+    assert found.mask.sum() == pytest.approx(width * height, rel=0.3)
 
 
 def test_the_crop_of_a_point_grows_until_the_object_is_in_it(sam: Segmenter) -> None:
     image = blank_image(3000, 2600)
     image[1100:1612, 1000:2200] = OBJECT_RGB
     found = segmented(sam, image, Prompt(points=((1500.0, 1300.0, True),)))
-    assert found.window.width_px == 2048
+    assert found.window.width_px == pytest.approx(2 * 1200, rel=0.05)
+    assert found.alternatives == ()
     bounds = mask_bounds(full_mask(found, image))
     assert bounds is not None
     assert (bounds.x1, bounds.y1, bounds.x2, bounds.y2) == pytest.approx((1000, 1100, 2200, 1612), abs=40)
