@@ -13,11 +13,14 @@ from __future__ import annotations
 
 import argparse
 import csv
+import ctypes
+import gc
 import hashlib
 import json
 import math
 import tempfile
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -166,16 +169,18 @@ def chia(data: Path, cache: Path) -> None:
 
 
 def oblique(data: Path, cache: Path) -> None:
-    """Print a row with metadata, single and linked, and a row without."""
+    """Print rows with metadata, single, linked, and linked with the nadir photographs, and rows without."""
     detector = Engine(runtime=Runtime(threads=1)).detector
-    rows = [each for each in chia_table(data) if each.pitch_deg > _NADIR_DEG]
-    truth = {str(each.path): each.gsd_m_per_px for each in rows}
-    whole = [searched(name, name, detector, cache) for name in truth]
+    truth = {str(each.path): each.gsd_m_per_px for each in chia_table(data)}
+    names = [str(each.path) for each in chia_table(data) if each.pitch_deg > _NADIR_DEG]
+    every = [searched(name, name, detector, cache) for name in truth]
+    whole = [each for each in every if each.name in names]
     bare_options = ScaleOptions.of({"metadata": False})
-    bare = [searched(name, name, detector, cache, bare_options) for name in truth]
+    bare = [searched(name, name, detector, cache, bare_options) for name in names]
     _print_heads("photographs, metadata")
     print(_own_row("each alone, whole", whole, truth))
     print(row("linked, whole", conclude(whole, detector.card, same_scale=False), truth))
+    print(row("linked with 26 at nadir, whole", conclude(every, detector.card, same_scale=False), truth))
     print(_own_row("each alone, without", bare, truth))
     print(row("linked, without", conclude(bare, detector.card, same_scale=False), truth))
 
@@ -192,33 +197,36 @@ def _own_row(label: str, photographs: Sequence[Photograph], truth: dict[str, flo
 
 
 def outlines(data: Path, cache: Path) -> None:
-    """Print the areas of each outline: by its two photographs alone, and by the flights they belong to."""
+    """Print the areas of each outline: by its two photographs alone, by two flights, and by one flight of all."""
     detector = Engine(runtime=Runtime(threads=1)).detector
     photographs = {
         each.path.name: searched(str(each.path), str(each.path), detector, cache) for each in chia_table(data)
     }
     nadir = [each for each in photographs.values() if each.view.tilt is None]
-    linked: dict[str, float | None] = {}
-    for members in (nadir, [each for each in photographs.values() if each not in nadir]):
-        record = conclude(members, detector.card, same_scale=False)
-        linked |= {Path(each.photograph).name: each.gsd_m_per_px for each in record.photographs}
-    print("| outline | nadir | oblique | nadir, m2 | alone: oblique over nadir, % | linked: oblique over nadir, % |")
-    print("|---|---|---|---|---|---|")
-    off = []
+    alone = {name: each.analysis.estimate.gsd_m_per_px for name, each in photographs.items()}
+    two = _linked(nadir, detector) | _linked([each for each in photographs.values() if each not in nadir], detector)
+    one = _linked(list(photographs.values()), detector)
+    print("| outline | nadir | oblique | nadir, m2 | alone: oblique over nadir, % | two flights, % | one flight, % |")
+    print("|---|---|---|---|---|---|---|")
+    known, off = (alone, two, one), []
     for each in json.loads(_OUTLINES.read_text())["outlines"]:
-        alone, pooled = [], []
-        for kind in ("nadir", "oblique"):
-            photograph = photographs[each[kind]]
-            outline = np.array(each[f"{kind}_px"])
-            alone.append(_area(photograph, outline, photograph.analysis.estimate.gsd_m_per_px))
-            pooled.append(_area(photograph, outline, linked[each[kind]]))
-        off.append([100 * (oblique / nadir - 1) for nadir, oblique in (alone, pooled)])
-        print(
-            f"| {each['name']} | {each['nadir']} | {each['oblique']} | {pooled[0]:.1f} | {off[-1][0]:+.1f} | "
-            f"{off[-1][1]:+.1f} |"
+        areas = np.array(
+            [
+                [_area(photographs[each[kind]], np.array(each[f"{kind}_px"]), scales[each[kind]]) for scales in known]
+                for kind in ("nadir", "oblique")
+            ]
         )
-    middle = np.median(np.abs(off), axis=0)
-    print(f"| median of {len(off)}, absolute | | | | {middle[0]:.1f} | {middle[1]:.1f} |")
+        off.append(100 * (areas[1] / areas[0] - 1))
+        said = " | ".join(f"{error:+.1f}" for error in off[-1])
+        print(f"| {each['name']} | {each['nadir']} | {each['oblique']} | {areas[0, -1]:.1f} | {said} |")
+    middle = " | ".join(f"{error:.1f}" for error in np.median(np.abs(off), axis=0))
+    print(f"| median of {len(off)}, absolute | | | | {middle} |")
+
+
+def _linked(photographs: Sequence[Photograph], detector: Detector) -> dict[str, float | None]:
+    """Scales of a flight by file."""
+    record = conclude(photographs, detector.card, same_scale=False)
+    return {Path(each.photograph).name: each.gsd_m_per_px for each in record.photographs}
 
 
 def _area(photograph: Photograph, outline: NDArray[np.float64], gsd_m_per_px: float | None) -> float:
@@ -291,31 +299,59 @@ def _with_false_vehicle(photograph: Photograph, gsd: float) -> Photograph:
     return with_camera(photograph, photograph.view.image.camera, found)
 
 
-def cost(number: int) -> None:
-    """Print CPU seconds and memory of flights of a half and all of so many photographs of 12 Mpx."""
-    engine = Engine(runtime=Runtime(threads=1))
-    detector = engine.detector
-    print("| photographs | search and features: CPU s a photograph | peak MiB | resumed: CPU s a photograph |")
+def cost(number: int, cache: Path) -> None:
+    """Print CPU seconds and memory of a flight of so many photographs of 12 Mpx while it grows, linked and resumed.
+
+    Args:
+        number: photographs; the first rows are a quarter and a half of them.
+        cache: folder that keeps the rendered photographs.
+    """
+    detector = Engine(runtime=Runtime(threads=1)).detector
+    print("| photographs | CPU s a photograph | held MiB | peak MiB |")
     print("|---|---|---|---|")
+    taken = [InputPhotograph(name, name) for name in _rendered_strips(number, cache / "12mpx")]
+    found: list[Photograph | Failure] = []
     with tempfile.TemporaryDirectory() as folder:
-        names: list[str] = []
-        for strip in range(math.ceil(number / _STRIP)):
-            ground = render_scene(0.02, width_px=3000 + 1000 * _STRIP, height_px=3000, seed=3200 + strip).image
-            for place in range(min(_STRIP, number - len(names))):
-                names.append(f"{folder}/{len(names):03}.jpg")
-                cv2.imwrite(names[-1], ground[:, 1000 * place : 1000 * place + 4000, ::-1])
-        del ground
-        for n in (number // 2, number):
-            taken = [InputPhotograph(name, name) for name in names[:n]]
-            spent = []
-            Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
-            with open_journal(Path(folder) / f"{n}.journal", detector, ScaleOptions(), {}) as journal:
-                for _ in range(2):
-                    begun = time.process_time()
-                    search_flight(taken, detector, ScaleOptions(), featured=True, journal=journal)
-                    spent.append(time.process_time() - begun)
-            peak = int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1024
-            print(f"| {n} | {spent[0] / n:.2f} | {peak:.0f} | {spent[1] / n:.2f} |", flush=True)
+        journal = open_journal(Path(folder) / "journal", detector, ScaleOptions(), {})
+        for n in (number // 4, number // 2, number):
+            new = taken[len(found) : n]
+            with _measured(f"{n} searched", len(new)):
+                found += search_flight(new, detector, ScaleOptions(), featured=True, journal=journal)
+        with _measured(f"{number} linked", number):
+            conclude(found, detector.card, same_scale=False)
+        found.clear()
+        with _measured(f"{number} resumed", number):
+            found += search_flight(taken, detector, ScaleOptions(), featured=True, journal=journal)
+
+
+def _rendered_strips(number: int, folder: Path) -> list[str]:
+    """Write photographs of 4000 x 3000 px along strips of ten, a quarter of the width apart, if they are not there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    names = [folder / f"{place:03}.jpg" for place in range(number)]
+    for strip in range(math.ceil(number / _STRIP)):
+        own = names[_STRIP * strip : _STRIP * (strip + 1)]
+        if all(name.exists() for name in own):
+            continue
+        ground = render_scene(0.02, width_px=3000 + 1000 * _STRIP, height_px=3000, seed=3200 + strip).image
+        for place, name in enumerate(own):
+            cv2.imwrite(str(name), ground[:, 1000 * place : 1000 * place + 4000, ::-1])
+    return [str(name) for name in names]
+
+
+@contextmanager
+def _measured(label: str, number: int) -> Iterator[None]:
+    """Print a row: CPU seconds for each of so many photographs, and the memory held at the end and at the peak."""
+    Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
+    begun = time.process_time()
+    yield
+    spent, peak = (time.process_time() - begun) / number, _memory_mib("VmHWM")
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)  # without it, memory that is free in the process counts
+    print(f"| {label} | {spent:.2f} | {_memory_mib('VmRSS'):.0f} | {peak:.0f} |", flush=True)
+
+
+def _memory_mib(name: str) -> float:
+    return int(Path("/proc/self/status").read_text().split(f"{name}:")[1].split()[0]) / 1024
 
 
 def main() -> None:
@@ -325,13 +361,13 @@ def main() -> None:
     parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
     parser.add_argument("--cache", type=Path, default=Path("flight_cache"), help="folder that keeps the searches")
     parser.add_argument("--flights", type=int, default=2, help="rendered: flights of each scale")
-    parser.add_argument("--photographs", type=int, default=8, help="cost: photographs of the larger flight")
+    parser.add_argument("--photographs", type=int, default=8, help="cost: photographs of the flight")
     arguments = add_record_option(parser).parse_args()
     with recording("flights", [_KEYS.get(arguments.what, arguments.what)], arguments.record):
         if arguments.what == "rendered":
             rendered(arguments.cache, arguments.flights)
         elif arguments.what == "cost":
-            cost(arguments.photographs)
+            cost(arguments.photographs, arguments.cache)
         else:
             {"chia": chia, "oblique": oblique, "outlines": outlines}[arguments.what](arguments.data, arguments.cache)
 

@@ -26,7 +26,7 @@ class Component:
         reference: index, among the members, of the photograph in whose pixels the evidence is pooled.
         ties: ``[n, n]`` sparse matrix, standard deviation of the log ratio of each link; None for one common scale.
         extra: evidence of rulers that only a flight has, in the reference's pixels.
-        layout: ``[n]`` centres in pixels of the reference, y down; None if unknown.
+        layout: ``[n]`` points below the cameras in pixels of the reference, y down; None if unknown.
     """
 
     members: NDArray[np.intp]

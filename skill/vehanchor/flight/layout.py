@@ -1,4 +1,4 @@
-"""Layout of a component: centres of its photographs in the pixels of one of them."""
+"""Layout of a component: places of its cameras in the pixels of one photograph."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Layout(NamedTuple):
     """Layout of a component.
 
     Attributes:
-        centres: ``[m]`` in pixels of the reference, x to the right as real and y down as imaginary part; the reference
-            is at 0.
+        feet: ``[m]`` points below the cameras in pixels of the reference, x to the right as real and y down as
+            imaginary part; the reference is at 0.
         off: ``[s]`` distance of each seam's shift to the shift in the layout, in diagonals of a photograph.
     """
 
-    centres: NDArray[np.complex128]
+    feet: NDArray[np.complex128]
     off: NDArray[np.float64]
 
 
@@ -48,12 +48,17 @@ class Seam(NamedTuple):
 
 
 def lay_out(
-    centres: NDArray[np.float64], offsets: NDArray[np.float64], reference: int, seams: Sequence[Seam]
+    feet: NDArray[np.float64],
+    diagonals: NDArray[np.float64],
+    offsets: NDArray[np.float64],
+    reference: int,
+    seams: Sequence[Seam],
 ) -> Layout:
     """Lay out the photographs of a component by their overlaps; single wrong overlaps have little weight.
 
     Args:
-        centres: ``[m, 2]`` x, y of each centre in the photograph's own pixels.
+        feet: ``[m, 2]`` x, y below each camera in the photograph's own pixels; at nadir its centre.
+        diagonals: ``[m]`` diagonal of each photograph in its own pixels.
         offsets: ``[m]`` logs of each member's metres per pixel over the reference's.
         reference: index of the photograph that sets pixel size and orientation of the layout.
         seams: overlaps that link all members.
@@ -61,7 +66,7 @@ def lay_out(
     Returns:
         The layout.
     """
-    m = len(centres)
+    m = len(feet)
     if not seams:
         return Layout(np.zeros(m, np.complex128), np.zeros(0))
     first = np.array([seam.first for seam in seams])
@@ -71,9 +76,9 @@ def lay_out(
     shift = np.array([seam.turn[0, 2] + 1j * seam.turn[1, 2] for seam in seams])
     # a_first = a_second * turn, rotations only: the graph of scales gives better lengths
     unit = factor / np.abs(factor)
-    own = centres[:, 0] + 1j * centres[:, 1]
-    diagonal = np.abs(own) * np.exp(offsets)
-    reach = diagonal[first] + diagonal[second]  # mean of the two diagonals: centres are halves
+    own = feet[:, 0] + 1j * feet[:, 1]
+    across = diagonals * np.exp(offsets)
+    reach = (across[first] + across[second]) / 2
     ones, nowhere = np.ones(len(seams)), np.zeros(len(seams))
     trust = weight
     for _ in range(_STEPS):

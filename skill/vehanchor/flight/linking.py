@@ -126,8 +126,17 @@ def _rectified(photograph: Photograph, features: Features) -> Features:
     view = photograph.view
     if view.tilt is None or not len(features):
         return features
-    centre = np.array([view.image.width_px, view.image.height_px]) / 2
-    return replace(features, points=view.tilt.plane(view.image).from_above(features.points) + centre)
+    return replace(features, points=view.tilt.plane(view.image).from_above(features.points) + _centre(photograph))
+
+
+def _centre(photograph: Photograph) -> NDArray[np.float64]:
+    return np.array([photograph.view.image.width_px, photograph.view.image.height_px]) / 2
+
+
+def _foot(photograph: Photograph) -> NDArray[np.float64]:
+    """Find the point below the camera, where its position lies, in the pixels of the rectified features."""
+    view = photograph.view
+    return _centre(photograph) + (0.0 if view.tilt is None else view.tilt.plane(view.image).foot)
 
 
 def _link(overlap: _Overlap, photographs: Sequence[Photograph]) -> Link:
@@ -166,9 +175,10 @@ def _component(
     reference = chief_member(own)
     at = {int(place): local for local, place in enumerate(members)}
     seams = [Seam(at[first], at[second], matched.turn, float(matched.n)) for first, second, matched in found]
-    centres = np.array([(each.view.image.width_px / 2, each.view.image.height_px / 2) for each in own])
+    feet = np.array([_foot(each) for each in own])
+    diagonals = np.array([math.hypot(each.view.image.width_px, each.view.image.height_px) for each in own])
     offsets = subgraph.log_scales - subgraph.log_scales[reference]
-    layout, off = lay_out(centres, offsets, reference, seams)
+    layout, off = lay_out(feet, diagonals, offsets, reference, seams)
     extra = None
     if places is not None:
         extra = baseline(layout, places[members], float(own[reference].view.image.width_px))

@@ -44,7 +44,7 @@ class FlightPhotograph(Record):
     scale: KnownScale | None = Field(
         description="The scale to give back for measurements in this photograph; null without a scale."
     )
-    east_m: float | None = Field(description="Position of its centre, metres east (overlaps: right).")
+    east_m: float | None = Field(description="Position of its camera, metres east (overlaps: right).")
     north_m: float | None = Field(description="Metres north (overlaps: up).")
     placed_by: Literal["positions", "overlaps"] | None = Field(
         description="positions: from metadata, relative to the first known position. overlaps: relative to the "

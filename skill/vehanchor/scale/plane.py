@@ -94,12 +94,12 @@ class GroundPlane:
         Raises:
             TooObliqueError: as in ``ground``.
         """
-        centre = [[self.width_px / 2, self.height_px / 2]]
-        from_centre = (self.ground(points) - self.ground(centre)) / self.gsd_m_per_px
-        down = self.down
-        right = np.array([1.0, 0.0, 0.0]) - down[0] * down
-        right /= np.linalg.norm(right)
-        return np.asarray(from_centre @ np.column_stack([right, np.cross(down, right)]))
+        return self._above(self.ground(points))
+
+    @property
+    def foot(self) -> NDArray[np.float64]:
+        """``[2]`` point straight below the camera, in the pixels of ``from_above``."""
+        return np.asarray(self._above(self.height_m * self.down[None])[0])
 
     def gsd_at(self, points: ArrayLike) -> NDArray[np.float64]:
         """Compute the GSD at points of the image.
@@ -175,6 +175,15 @@ class GroundPlane:
         return GroundPlane(
             self.gsd_m_per_px * left, self.tilt_deg, self.focal_px, self.width_px, self.height_px, self.roll_deg
         )
+
+    def _above(self, ground: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Convert points ``[n, 3]`` on the ground to pixels of a nadir view, from the image's centre."""
+        centre = [[self.width_px / 2, self.height_px / 2]]
+        from_centre = (ground - self.ground(centre)) / self.gsd_m_per_px
+        down = self.down
+        right = np.array([1.0, 0.0, 0.0]) - down[0] * down
+        right /= np.linalg.norm(right)
+        return np.asarray(from_centre @ np.column_stack([right, np.cross(down, right)]))
 
     @property
     def _corners(self) -> NDArray[np.float64]:

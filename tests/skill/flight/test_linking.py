@@ -177,3 +177,25 @@ def test_photographs_of_one_height_and_tilt_have_one_scale() -> None:
     assert np.exp(component.offsets) == pytest.approx(np.ones(3), abs=0.02)
     assert component.layout is not None
     assert np.diff(component.layout.imag) == pytest.approx([-100.0, -100.0], abs=4.0)
+
+
+def test_tilted_photographs_of_different_headings_lie_where_their_cameras_stood() -> None:
+    tilt = CameraTilt(35.0, 0.0, 700.0, "metadata")
+    plane = tilt.plane(ImageFacts(500, 500))
+    corners = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
+    flight, seen, stood = [], [], []
+    for number, heading_deg in enumerate((0.0, 50.0, 100.0)):
+        heading = np.radians(heading_deg)
+        turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+        middle = np.array([800.0, 800.0 - 40.0 * number])
+        there = plane.from_above(corners) @ turn.T + middle
+        stood.append(turn @ plane.foot + middle)
+        move = cv2.getPerspectiveTransform(there.astype(np.float32), corners.astype(np.float32))
+        seen.append(features_of(np.asarray(cv2.warpPerspective(WORLD, move, (500, 500)), dtype=np.uint8)))
+        stored = StoredPhotograph(ImageFacts(500, 500), sighting_of(np.zeros(0)), 1.0, (), tilt=tilt)
+        flight.append(Photograph.of(str(number), stored, made_card(5.0), ScaleOptions()))
+    (component,) = link_photographs(flight, seen).components
+    assert component.layout is not None
+    found = np.column_stack([component.layout.real, component.layout.imag])
+    assert np.linalg.norm(stood[1] - stood[0]) > 200
+    assert found - found[0] == pytest.approx(np.array(stood) - stood[0], abs=12.0)
