@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -48,7 +49,7 @@ from vehanchor.scale.thresholds import WIDEST_USABLE
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.gsd import ScaleTrial
 from vehanchor_evaluation.known_scale import KnownScaleImage
-from vehanchor_evaluation.reliability import group_row, report_reliability
+from vehanchor_evaluation.reliability import group_row, report_reliability, upper_bound
 from vehanchor_evaluation.report import group_table, reliability_markdown
 from vehanchor_evaluation.search import SearchedImage, open_detection_log
 from vehanchor_evaluation.table import read_table
@@ -60,6 +61,7 @@ _SHARPNESSES = tuple(np.arange(1.0, 2.51, 0.05).round(2).tolist())  # less would
 _LOG_SDS, _TRUST = (0.07, 0.10), (0.6, 0.8, 1.0)
 _CLUTTER, _WRONG = 1.0, 0.02
 _STEEPER = (1.0, 1.25, 1.5)  # factor on the log odds of a car
+_NUMBERS = ((1, 1), (2, 2), (3, 4), (5, 12), (13, 10_000))  # of vehicles, in reports
 _NEW_PLACE = (0.0, 1.5, 3.0, 4.5)  # the log odds of a car fall by this much in a place of no training image
 
 
@@ -88,6 +90,11 @@ class Case(NamedTuple):
     scene: NDArray[np.float64]
 
     @property
+    def place(self) -> str:
+        """The place; crops and copies of one photograph count together."""
+        return self.set.split("_")[0]
+
+    @property
     def few(self) -> bool:
         """Whether the vehicles are fewer than five."""
         return self.vehicles.n < MIN_KDE_VEHICLES
@@ -106,24 +113,19 @@ class Outcomes(NamedTuple):
         held: ``[n]`` whether the interval holds it.
         width: ``[n]`` of the interval, high over low.
         mass: ``[n]`` within the tolerance, before recalibration.
-        right: ``[n]`` whether the error is within it.
+        error: ``[n]`` relative.
     """
 
     log_density: NDArray[np.float64]
     held: NDArray[np.bool_]
     width: NDArray[np.float64]
     mass: NDArray[np.float64]
-    right: NDArray[np.bool_]
+    error: NDArray[np.float64]
 
-    def replaced(self, where: NDArray[np.bool_], others: Outcomes) -> Outcomes:
-        """Take other outcomes where ``where``, ``[n]``, is true."""
-        return Outcomes(
-            np.where(where, others.log_density, self.log_density),
-            np.where(where, others.held, self.held),
-            np.where(where, others.width, self.width),
-            np.where(where, others.mass, self.mass),
-            np.where(where, others.right, self.right),
-        )
+    @property
+    def right(self) -> NDArray[np.bool_]:
+        """``[n]`` whether the error is within the tolerance."""
+        return self.error < TOLERANCE
 
     def usable(self, sharpness: float) -> NDArray[np.bool_]:
         """``[n]`` whether the scales may be used."""
@@ -188,11 +190,11 @@ def outcomes(cases: Sequence[Case], votes: Votes) -> Outcomes:
                 low <= case.gsd_m_per_px <= high,
                 high / low,
                 mass_within(density, estimate, TOLERANCE),
-                abs(estimate / case.gsd_m_per_px - 1) < TOLERANCE,
+                abs(estimate / case.gsd_m_per_px - 1),
             )
         )
-    logs, held, width, mass, right = (np.array(column) for column in zip(*rows, strict=True))
-    return Outcomes(logs, held.astype(bool), width, mass, right.astype(bool))
+    logs, held, width, mass, error = (np.array(column) for column in zip(*rows, strict=True))
+    return Outcomes(logs, held.astype(bool), width, mass, error)
 
 
 def best_sharpness(chances: NDArray[np.float64], right: NDArray[np.bool_]) -> float:
@@ -262,34 +264,53 @@ def best_votes(
 
 def told(name: str, seen: Outcomes, chances: NDArray[np.float64], among: NDArray[np.bool_]) -> str:
     """Describe outcomes in a line."""
-    chance = chances[among]
+    chance, right = chances[among], seen.right[among]
     usable = (chance >= USABLE_CHANCE) & (seen.width[among] <= WIDEST_USABLE)
-    right, held = seen.right[among], seen.held[among]
+    wrong = int((usable & ~right).sum())
+    bound = upper_bound(wrong, int(usable.sum()))
     surprise = -np.mean(np.log(np.where(right, chance, 1 - chance)))
+    held = seen.held[among]
     return (
-        f"  {name}: {usable.sum()} of {len(usable)} usable, {(usable & ~right).sum()} wrong, surprise {surprise:.3f}, "
-        f"cover {held[usable].mean():.3f} usable, {held[~usable].mean():.3f} else"
+        f"  {name}: {usable.sum()} of {len(usable)} usable, {wrong} wrong (below {1.0 if bound is None else bound:.1%}), "
+        f"median error {np.median(seen.error[among]):.1%}, surprise {surprise:.3f}, "
+        f"cover {held[usable].mean() if usable.any() else math.nan:.3f} usable, "
+        f"{held[~usable].mean() if not usable.all() else math.nan:.3f} else"
     )
 
 
 def report_left_out(
-    cases: Sequence[Case],
-    applied: dict[Votes, tuple[float, Outcomes]],
-    few: NDArray[np.bool_],
-    fall: float | None,
+    cases: Sequence[Case], applied: dict[Votes, tuple[float, Outcomes]], judged: Sequence[Case], fall: float | None
 ) -> None:
-    """Print outcomes of few and of many vehicles, each place judged by votes that the others chose."""
-    places = np.array([case.set.split("_")[0] for case in cases])
+    """Print outcomes by number of vehicles and by place; each place is judged by votes that the others chose.
+
+    Args:
+        cases: to choose from.
+        applied: fall of the log odds and outcomes of ``cases`` by votes.
+        judged: cases to judge, of the same places and others.
+        fall: of the log odds in a new place; None for any.
+    """
+    few = np.array([case.few for case in cases])
+    places = np.array([case.place for case in cases])
     photographs = np.array([case.photograph for case in cases])
-    left_out, chances = next(iter(applied.values()))[1], np.ones(len(cases))
-    for place in np.unique(places):
+    own = np.array([case.place for case in judged])
+    parts, which = [], []
+    for place in np.unique(own):
         votes = best_votes(applied, few, places != place, photographs, fall)
-        seen = applied[votes._replace(sharpness=1.0)][1]
-        left_out = left_out.replaced(places == place, seen)
-        chances[places == place] = recalibrated(seen.mass, votes.sharpness)[places == place]
+        which.append(np.flatnonzero(own == place))
+        parts.append((outcomes([judged[k] for k in which[-1]], votes), votes.sharpness))
+    back = np.argsort(np.concatenate(which))
+    seen = Outcomes(*(np.concatenate(column)[back] for column in zip(*(part for part, _ in parts), strict=True)))
+    chances = np.concatenate([recalibrated(part.mass, sharpness) for part, sharpness in parts])[back]
     print(f"each place left out, log odds fall by {'a chosen number' if fall is None else fall}")
-    for name, group in (("few", few), ("five and more", ~few)):
-        print(told(name, left_out, chances, group))
+    n = np.array([case.vehicles.n for case in judged])
+    for low, high in _NUMBERS:
+        among = (low <= n) & (n <= high)
+        if among.any():
+            print(told(f"{low} to {high} vehicles", seen, chances, among))
+    for place in np.unique(own):
+        for name, group in (("few", n < MIN_KDE_VEHICLES), ("five and more", n >= MIN_KDE_VEHICLES)):
+            if (group & (own == place)).any():
+                print(told(f"{place}, {name}", seen, chances, group & (own == place)))
 
 
 def report(name: str, searched: Sequence[Searched], card: DetectorCard) -> None:
@@ -326,11 +347,13 @@ def main() -> None:
     card = detector.card
     searched = {split: kept_searches(options.run, split, detector) for split in ("fit", "val")}
     if options.detectors:
-        cases = cases_of(searched["fit"], card)
+        cases, judged = (cases_of(searched[split], card) for split in ("fit", "val"))
         few = np.array([case.few for case in cases])
         applied = candidates(cases)
         for fall in (*_NEW_PLACE, None):
-            report_left_out(cases, applied, few, fall)
+            report_left_out(cases, applied, cases, fall)
+        print("the same votes, val:")
+        report_left_out(cases, applied, judged, None)
         votes = best_votes(applied, few, np.ones(len(cases), bool), np.array([case.photograph for case in cases]))
         print(votes)
         card = card.model_copy(update={"votes": votes})
