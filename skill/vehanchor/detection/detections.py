@@ -92,6 +92,7 @@ class Detections:
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
         areas: ``[m, 4]`` left, top, right and bottom of the visited tiles at the resolution of most vehicles, in pixels
             of the image; None if the search did not end early.
+        verified: whether the car verifier scored the vehicles.
     """
 
     boxes: NDArray[np.float64]
@@ -108,6 +109,7 @@ class Detections:
     corrections: Corrections | None = None
     n_skipped: int = 0
     areas: NDArray[np.float64] | None = None
+    verified: bool = False
 
     def covers(self, x_px: float, y_px: float) -> bool:
         """Test whether the search reached a place; rulers need not look where cars could not change the scale."""

@@ -278,10 +278,11 @@ class _Work:
         vehicles = Objects.joined([part.vehicles for part in parts])
         boxes = vehicles.boxes  # the fleet network is calibrated to the detector's boxes
         kept = _merged(vehicles, self._min_score, self._nms_iou)
-        stretch = None
+        stretch, verified = None, False
         if because and check_stretch and self._verifier:
             stretch = stretch_sigmas(self._raster, vehicles.boxes[kept], self._verifier)
         if because and self._car_verifier and len(kept) <= _FEW_VEHICLES:
+            verified = True
             candidates = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
             boxes, factors = boxes[candidates], factors[candidates]
             vehicles = self._verified(self._car_verifier, vehicles.take(candidates))
@@ -302,6 +303,7 @@ class _Work:
             stretch,
             n_skipped=self._n_skipped,
             areas=self._areas(factors[kept]) if because == "converged" else None,
+            verified=verified,
         )
 
     def _areas(self, factors: NDArray[np.intp]) -> NDArray[np.float64] | None:

@@ -133,6 +133,7 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         FleetAppearance(*(np.concatenate(part)[place] for part in zip(*fleets, strict=True))) if fleets else None,
         classes[order] if named else None,
         Objects.joined(),
+        verified=all(each.verified for each in detections),
     )
 
 

@@ -327,6 +327,7 @@ def _doubts(fleet: Fleet, card: DetectorCard, stretch_sigmas: float | None) -> l
         clear_score=card.clear_score,
         fleet_log_odds=None if fleet.appearance is None else fleet.appearance.log_odds,
         stretch_sigmas=stretch_sigmas,
+        verified=fleet.detections.verified,
     )
     resolved = _DOUBTS_OF_KIND if fleet.is_stated else frozenset[NoticeCode]()
     return [Notice(code=doubt, message=_DOUBTS[doubt]) for doubt in doubts if doubt not in resolved]

@@ -163,6 +163,7 @@ def test_few_vehicles_are_scored_again_and_their_boxes_corrected(tmp_path: Path)
     plain = _found(detector, pixels, Search(verify=False))
     assert sorted(plain.boxes[:, 0]) == pytest.approx([230, 380])
     assert plain.boxes[:, 2] == pytest.approx(boxes[1:3, 2])
+    assert (found.verified, plain.verified) == (True, False)
     looks = [each.fleet.log_odds[each.boxes[:, 0].argmax()] for each in (found, plain) if each.fleet]
     assert looks[0] == looks[1]  # the appearance is read from the detector's own box
 
@@ -176,6 +177,7 @@ def test_many_vehicles_are_left_as_they_are(tmp_path: Path) -> None:
     with_one = load_detector(path)
     found = _found(with_one, pixels)
     assert len(found.boxes) == 13
+    assert not found.verified
     np.testing.assert_array_equal(found.boxes, plain.boxes)
     np.testing.assert_array_equal(found.scores, plain.scores)
     assert networks_sha256(with_one.card) != before

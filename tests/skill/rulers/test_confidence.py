@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehanchor.rulers.confidence import composite, confidence_terms
+from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.confidence import composite, confidence_terms, fleet_doubts
 from vehanchor.scale.lengths import guard_length
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
@@ -65,3 +66,11 @@ def test_the_guard_follows_the_reference_length_and_the_model() -> None:
     assert guard_length(5.045) == pytest.approx(16.82, abs=0.01)  # the paper's "about 17 px"
     assert guard_length(4.5) == pytest.approx(15.0)
     assert guard_length(4.5, min_length_px=18.0) == 18.0
+
+
+@pytest.mark.parametrize(("best", "doubted"), [(0.91, True), (0.95, False)])
+def test_verified_vehicles_need_a_higher_score_to_be_clear(best: float, doubted: bool) -> None:
+    lengths, scores = [22.0, 23.0, 25.0, 26.0, 28.0, 35.0, 24.0], [best, best, 0.87, 0.83, 0.73, 0.6, 0.52]
+    assert not fleet_doubts(lengths, scores, rival_share=0.0, clear_score=0.67)
+    doubts = fleet_doubts(lengths, scores, rival_share=0.0, clear_score=0.67, verified=True)
+    assert doubts == ((NoticeCode.SCORES_UNCLEAR,) if doubted else ())
