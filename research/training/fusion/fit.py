@@ -267,11 +267,11 @@ def told(name: str, seen: Outcomes, chances: NDArray[np.float64], among: NDArray
     chance, right = chances[among], seen.right[among]
     usable = (chance >= USABLE_CHANCE) & (seen.width[among] <= WIDEST_USABLE)
     wrong = int((usable & ~right).sum())
-    bound = upper_bound(wrong, int(usable.sum()))
+    bound = upper_bound(wrong, int(usable.sum())) or 1.0
     surprise = -np.mean(np.log(np.where(right, chance, 1 - chance)))
     held = seen.held[among]
     return (
-        f"  {name}: {usable.sum()} of {len(usable)} usable, {wrong} wrong (below {1.0 if bound is None else bound:.1%}), "
+        f"  {name}: {usable.sum()} of {len(usable)} usable, {wrong} wrong (below {bound:.1%}), "
         f"median error {np.median(seen.error[among]):.1%}, surprise {surprise:.3f}, "
         f"cover {held[usable].mean() if usable.any() else math.nan:.3f} usable, "
         f"{held[~usable].mean() if not usable.all() else math.nan:.3f} else"
