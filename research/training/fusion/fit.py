@@ -297,7 +297,7 @@ def report_left_out(
     for place in np.unique(own):
         votes = best_votes(applied, few, places != place, photographs, fall)
         which.append(np.flatnonzero(own == place))
-        parts.append((outcomes([judged[k] for k in which[-1]], votes), votes.sharpness))
+        parts.append((outcomes([judged[k] for k in which[-1].tolist()], votes), votes.sharpness))
     back = np.argsort(np.concatenate(which))
     seen = Outcomes(*(np.concatenate(column)[back] for column in zip(*(part for part, _ in parts), strict=True)))
     chances = np.concatenate([recalibrated(part.mass, sharpness) for part, sharpness in parts])[back]
