@@ -33,6 +33,14 @@ function shapesOf(record, drawing) {
 
 const middle = ([[x1, y1], [x2, y2] = [x1, y1]]) => [(x1 + x2) / 2, (y1 + y2) / 2]; // or the point itself
 
+// The vehicles' numbers, as in overlays; the style hides those of vehicles that are small on the screen.
+const numbers = () => correctedVehicles().filter((each) => each.number).map(({ box: [x, y, length, width], number }) => {
+  const text = svg("text", { class: "number", x, y }, `${number}`);
+  text.style.setProperty("--length", length);
+  text.style.setProperty("--width", width);
+  return text;
+});
+
 function paintShapes(canvas, shapes) {
   const path = ({ lines, closed }) =>
     lines.map((points) => `M${points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}${closed ? "Z" : ""}`).join("");
@@ -42,5 +50,5 @@ function paintShapes(canvas, shapes) {
   const labels = shapes
     .filter(({ label }) => label)
     .map(({ lines: [points], label }) => svg("text", { x: middle(points)[0], y: middle(points)[1] }, label));
-  canvas.replaceChildren(...halos, ...lines, ...labels);
+  canvas.replaceChildren(...halos, ...lines, ...numbers(), ...labels);
 }

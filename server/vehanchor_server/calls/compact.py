@@ -6,7 +6,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
+from vehanchor.records.advice import advice_for
 from vehanchor.records.known_scale import KnownPlane
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -15,6 +17,10 @@ if TYPE_CHECKING:
 
 REUSE_SCALE = "To measure more in this image, pass scale "
 """Text before a scale in words."""
+
+ADVICE_ON_MASK = "give a tight box around the object"
+ADVICE_ON_REUSE = "measure again without scale, with a known length or height"
+"""Advice for a scale of an earlier answer that is not usable."""
 
 _DIGITS = 3
 _SCALE_DIGITS = 5  # of a reused scale, so that products keep three digits
@@ -71,15 +77,34 @@ _OMITTED_IN_FRAME = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95
 
 
 def short_answer(records: Sequence[BaseModel]) -> dict[str, Any]:
-    """Return one record, or several below ``measurements``, with their common scale for reuse.
+    """Return one record, or several below ``measurements``, with their common advice, warnings and scale for reuse.
+
+    Advice and codes of warnings are for hosts that show models the structured content alone.
 
     Args:
         records: records of one image.
     """
     parts = [_short(record) for record in records]
+    whole: dict[str, Any] = parts[0] if len(parts) == 1 else {"measurements": parts}
+    advice = [each for each in map(_advice, records) if each]
+    codes = [notice.code for record in records for notice in getattr(record, "warnings", ())]
+    for name, found in (("advice", "; ".join(dict.fromkeys(advice))), ("warnings", list(dict.fromkeys(codes)))):
+        if found:
+            whole[name] = found
     scale = _known_scale(records[0])
-    whole = parts[0] if len(parts) == 1 else {"measurements": parts}
     return whole if scale is None else {**whole, "scale": scale}
+
+
+def _advice(record: BaseModel) -> str:
+    """Say what would make a record usable; empty for a usable one."""
+    if getattr(record, "status", "ok") == "ok":
+        return ""
+    advice = advice_for(_estimate(record))
+    if advice is not None:
+        return advice.helps
+    if isinstance(record, AreaMeasurement) and (record.confidence is None or record.confidence >= FALLBACK_CONFIDENCE):
+        return ADVICE_ON_MASK
+    return ADVICE_ON_REUSE
 
 
 def scale_as_text(scale: Mapping[str, Any]) -> str:

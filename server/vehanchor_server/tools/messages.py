@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.records.advice import CHECK_VEHICLES, advice_for
 from vehanchor.records.digits import significant
+from vehanchor_server.calls.compact import ADVICE_ON_REUSE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -100,7 +101,7 @@ def unusable_scale(estimate: GsdEstimate | None, check: str = CHECK_VEHICLES) ->
     """
     advice = advice_for(estimate, check)
     if advice is None:
-        return f"do not rely on it; measure again without scale, with a known length or height {_ARGUMENTS}."
+        return f"do not rely on it; {ADVICE_ON_REUSE} {_ARGUMENTS}."
     return f"do not rely on it ({advice.why}); {_with_arguments(advice.helps)}."
 
 
