@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import inspect
 import typing
 from dataclasses import Field, fields
@@ -79,16 +78,15 @@ def serve(http: bool = False, **options: Any) -> None:
     given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
     try:
         settings = Settings.from_environment(**{name: value for name, value in given.items() if _is_given(value)})
-        if http:
-            from vehanchor_server.transport.http import serve_http
+        from vehanchor_server.transport.quick_import import quick_import
 
+        if http:
+            with quick_import():
+                from vehanchor_server.transport.http import serve_http
             serve_http(settings)
         else:
-            gc.disable()  # importing the SDK creates thousands of classes, which slows collection
-            try:
+            with quick_import():
                 from vehanchor_server.transport.stdio import serve_stdio
-            finally:
-                gc.enable()
             serve_stdio(settings)
     except SettingsError as error:
         typer.echo(f"error[invalid_settings]: {error}", err=True)

@@ -64,7 +64,7 @@ class StrictTool(Tool):
         arguments = tool.fn_metadata.arg_model
         arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments silently
         arguments.model_rebuild(force=True)
-        tool.full_parameters = portable_schema(arguments.model_json_schema(by_alias=True))
+        tool.full_parameters = portable_schema({"additionalProperties": False, **tool.parameters})
         tool.parameters = listed_schema(tool.full_parameters, listing or Listing())
         if required:
             tool.parameters["required"] = [*tool.parameters.get("required", ()), *required]
