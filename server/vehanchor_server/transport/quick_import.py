@@ -1,8 +1,8 @@
 """Quick import of the MCP SDK.
 
-The SDK defines some 550 pydantic models: the wire types of two revisions of the protocol. pydantic builds a validator for
-each at import, and one session uses a few dozen. ``quick_import`` lets pydantic build the SDK's validators at first use,
-and pauses garbage collection, which would visit the new classes again and again. Together they save a fifth of the
+The SDK defines some 550 pydantic models: the wire types of two revisions of the protocol. pydantic builds a validator
+for each at import, and one session uses a few dozen. ``quick_import`` lets pydantic build the SDK's validators at first
+use, and pauses garbage collection, which would visit the new classes again and again. Together they save a fifth of the
 processor time up to the first ``tools/list``.
 """
 
