@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
+
+from vehanchor.detection.near_pairs import near_pairs
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -177,13 +178,8 @@ def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
 
 def _touching_pairs(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.intp]:
     """Find the pairs (i, j) whose circumscribed circles intersect; no other boxes can overlap."""
-    if not len(first) or not len(second):
-        return np.zeros((0, 2), dtype=np.intp)
     radius_a, radius_b = (np.hypot(rows[:, 2], rows[:, 3]) / 2 for rows in (first, second))
-    tree = cKDTree(second[:, :2])
-    near: list[list[int]] = tree.query_ball_point(first[:, :2], radius_a + radius_b.max()).tolist()
-    i = np.repeat(np.arange(len(first)), [len(n) for n in near])
-    j = np.fromiter((k for n in near for k in n), dtype=np.intp, count=len(i))
+    i, j = near_pairs(first[:, :2], second[:, :2], radius_a.max(initial=0.0) + radius_b.max(initial=0.0))
     gap = np.linalg.norm(first[i, :2] - second[j, :2], axis=1)
     meet = np.flatnonzero(gap < radius_a[i] + radius_b[j])
     return np.column_stack([i[meet], j[meet]])

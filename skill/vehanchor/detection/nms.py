@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from vehanchor.detection.boxes import canonical_boxes, pair_iou
-from vehanchor.errors import ModelContractError
+from vehanchor.detection.near_pairs import near_pairs
 from vehanchor.scale.defaults import NMS_IOU
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-_MOST_PAIRS = 20_000_000  # 0.3 GiB of indices
 _BLOCK_PAIRS = 16_384  # whose overlaps are computed at once, in 30 MiB
 
 
@@ -23,8 +21,8 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
 
     Boxes are visited by falling score; equal scores by position and size, independent of the input's order. A box is
     dropped if its IoU with a kept box exceeds ``iou_threshold``. Three upper bounds of the IoU preselect pairs: the
-    distance of the centres (a k-d tree per size class), the ratio of areas, and the boxes' extents in each other's
-    frame. The exact IoU is computed only for the remaining pairs with kept boxes.
+    distance of the centres (within and between size classes), the ratio of areas, and the boxes' extents in each
+    other's frame. The exact IoU is computed only for the remaining pairs with kept boxes.
 
     Args:
         boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``.
@@ -93,24 +91,13 @@ def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> tupl
     found = []
     classes = np.unique(size_class)
     members = {c: np.flatnonzero(size_class == c) for c in classes}
-    trees = {c: cKDTree(rows[members[c], :2]) for c in classes}
-    n_pairs = 0
     for position, c in enumerate(classes):
         for d in classes[position:]:
             reach = radius[members[c]].max() + radius[members[d]].max()
-            if len(rows) ** 2 > _MOST_PAIRS:
-                n_pairs += int(trees[c].count_neighbors(trees[d], reach))
-            if n_pairs > _MOST_PAIRS:
-                raise ModelContractError(
-                    f"more than {_MOST_PAIRS} pairs of the detector's {len(rows)} boxes may overlap: it is not a "
-                    "vehicle detector, or min_score is too low"
-                )
+            i, j = near_pairs(rows[members[c], :2], rows[members[d], :2], reach)
+            first, second = members[c][i], members[d][j]
             if c == d:
-                local = trees[c].query_pairs(reach, output_type="ndarray")
-            else:
-                pairs = trees[c].query_ball_tree(trees[d], reach)
-                local = np.array([(i, j) for i, near in enumerate(pairs) for j in near], dtype=np.intp).reshape(-1, 2)
-            first, second = members[c][local[:, 0]], members[d][local[:, 1]]
+                first, second = first[first < second], second[first < second]
             ratio = np.minimum(area[first], area[second]) / np.maximum(np.maximum(area[first], area[second]), 1e-12)
             first, second = first[ratio > iou_threshold], second[ratio > iou_threshold]
             shared = np.minimum(_shared_bound(rows[first], rows[second]), _shared_bound(rows[second], rows[first]))

@@ -5,7 +5,8 @@
     >>> engine.estimate("photo.jpg").gsd_m_per_px  # doctest: +SKIP
     0.152
 
-``vehanchor.engine.verbs`` has the same methods as functions.
+``vehanchor.engine.verbs`` has the same methods as functions. The methods for flights import their modules themselves,
+so that a single estimate starts without them and without ``scipy``.
 """
 
 from __future__ import annotations
@@ -25,12 +26,6 @@ from vehanchor.courts.proposals import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError
-from vehanchor.flight.estimate import analyse_flight
-from vehanchor.flight.inputs import check_many
-from vehanchor.flight.live.estimator import live_scales
-from vehanchor.flight.live.frames import open_frames
-from vehanchor.flight.reconstruction.estimate import rescale
-from vehanchor.flight.reconstruction.files import images_of, read_model
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
@@ -315,6 +310,9 @@ class Engine:
             OutputError: the journal cannot be written.
             VehAnchorError: as ``estimate``.
         """
+        from vehanchor.flight.estimate import analyse_flight
+        from vehanchor.flight.inputs import check_many
+
         check_many(images)  # before a model is loaded
         same_scale, journal = keywords.pop("same_scale", False), keywords.pop("journal", None)
         engine, chosen = self._call(options, keywords)
@@ -341,6 +339,9 @@ class Engine:
             OutputError: the journal cannot be written.
             VehAnchorError: as ``estimate``.
         """
+        from vehanchor.flight.reconstruction.estimate import rescale
+        from vehanchor.flight.reconstruction.files import images_of, read_model
+
         images, lines = keywords.pop("images", None), keywords.pop("known_lengths_table", None)
         journal = keywords.pop("journal", None)
         engine, chosen = self._call(options, keywords)
@@ -371,6 +372,9 @@ class Engine:
             InvalidParameterError: the seconds are invalid, or an option is.
             ModelError: a model cannot be used.
         """
+        from vehanchor.flight.live.estimator import live_scales
+        from vehanchor.flight.live.frames import open_frames
+
         every, hold, idle = keywords.pop("every_s", 0.2), keywords.pop("hold_s", 10.0), keywords.pop("idle_s", None)
         tell = keywords.pop("tell", _ignore)
         engine, chosen = self._call(options, keywords)
