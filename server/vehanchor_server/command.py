@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vehanchor.cli.collection import paused_collection
 from vehanchor_server.settings import Settings, SettingsError
 
 if TYPE_CHECKING:
@@ -78,16 +79,15 @@ def serve(http: bool = False, **options: Any) -> None:
     given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
     try:
         settings = Settings.from_environment(**{name: value for name, value in given.items() if _is_given(value)})
-        from vehanchor_server.transport.quick_import import quick_import
+        with paused_collection():
+            from vehanchor_server.transport.quick_import import import_sdk
 
-        if http:
-            with quick_import():
-                from vehanchor_server.transport.http import serve_http
-            serve_http(settings)
-        else:
-            with quick_import():
-                from vehanchor_server.transport.stdio import serve_stdio
-            serve_stdio(settings)
+            import_sdk()
+            if http:
+                from vehanchor_server.transport.http import serve_http as run
+            else:
+                from vehanchor_server.transport.stdio import serve_stdio as run
+        run(settings)
     except SettingsError as error:
         typer.echo(f"error[invalid_settings]: {error}", err=True)
         raise typer.Exit(2) from None

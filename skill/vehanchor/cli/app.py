@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from vehanchor.cli.collection import paused_collection
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import BAD_INPUT, INTERRUPTED, UNFORESEEN
 
@@ -66,7 +67,8 @@ class _Commands(TyperGroup):
         if declared is None:
             return None
         try:
-            loaded = declared.load()
+            with paused_collection():
+                loaded = declared.load()
         except ModuleNotFoundError as error:
             if ctx.invoked_subcommand == cmd_name or cmd_name in sys.argv[1:2]:
                 print(f"error[command_missing]: '{cmd_name}' needs {error.name}: reinstall vehanchor", file=sys.stderr)

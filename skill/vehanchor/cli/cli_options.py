@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
+from vehanchor.cli.collection import paused_collection
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.options import (
@@ -168,7 +169,8 @@ class ParsedOptions:
             InvalidParameterError: a value is invalid.
             CalibrationFileError: the calibration cannot be read.
         """
-        from vehanchor.engine import Engine
+        with paused_collection():
+            from vehanchor.engine import Engine
 
         choice = self.detector
         return Engine(
