@@ -27,12 +27,20 @@ def component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:
     return _sentence(advice)
 
 
-def carried_advice(n_between: int) -> str:
-    """Give the advice for a photograph whose interval is too wide because its scale comes from far away.
+def carried_advice(n_between: int, *, maybe_tilted: bool) -> str:
+    """Give the advice for a photograph whose scale comes from another one, with too wide an interval.
 
     Args:
         n_between: photographs between it and the nearest ruler.
+        maybe_tilted: whether the ratios of the scales may be those of a tilted camera.
     """
+    if maybe_tilted:
+        return _sentence(
+            Advice(
+                "the overlaps fit a tilted camera as well as one that climbs",
+                "give photographs with the camera's angle in their metadata, or taken straight down",
+            )
+        )
     distance = f"{n_between} photographs away" if n_between > 1 else "in another photograph"
     return _sentence(
         Advice(

@@ -27,6 +27,7 @@ class Component:
         ties: ``[n, n]`` sparse matrix, standard deviation of the log ratio of each link; None for one common scale.
         extra: evidence of rulers that only a flight has, in the reference's pixels.
         layout: ``[n]`` points below the cameras in pixels of the reference, y down; None if unknown.
+        maybe_tilted: whether the ratios of its scales may be those of a tilted camera at one height.
     """
 
     members: NDArray[np.intp]
@@ -36,6 +37,7 @@ class Component:
     ties: Any = None
     extra: tuple[Evidence, ...] = ()
     layout: NDArray[np.complex128] | None = None
+    maybe_tilted: bool = False
 
     def __len__(self) -> int:
         return len(self.members)

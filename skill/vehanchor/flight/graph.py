@@ -33,6 +33,9 @@ _MOST_INFLATION = 8.0
 _GRADIENT_SD = 0.05  # log of scale from the centre to the edge: a tilt of two to five degrees
 _LOOSE_SD = 3.0  # of a photograph without evidence: keeps the problem regular
 _MAD_PER_SD = 0.6745
+_LEAST_TILT_LINKS, _LEAST_TILT_SHARE = 5, 0.5
+_TILT_GRADIENTS = 0.12, 0.9  # half of the longer side over the focal length, times the tangent of 10 to 52 degrees
+_LEAST_NEARNESS = 0.15  # of a point to the camera's foot, over the centre's: keeps away from the horizon
 
 
 class Link(NamedTuple):
@@ -228,6 +231,31 @@ def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem
         covariance = np.asarray(np.linalg.inv(problem.information(members, sds))[:m, :m], dtype=np.float64)
         found.append(Subgraph(members, problem.scales[members], covariance, ties[members][:, members]))
     return tuple(sorted(found, key=lambda each: (-len(each.members), int(each.members[0]))))
+
+
+def tilt_share(links: Sequence[Link]) -> float:
+    """Compute the share of the ratios' squares that one tilt of the camera explains.
+
+    A tilted camera that flies on at one height gives the ratios of a climb. The scale at a point p of the image is then
+    ``(1 - q p) ** -1.5`` of the centre's, with the same q in all photographs: the tangent of the tilt over the focal
+    length.
+
+    Args:
+        links: of one component, between photographs of unknown tilt.
+
+    Returns:
+        0..1; 0 for few links, and if no tilt above ten degrees explains at least half.
+    """
+    if len(links) < _LEAST_TILT_LINKS:
+        return 0.0
+    ratios = np.array([link.log_ratio for link in links])
+    ends = [np.array([link.first_at for link in links]), np.array([link.second_at for link in links])]
+    sizes, turns = np.meshgrid(np.geomspace(*_TILT_GRADIENTS, 16), np.arange(0.0, 2 * np.pi, np.pi / 18))
+    tilts = np.column_stack([(sizes * np.cos(turns)).ravel(), (sizes * np.sin(turns)).ravel()])
+    first, second = (-1.5 * np.log(np.maximum(1 - tilts @ at.T, _LEAST_NEARNESS)) for at in ends)
+    left = ((ratios - first + second) ** 2).sum(axis=1).min()
+    share = 1 - float(left / max(np.sum(ratios**2), 1e-9))
+    return share if share >= _LEAST_TILT_SHARE else 0.0
 
 
 def contradiction(residual: float) -> str:

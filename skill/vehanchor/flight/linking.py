@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.flight.components import Component
-from vehanchor.flight.graph import Link, Unary, contradiction, solve
+from vehanchor.flight.graph import Link, Unary, contradiction, solve, tilt_share
 from vehanchor.flight.layout import Seam, lay_out
 from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
@@ -166,6 +166,24 @@ def _unary(photograph: Photograph) -> Unary | None:
     return Unary(math.log(estimate.gsd_m_per_px), max(math.log(high / low) / (2 * Z95), _LEAST_UNARY_SD))
 
 
+def _sds_by_tilt(
+    photographs: Sequence[Photograph], offsets: NDArray[np.float64], links: Sequence[Link]
+) -> NDArray[np.float64]:
+    """Compute ``[n]`` standard deviations of offsets that an unknown tilt of the camera explains as well as a climb.
+
+    The evidence of all photographs was carried by these offsets, so that their mean square adds to each.
+    """
+    unknown = np.array([_tilt_unknown(each) for each in photographs])
+    share = tilt_share(links) if unknown.any() else 0.0
+    return np.asarray(share * unknown * np.sqrt(offsets**2 + np.mean(offsets**2)))
+
+
+def _tilt_unknown(photograph: Photograph) -> bool:
+    view = photograph.view
+    camera = view.image.camera if view.options.rulers.metadata else None
+    return view.tilt is None and (camera is None or camera.off_nadir_deg is None)
+
+
 def _component(
     subgraph: Subgraph, photographs: Sequence[Photograph], found: Sequence[_Overlap], places: NDArray[np.float64] | None
 ) -> tuple[Component, NDArray[np.float64]]:
@@ -182,13 +200,17 @@ def _component(
     extra = None
     if places is not None:
         extra = baseline(layout, places[members], float(own[reference].view.image.width_px))
+    by_tilt = _sds_by_tilt(own, offsets, [_link(each, photographs) for each in found])
     component = Component(
         members,
         subgraph.log_scales,
-        subgraph.sds_from(reference),
+        np.hypot(
+            subgraph.sds_from(reference), _sds_by_tilt(own, offsets, [_link(each, photographs) for each in found])
+        ),
         reference,
         subgraph.ties,
         positions_evidence(extra),
         layout,
+        bool(by_tilt.any()),
     )
     return component, off

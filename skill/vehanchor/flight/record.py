@@ -251,7 +251,8 @@ def _photograph(
                 confidence = min(confidence, UNSURE_CONFIDENCE)
         if status == "ok" and confidence < FALLBACK_CONFIDENCE:
             status, reason = "low_confidence", "imprecise"
-            advice = carried_advice(len(rulers[0].through) + 1 if rulers else 1)
+            n_between = len(rulers[0].through) + 1 if rulers else 1
+            advice = carried_advice(n_between, maybe_tilted=component.maybe_tilted)
     return FlightPhotograph(
         photograph=photograph.name,
         status=status,

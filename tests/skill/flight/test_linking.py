@@ -199,3 +199,20 @@ def test_tilted_photographs_of_different_headings_lie_where_their_cameras_stood(
     found = np.column_stack([component.layout.real, component.layout.imag])
     assert np.linalg.norm(stood[1] - stood[0]) > 200
     assert found - found[0] == pytest.approx(np.array(stood) - stood[0], abs=12.0)
+
+
+@pytest.mark.parametrize(("tilt_deg", "doubted"), [(0.0, False), (35.0, True)])
+def test_ratios_of_an_unknown_tilt_are_doubted_and_those_of_two_heights_are_not(tilt_deg: float, doubted: bool) -> None:
+    plane = CameraTilt(tilt_deg, 0.0, 500.0, "metadata").plane(ImageFacts(500, 500))
+    corners = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
+    flight, seen = [], []
+    for number in range(6):
+        scale = 1.0 if doubted or number % 2 else 0.75
+        there = plane.from_above(corners) * scale + np.array([800.0, 1050.0 - 90.0 * number])
+        move = cv2.getPerspectiveTransform(there.astype(np.float32), corners.astype(np.float32))
+        seen.append(features_of(np.asarray(cv2.warpPerspective(WORLD, move, (500, 500)), dtype=np.uint8)))
+        flight.append(_photograph(str(number), ImageFacts(500, 500), np.zeros(0)))
+    (component,) = link_photographs(flight, seen).components
+    off = np.abs(component.offsets)
+    assert off.max() > 0.15
+    assert (component.log_sds > off / 2).all() if doubted else (component.log_sds < 0.1).all()
