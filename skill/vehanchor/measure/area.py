@@ -107,7 +107,7 @@ def _conclude(
     measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, not a size of zero
     size = _Size()
     if measured is not None and circle is not None:
-        size = _size(n_px, outline_px, circle.diameter, measured, scale.spread, card.mask_area_log_sd)
+        size = _size(n_px, outline_px, circle.diameter, measured, scale.spread, card.area_log_sd(prompt, found.score))
     box = _box(found)
     return AreaMeasurement(
         status=_status(scale, found.score, card, n_px, prompt),

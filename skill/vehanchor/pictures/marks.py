@@ -31,7 +31,7 @@ def draw_marks(
     place: Placement,
     colour: Rgb = MARK_RGB,
 ) -> None:
-    """Draw the marks of rulers, with labels beside their middle.
+    """Draw the marks of rulers that lie in the picture, with labels beside their middle.
 
     Args:
         picture: ``[h, w, 3]`` RGB, drawn into.
@@ -44,6 +44,8 @@ def draw_marks(
     for mark in marks:
         # The origin of marks is the corner of the first pixel, OpenCV's is its centre.
         points = place.at(mark.points) - 0.5
+        if (points.max(axis=0) < 0).any() or (points.min(axis=0) > picture.shape[1::-1]).any():
+            continue  # outside a cut
         fixed_point = np.rint(points * (1 << _SUBPIXEL_BITS)).astype(np.int32)
         for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
             cv2.polylines(picture, [fixed_point], mark.closed, ink, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)

@@ -187,6 +187,24 @@ def test_points_measure_what_they_are_on(segmenter: Segmenter) -> None:
     assert boxed.status == "ok"
 
 
+def test_the_interval_at_a_point_is_wide_and_wider_at_a_low_score(tmp_path: Path) -> None:
+    image = blank_image(512, 512)
+    image[64:128, 224:352] = POOL_RGB
+    widths = []
+    for name, score, prompt in (
+        ("box", 0.9, {"box": (220, 60, 356, 132)}),
+        ("point", 0.9, {"points": [(248, 100)]}),
+        ("doubted", 0.6, {"points": [(248, 100)]}),
+    ):
+        (tmp_path / name).mkdir()
+        sam = Segmenter(*write_sam(tmp_path / name, scores=[score]))
+        record = measure_area(image, gsd_m_per_px=GSD, segmenter=sam, **prompt)
+        assert record.area_ci95_low_m2 is not None
+        assert record.area_ci95_high_m2 is not None
+        widths.append(math.log(record.area_ci95_high_m2 / record.area_ci95_low_m2) / (2 * 1.96))
+    assert widths == pytest.approx([0.1, 0.25, 1.3], rel=0.01)
+
+
 # --- warnings
 
 
