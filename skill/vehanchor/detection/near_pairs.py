@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,18 +49,21 @@ def near_pairs(
     order = np.argsort(keys, kind="stable")
     middles = cells_a @ [column, 1] + np.array([[-column], [0], [column]])
     starts, stops = np.searchsorted(keys[order], [middles - 1, middles + 2]).reshape(2, -1)
-    ends = np.cumsum(stops - starts)
-    if ends[-1] > _MOST_PAIRS:
+    counts = stops - starts
+    edges = np.concatenate([[0], np.cumsum(counts)])
+    n_pairs = int(edges[-1])
+    if n_pairs > _MOST_PAIRS:
         raise ModelContractError(
             f"more than {_MOST_PAIRS} pairs of the detector's {len(first)} boxes may overlap: it is not a vehicle "
             "detector, or min_score is too low"
         )
     found = [(none, none)]
-    for block in range(0, int(ends[-1]), _BLOCK_PAIRS):
-        pair = np.arange(block, min(block + _BLOCK_PAIRS, int(ends[-1])))
-        place = np.searchsorted(ends, pair, side="right")
-        i, j = place % len(first), order[stops[place] - ends[place] + pair]
-        near = ((first[i] - second[j]) ** 2).sum(axis=1) <= reach**2
-        found.append((i[near], j[near]))
+    (x_a, y_a), (x_b, y_b) = first.T, second[order].T
+    blocks = np.searchsorted(edges, range(0, n_pairs + _BLOCK_PAIRS, _BLOCK_PAIRS))
+    for begin, end in pairwise(np.minimum(blocks, len(counts))):
+        place = np.repeat(np.arange(begin, end), counts[begin:end])
+        i, j = place % len(first), (starts - edges[:-1])[place] + np.arange(edges[begin], edges[end])
+        near = (x_a[i] - x_b[j]) ** 2 + (y_a[i] - y_b[j]) ** 2 <= reach**2
+        found.append((i[near], order[j[near]]))
     pairs_a, pairs_b = (np.concatenate(each) for each in zip(*found, strict=True))
     return pairs_a, pairs_b

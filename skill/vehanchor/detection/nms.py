@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -84,24 +85,23 @@ def _shared_bound(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.
 
 def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """List the pairs, the earlier box first, that may exceed the threshold, by distance, area ratio and extent."""
-    length, width = rows[:, 2], rows[:, 3]
-    radius = np.hypot(length, width) / 2
-    area = length * width
-    size_class = np.floor(np.log2(np.maximum(radius, 1e-6))).astype(int)
+    area, radius = rows[:, 2] * rows[:, 3], np.maximum(np.hypot(rows[:, 2], rows[:, 3]) / 2, 1e-6)
+    share = iou_threshold / (1 + iou_threshold) * (1 - 1e-9)  # of both areas, which the boxes share at least
+    # Two boxes share at most 2 r min(r) of their circles, where r is the overlap along the line of the centres.
+    reach = radius - share * area / (2 * radius)
+    size_class = np.floor(np.log2(reach)).astype(int)
+    members = [np.flatnonzero(size_class == each) for each in np.unique(size_class)]
     found = []
-    classes = np.unique(size_class)
-    members = {c: np.flatnonzero(size_class == c) for c in classes}
-    for position, c in enumerate(classes):
-        for d in classes[position:]:
-            reach = radius[members[c]].max() + radius[members[d]].max()
-            i, j = near_pairs(rows[members[c], :2], rows[members[d], :2], reach)
-            first, second = members[c][i], members[d][j]
-            if c == d:
-                first, second = first[first < second], second[first < second]
-            ratio = np.minimum(area[first], area[second]) / np.maximum(np.maximum(area[first], area[second]), 1e-12)
-            first, second = first[ratio > iou_threshold], second[ratio > iou_threshold]
-            shared = np.minimum(_shared_bound(rows[first], rows[second]), _shared_bound(rows[second], rows[first]))
-            possible = shared > iou_threshold / (1 + iou_threshold) * (area[first] + area[second]) * (1 - 1e-9)
-            found.append(np.sort([first[possible], second[possible]], axis=0))
-    better, worse = np.concatenate(found, axis=1)
+    for c, d in combinations_with_replacement(members, 2):
+        i, j = near_pairs(rows[c, :2], rows[d, :2], reach[c].max() + reach[d].max())
+        pairs = np.stack([c[i], d[j]])
+        found.append(pairs[:, i < j] if c is d else pairs)
+    first, second = np.concatenate(found, axis=1)
+    least = share * (area[first] + area[second])
+    possible = np.minimum(area[first], area[second]) > iou_threshold * np.maximum(area[first], area[second])
+    possible &= np.hypot(*(rows[second, :2] - rows[first, :2]).T) <= reach[first] + reach[second]
+    for one, other in ((first, second), (second, first)):
+        left = np.flatnonzero(possible)
+        possible[left] = _shared_bound(rows[one[left]], rows[other[left]]) > least[left]
+    better, worse = np.sort([first[possible], second[possible]], axis=0)
     return better, worse
