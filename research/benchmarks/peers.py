@@ -2,10 +2,11 @@
 
 ``python -m research.benchmarks.peers``. Prints Markdown; ``--record`` keeps it.
 
-Bare ONNX Runtime, ultralytics, SAHI, supervision and this library search the same 4096 x 4096 px image with the same
-oriented-box file, tile by tile. The others run in an environment of their own, which the first call makes
-(``--environment``, 6 GB): ultralytics is under the AGPL and no part of this project; what runs there is
-``peers_inside.py``. Every pass is a fresh process, the tools in turns, each divided by the bare pass of its round.
+Bare ONNX Runtime, ultralytics, SAHI, supervision and this library search the same 4096 x 4096 px images with the same
+oriented-box file, tile by tile. The images show few, many and very many vehicles. The others run in an environment of
+their own, which the first call makes (``--environment``, 6 GB): ultralytics is under the AGPL and no part of this
+project; what runs there is ``peers_inside.py``. Every pass is a fresh process, the tools in turns, each divided by the
+mean of the bare passes before and after its round.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import sys
 import tempfile
 import time
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,20 +30,23 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from research.benchmarks.speed import large_scene
-from research.results.record import add_record_option, recording
+from research.results.record import add_record_option, header, recording
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
+from vehanchor_scenes import render_scene
 
 ENVIRONMENT = Path("~/.cache/vehanchor/peers").expanduser()
 _PACKAGES = ("ultralytics==8.4.190", "sahi==0.12.8", "supervision==0.31.2", "onnx", "torch", "torchvision")
 _OURS = "vehanchor"
+_PEERS = ("ultralytics, tile by tile, no merge", "SAHI", "SAHI, default", "supervision")
 _BARE = "ONNX Runtime alone"
-_TILE_PX = 1024
+_SIDE_PX, _TILE_PX = 4096, 1024
+_SCENES = {"200": (0.15, 12), "2,000": (0.15, 125), "15,000": (0.3, None)}
+"""Images by their number of vehicles: metres a pixel, and the most vehicles in a sixteenth of the image."""
 
 
 class Pass(NamedTuple):
@@ -77,6 +82,21 @@ def make_environment(folder: Path) -> Path:
     return python
 
 
+def write_work(folder: Path) -> tuple[Path, list[Path], Path]:
+    """Write the detector alone, the images and the corners of their tiles.
+
+    Each image is a rendered car park of 1024 x 1024 px, repeated: what matters is the number of vehicles.
+    """
+    model, tiles, written = folder / "vehicles.onnx", folder / "tiles.json", list[Path]()
+    shutil.copyfile(resolve_model(), model)  # without the networks beside it
+    tiles.write_text(json.dumps([(tile.x_px, tile.y_px) for tile in tile_grid(_SIDE_PX, _SIDE_PX, tile_px=_TILE_PX)]))
+    for number, (gsd, n_vehicles) in enumerate(_SCENES.values()):
+        scene = render_scene(gsd, seed=5, layout="parking", n_vehicles=n_vehicles)
+        written.append(folder / f"scene{number}.png")
+        cv2.imwrite(str(written[-1]), np.tile(scene.image[:, :, ::-1], (_SIDE_PX // _TILE_PX, _SIDE_PX // _TILE_PX, 1)))
+    return model, written, tiles
+
+
 def search_here(model: Path, image: Path) -> Pass:
     """This library's search: every tile at full resolution, merged exactly. Run in a fresh process."""
     read = cv2.imread(str(image))
@@ -94,40 +114,48 @@ def search_here(model: Path, image: Path) -> Pass:
     return Pass(_OURS, *spent, peak_kib / 1024, len(found.boxes), found.n_tiles)
 
 
-def run_pass(command: list[str], tool: str) -> Pass:
-    """One pass in a process of its own; the last line that it prints is the result."""
+def run_pass(command: list[str], tool: str) -> list[Pass]:
+    """Search the images by one tool in a process of its own, which prints a line for each."""
     quiet = {**os.environ, "YOLO_VERBOSE": "False", "YOLO_AUTOINSTALL": "False", "YOLO_OFFLINE": "True"}
     done = subprocess.run(command, capture_output=True, text=True, env=quiet, check=False)
     if done.returncode:
         raise SystemExit(f"{tool} failed:\n{done.stderr}")
-    return Pass(tool, **json.loads(done.stdout.strip().splitlines()[-1]))
+    return [Pass(tool, **json.loads(line)) for line in done.stdout.splitlines() if line.startswith("{")]
 
 
-def compare(python: Path, model: Path, image: Path, tiles: Path, rounds: int) -> list[str]:
-    """Markdown of all tools."""
+def passes(python: Path, model: Path, images: list[Path], tiles: Path, rounds: int) -> dict[str, list[list[Pass]]]:
+    """Search the images by all tools in turns; bare ONNX Runtime comes first and last.
+
+    Returns:
+        By tool the passes of each round, one per image.
+    """
+    here = [sys.executable, "-m", "research.benchmarks.peers", "--here", str(model)]
     inside = [str(python), str(Path(__file__).with_name("peers_inside.py"))]
-    tools = [_BARE, _OURS, "ultralytics, tile by tile, no merge", "SAHI", "SAHI, default", "supervision"]
-    passes: dict[str, list[Pass]] = {tool: [] for tool in tools}
-    for _ in range(rounds):
-        for tool in tools:
-            command = [*inside, tool, str(model), str(image), str(tiles)]
-            if tool == _OURS:
-                command = [sys.executable, "-m", "research.benchmarks.peers", "--here", str(model), str(image)]
-            passes[tool].append(run_pass(command, tool))
-    lines = [
-        "| tool | tiles | boxes | wall / bare | CPU time / bare | CPU s | peak MiB |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for tool in tools:
-        mine, bare = passes[tool], passes[_BARE]
-        wall, cpu = (
-            statistics.median(getattr(m, part) / getattr(b, part) for m, b in zip(mine, bare, strict=True))
-            for part in ("wall_s", "cpu_s")
-        )
-        lines.append(
-            f"| {tool} | {mine[0].n_tiles} | {mine[0].n_boxes} | {wall:.2f} | {cpu:.2f} "
-            f"| {statistics.median(m.cpu_s for m in mine):.2f} | {statistics.median(m.peak_mib for m in mine):.0f} |"
-        )
+    found: dict[str, list[list[Pass]]] = {tool: [] for tool in (_BARE, _OURS, *_PEERS)}
+    for tool in [*found] * rounds + [_BARE]:
+        command = here if tool == _OURS else [*inside, tool, str(model), str(tiles)]
+        found[tool].append(run_pass([*command, *map(str, images)], tool))
+    return found
+
+
+def table(found: dict[str, list[list[Pass]]]) -> list[str]:
+    """Write the passes as lines of Markdown; medians of the rounds."""
+    lines = [header("vehicles", "tool", "tiles", "boxes", "wall / bare", "CPU time / bare", "CPU s", "peak MiB")]
+    for k, vehicles in enumerate(_SCENES):
+        for tool, rounds in found.items():
+            mine = [each[k] for each in rounds]
+            wall, cpu = (
+                statistics.median(
+                    getattr(one, part) / statistics.mean(getattr(each[k], part) for each in around)
+                    for one, around in zip(mine, pairwise(found[_BARE]), strict=False)
+                )
+                for part in ("wall_s", "cpu_s")
+            )
+            lines.append(
+                f"| {vehicles} | {tool} | {mine[0].n_tiles} | {mine[0].n_boxes} | {wall:.2f} | {cpu:.2f} "
+                f"| {statistics.median(each.cpu_s for each in mine):.2f} "
+                f"| {statistics.median(each.peak_mib for each in mine):.0f} |"
+            )
     return lines
 
 
@@ -161,10 +189,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--environment", type=Path, default=ENVIRONMENT, help="folder of the peers' environment")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--here", nargs=2, type=Path, metavar=("MODEL", "IMAGE"), help=argparse.SUPPRESS)
+    parser.add_argument("--here", nargs="+", type=Path, metavar="MODEL IMAGE", help=argparse.SUPPRESS)
     options = add_record_option(parser).parse_args()
     if options.here:
-        print(json.dumps({k: v for k, v in search_here(*options.here)._asdict().items() if k != "tool"}))
+        model, *images = options.here
+        for image in images:
+            found = search_here(model, image)._asdict()
+            print(json.dumps({name: value for name, value in found.items() if name != "tool"}), flush=True)
         return
     python = make_environment(options.environment)
     print(
@@ -172,14 +203,9 @@ def main() -> None:
     )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        model, image, tiles = folder / "vehicles.onnx", folder / "scene.png", folder / "tiles.json"
-        shutil.copyfile(resolve_model(), model)  # alone: without the networks beside it
-        pixels = large_scene()
-        cv2.imwrite(str(image), pixels[:, :, ::-1])
-        grid = tile_grid(pixels.shape[1], pixels.shape[0], tile_px=_TILE_PX)
-        tiles.write_text(json.dumps([(tile.x_px, tile.y_px) for tile in grid]))
+        model, images, tiles = write_work(folder)
         with recording("speed", ["peers"], options.record, packages=list(_PACKAGES)):
-            print("\n".join(compare(python, model, image, tiles, options.rounds)), flush=True)
+            print(*table(passes(python, model, images, tiles, options.rounds)), sep="\n", flush=True)
         other = folder / "yolo11n-obb.onnx"  # random weights: its time is that of any
         inside = Path(__file__).with_name("peers_inside.py").resolve()
         subprocess.run([str(python), str(inside), "export", str(other)], check=True, capture_output=True, cwd=folder)

@@ -1,8 +1,8 @@
-"""Run one tool inside the peers' own environment, for ``peers.py``: ``python peers_inside.py TOOL MODEL IMAGE TILES``.
+"""Run one tool inside the peers' own environment, for ``peers.py``: ``python peers_inside.py TOOL MODEL TILES IMAGE``.
 
-Nothing of this project is imported here, and nothing here by this project: ultralytics is under the AGPL. The last line
-printed is JSON: seconds, CPU seconds, peak memory, boxes, tiles. ``python peers_inside.py export FILE`` writes
-YOLO11n-OBB with random weights; nothing is fetched.
+IMAGE may be several files. Nothing of this project is imported here, and nothing here by this project: ultralytics is
+under the AGPL. Each line printed is JSON of an image: seconds, CPU seconds, peak memory, boxes, tiles. ``python
+peers_inside.py export FILE`` writes YOLO11n-OBB with random weights; nothing is fetched.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def main() -> None:
         return
     import cv2
 
-    model, image, tiles = sys.argv[2:5]
+    model, tiles, *images = sys.argv[2:]
     makers: dict[str, Callable[..., Callable[[], Found]]] = {
         "ONNX Runtime alone": _bare,
         "ultralytics, tile by tile, no merge": _ultralytics,
@@ -141,13 +141,14 @@ def main() -> None:
         "SAHI, default": partial(_sahi, whole_image_too=True),
         "supervision": _supervision,
     }
-    run = makers[tool](model, cv2.imread(image), json.loads(Path(tiles).read_text()))
-    wall, cpu = time.perf_counter(), time.process_time()
-    n_boxes, n_tiles = run()
-    spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-    status = Path("/proc/self/status").read_text().splitlines()
-    peak_kib = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
-    print(json.dumps({**spent, "peak_mib": peak_kib / 1024, "n_boxes": n_boxes, "n_tiles": n_tiles}))
+    for image in images:
+        run = makers[tool](model, cv2.imread(image), json.loads(Path(tiles).read_text()))
+        wall, cpu = time.perf_counter(), time.process_time()
+        n_boxes, n_tiles = run()
+        spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+        status = Path("/proc/self/status").read_text().splitlines()
+        peak_kib = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+        print(json.dumps({**spent, "peak_mib": peak_kib / 1024, "n_boxes": n_boxes, "n_tiles": n_tiles}), flush=True)
 
 
 if __name__ == "__main__":
