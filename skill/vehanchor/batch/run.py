@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
+import time
 from collections import Counter
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import check_table_path, write_table
-from vehanchor.batch.worker import BatchJob, Task
+from vehanchor.batch.worker import BatchJob, MadeRow, Task
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import InvalidParameterError, OutputError
@@ -32,7 +33,37 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 
+_LEAST_WAITING = 0.05  # of the workers' time; they wait for no image where decoding is faster than computing
 BatchEngine = Literal["local", "ray"]
+
+
+class Pace(NamedTuple):
+    """Speed of a run, and what bounded it.
+
+    Attributes:
+        seconds: duration of the work on images, with the start of the workers.
+        images_per_s: rate over this duration.
+        busy: mean number of workers that had an image.
+        waiting: share of their time in which the image was not decoded yet.
+    """
+
+    seconds: float
+    images_per_s: float
+    busy: float
+    waiting: float
+
+    @classmethod
+    def of(cls, seconds: float, made: Sequence[tuple[float, float]]) -> Pace | None:
+        """Compute the pace from the workers' seconds for each image: in all, and until it was decoded."""
+        if not made:
+            return None
+        busy_s, waited_s = (sum(each) for each in zip(*made, strict=True))
+        return cls(seconds, len(made) / seconds, busy_s / seconds, waited_s / busy_s)
+
+    @property
+    def bounded_by(self) -> Literal["decoding", "computing"]:
+        """Whether faster decoding (with reading) or faster computing would shorten the run."""
+        return "decoding" if self.waiting > _LEAST_WAITING else "computing"
 
 
 @dataclass(frozen=True)
@@ -44,12 +75,14 @@ class BatchSummary:
         n_rows: its number of rows, one per image.
         n_resumed: number of rows from an interrupted run.
         statuses: number of rows by status; ``error`` counts rows with an error.
+        pace: speed of the run; None if no row was made, or the images have a common scale.
     """
 
     table: Path
     n_rows: int
     n_resumed: int
     statuses: Mapping[str, int]
+    pace: Pace | None = None
 
 
 def run_batch(
@@ -102,14 +135,16 @@ def run_batch(
     lines = lines_in(known_lengths, [task.path for task in tasks])
     job = replace(_job(detector, classes, chosen, replace(told.idle, threads=1)), known_lengths=lines)
     with open_journal(table, job, anew=overwrite) as journal:  # the table itself stays until the new one is complete
-        keys = {task.file: task.key() for task in tasks}  # with the present state of the images
+        started, times, keys = time.monotonic(), [], {task.file: task.key() for task in tasks}  # their present state
         missing = [task for task in tasks if keys[task.file] not in journal]
         with closing(_rows(engine, job, missing, workers, address)) as rows:
-            for row in _counting(rows, len(tasks) - len(missing), len(tasks), told.tell):
-                journal.add(keys[row.file], row)
+            for made in _counting(rows, len(tasks) - len(missing), len(tasks), told.tell):
+                journal.add(keys[made.row.file], made.row)
+                times.append((made.seconds, made.waited_s))
         statuses = _write(table, journal.values(keys[task.file] for task in tasks))
         journal.remove()
-    return BatchSummary(table, len(tasks), len(tasks) - len(missing), statuses)
+    pace = Pace.of(time.monotonic() - started, times)
+    return BatchSummary(table, len(tasks), len(tasks) - len(missing), statuses, pace)
 
 
 def journal_path(table: Path) -> Path:
@@ -186,7 +221,7 @@ def _check_unfinished(table: Path, overwrite: bool) -> None:
 
 def _rows(
     engine: BatchEngine, job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
-) -> Generator[BatchRow]:
+) -> Generator[MadeRow]:
     if not tasks:
         return
     if engine == "ray":
@@ -196,12 +231,12 @@ def _rows(
 
 
 def _counting(
-    rows: Iterator[BatchRow], n_done: int, n_tasks: int, tell: Callable[[int, int], None]
-) -> Iterator[BatchRow]:
+    rows: Iterator[MadeRow], n_done: int, n_tasks: int, tell: Callable[[int, int], None]
+) -> Iterator[MadeRow]:
     """Report progress after each row."""
     tell(n_done, n_tasks)
-    for number, row in enumerate(rows, start=n_done + 1):
-        yield row
+    for number, made in enumerate(rows, start=n_done + 1):
+        yield made
         tell(number, n_tasks)
 
 

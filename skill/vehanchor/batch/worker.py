@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import time
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 
-from vehanchor.analysis.pipeline import analyse_image, checked_detector
+from vehanchor.analysis.pipeline import analyse_raster, checked_detector
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.addresses import is_address
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
@@ -22,8 +25,9 @@ from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Key
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterator, Sequence
 
+    from vehanchor.imagery.raster import Raster
     from vehanchor.rulers.known_length_table import KnownLengthTable
 
 
@@ -71,8 +75,22 @@ class Task:
         return (self.file, *Source.of(self.path))
 
 
+class MadeRow(NamedTuple):
+    """Row, and the time that the worker needed for it.
+
+    Attributes:
+        row: result for one image.
+        seconds: duration.
+        waited_s: part of it until the image was decoded.
+    """
+
+    row: BatchRow
+    seconds: float
+    waited_s: float
+
+
 class Worker:
-    """Loaded model that makes rows.
+    """Loaded model that makes rows, and a thread that decodes the next image meanwhile.
 
     Raises:
         ModelError: the model cannot be loaded, or is not the one that the job names.
@@ -83,6 +101,8 @@ class Worker:
         self._options, self._known_lengths = job.options, job.known_lengths
         path = resolve_model(job.detector)
         self._detector = checked_detector(Detector(path, classes=job.classes, runtime=job.runtime), job.options)
+        self._reader = ThreadPoolExecutor(1)
+        self._ahead: dict[Task, Future[Raster]] = {}
         here = networks_sha256(self._detector.card)
         if here != job.networks_sha256:
             raise ModelContractError(
@@ -96,11 +116,26 @@ class Worker:
         cv2.setNumThreads(job.runtime.threads or -1)
         return cls(job)
 
-    def row(self, task: Task) -> BatchRow:
+    def make(self, task: Task, following: Task | None) -> MadeRow:
+        """Make the row of one image, and begin to decode the following one."""
+        started = time.perf_counter()
+        opened = self._ahead.pop(task, None) or self._reader.submit(self._open, task)
+        if following is not None:
+            self._ahead[following] = self._reader.submit(self._open, following)
+        wait([opened])
+        waited_s = time.perf_counter() - started
+        return MadeRow(self.row(task, opened), time.perf_counter() - started, waited_s)
+
+    def _open(self, task: Task) -> Raster:
+        reading = self._options.reading
+        return open_raster(task.path, bands=reading.bands, limits=reading.limits, bgr=reading.bgr)
+
+    def row(self, task: Task, opened: Future[Raster]) -> BatchRow:
         """Make the row of one image; any error goes into the row."""
         try:
             options = with_lines_of(self._options, self._known_lengths, task.path)
-            estimate = analyse_image(task.path, self._detector, options).estimate
+            with opened.result() as raster:
+                estimate = analyse_raster(raster, self._detector, options).estimate
         except VehAnchorError as error:
             return BatchRow.failed(task.file, error)
         except MemoryError:
@@ -109,6 +144,7 @@ class Worker:
             return BatchRow(file=task.file, error_code="internal_error", error=f"{type(error).__name__}: {error}")
         return BatchRow(file=task.file, estimate=estimate)
 
-    def rows(self, tasks: Iterable[Task]) -> list[BatchRow]:
+    def rows(self, tasks: Sequence[Task]) -> Iterator[MadeRow]:
         """Make the rows of several images."""
-        return [self.row(task) for task in tasks]
+        for task, following in zip(tasks, [*tasks[1:], None], strict=True):
+            yield self.make(task, following)

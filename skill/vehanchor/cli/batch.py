@@ -170,9 +170,13 @@ def _summary_text(summary: BatchSummary, seconds: float) -> str:
     counts = [f"{summary.statuses[status]} {status}" for status in _STATUSES if status in summary.statuses]
     made = summary.n_rows - summary.n_resumed
     resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""
+    pace, rate = summary.pace, ""
+    if pace is not None:
+        waiting = f"{pace.busy:.1f} workers busy, {pace.waiting:.0%} of it waiting for images"
+        rate = f", {pace.images_per_s:.3g} a second ({waiting}; bounded by {pace.bounded_by})"
     return (
         f"{printable(str(summary.table))}: {_counted(summary.n_rows, 'row')} ({', '.join(counts)}){resumed}; "
-        f"{_counted(made, 'image')} in {seconds:.1f} s"
+        f"{_counted(made, 'image')} in {seconds:.1f} s{rate}"
     )
 
 

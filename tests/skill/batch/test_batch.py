@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import threading
 import time
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +22,8 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
-from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch
+from vehanchor.analysis.pipeline import analyse_raster
+from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch, worker
 from vehanchor.batch.engines.local import local_workers
 from vehanchor.batch.row import COLUMNS
 from vehanchor.batch.run import journal_path, open_journal
@@ -41,13 +44,19 @@ from vehanchor.errors import (
     VehAnchorError,
     WorkerDiedError,
 )
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Frame, Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from typer.testing import Result
+
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.imagery.raster import Raster
 
 FILES = ["broken.jpg", "cars.png", "deep/below/cars.PNG", "empty.png"]
 
@@ -194,9 +203,9 @@ def test_a_worker_of_one_thread_wakes_no_other_core(folder: Path, monkeypatch: p
         monkeypatch.setattr(load, "_loaded", load._loaded.__wrapped__)
     before = cv2.getNumThreads()
     try:
-        worker = Worker.of_own_process(job)
+        alone = Worker.of_own_process(job)
         assert cv2.getNumThreads() == 1
-        assert worker.row(Task.of(str(folder / "empty.png"))).estimate is not None
+        assert alone.make(Task.of(str(folder / "empty.png")), None).row.estimate is not None
     finally:
         cv2.setNumThreads(before)
     assert opened == [1] * 6  # the detector, the three networks beside it, the ground's and that of courts
@@ -296,12 +305,12 @@ def analysed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     made: list[str] = []
     original = Worker.row
 
-    def row(self: Worker, task: Task) -> BatchRow:
+    def row(self: Worker, task: Task, opened: Future[Raster]) -> BatchRow:
         if len(made) == 2:
             made.append("interrupted")
             raise KeyboardInterrupt
         made.append(task.file)
-        return original(self, task)
+        return original(self, task, opened)
 
     monkeypatch.setattr(Worker, "row", row)
     return made
@@ -534,6 +543,49 @@ def test_no_cluster_at_the_address_is_told_in_a_line(detector: Path, table: Path
     assert "Connection refused" in result.stderr
 
 
+def test_the_next_image_is_decoded_while_one_is_computed(
+    folder: Path, detector: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ["cars.png", "empty.png", "broken.jpg"]
+    opened = {str(folder / name): threading.Event() for name in names}
+    following = dict(pairwise(opened))
+
+    def open_seen(path: str, **more: Any) -> Raster:
+        opened[path].set()
+        return open_raster(path, **more)
+
+    def analyse(raster: Raster, *more: Any) -> ScaleAnalysis:
+        if raster.source in following:
+            assert opened[following[raster.source]].wait(60)
+        return analyse_raster(raster, *more)
+
+    monkeypatch.setattr(worker, "open_raster", open_seen)
+    monkeypatch.setattr(worker, "analyse_raster", analyse)
+    job = BatchJob(str(detector), networks_sha256(Detector(detector).card))
+    made = list(Worker(job).rows([Task.of(path) for path in opened]))
+    assert [each.row.error_code for each in made] == [None, None, "image_undecodable"]
+    assert all(0 <= each.waited_s <= each.seconds for each in made)
+
+
+@pytest.mark.parametrize(("slow", "bounded_by"), [("open_raster", "decoding"), ("analyse_raster", "computing")])
+def test_a_run_tells_what_bounded_it(
+    slow: str, bounded_by: str, detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = getattr(worker, slow)
+
+    def slowly(*arguments: Any, **more: Any) -> Any:
+        time.sleep(0.4)
+        return original(*arguments, **more)
+
+    monkeypatch.setattr(worker, slow, slowly)
+    pace = run_batch(["cars.png", "empty.png"], table, detector=detector, workers=1).pace
+    assert pace is not None
+    assert pace.bounded_by == bounded_by
+    assert 0.5 < pace.busy <= 1
+    assert pace.images_per_s == pytest.approx(2 / pace.seconds)
+    assert pace.seconds > 0.8
+
+
 # --- The command -----------------------------------------------------------------------------------------------------
 
 
@@ -545,6 +597,7 @@ def test_the_command_tells_what_it_did(detector: Path, table: Path, monkeypatch:
     *lines, last = result.stderr.splitlines()
     assert lines == [f"{n} of 5 images" for n in range(6)]
     assert last.startswith(f"{table}: 5 rows (2 ok, 1 no_scale, 2 error); 5 images in ")
+    assert re.search(r"s, [\d.]+ a second \(\d\.\d workers busy, \d+% of it waiting for images; bounded by ", last)
     assert _rows(table)[-1]["error_code"] == "image_not_found"
     broken = _batch("broken.jpg", "--output", table, "--overwrite", "--detector", detector, "--workers", 1)
     assert broken.exit_code == 1

@@ -6,20 +6,17 @@ import multiprocessing
 import os
 import signal
 import threading
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing
 from typing import TYPE_CHECKING
 
-from vehanchor.batch.pool import finished
 from vehanchor.batch.worker import Worker
 from vehanchor.errors import WorkerDiedError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from vehanchor.batch.row import BatchRow
-    from vehanchor.batch.worker import BatchJob, Task
+    from vehanchor.batch.worker import BatchJob, MadeRow, Task
 
 _worker: Worker | None = None  # in a worker process
 
@@ -31,7 +28,7 @@ def local_workers(n_tasks: int) -> int:
     )
 
 
-def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[BatchRow]:
+def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[MadeRow]:
     """Make the rows of all tasks in order of completion.
 
     Args:
@@ -47,20 +44,37 @@ def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[B
         ModelError: the model cannot be loaded.
     """
     if workers == 1:
-        only = Worker(job)
-        yield from map(only.row, tasks)
+        yield from Worker(job).rows(tasks)
         return
     context = multiprocessing.get_context("spawn")  # a forked process with threads can deadlock
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(job,))
+    # A pool of one process each, so that a worker gets the image that it has decoded ahead.
+    pools = [ProcessPoolExecutor(1, context, _start, (job,)) for _ in range(workers)]
+    waiting = iter(tasks)
+    ahead = [next(waiting, None) for _ in pools]
+    running: dict[Future[MadeRow], int] = {}
+
+    def begin(k: int) -> None:
+        task, ahead[k] = ahead[k], next(waiting, None)
+        if task is not None:
+            running[pools[k].submit(_make, task, ahead[k])] = k
+
     try:
-        with closing(finished(pool, workers, _row, tasks)) as rows:
-            for _, future in rows:
+        for k in range(workers):
+            begin(k)
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                begin(running.pop(future))
                 yield future.result()
     except BrokenProcessPool:
         raise WorkerDiedError(
             f"a worker process died, usually for lack of memory: each of {workers} held a model and an image. Finished "
             "rows are kept; run the same command again with fewer --workers"
         ) from None
+    finally:
+        for pool in pools:
+            pool.shutdown(wait=False, cancel_futures=True)
+        for pool in pools:
+            pool.shutdown()
 
 
 def _start(job: BatchJob) -> None:
@@ -78,6 +92,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _row(task: Task) -> BatchRow:
+def _make(task: Task, following: Task | None) -> MadeRow:
     assert _worker is not None  # the pool starts a process with _start
-    return _worker.row(task)
+    return _worker.make(task, following)
