@@ -35,6 +35,7 @@ _MOST_CELLS, _MOST_SHARE = (
     0.06,
 )  # of a tile's windows that are looked at closely: so many, or this share of an unreduced tile
 _AROUND_PX = 24  # beside such a window
+_GRID_PX = 8  # of the mask: it divides the three sizes above
 _DARKEST, _PALEST = 30, 200  # grey levels of asphalt and concrete; between bars it is darker, roofs are brighter
 _COLOURED = 45  # difference of the channels: grass, brick, water
 _RATIOS = ((1.4, 2.5), (3.3, 4.7))  # of a line's length to the pitch: one row, two rows
@@ -97,12 +98,19 @@ def find_bay_rows(
             continue
         rgb = read_reduced_window(raster, window, factor)
         grey = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
-        striped = _striped(rgb, grey, pitches[0] / factor, pitches[1] / factor, _MOST_SHARE * factor**2)
-        sought = np.where(striped > 0, grey, np.uint8(np.median(grey)))  # flat elsewhere: no segments, no time
-        for x, y, width, height, _ in cv2.connectedComponentsWithStats(striped)[2][1:].tolist():
-            part = sought[y : y + height, x : x + width]
+        ground = np.asarray(cv2.morphologyEx(grey, cv2.MORPH_OPEN, np.ones((_BRIGHTER_PX, _BRIGHTER_PX), np.uint8)))
+        bright = cv2.subtract(grey, ground)
+        striped = _striped(
+            bright, _paved(rgb, ground), pitches[0] / factor, pitches[1] / factor, _MOST_SHARE * factor**2
+        )
+        if not striped.any():
+            continue
+        hidden = _enlarged(striped, grey.shape) == 0
+        grey[hidden], bright[hidden] = np.median(grey[::4, ::4]), 0
+        for x, y, width, height, _ in (_GRID_PX * cv2.connectedComponentsWithStats(striped)[2][1:]).tolist():
+            part = slice(y, y + height), slice(x, x + width)
             corner = np.array([window.x_px + x, window.y_px + y])
-            for row in _rows_in(part, scale.low * factor, scale.high * factor):
+            for row in _rows_in(grey[part], bright[part], scale.low * factor, scale.high * factor):
                 ends = (row.ends + corner + 0.5) * factor - 0.5
                 placed = BayRow(ends, row.pitch_px * factor, row.pitch_log_sd, row.length_px * factor)
                 if not any(_same(placed, other) for other in rows):
@@ -111,48 +119,104 @@ def find_bay_rows(
 
 
 def _striped(
-    rgb: NDArray[np.uint8], grey: NDArray[np.uint8], shortest_px: float, longest_px: float, most_share: float
+    bright: NDArray[np.uint8], paved: NDArray[np.uint8], shortest_px: float, longest_px: float, most_share: float
 ) -> NDArray[np.uint8]:
-    """Mask a share of a tile's windows, with the most power at one wavelength between two: ``[h, w]``, 1 there."""
-    mask = np.zeros(grey.shape, np.uint8)
-    if min(grey.shape) < _CELL_PX:
+    """Mask a share of a tile's windows, with the most power at one wavelength between two.
+
+    Args:
+        bright: ``[h, w]``, by how much a pixel is brighter than its surroundings, grey levels.
+        paved: ``[h, w]``, 255 where the ground may be paved.
+        shortest_px: shortest wavelength.
+        longest_px: longest wavelength.
+        most_share: largest share of the windows.
+
+    Returns:
+        Squares of ``_GRID_PX`` pixels ``[ceil(h / grid), ceil(w / grid)]``, 1 in these windows and around them.
+    """
+    height, width = bright.shape
+    mask = np.zeros((-(-height // _GRID_PX), -(-width // _GRID_PX)), np.uint8)
+    if min(height, width) < _CELL_PX:
         return mask + np.uint8(1)
-    ground = cv2.morphologyEx(grey, cv2.MORPH_OPEN, np.ones((_BRIGHTER_PX, _BRIGHTER_PX), np.uint8))
-    bright = np.minimum(cv2.subtract(grey, ground), _BRIGHTEST).astype(np.float32)
-    bright[~_paved(rgb, np.asarray(ground, np.uint8))] = 0.0
-    cells = np.lib.stride_tricks.sliding_window_view(bright, (_CELL_PX, _CELL_PX))[::_CELL_STEP_PX, ::_CELL_STEP_PX]
-    across, marked = cells.shape[1], cells.mean(axis=(2, 3)).ravel()
-    (busy,) = np.nonzero(marked >= _LEAST_BRIGHT)
-    stack = cells[np.unravel_index(busy, cells.shape[:2])]
-    taper = np.outer(np.hanning(_CELL_PX), np.hanning(_CELL_PX)).astype(np.float32)
-    power = np.abs(np.fft.rfft2((stack - stack.mean(axis=(1, 2), keepdims=True)) * taper)) ** 2
-    frequency = np.hypot(np.fft.fftfreq(_CELL_PX)[:, None], np.fft.rfftfreq(_CELL_PX)[None])
-    ring = power * ((frequency >= 1 / longest_px) & (frequency <= 1 / shortest_px))
-    ring += np.roll(ring, 1, 2) + np.roll(ring, -1, 2)
-    striped = ring.max(axis=(1, 2)) / (power.sum(axis=(1, 2)) + 1.0)
-    most = max(_MOST_CELLS, round(most_share * len(marked)))
+    paint = cv2.bitwise_and(cv2.min(bright, _BRIGHTEST), paved)
+    sums = cv2.integral(paint)
+    sums = sums[_CELL_PX::_CELL_STEP_PX] - sums[:-_CELL_PX:_CELL_STEP_PX]
+    marked = (sums[:, _CELL_PX::_CELL_STEP_PX] - sums[:, :-_CELL_PX:_CELL_STEP_PX]) / _CELL_PX**2
+    places = np.argwhere(marked >= _LEAST_BRIGHT) * _CELL_STEP_PX
+    if not len(places):
+        return mask
+    windows = np.lib.stride_tricks.sliding_window_view(paint, (_CELL_PX, _CELL_PX))
+    striped = _periodic_share(windows[tuple(places.T)].astype(np.float32), shortest_px, longest_px)
+    most = max(_MOST_CELLS, round(most_share * marked.size))
     order = np.argsort(-striped, kind="stable")[:most]
-    chosen = busy[order[striped[order] >= _LEAST_STRIPED]]
-    for index in chosen:
-        y, x = (int(index) // across) * _CELL_STEP_PX, (int(index) % across) * _CELL_STEP_PX
+    for y, x in places[order[striped[order] >= _LEAST_STRIPED]].tolist():
+        top, left = max(y - _AROUND_PX, 0) // _GRID_PX, max(x - _AROUND_PX, 0) // _GRID_PX
         reach = _CELL_PX + _AROUND_PX
-        mask[max(y - _AROUND_PX, 0) : y + reach, max(x - _AROUND_PX, 0) : x + reach] = 1
+        mask[top : (y + reach) // _GRID_PX, left : (x + reach) // _GRID_PX] = 1
     return mask
 
 
-def _paved(rgb: NDArray[np.uint8], ground: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Tell where the ground may be asphalt or concrete: grey, neither dark nor white; ``[h, w]``."""
+def _enlarged(mask: NDArray[np.uint8], shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Enlarge a mask of squares to pixels ``[h, w]``."""
+    rows = np.repeat(mask, _GRID_PX, axis=0)[: shape[0]]
+    return np.repeat(rows, _GRID_PX, axis=1)[:, : shape[1]]
+
+
+def _paved(rgb: NDArray[np.uint8], ground: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Mask where the ground may be asphalt or concrete, grey, neither dark nor white: ``[h, w]``, 255 there."""
     red, green, blue = cv2.split(rgb)
     colour = cv2.subtract(cv2.max(cv2.max(red, green), blue), cv2.min(cv2.min(red, green), blue))
-    return np.asarray((colour < _COLOURED) & (ground >= _DARKEST) & (ground <= _PALEST))
+    grey = cv2.compare(colour, _COLOURED, cv2.CMP_LT)
+    return np.asarray(cv2.bitwise_and(grey, cv2.inRange(ground, _DARKEST, _PALEST)), np.uint8)
 
 
-def _rows_in(grey: NDArray[np.uint8], low_m_per_px: float, high_m_per_px: float) -> list[BayRow]:
-    """Find rows in a part of an image, enlarged if lines are hardly a pixel wide; in its pixels."""
+def _periodic_share(windows: NDArray[np.float32], shortest_px: float, longest_px: float) -> NDArray[np.float32]:
+    """Compute the largest share of each window's power at one wavelength between two.
+
+    Only the few coefficients of these wavelengths are computed, as matrix products; the total is Parseval's.
+
+    Args:
+        windows: ``[n, side, side]``.
+        shortest_px: shortest wavelength.
+        longest_px: longest wavelength.
+
+    Returns:
+        ``[n]``.
+    """
+    side = windows.shape[1]
+    taper = np.hanning(side).astype(np.float32)
+    highest = min(math.ceil(side / shortest_px), side // 2 - 1)
+    waves = np.arange(-highest, highest + 1)
+    basis = (taper[:, None] * np.exp(-2j * np.pi / side * np.outer(np.arange(side), waves))).astype(np.complex64)
+    half = basis[:, highest:]  # of a real window, half of the plane tells all
+    centred = windows - windows.mean(axis=(1, 2), keepdims=True)
+    rows = (centred.reshape(-1, side) @ np.hstack([half.real, half.imag])).reshape(len(windows), side, 2, -1)
+    power = np.abs(basis.T @ (rows[:, :, 0] + 1j * rows[:, :, 1])) ** 2
+    frequency = np.hypot(waves[:, None], waves[None, highest:]) / side
+    ring = power * ((frequency >= 1 / longest_px) & (frequency <= 1 / shortest_px))
+    near = ring.copy()
+    near[..., 1:] += ring[..., :-1]
+    near[..., :-1] += ring[..., 1:]
+    squares = np.square(centred) @ np.square(taper) @ np.square(taper)
+    level = np.square(rows[:, :, 0, 0] * taper).sum(axis=1)  # of the waves along y, which the half plane has twice
+    total = (side**2 * squares + side * level) / 2
+    return np.asarray(near.max(axis=(1, 2)) / (total + 1.0), np.float32)
+
+
+def _rows_in(
+    grey: NDArray[np.uint8], bright: NDArray[np.uint8], low_m_per_px: float, high_m_per_px: float
+) -> list[BayRow]:
+    """Find rows in a part of an image, enlarged if lines are hardly a pixel wide; in its pixels.
+
+    Args:
+        grey: grey levels ``[h, w]``.
+        bright: ``[h, w]``, by how much narrow things are brighter than their surroundings: few other edges are left.
+        low_m_per_px: finest scale.
+        high_m_per_px: coarsest scale.
+    """
     middle = math.sqrt(low_m_per_px * high_m_per_px)
     zoom = min(max(_LEAST_PITCH_PX * middle / math.sqrt(_PITCH_M[0] * _PITCH_M[1]), 1.0), 2.0)
-    size = round(grey.shape[1] * zoom), round(grey.shape[0] * zoom)
-    fine = grey if zoom == 1 else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+    size = round(bright.shape[1] * zoom), round(bright.shape[0] * zoom)
+    fine = bright if zoom == 1 else np.asarray(cv2.resize(bright, size, interpolation=cv2.INTER_CUBIC), np.uint8)
     widest = max(_PAINT_M / middle, _PAINT_PX) * zoom
     lines = thin_lines(fine, widest, zoom * _LINE_M[0] / high_m_per_px, zoom * _LINE_M[1] / low_m_per_px)
     rows = rows_of(lines, zoom * _PITCH_M[0] / high_m_per_px, zoom * _PITCH_M[1] / low_m_per_px)
