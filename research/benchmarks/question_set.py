@@ -2,7 +2,7 @@
 
     python -m research.benchmarks.question_set /data /tmp/rendered
 
-The first folder holds the photographs, the second receives the rendered scenes.
+The first folder holds the photographs, the second receives the rendered scenes. ``--record`` keeps the table.
 """
 
 from __future__ import annotations
@@ -10,9 +10,11 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from pathlib import Path
+from typing import get_args
 
+from research.results.record import add_record_option, header, recording
 from vehanchor_evaluation.agent_tools import open_agent_tools
-from vehanchor_evaluation.question_set import TASKS, SetQuestion, ask_set, question_set, task_of
+from vehanchor_evaluation.question_set import TASKS, Deed, SetQuestion, ask_set, question_set, task_of
 from vehanchor_scenes import render_scene
 
 
@@ -22,11 +24,7 @@ def picture_of(question: SetQuestion, data: Path, rendered: Path) -> Path:
         return data / question.file
     path = rendered / question.file
     if not path.is_file():
-        told = question.scene
-        scene = render_scene(
-            told.gsd_m_per_px, width_px=told.width_px, height_px=told.height_px, seed=told.seed, layout=told.layout
-        )
-        scene.write(path)
+        render_scene(**question.scene.model_dump()).write(path)
     return path
 
 
@@ -35,22 +33,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("rendered", type=Path)
-    folders = parser.parse_args()
+    folders = add_record_option(parser).parse_args()
     folders.rendered.mkdir(parents=True, exist_ok=True)
     pictures = [(each, picture_of(each, folders.data, folders.rendered)) for each in question_set()]
     asked = [(task_of(each, kind), path) for each, path in pictures for kind in TASKS]
+    deeds: tuple[Deed, ...] = get_args(Deed)
+    rows = []
     with open_agent_tools([folders.data.resolve(), folders.rendered.resolve()]) as tools:
         for catalogue in (True, False):
             answers = ask_set(asked, tools, catalogue=catalogue)
-            name = "with the catalogue" if catalogue else "without it"
+            name = "with what it recognises" if catalogue else "without"
             for each in answers:
                 ratio = "" if each.ratio is None else f"{each.ratio:.3f}"
                 seen = each.task.question
                 print(
-                    f"{name:20} {each.task.kind:10} {each.deed:22} {each.status:16} {ratio:6} {seen.file} ({seen.why})"
+                    f"{name:24} {each.task.kind:10} {each.deed:22} {each.status:16} {ratio:6} {seen.file} ({seen.why})"
                 )
             for kind in TASKS:
-                print(name, kind, dict(Counter(each.deed for each in answers if each.task.kind == kind)), flush=True)
+                counts = Counter(each.deed for each in answers if each.task.kind == kind)
+                rows.append(f"| {name} | {kind} | {' | '.join(str(counts[deed]) for deed in deeds)} |")
+    with recording("agents", ["question_set"], folders.record):
+        print(header("planner", "task", *deeds), *rows, sep="\n")
 
 
 if __name__ == "__main__":

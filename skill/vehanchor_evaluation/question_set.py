@@ -46,8 +46,9 @@ class SceneOf(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     gsd_m_per_px: float
-    layout: Literal["urban", "parking", "countryside", "sports"]
+    layout: Literal["urban", "parking", "countryside", "sports", "pitches"]
     seed: int
+    n_vehicles: int | None = None
     width_px: int = 800
     height_px: int = 640
 
