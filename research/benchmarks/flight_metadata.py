@@ -1,9 +1,10 @@
 """Measure what the metadata of a flight's photographs are worth.
 
-``python -m research.benchmarks.flight_metadata {chia,oblique,outlines,rendered,cost} DATA [--cache FOLDER]``.
+``python -m research.benchmarks.flight_metadata {chia,baselines,oblique,outlines,rendered,cost} DATA [--cache FOLDER]``.
 
 ``chia`` links the 26 nadir photographs of DATA/chia, with whole metadata, without positions, without heights and
-without both; then the seven photographs with the fewest vehicles. ``oblique`` compares the scales of its 31 oblique
+without both; then the seven photographs with the fewest vehicles. ``baselines`` compares the scales of single nadir
+photographs with the distances between the positions of neighbours. ``oblique`` compares the scales of its 31 oblique
 photographs with height, lens and pitch, with and without metadata. ``outlines`` compares areas on the ground in oblique
 photographs with the areas in nadir photographs. ``rendered`` links rendered flights of ten photographs without cars,
 with one false vehicle or without. ``cost`` measures flights of photographs of 12 Mpx.
@@ -34,6 +35,7 @@ from vehanchor.engine import Engine
 from vehanchor.flight.estimate import conclude, open_journal, search_flight
 from vehanchor.flight.features import find_features
 from vehanchor.flight.inputs import InputPhotograph
+from vehanchor.flight.matching import match
 from vehanchor.flight.photograph import Photograph, StoredPhotograph, photograph_codec
 from vehanchor.flight.record import Failure
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -70,7 +72,12 @@ _POSITION_SD_M, _HEIGHT_SD = 1.0, 0.02  # of made-up metadata; the height's erro
 _STRIP = 10  # photographs over one rendered place, in the costs
 _FALSE_RATIO = 3.4  # the scale by the false vehicle over the true scale, as in the flight of issue 32
 _METRES_A_DEGREE = 111_195.0
-_KEYS = {"cost": "photographs_12mpx"}  # of results; "cost" is what comes beyond the detection
+_NEIGHBOURS, _BASELINE_M = 2, (10.0, 50.0)  # pairs of photographs whose positions are compared
+_MEDIAN_ERROR, _QUARTILES_SD = 1.2533, 1.349  # of a normal distribution, in standard errors and deviations
+_KEYS = {
+    "cost": "photographs_12mpx",
+    "baselines": "chia_baselines",
+}  # of results; "cost" is what comes beyond the detection
 
 
 class Truth(NamedTuple):
@@ -166,6 +173,51 @@ def chia(data: Path, cache: Path) -> None:
             ]
             record = conclude(changed, detector.card, same_scale=False)
             print(row(f"{kind}, {name}", record, truth), flush=True)
+
+
+def baselines(data: Path, cache: Path) -> None:
+    """Print, for each kind of scale, the ratio of the positions' distances to those by the scale of the second."""
+    detector = Engine(runtime=Runtime(threads=1)).detector
+    rows = [each for each in chia_table(data) if each.pitch_deg < _NADIR_DEG]
+    photographs = [searched(str(each.path), str(each.path), detector, cache) for each in rows]
+    ratios: dict[str, list[float]] = {}
+    for number, first in enumerate(photographs):
+        for second in photographs[number + 1 : number + 1 + _NEIGHBOURS]:
+            apart = _apart_m(first, second)
+            if not _BASELINE_M[0] < apart < _BASELINE_M[1]:
+                continue
+            assert first.features is not None
+            assert second.features is not None
+            seen = match(first.features, second.features)
+            if seen is None:
+                continue
+            image = second.view.image
+            middle = np.array([image.width_px, image.height_px]) / 2  # all copies have one size
+            moved_px = math.hypot(*(seen.turn[:, :2] @ middle + seen.turn[:, 2] - middle))
+            estimate = second.analysis.estimate
+            scales = {each.kind: each.gsd_m_per_px for each in estimate.rulers} | {"all rulers": estimate.gsd_m_per_px}
+            for kind, gsd in scales.items():
+                if gsd is not None:
+                    ratios.setdefault(kind, []).append(apart / (moved_px * gsd))
+    print("| scale | pairs | median of positions over scale | quartiles | standard error of the median |")
+    print("|---|---|---|---|---|")
+    for kind, values in ratios.items():
+        low, middle_ratio, high = np.quantile(values, (0.25, 0.5, 0.75))
+        error = _MEDIAN_ERROR * (high - low) / _QUARTILES_SD / math.sqrt(len(values))
+        print(f"| {kind} | {len(values)} | {middle_ratio:.3f} | {low:.3f} to {high:.3f} | {error:.3f} |")
+
+
+def _apart_m(first: Photograph, second: Photograph) -> float:
+    """Distance between two positions, metres."""
+    one, other = first.view.image.camera, second.view.image.camera
+    assert one is not None
+    assert other is not None
+    assert one.latitude_deg is not None
+    assert one.longitude_deg is not None
+    assert other.latitude_deg is not None
+    assert other.longitude_deg is not None
+    east = (other.longitude_deg - one.longitude_deg) * math.cos(math.radians(one.latitude_deg))
+    return _METRES_A_DEGREE * math.hypot(east, other.latitude_deg - one.latitude_deg)
 
 
 def oblique(data: Path, cache: Path) -> None:
@@ -357,7 +409,7 @@ def _memory_mib(name: str) -> float:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("chia", "oblique", "outlines", "rendered", "cost"))
+    parser.add_argument("what", choices=("chia", "baselines", "oblique", "outlines", "rendered", "cost"))
     parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
     parser.add_argument("--cache", type=Path, default=Path("flight_cache"), help="folder that keeps the searches")
     parser.add_argument("--flights", type=int, default=2, help="rendered: flights of each scale")
@@ -369,7 +421,8 @@ def main() -> None:
         elif arguments.what == "cost":
             cost(arguments.photographs, arguments.cache)
         else:
-            {"chia": chia, "oblique": oblique, "outlines": outlines}[arguments.what](arguments.data, arguments.cache)
+            named = {"chia": chia, "baselines": baselines, "oblique": oblique, "outlines": outlines}
+            named[arguments.what](arguments.data, arguments.cache)
 
 
 if __name__ == "__main__":
