@@ -98,8 +98,8 @@ def find_bay_rows(
             continue
         rgb = read_reduced_window(raster, window, factor)
         grey = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
-        ground = np.asarray(cv2.morphologyEx(grey, cv2.MORPH_OPEN, np.ones((_BRIGHTER_PX, _BRIGHTER_PX), np.uint8)))
-        bright = cv2.subtract(grey, ground)
+        ground = np.asarray(cv2.morphologyEx(grey, cv2.MORPH_OPEN, np.ones((_BRIGHTER_PX,) * 2, np.uint8)), np.uint8)
+        bright = np.asarray(cv2.subtract(grey, ground), np.uint8)
         striped = _striped(
             bright, _paved(rgb, ground), pitches[0] / factor, pitches[1] / factor, _MOST_SHARE * factor**2
         )
@@ -137,7 +137,7 @@ def _striped(
     mask = np.zeros((-(-height // _GRID_PX), -(-width // _GRID_PX)), np.uint8)
     if min(height, width) < _CELL_PX:
         return mask + np.uint8(1)
-    paint = cv2.bitwise_and(cv2.min(bright, _BRIGHTEST), paved)
+    paint = np.asarray(cv2.bitwise_and(np.minimum(bright, _BRIGHTEST), paved), np.uint8)
     sums = cv2.integral(paint)
     sums = sums[_CELL_PX::_CELL_STEP_PX] - sums[:-_CELL_PX:_CELL_STEP_PX]
     marked = (sums[:, _CELL_PX::_CELL_STEP_PX] - sums[:, :-_CELL_PX:_CELL_STEP_PX]) / _CELL_PX**2
@@ -165,8 +165,8 @@ def _paved(rgb: NDArray[np.uint8], ground: NDArray[np.uint8]) -> NDArray[np.uint
     """Mask where the ground may be asphalt or concrete, grey, neither dark nor white: ``[h, w]``, 255 there."""
     red, green, blue = cv2.split(rgb)
     colour = cv2.subtract(cv2.max(cv2.max(red, green), blue), cv2.min(cv2.min(red, green), blue))
-    grey = cv2.compare(colour, _COLOURED, cv2.CMP_LT)
-    return np.asarray(cv2.bitwise_and(grey, cv2.inRange(ground, _DARKEST, _PALEST)), np.uint8)
+    colourless = cv2.inRange(colour, 0, _COLOURED - 1)
+    return np.asarray(cv2.bitwise_and(colourless, cv2.inRange(ground, _DARKEST, _PALEST)), np.uint8)
 
 
 def _periodic_share(windows: NDArray[np.float32], shortest_px: float, longest_px: float) -> NDArray[np.float32]:
