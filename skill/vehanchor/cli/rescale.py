@@ -118,7 +118,9 @@ def rescale(
             record, write = _model(source, images, lines, chosen, (project, matrix, geo), journal)
         else:
             given = {"--project": project, "--matrix": matrix, "--geo": geo, "--images": images}
-            _refuse({**given, "--known-lengths": lines}, "a reconstruction")
+            _refuse(given, "a reconstruction")
+            if lines is not None:
+                raise InvalidParameterError("an orthophoto is one image: give each line with --known-length")
             record, write = _orthophoto(source, chosen, world_file, geotiff)
         usable = record.status == "ok"
         written = write(record) if usable else []

@@ -124,6 +124,7 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     classes = np.concatenate(
         [each.classes for each in detections if each.classes is not None] or [np.zeros(0, np.intp)]
     )
+    ends = (each.stopped_because for each in detections if each.stopped_because is not None)
     return Detections(
         boxes[order],
         scores[order],
@@ -134,6 +135,7 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         classes[order] if named else None,
         Objects.joined(),
         verified=all(each.verified for each in detections),
+        stopped_because=next(ends, None),
     )
 
 

@@ -90,6 +90,7 @@ def test_an_orthophoto_of_a_wrong_scale_is_told_how_wrong(run: Any) -> None:
         (["."], "reconstruction_unusable"),
         (["project", "--world-file", "a.tfw"], "invalid_parameter"),
         (["ortho.png", "--matrix", "a.txt"], "invalid_parameter"),
+        (["ortho.png", "--known-lengths", "lines.csv"], "invalid_parameter"),
         (["project", "--images", "."], "reconstruction_unusable"),
         (["project", "--matrix", "nowhere/a.txt"], "output_unwritable"),
         (["project", "--project", "project"], "output_unwritable"),

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from tests.analyses import made_card
 from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import NOT_SEARCHED, Detections
 from vehanchor.flight.photograph import Photograph, StoredPhotograph
 from vehanchor.flight.pooling import _pooled_evidence, combined_density, pool, pooled_detections, shifted
 from vehanchor.imagery.facts import ImageFacts
@@ -53,6 +53,12 @@ def test_photographs_of_known_ratio_are_measured_in_the_pixels_of_one() -> None:
 def test_one_photograph_says_what_it_says_alone() -> None:
     one = _photograph(_FLEET)
     assert pool([one], [0.3], 0).estimate == one.analysis.estimate
+
+
+def test_photographs_searched_without_a_car_count_as_searched() -> None:
+    searched = Detections(np.zeros((0, 5)), np.zeros(0), stopped_because="all_searched")
+    assert pooled_detections([searched, searched], np.zeros(2)).stopped_because == "all_searched"
+    assert pooled_detections([NOT_SEARCHED, NOT_SEARCHED], np.zeros(2)).stopped_because is None
 
 
 def test_looks_at_vehicles_stay_with_their_boxes() -> None:
