@@ -2,8 +2,9 @@
 
 const isArea = (record) => "mask_area_px" in record;
 const forPeople = (part) => (part.annotations?.audience ?? ["user"]).includes("user");
+const ARGUMENTS = / \(known_lengths[^)]*\)/g; // names for models
 const textOf = (result) => (result.content ?? []).filter((part) => part.type === "text" && forPeople(part))
-  .map((part) => part.text).join(" ");
+  .map((part) => part.text).join(" ").replaceAll(ARGUMENTS, "");
 const scaleOf = (record) => (isArea(record) ? record.estimate : record);
 
 // The whole record, wherever a short answer has it; the first of several.
