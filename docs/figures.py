@@ -63,16 +63,18 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
     lengths.set_title(f"2. Their modal length: {estimate.mode_length_px:.1f} px", loc="left", fontsize=10)
 
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    vehicles = next(ruler.gsd_m_per_px for ruler in estimate.rulers if ruler.kind == "vehicles")
     lines = (
         f"{estimate.reference_length_m:.2f} m  /  {estimate.mode_length_px:.1f} px",
-        f"= {estimate.gsd_m_per_px:.3f} m/px",
+        f"= {vehicles:.3f} m/px",
+        f"with the other rulers: {estimate.gsd_m_per_px:.3f}",
         f"95 %: {low:.3f} to {high:.3f}",
         f"confidence {estimate.confidence:.2f}",
         "true scale: 0.120",
     )
     for i, line in enumerate(lines):
         scale.text(
-            0.02, 0.82 - 0.19 * i, line, fontsize=15 if i < 2 else 11, color=INK, weight="bold" if i == 1 else None
+            0.02, 0.84 - 0.16 * i, line, fontsize=15 if i < 2 else 11, color=INK, weight="bold" if i == 1 else None
         )
     scale.axis("off")
     scale.set_title("3. Metres per pixel", loc="left", fontsize=10)
