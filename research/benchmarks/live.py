@@ -1,12 +1,15 @@
 """Measure ``vehanchor live`` on rendered flights of exactly known scale.
 
-``python -m research.benchmarks.live [--flights N] [--fleets] [--precision P] [--out FLIGHTS.jsonl] [--record]``.
+``python -m research.benchmarks.live [--flights N] [--fleets] [--loopback RATE] [--precision P] [--out FLIGHTS.jsonl]
+[--record]``.
 
 A flight crosses one rendered place at five frames a second, 1280 x 720. It climbs, turns and shifts. For a second no
 frame arrives, and for another the frames are grey. The last table has the errors of all frames with a scale, the share
 of the intervals that hold the truth, the longest time of ``ok`` with an error above a fifth, and the processor seconds
 of a frame. With ``--fleets``, the cars of each flight have the modal length of a region that the detector knows, in
-turn: the error of the reference length is common to a flight, and one fleet for all flights would not show it.
+turn: the error of the reference length is common to a flight, and one fleet for all flights would not show it. With
+``--loopback``, so many frames a second arrive in a folder, the command reads them, and a MAVLink parser listens on the
+loopback interface.
 """
 
 from __future__ import annotations
@@ -14,8 +17,13 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import socket
+import subprocess
+import sys
 import time
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, get_args
 
 import cv2
@@ -166,17 +174,67 @@ def _longest_wrong(flight: list[dict[str, Any]]) -> float:
     return longest * _STEP_S
 
 
+def loopback(flights: int, rate: float, precision: str) -> dict[str, Any]:
+    """Run ``vehanchor live`` over a folder that fills, and parse its MAVLink messages on the other side."""
+    from pymavlink.dialects.v20 import common as mavlink
+
+    with TemporaryDirectory() as work, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+        folder, written = Path(work, "folder"), []
+        folder.mkdir()
+        for number, (frame, _) in enumerate(row for seed in range(flights) for row in frames_of(seed)):
+            written.append(Path(work, f"{number:04}.jpg"))
+            cv2.imwrite(str(written[-1]), frame.image[:, :, ::-1])
+        station.bind(("127.0.0.1", 0))
+        station.setblocking(False)
+        address = f"127.0.0.1:{station.getsockname()[1]}"
+        options = ["--idle", "3", "--mavlink", address, "--precision", precision]
+        command = [sys.executable, "-m", "vehanchor", "live", str(folder), *options]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as live:
+            assert live.stdout is not None
+            written[0].rename(folder / written[0].name)
+            live.stdout.readline()  # the models are loaded
+            begun = time.monotonic()
+            for number, path in enumerate(written[1:]):
+                time.sleep(max(0.0, begun + number / rate - time.monotonic()))
+                path.rename(folder / path.name)
+            lasted = time.monotonic() - begun
+            rows = [json.loads(line) for line in live.stdout]
+        parser, messages = mavlink.MAVLink(None), 0
+        with suppress(BlockingIOError):
+            while True:
+                messages += len(parser.parse_buffer(station.recv(4096)) or [])
+    latencies = np.array([row["latency_s"] for row in rows])
+    halves = np.array_split(latencies, 2)
+    return {
+        "frames": len(written) - 1,
+        "frames_a_second": rate,
+        "lines": len(rows),
+        "lines_a_second": len(rows) / lasted,
+        "most_skipped_at_once": max(row["n_skipped"] for row in rows),
+        "median_latency_s": float(np.median(latencies)),
+        "largest_latency_s": float(latencies.max()),
+        "median_latency_of_the_halves_s": ", ".join(f"{np.median(half):.3f}" for half in halves),
+        "lines_with_a_scale": sum(row["status"] != "no_scale" for row in rows),
+        "mavlink_messages": messages,
+    }
+
+
 def main() -> None:
     """Run the measurement."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--flights", type=int, default=16)
     parser.add_argument("--fleets", action="store_true", help="fleets of the regions that the detector knows, in turn")
+    parser.add_argument("--loopback", type=float, metavar="RATE", help="frames a second into a folder; MAVLink out")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--precision", choices=("float32", "int8", "auto"), default="auto")
     parser.add_argument("--out", type=Path)
     chosen = add_record_option(parser).parse_args()
-    with recording("flights", ["live_fleets" if chosen.fleets else "live"], chosen.record):
-        _measure(chosen)
+    key = "live_loopback" if chosen.loopback else "live_fleets" if chosen.fleets else "live"
+    with recording("flights", [key], chosen.record):
+        if chosen.loopback:
+            print("\n".join(values_table(loopback(chosen.flights, chosen.loopback, chosen.precision), _AIMS)))
+        else:
+            _measure(chosen)
 
 
 def _measure(chosen: argparse.Namespace) -> None:
