@@ -42,7 +42,7 @@ from vehanchor_scenes import render_scene
 ENVIRONMENT = Path("~/.cache/vehanchor/peers").expanduser()
 _PACKAGES = ("ultralytics==8.4.190", "sahi==0.12.8", "supervision==0.31.2", "onnx", "torch", "torchvision")
 _OURS = "vehanchor"
-_PEERS = ("ultralytics, tile by tile, no merge", "SAHI", "SAHI, default", "supervision")
+_PEERS = ("ultralytics, tile by tile, no merge", "SAHI", "supervision")
 _BARE = "ONNX Runtime alone"
 _SIDE_PX, _TILE_PX = 4096, 1024
 _SCENES = {"200": (0.15, 12), "2,000": (0.15, 125), "15,000": (0.3, None)}
@@ -189,6 +189,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--environment", type=Path, default=ENVIRONMENT, help="folder of the peers' environment")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--tile", action="store_true", help="compare a tile with YOLO11n-OBB instead")
     parser.add_argument("--here", nargs="+", type=Path, metavar="MODEL IMAGE", help=argparse.SUPPRESS)
     options = add_record_option(parser).parse_args()
     if options.here:
@@ -204,12 +205,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         model, images, tiles = write_work(folder)
-        with recording("speed", ["peers"], options.record, packages=list(_PACKAGES)):
-            print(*table(passes(python, model, images, tiles, options.rounds)), sep="\n", flush=True)
+        if not options.tile:
+            with recording("speed", ["peers"], options.record, packages=list(_PACKAGES)):
+                print(*table(passes(python, model, images, tiles, options.rounds)), sep="\n", flush=True)
+            return
         other = folder / "yolo11n-obb.onnx"  # random weights: its time is that of any
         inside = Path(__file__).with_name("peers_inside.py").resolve()
         subprocess.run([str(python), str(inside), "export", str(other)], check=True, capture_output=True, cwd=folder)
-        print(f"\n{tile_times(model, other, 3 * options.rounds)}")
+        print(f"{tile_times(model, other, 3 * options.rounds)}")
 
 
 if __name__ == "__main__":

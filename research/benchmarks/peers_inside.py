@@ -11,7 +11,6 @@ import json
 import shutil
 import sys
 import time
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,7 +67,7 @@ def _predictor(model: str) -> Callable[[Any], Any]:
     return predict
 
 
-def _sahi(model: str, image: Any, _tiles: Any, whole_image_too: bool = False) -> Callable[[], Found]:
+def _sahi(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
     from sahi import AutoDetectionModel
     from sahi.predict import get_sliced_prediction
     from sahi.slicing import get_slice_bboxes
@@ -78,12 +77,12 @@ def _sahi(model: str, image: Any, _tiles: Any, whole_image_too: bool = False) ->
     )
     share = OVERLAP_PX / TILE_PX
     height, width = image.shape[:2]
-    n_slices = len(get_slice_bboxes(height, width, TILE_PX, TILE_PX, False, share, share)) + whole_image_too
+    n_slices = len(get_slice_bboxes(height, width, TILE_PX, TILE_PX, False, share, share))
 
     def sliced(pixels: Any) -> Any:
         return get_sliced_prediction(
             pixels, network, slice_height=TILE_PX, slice_width=TILE_PX, overlap_height_ratio=share,
-            overlap_width_ratio=share, perform_standard_pred=whole_image_too, postprocess_match_threshold=NMS_IOU,
+            overlap_width_ratio=share, perform_standard_pred=False, postprocess_match_threshold=NMS_IOU,
             verbose=0,
         )  # fmt: skip
 
@@ -138,7 +137,6 @@ def main() -> None:
         "ONNX Runtime alone": _bare,
         "ultralytics, tile by tile, no merge": _ultralytics,
         "SAHI": _sahi,
-        "SAHI, default": partial(_sahi, whole_image_too=True),
         "supervision": _supervision,
     }
     for image in images:

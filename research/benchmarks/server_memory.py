@@ -48,6 +48,8 @@ async def measure(*flags: str, n_rounds: int, n_calls: int) -> None:
                     taken_ms.append(1000 * (time.perf_counter() - started))
     values: dict[str, float | str] = {
         "PSS once loaded, MiB": round(sum(loaded)),
+        "PSS of the server alone once loaded, MiB": round(loaded[0]),
+        "PSS of the largest worker after both tools, MiB": round(max(called[1:], default=0.0)),
         "PSS after both tools, twice at once, MiB": round(sum(called)),
         f"PSS {IDLE_S:g} s later, MiB": round(sum(idle)),
         "processes": len(idle),

@@ -32,9 +32,12 @@ from vehanchor.options import ScaleOptions, Search
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
-_SIDE_PX = 4096
+    from vehanchor.detection.card import DetectorCard
+
 _EVERY_TILE = ScaleOptions(search=Search(effort="full"))  # an image of that size is not searched wholly by default
 
 
@@ -44,31 +47,41 @@ def large_scene() -> NDArray[np.uint8]:
     return np.ascontiguousarray(np.tile(scene.image, (4, 4, 1)))
 
 
-def _bare(session: onnxruntime.InferenceSession, tiles: list[NDArray[np.float32]]) -> float:
-    started = time.perf_counter()
+def input_tiles(image: NDArray[np.uint8], card: DetectorCard) -> list[NDArray[np.float32]]:
+    """Tiles of an image at all resolutions, as the detector takes them."""
+    tiles = []
+    with open_raster(image) as raster:
+        for level in search_levels(
+            raster.width_px, raster.height_px, card.length_range_px, search_scales=card.search_scales
+        ):
+            for window in tile_grid(level.width_px, level.height_px):
+                pixels = read_reduced_window(raster, window, level.factor)
+                tiles.append(np.asarray(cv2.dnn.blobFromImage(pixels, 1 / 255.0), dtype=np.float32))
+    return tiles
+
+
+def bare_seconds(
+    session: onnxruntime.InferenceSession, tiles: list[NDArray[np.float32]], clock: Callable[[], float]
+) -> float:
+    """Seconds of a network alone."""
+    started = clock()
     for tile in tiles:
         session.run(None, {"images": tile})
-    return time.perf_counter() - started
+    return clock() - started
 
 
 def pipeline(rounds: int, others: list[str]) -> list[str]:
     """Whole pipeline against bare ONNX Runtime, against its own networks, and with other files."""
     image = large_scene()
     detectors = [Detector(resolve_model(name)) for name in (None, *others)]
-    tiles = []
-    with open_raster(image) as raster:
-        card = detectors[0].card
-        for level in search_levels(_SIDE_PX, _SIDE_PX, card.length_range_px, search_scales=card.search_scales):
-            for window in tile_grid(level.width_px, level.height_px):
-                pixels = read_reduced_window(raster, window, level.factor)
-                tiles.append(np.asarray(cv2.dnn.blobFromImage(pixels, 1 / 255.0), dtype=np.float32))
+    tiles = input_tiles(image, detectors[0].card)
     sessions = [onnxruntime.InferenceSession(str(each.path), providers=["CPUExecutionProvider"]) for each in detectors]
     bare: list[list[float]] = [[] for _ in detectors]
     whole: list[list[float]] = [[] for _ in detectors]
     added: list[list[float]] = [[] for _ in detectors]
     for number in range(rounds + 1):
         for k, (detector, session) in enumerate(zip(detectors, sessions, strict=True)):
-            alone = _bare(session, tiles)
+            alone = bare_seconds(session, tiles, time.perf_counter)
             started = time.perf_counter()
             with networks_seconds(time.perf_counter) as networks:
                 n_boxes = len(analyse_scale(image, _EVERY_TILE, detector=detector).detections.boxes)
@@ -125,7 +138,8 @@ def nms_time() -> str:
     return f"| oriented NMS of 50,000 boxes, {len(kept)} kept, s | {statistics.median(times):.2f} |"
 
 
-def _command_time(*command: str) -> float:
+def command_time(*command: str) -> float:
+    """Median wall time of five runs of the interpreter, s."""
     times = []
     for _ in range(5):
         started = time.perf_counter()
@@ -136,10 +150,10 @@ def _command_time(*command: str) -> float:
 
 def start_up() -> list[str]:
     """Import and help times, the bare interpreter's taken off for the import."""
-    interpreter = _command_time("-c", "pass")
+    interpreter = command_time("-c", "pass")
     return [
-        f"| import vehanchor, s | {_command_time('-c', 'import vehanchor') - interpreter:.2f} |",
-        f"| vehanchor --help, s | {_command_time('-m', 'vehanchor', '--help'):.2f} |",
+        f"| import vehanchor, s | {command_time('-c', 'import vehanchor') - interpreter:.2f} |",
+        f"| vehanchor --help, s | {command_time('-m', 'vehanchor', '--help'):.2f} |",
     ]
 
 

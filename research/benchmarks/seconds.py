@@ -1,0 +1,169 @@
+"""Measure the figures of speed in one run, beside other tools: ``python -m research.benchmarks.seconds``.
+
+Prints Markdown; ``--record`` keeps it. It takes seven minutes on two quiet cores and needs no network access, if
+``peers.py`` has made its environment (``--environment``). The speed of the bare network is measured before and after
+all others, so that a machine which changed its speed is noticed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import cv2
+import numpy as np
+import onnxruntime
+
+from research.benchmarks.batch import run_rows
+from research.benchmarks.peers import ENVIRONMENT
+from research.benchmarks.photographs import Recipe, pair
+from research.benchmarks.speed import bare_seconds, command_time, input_tiles, large_scene
+from research.results.record import add_record_option, header, recording, tables_of
+from vehanchor.engine import Engine
+from vehanchor.models.runtime import Runtime
+from vehanchor.models.zoo import resolve_model
+from vehanchor_scenes import render_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from research.results.record import Cell, Table
+    from vehanchor_scenes import Layout
+
+_SIZE_PX = (4000, 3000)
+_SCENES: tuple[tuple[Layout, float], ...] = (("urban", 0.04), ("urban", 0.15), ("countryside", 0.1), ("sports", 0.08))
+_N_BATCH = 10
+_OURS = "vehanchor"
+_TOOLS = (_OURS, "ultralytics, tile by tile, no merge", "SAHI", "supervision")
+Row: TypeAlias = "tuple[str, str, Sequence[Cell]]"
+"""Name of a figure, its aim, and its value for this library and the others, if they have it."""
+
+
+def printed(module: str, *options: str) -> list[Table]:
+    """Run another benchmark, and read its tables."""
+    command = [sys.executable, "-m", f"research.benchmarks.{module}", *options]
+    return tables_of(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
+
+
+def tile_ms() -> float:
+    """Milliseconds of the bare network for a tile, all cores; median of 15."""
+    session = onnxruntime.InferenceSession(str(resolve_model()), providers=["CPUExecutionProvider"])
+    tile = np.random.default_rng(0).random((1, 3, 1024, 1024), np.float32)
+    return 1000 * statistics.median(bare_seconds(session, [tile], time.perf_counter) for _ in range(15))
+
+
+def search(environment: Path, rounds: int) -> list[Row]:
+    """The search with one detector beside the other tools."""
+    (table,) = printed("peers", "--environment", str(environment), "--rounds", str(rounds))
+    rows: list[Row] = []
+    for vehicles in ("200", "2,000", "15,000"):
+        for column in ("wall / bare", "CPU time / bare"):
+            values = [table.value(f"{int(vehicles.replace(',', ''))} / {tool}", column) for tool in _TOOLS]
+            rows.append((f"search with {vehicles} vehicles: {column}", "1.03", values))
+    values = [table.value(f"2000 / {tool}", "peak MiB") for tool in _TOOLS]
+    return [*rows, ("the same with 2,000: peak MiB", "", values)]
+
+
+def photographs(folder: Path) -> list[Row]:
+    """Adaptive search of photographs of 12 megapixels beside the full one, and two workers beside one."""
+    engine = Engine(runtime=Runtime(threads=1))
+    pairs = []
+    for number, scene in enumerate(_SCENES):
+        image = Recipe(folder, "val", number, len(_SCENES), _SIZE_PX, np.random.default_rng(number)).scene(*scene)
+        path = folder / f"{scene[0]}-{scene[1]}_{number}.jpg"
+        cv2.imwrite(str(path), image)
+        pairs.append(pair(path, engine, 1))
+    cpu = statistics.median(each.auto_s / each.full_s for each in pairs)
+    same = sum(each.full.status == each.auto.status for each in pairs)
+    close = max(each.change for each in pairs)
+    copies = folder / "copies"
+    copies.mkdir()
+    for number in range(_N_BATCH):
+        os.link(path, copies / f"{number:02}.jpg")
+    one, two = (run_rows(copies, "local", workers).rate for workers in (1, 2))
+    n = f"{len(pairs)} rendered photographs, 12 megapixels"
+    return [
+        (f"{n}: CPU time, `auto` / `full`, median", "0.4", [round(cpu, 2)]),
+        (f"{n}: largest change of a value, %", "2", [round(100 * close, 1)]),
+        (f"{n}: equal statuses", "all", [same]),
+        (f"batch of {_N_BATCH} such photographs: rate of two workers / one", "1.9", [round(two / one, 2)]),
+        ("the same: images a second of two workers", "", [round(two, 2)]),
+    ]
+
+
+def car_park() -> list[Row]:
+    """All networks on a car park from edge to edge, adaptively, beside the bare detector on all tiles; one thread."""
+    image, engine = large_scene(), Engine(runtime=Runtime(threads=1))
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(str(engine.detector.path), options, providers=["CPUExecutionProvider"])
+    tiles = input_tiles(image, engine.detector.card)
+    engine.estimate(image[:1024, :1024])  # loads the models
+    bare = bare_seconds(session, tiles, time.process_time)
+    started = time.process_time()
+    estimate = engine.estimate(image)
+    ratio = (time.process_time() - started) / bare
+    name = f"car park of 4096 x 4096 px, {estimate.tiles_searched} of {estimate.tiles_total} tiles: CPU time / bare"
+    return [(name, "1.3", [round(ratio, 2)])]
+
+
+def start(folder: Path) -> list[Row]:
+    """Starts, warm calls and memory."""
+    small = folder / "small.png"
+    cv2.imwrite(str(small), render_scene(0.15, width_px=256, height_px=256, seed=5).image[:, :, ::-1])
+    overhead, first = printed("server_overhead", "--calls", "15", "--starts", "5")
+    (memory,) = printed("server_memory", "--rounds", "1", "--calls", "15")
+    picture = command_time("-m", "vehanchor", "estimate", str(small))
+    listing = first.value("first `tools/list` after the start, median, s", "value")
+    beyond = overhead.value("`estimate_gsd`", "overhead, median, ms")
+    area, alone, worker = (
+        memory.value(name, "value")
+        for name in (
+            "measure_area with a known scale, median, ms",
+            "PSS of the server alone once loaded, MiB",
+            "PSS of the largest worker after both tools, MiB",
+        )
+    )
+    return [
+        ("`vehanchor estimate`, 256 x 256 px, s", "0.9", [round(picture, 2)]),
+        ("first `tools/list`, s", "0.8", [listing]),
+        ("warm `estimate_gsd` over stdio beyond the library, ms", "10", [beyond]),
+        ("`measure_area` with a known scale over HTTP, ms", "60", [area]),
+        ("server alone, once loaded, MiB", "120", [alone]),
+        ("largest worker after both tools, MiB", "260", [worker]),
+    ]
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--environment", type=Path, default=ENVIRONMENT, help="of the other tools: see peers.py")
+    parser.add_argument("--rounds", type=int, default=2, help="of the other tools")
+    options = add_record_option(parser).parse_args()
+    with recording("speed", ["seconds"], options.record), tempfile.TemporaryDirectory() as name:
+        before = tile_ms()
+        rows = [
+            *search(options.environment, options.rounds),
+            *car_park(),
+            *photographs(Path(name)),
+            *start(Path(name)),
+        ]
+        bare: list[Row] = [
+            (f"bare network, {when}: ms a tile", "", [round(each, 1)])
+            for when, each in (("before", before), ("after", tile_ms()))
+        ]
+        print(header("figure", _OURS, "ultralytics", "SAHI", "supervision", "aim"))
+        for figure, aim, values in [*bare, *rows]:
+            cells = [*map(str, values), *[""] * (len(_TOOLS) - len(values))]
+            print(f"| {figure} | {' | '.join(cells)} | {aim} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
