@@ -33,7 +33,7 @@ from research.results.record import add_record_option, recording
 from vehanchor.detection.detections import Detections
 from vehanchor.engine import Engine
 from vehanchor.flight.estimate import conclude, open_journal, search_flight
-from vehanchor.flight.features import find_features
+from vehanchor.flight.features import Features, find_features
 from vehanchor.flight.inputs import InputPhotograph
 from vehanchor.flight.matching import match
 from vehanchor.flight.photograph import Photograph, StoredPhotograph, photograph_codec
@@ -102,7 +102,7 @@ def chia_table(data: Path) -> Iterator[Truth]:
 def searched(
     name: str, image: ImageSource, detector: Detector, cache: Path, options: ScaleOptions | None = None
 ) -> Photograph:
-    """A photograph with its features; the search is kept under its name and options."""
+    """A photograph with its features; the results are kept under its name and options."""
     chosen = options or ScaleOptions()
     key = hashlib.sha256(f"{detector.card.sha256} {Path(name).name} {options or ''}".encode()).hexdigest()[:24]
     known = cache / f"{key}.json"
@@ -113,8 +113,13 @@ def searched(
         cache.mkdir(parents=True, exist_ok=True)
         known.write_text(json.dumps(photograph_codec().dump(StoredPhotograph.of(found.view, found.analysis))))
     stored = photograph_codec().load(json.loads(known.read_text()))
-    with open_raster(image) as raster:
-        features = find_features(raster)
+    kept = known.with_suffix(".npz")
+    if not kept.exists():
+        with open_raster(image) as raster:
+            found_features = find_features(raster)
+        np.savez(kept, points=found_features.points, descriptors=found_features.descriptors, pixel=found_features.pixel)
+    with np.load(kept) as arrays:
+        features = Features(arrays["points"], arrays["descriptors"], float(arrays["pixel"]))
     return Photograph.of(name, stored, detector.card, chosen, features)
 
 

@@ -33,7 +33,7 @@ _MOST_INFLATION = 8.0
 _GRADIENT_SD = 0.05  # log of scale from the centre to the edge: a tilt of two to five degrees
 _LOOSE_SD = 3.0  # of a photograph without evidence: keeps the problem regular
 _MAD_PER_SD = 0.6745
-_LEAST_TILT_LINKS, _LEAST_TILT_SHARE = 5, 0.5
+_LEAST_TILT_PHOTOGRAPHS, _LEAST_TILT_SHARE = 4, 0.5
 _TILT_GRADIENTS = 0.12, 0.9  # half of the longer side over the focal length, times the tangent of 10 to 52 degrees
 _LEAST_NEARNESS = 0.15  # of a point to the camera's foot, over the centre's: keeps away from the horizon
 
@@ -244,9 +244,10 @@ def tilt_share(links: Sequence[Link]) -> float:
         links: of one component, between photographs of unknown tilt.
 
     Returns:
-        0..1; 0 for few links, and if no tilt above ten degrees explains at least half.
+        0..1; 0 for fewer than four photographs, and if no tilt above ten degrees explains at least half.
     """
-    if len(links) < _LEAST_TILT_LINKS:
+    n = len({end for link in links for end in (link.first, link.second)})
+    if n < _LEAST_TILT_PHOTOGRAPHS:
         return 0.0
     ratios = np.array([link.log_ratio for link in links])
     ends = [np.array([link.first_at for link in links]), np.array([link.second_at for link in links])]
@@ -254,7 +255,7 @@ def tilt_share(links: Sequence[Link]) -> float:
     tilts = np.column_stack([(sizes * np.cos(turns)).ravel(), (sizes * np.sin(turns)).ravel()])
     first, second = (-1.5 * np.log(np.maximum(1 - tilts @ at.T, _LEAST_NEARNESS)) for at in ends)
     left = ((ratios - first + second) ** 2).sum(axis=1).min()
-    share = 1 - float(left / max(np.sum(ratios**2), 1e-9))
+    share = 1 - float(left / max(np.sum(ratios**2), 1e-9)) * (n - 1) / (n - 3)  # less what two parameters fit by chance
     return share if share >= _LEAST_TILT_SHARE else 0.0
 
 
