@@ -17,6 +17,7 @@ from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
+from vehanchor_server.calls.compact import ADVICE_ON_MASK
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
@@ -253,4 +254,6 @@ def _area_in_words(area: AreaMeasurement) -> str:
         return size + ("as accurate as the given scale." if area.scale_source == "given" else "safe to use.")
     if area.confidence is not None and area.confidence < FALLBACK_CONFIDENCE:
         return size + unusable_scale(area.estimate)
-    return size + "do not rely on it (low mask score); look at include_overlay, or draw another box."
+    if any(notice.code == "mask_score_low" for notice in area.warnings):
+        return size + "do not rely on it (low mask score); look at include_overlay, or draw another box."
+    return size + f"do not rely on it (a point does not show the whole object); {ADVICE_ON_MASK}."

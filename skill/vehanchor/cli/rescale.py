@@ -23,7 +23,7 @@ from vehanchor.cli.terminal import (
     resumable,
     tile_progress,
 )
-from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.errors import ImageNotFoundError, InvalidParameterError, OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -113,6 +113,8 @@ def rescale(
         journal = None if out is None else check_record_path(out).with_name(out.name + ".journal")
         for path in (matrix, geo, world_file):
             _check_file(path)
+        if not Path(source).suffix and not Path(source).exists():
+            raise ImageNotFoundError(f"there is no folder {source!r}: name a reconstruction or an orthophoto")
         if find_model(source) is not None or Path(source).is_dir():
             _refuse({"--world-file": world_file, "--geotiff": geotiff}, "an orthophoto")
             record, write = _model(source, images, lines, chosen, (project, matrix, geo), journal)

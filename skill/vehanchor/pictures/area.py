@@ -11,7 +11,7 @@ from vehanchor.errors import OutputError
 from vehanchor.pictures.lettering import text_px, text_width, write_on
 from vehanchor.pictures.measured import MEASURED_RGB, finish, numbered, open_canvas, size_in_words
 from vehanchor.pictures.placement import CUT_SIDE_PX, Cut, part_around
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
+from vehanchor.records.notices import NoticeCode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -144,6 +144,5 @@ def _size(record: AreaMeasurement) -> str:
 
 
 def _low_mask(record: AreaMeasurement) -> str:
-    """Mark a low mask score if the scale itself is usable."""
-    scale_is_good = record.confidence is None or record.confidence >= FALLBACK_CONFIDENCE
-    return " - low" if record.status == "low_confidence" and scale_is_good else ""
+    """Mark a low mask score."""
+    return " - low" if any(notice.code == NoticeCode.MASK_SCORE_LOW for notice in record.warnings) else ""

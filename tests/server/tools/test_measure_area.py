@@ -105,6 +105,7 @@ async def test_another_object_that_a_point_may_mean_is_told_in_the_callers_pixel
     )["alternatives"]
     assert first["area_m2"] == pytest.approx(first["mask_area_px"] * 0.15**2)
     told = text_of(result)
+    assert "do not rely on it (a point does not show the whole object); give a tight box around the object." in told
     assert "The mask spans x 150 to 174, y 165 to 213 px of your 320 x 256 copy. Or you mean " in told
     x1, y1, x2, y2 = (side / 2 for side in first["bounding_box"].values())
     assert f"Or you mean {first['area_m2']:.3g} m2 in x {x1:.0f} to {x2:.0f}, y {y1:.0f} to {y2:.0f}" in told

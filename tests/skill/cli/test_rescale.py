@@ -87,6 +87,7 @@ def test_an_orthophoto_of_a_wrong_scale_is_told_how_wrong(run: Any) -> None:
     ("arguments", "code"),
     [
         (["nothing.json"], "image_not_found"),
+        (["nowhere", "--matrix", "a.txt"], "image_not_found"),
         (["."], "reconstruction_unusable"),
         (["project", "--world-file", "a.tfw"], "invalid_parameter"),
         (["ortho.png", "--matrix", "a.txt"], "invalid_parameter"),
