@@ -134,7 +134,7 @@ class Rulers:
 
     rulers: tuple[str, ...] | None = field(
         default=None,
-        metadata=option("Rulers to use, with commas. Default: all but those that must be named.", metavar="NAMES"),
+        metadata=option("Rulers to use, with commas. Default: all.", metavar="NAMES"),
     )
     metadata: bool = field(
         default=True,

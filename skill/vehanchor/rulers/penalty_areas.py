@@ -16,9 +16,10 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid
 from vehanchor.rulers.bay_lines import thin_lines
 from vehanchor.rulers.standards import lengths_of
+from vehanchor.rulers.turf import smooth_ground
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -105,12 +106,15 @@ def _template() -> Template:
 _AREA = _template()
 
 
-def find_penalty_areas(raster: Raster, scale: Interval) -> list[PenaltyArea]:
-    """Find penalty areas that lie completely in the image, with their goal area and arc.
+def find_penalty_areas(
+    raster: Raster, scale: Interval, covers: Callable[[float, float], bool] | None = None
+) -> list[PenaltyArea]:
+    """Find penalty areas that lie completely in the image, with their goal area and arc, on smooth coloured ground.
 
     Args:
         raster: the image.
         scale: metres per pixel between which its scale lies.
+        covers: whether to look around a place, x and y in pixels of the image; None looks everywhere.
     """
     middle = math.sqrt(scale.low * scale.high)
     factor = max(1, round(_SOUGHT_M_PER_PX / middle))
@@ -118,8 +122,16 @@ def find_penalty_areas(raster: Raster, scale: Interval) -> list[PenaltyArea]:
     found: list[PenaltyArea] = []
     size = raster.width_px // factor, raster.height_px // factor
     for window in tile_grid(*size, tile_px=round(_TILE_PX / zoom), stride_px=round(_STRIDE_PX / zoom)):
-        grey = _grey(raster, window, factor, zoom)
-        guesses = _guesses(grey, scale.low * factor / zoom, scale.high * factor / zoom)
+        middle_px = (window.x_px + window.width_px / 2) * factor, (window.y_px + window.height_px / 2) * factor
+        if covers is not None and not covers(*middle_px):
+            continue
+        rgb = read_reduced_window(raster, window, factor)
+        half = cv2.resize(rgb, (-(-window.width_px // 2), -(-window.height_px // 2)), interpolation=cv2.INTER_AREA)
+        ground = smooth_ground(np.asarray(half, np.uint8), 2 * scale.high * factor)
+        if not ground.any():
+            continue
+        grey = _enlarged(rgb, zoom)
+        guesses = _guesses(grey, ground, scale.low * factor / zoom, scale.high * factor / zoom)
         for guess in sorted(guesses, key=lambda each: -each.share)[:_MOST_FITTED]:
             area = _fitted(raster, _placed(window, factor, zoom) @ guess.matrix, factor)
             if area is not None and not any(_same(area, other) for other in found):
@@ -127,26 +139,36 @@ def find_penalty_areas(raster: Raster, scale: Interval) -> list[PenaltyArea]:
     return found
 
 
-def _grey(raster: Raster, window: Window, factor: int, zoom: float) -> NDArray[np.uint8]:
-    """Read grey levels, reduced by ``factor`` and enlarged by ``zoom``."""
-    grey = cv2.cvtColor(read_reduced_window(raster, window, factor), cv2.COLOR_RGB2GRAY)
-    size = round(window.width_px * zoom), round(window.height_px * zoom)
-    return np.asarray(grey if zoom == 1 else cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+def _enlarged(rgb: NDArray[np.uint8], zoom: float) -> NDArray[np.uint8]:
+    """Compute grey levels, enlarged."""
+    grey = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
+    size = round(grey.shape[1] * zoom), round(grey.shape[0] * zoom)
+    return grey if zoom == 1 else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), np.uint8)
 
 
 def _placed(window: Window, factor: int, zoom: float) -> NDArray[np.float64]:
-    """Build the matrix ``[3, 3]`` from pixels that ``_grey`` returns to those of the image; 0 is a pixel's centre."""
+    """Build the matrix ``[3, 3]`` from pixels of an enlarged window to those of the image; 0 is a pixel's centre."""
     scale = factor / zoom
     x, y = (start * factor + scale / 2 - 0.5 for start in (window.x_px, window.y_px))
     return np.array([[scale, 0.0, x], [0.0, scale, y], [0.0, 0.0, 1.0]])
 
 
-def _guesses(grey: NDArray[np.uint8], low_m_per_px: float, high_m_per_px: float) -> list[_Guess]:
-    """Guess areas by straight lines in two directions at right angles, distinct ones only."""
+def _guesses(
+    grey: NDArray[np.uint8], ground: NDArray[np.uint8], low_m_per_px: float, high_m_per_px: float
+) -> list[_Guess]:
+    """Guess areas by straight lines in two directions at right angles, distinct ones only.
+
+    Args:
+        grey: grey levels ``[h, w]``.
+        ground: mask of the same extent at any resolution, 0 where no lines are sought.
+        low_m_per_px: finest scale.
+        high_m_per_px: coarsest scale.
+    """
     middle = math.sqrt(low_m_per_px * high_m_per_px)
     widest = max(_PAINT_M / middle, _PAINT_PX)
     bright = cv2.morphologyEx(grey, cv2.MORPH_TOPHAT, np.ones((_BRIGHTER_PX, _BRIGHTER_PX), np.uint8))
     clear = np.asarray(cv2.convertScaleAbs(bright, alpha=_GAIN), np.uint8)
+    clear[cv2.resize(ground, grey.shape[::-1], interpolation=cv2.INTER_NEAREST) == 0] = 0
     lines = thin_lines(clear, widest, _SHORTEST_M / high_m_per_px, _LONGEST_M / low_m_per_px)
     if not len(lines.angles):
         return []
@@ -247,7 +269,8 @@ def _fitted(raster: Raster, matrix: NDArray[np.float64], factor: int) -> Penalty
         window = _around(raster, matrix, each)
         if window is None:
             return None
-        grey, placed = np.asarray(_grey(raster, window, each, 1.0), np.float32), _placed(window, each, 1.0)
+        grey = cv2.cvtColor(read_reduced_window(raster, window, each), cv2.COLOR_RGB2GRAY).astype(np.float32)
+        placed = _placed(window, each, 1.0)
         seen = fit(grey, _AREA, np.linalg.inv(placed) @ matrix, SIMILARITY)
         matrix = placed @ seen.matrix
     if not _is_supported(seen) or fit(grey, _AREA, seen.matrix, AFFINE).distortion > _MOST_DISTORTION:

@@ -32,15 +32,19 @@ class Pitches(Ruler):
     kind = "pitches"
     label = "football pitches"
     plural = True
-    help = "a full-size penalty area of a football pitch whole in the image, up to 0.2 m/px; must be named"
+    help = "a full-size penalty area of a football pitch whole in the image, up to 0.2 m/px"
     colour = "#009E73"
     independent_of_vehicles = True
-    by_default = False  # it can double the time of an estimate, and no photograph has tested a find
 
     def find(self, view: View) -> tuple[PenaltyArea, ...]:
-        """Find penalty areas at the scales that the scene-scale prior allows; none without pixels or prior."""
+        """Find penalty areas at the scales that the scene-scale prior allows; none without pixels or prior.
+
+        After a search that ended early, only the searched part of the image is examined.
+        """
         scale = prior_range(view, _RESOLVED, _PRIOR_SHARE, _FARTHEST)
-        return () if view.raster is None or scale is None else tuple(find_penalty_areas(view.raster, scale))
+        if view.raster is None or scale is None:
+            return ()
+        return tuple(find_penalty_areas(view.raster, scale, view.detections.covers))
 
     def measure(self, view: View) -> LognormalEvidence:
         """Average the scales of the areas that agree with the one whose lines are seen best."""

@@ -50,8 +50,7 @@ def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
     return tuple(
         ruler()
         for ruler in map(ruler_class, RULERS)
-        if (ruler.by_default if options.rulers is None else ruler.kind in options.rulers)
-        and (options.metadata or not ruler.reads_metadata)
+        if (options.rulers is None or ruler.kind in options.rulers) and (options.metadata or not ruler.reads_metadata)
     )
 
 
@@ -67,4 +66,4 @@ def needs_search(options: Rulers) -> bool:
 
 def rulers_help() -> str:
     """Make the help of the option ``rulers``."""
-    return f"Rulers to use, with commas: {', '.join(RULERS)}. Default: all but those that must be named."
+    return f"Rulers to use, with commas: {', '.join(RULERS)}. Default: all."

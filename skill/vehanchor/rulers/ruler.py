@@ -35,7 +35,6 @@ class Ruler:
         independent_of_vehicles: it does not use vehicles, so that its evidence can distinguish cars from parts of cars.
         sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other rulers.
         of_flights: it measures the photographs of a flight together, never a single image.
-        by_default: it is used without being named. False for one that costs much or lacks tests on photographs.
         stored_classes: classes of its evidence by their names in journals; a name never changes.
     """
 
@@ -51,7 +50,6 @@ class Ruler:
     independent_of_vehicles: ClassVar[bool] = False
     sets_scale: ClassVar[bool] = True
     of_flights: ClassVar[bool] = False
-    by_default: ClassVar[bool] = True
     stored_classes: ClassVar[Mapping[str, type[Evidence]]] = MappingProxyType({})
 
     def find(self, view: View) -> tuple[Any, ...]:  # noqa: ARG002

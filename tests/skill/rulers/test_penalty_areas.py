@@ -94,3 +94,10 @@ def test_a_rough_scale_is_enough_and_a_wrong_one_finds_nothing() -> None:
     image = _drawn(0.12, FULL)
     assert len(_found(image, 0.12 * 1.4)) == len(_found(image, 0.12 / 1.4)) == 1
     assert _found(image, 0.12 * 3) == _found(image, 0.12 / 3) == []
+
+
+def test_areas_are_sought_only_where_the_search_went() -> None:
+    image = _drawn(0.15, FULL)
+    with open_raster(image) as raster:
+        assert len(find_penalty_areas(raster, Interval(0.1, 0.225), lambda x, y: x > 0 and y > 0)) == 1
+        assert find_penalty_areas(raster, Interval(0.1, 0.225), lambda x, y: x < 0 and y < 0) == []

@@ -11,11 +11,10 @@ from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.options import Rulers, ScaleOptions
+from vehanchor.options import ScaleOptions
 from vehanchor.rulers.evidence import View
 from vehanchor.rulers.penalty_areas import PenaltyArea
 from vehanchor.rulers.pitches import Pitches
-from vehanchor.rulers.registry import uses
 from vehanchor_scenes import render_scene
 
 
@@ -50,11 +49,6 @@ def test_the_marks_show_the_outline_and_two_sides() -> None:
 def test_without_areas_or_without_pixels_there_is_no_evidence() -> None:
     assert Pitches().measure(_view()).gsd_m_per_px is None
     assert Pitches().measure(replace(_view(), found={})).gsd_m_per_px is None
-
-
-def test_pitches_are_measured_only_for_a_caller_who_names_them() -> None:
-    assert not uses(Rulers(), "pitches")
-    assert uses(Rulers(rulers=("vehicles", "pitches")), "pitches")
 
 
 def test_a_pitch_without_any_car_has_a_scale() -> None:
