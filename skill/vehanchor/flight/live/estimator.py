@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.analysis.pipeline import analyse_detections, checked_detector, search_raster
+from vehanchor.analysis.pipeline import checked_detector, conclude, search_raster
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.flight.features import find_features
 from vehanchor.flight.live.filter import FilterState, Measurement, Motion, corrected, predicted
@@ -19,6 +19,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import read_reduced_window
 from vehanchor.options.option import Limits
 from vehanchor.records import LiveScale
+from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.fusion import credible_interval
@@ -137,7 +138,8 @@ class LiveEstimator:
         prior = None if self._prior is None else self._prior.scaled(factor)
         with open_raster(read_reduced_window(raster, window, factor)) as part:
             view = search_raster(part, self._detector, self._options, prior, check_stretch=self._checks_stretch)
-            analysis = analyse_detections(self._with_stretch(view))
+            view = self._with_stretch(view)
+            analysis = conclude(view, *measure_all(view))  # no tilt: the camera looks down
         measured = measurement(analysis, factor)
         if measured is not None:
             self._state = corrected(self._state, measured)

@@ -10,21 +10,22 @@ import pytest
 
 from tests.models import paint_vehicles, write_detector
 from tests.skill.flight.ground import ground, photograph_of
-from vehanchor.analysis.pipeline import analyse_detections, search_raster
+from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import load_detector
 from vehanchor.engine import Engine
 from vehanchor.errors import InvalidParameterError
 from vehanchor.flight.live.estimator import LiveEstimator
 from vehanchor.flight.live.frames import Frame
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.measurement import measure_all
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.rulers.evidence import View
+    from vehanchor.rulers.evidence import Evidence, View
+    from vehanchor.rulers.vehicles import VehicleEvidence
 
 FLEET = 30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3)
 
@@ -103,12 +104,12 @@ def test_a_stretch_found_once_is_kept_and_tested_now_and_then(
         tested.append(check_stretch)
         return replace(view, detections=replace(view.detections, stretch_sigmas=7.0 if check_stretch else None))
 
-    def analysed(view: View) -> ScaleAnalysis:
+    def measured(view: View) -> tuple[VehicleEvidence, tuple[Evidence, ...]]:
         kept.append(view.detections.stretch_sigmas)
-        return analyse_detections(view)
+        return measure_all(view)
 
     monkeypatch.setattr(f"{module}.search_raster", searched)
-    monkeypatch.setattr(f"{module}.analyse_detections", analysed)
+    monkeypatch.setattr(f"{module}.measure_all", measured)
     estimator = LiveEstimator(load_detector(write_detector(tmp_path / "detector.onnx")), ScaleOptions())
     for number in range(12):
         record = estimator.estimate(frame_of(photograph_of(world, 700, 700), 0.2 * number, cars=True))
