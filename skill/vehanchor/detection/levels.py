@@ -31,6 +31,11 @@ class SearchLevel(NamedTuple):
     shortest_px: float
     longest_px: float
 
+    @property
+    def shortest_own_px(self) -> float:
+        """Shortest vehicle that no finer level accepts, in pixels of the reduced image."""
+        return self.shortest_px * LEVEL_OVERLAP
+
     def counts(self, lengths_px: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Test which vehicles are accepted, by their lengths in pixels of the reduced image."""
         return (lengths_px >= self.shortest_px) & (lengths_px <= self.longest_px)

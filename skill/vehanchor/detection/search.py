@@ -204,10 +204,15 @@ class _Work:
         return [group for group in (likely, everything - likely) if group]
 
     def excluded(self, check: Convergence) -> frozenset[int]:
-        """List the resolutions at which the scale found so far excludes cars; none without a vehicle or a prior."""
+        """List the resolutions that the scale found so far makes superfluous; none without a vehicle or a prior.
+
+        Cars there have a length that the detector does not know, or that a finer resolution accepts as well.
+        """
         if self._prior is None or check.density is None:
             return frozenset()
-        chances = level_chances(self._length_ranges_px(), check.density)
+        shortest = self._card_range_px[0]
+        own = {level.factor: (max(shortest, level.shortest_own_px), level.longest_px) for level in self.levels}
+        chances = level_chances(own, check.density)
         return frozenset(factor for factor, chance in chances.items() if chance < _EXCLUDED_CHANCE)
 
     def _length_ranges_px(self) -> dict[int, tuple[float, float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.detection.boxes import oriented_iou
+from vehanchor.detection.convergence import Convergence
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
@@ -20,8 +22,11 @@ from vehanchor.detection.search import search
 from vehanchor.engine.verbs import analyse_scale, estimate_gsd
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import Search
+from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor.scale.fusion import GRID
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -189,6 +194,29 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
     assert found.stopped_because == ("all_searched" if len(tiles) == 4 else "converged")
     assert len(found.boxes) == len(painted)
     assert seen == [(k, 4) for k in [*range(len(tiles)), 4]]
+
+
+@pytest.mark.parametrize(("length_px", "left_out"), [(55.0, True), (62.0, False)])  # full resolution accepts up to 64
+def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars(
+    searching: Detector, monkeypatch: pytest.MonkeyPatch, length_px: float, left_out: bool
+) -> None:
+    monkeypatch.setattr("vehanchor.detection.convergence.ANYTIME_PIXELS", 1_000_000)
+    image = blank_image(1600, 1400)
+    paint_vehicles(image, [[100 + 130 * k, 120 + 125 * k, length_px, 20, 0.4] for k in range(10)])
+    gsd = CAR_LENGTH_M / length_px
+    narrow = np.exp(-0.5 * ((GRID - np.log(gsd)) / 0.03) ** 2)
+    unsettled = Convergence(math.inf, 0.0, doubted=True, density=narrow / narrow.sum())
+    tiles = {
+        level.factor: len(tile_grid(level.width_px, level.height_px, tile_px=256, stride_px=205))
+        for level in search_levels(1600, 1400, (9, 64), search_scales=True)
+    }
+    with open_raster(image) as raster:
+        found = search(
+            raster, searching, Search(tile_px=256, stride_px=205), prior=_ground(gsd), convergence=lambda _: unsettled
+        )
+    assert len(found.boxes) == 10
+    assert (found.n_tiles < tiles[1] + tiles[2] / 2) == left_out
+    assert tiles[1] <= found.n_tiles <= tiles[1] + tiles[2]
 
 
 def test_the_search_costs_about_a_third_more_pixels() -> None:
