@@ -19,6 +19,7 @@ from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.car_verifier import candidate_chips, corrected_boxes
 from vehanchor.detection.convergence import (
     ANYTIME_PIXELS,
+    LARGE_PIXELS,
     WINDOWED_PIXELS,
     has_converged,
     is_narrow,
@@ -206,13 +207,17 @@ class _Work:
     def excluded(self, check: Convergence) -> frozenset[int]:
         """List the resolutions that the scale found so far makes superfluous; none without a vehicle or a prior.
 
-        Cars there have a length that the detector does not know, or that a finer resolution accepts as well.
+        Cars there have a length that the detector does not know, or, in a photograph, that a finer resolution accepts
+        as well. In larger images the tiles of a coarser one show more cars, and few are visited.
         """
         if self._prior is None or check.density is None:
             return frozenset()
-        shortest = self._card_range_px[0]
-        own = {level.factor: (max(shortest, level.shortest_own_px), level.longest_px) for level in self.levels}
-        chances = level_chances(own, check.density)
+        ranges = self._length_ranges_px()
+        if self._raster.width_px * self._raster.height_px < LARGE_PIXELS:
+            for level in self.levels:
+                shortest, longest = ranges[level.factor]
+                ranges[level.factor] = max(shortest, level.shortest_own_px), longest
+        chances = level_chances(ranges, check.density)
         return frozenset(factor for factor, chance in chances.items() if chance < _EXCLUDED_CHANCE)
 
     def _length_ranges_px(self) -> dict[int, tuple[float, float]]:

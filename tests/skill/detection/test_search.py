@@ -196,11 +196,15 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
     assert seen == [(k, 4) for k in [*range(len(tiles)), 4]]
 
 
-@pytest.mark.parametrize(("length_px", "left_out"), [(55.0, True), (62.0, False)])  # full resolution accepts up to 64
-def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars(
-    searching: Detector, monkeypatch: pytest.MonkeyPatch, length_px: float, left_out: bool
+@pytest.mark.parametrize(
+    ("length_px", "large_px", "left_out"),
+    [(55.0, 3_000_000, True), (62.0, 3_000_000, False), (55.0, 2_000_000, False)],  # full resolution accepts up to 64
+)
+def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_photograph(
+    searching: Detector, monkeypatch: pytest.MonkeyPatch, length_px: float, large_px: int, left_out: bool
 ) -> None:
     monkeypatch.setattr("vehanchor.detection.convergence.ANYTIME_PIXELS", 1_000_000)
+    monkeypatch.setattr("vehanchor.detection.search.LARGE_PIXELS", large_px)
     image = blank_image(1600, 1400)
     paint_vehicles(image, [[100 + 130 * k, 120 + 125 * k, length_px, 20, 0.4] for k in range(10)])
     gsd = CAR_LENGTH_M / length_px
