@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -95,9 +96,9 @@ async def test_another_object_that_a_point_may_mean_is_told_in_the_callers_pixel
     pools = cv2.imread(str(images / "pool_alone.png"))
     assert pools is not None
     pools[330:426, 400:448] = pools[330:426, 300:348]  # beside the first; the toy network takes both in a large crop
-    path = images / "pools.png"
-    cv2.imwrite(str(path), pools)
-    asking = {**by_path(path), "target": {"points": [{"x": 162, "y": 189}]}, "gsd_m_per_px": 0.15}
+    data = base64.b64encode(cv2.imencode(".png", pools)[1].tobytes()).decode()  # no file: other tests list the folder
+    image = {"kind": "base64", "data": data}
+    asking = {"image": image, "target": {"points": [{"x": 162, "y": 189}]}, "gsd_m_per_px": 0.15}
     result = await asked(server, {**asking, "frame": {"width_px": 320, "height_px": 256}})
     assert record_of(result)["status"] == "low_confidence"
     (first, *_) = record_of(
