@@ -57,6 +57,7 @@ _EXCLUDED_CHANCE = 0.008  # of cars at a resolution, by the vehicles found at ot
 _FEW_VEHICLES = 12  # the car verifier is used up to this number
 _MOST_CANDIDATES = 24  # of the car verifier, best scores first
 _MOST_VERIFIED = 128  # candidates of a tile, chosen by position; more cost as much as another tile and add less
+_MANY_VEHICLES, _LEAST_VERIFIED = 500, 32  # from so many vehicles on, candidates of a tile: they hardly move the scale
 _ENOUGH_VEHICLES = 5  # at the other resolutions, to skip an unlikely one; the prior may be wrong
 _TILES_AT_ONCE = 4  # tiles that are scheduled together; each is read while the model runs on the one before
 
@@ -264,7 +265,8 @@ class _Work:
         if verifier:
             candidates = len(vehicles)
             if self._samples:
-                vehicles = vehicles.take(position_sample(vehicles.boxes, _MOST_VERIFIED))
+                most = _MOST_VERIFIED if self.n_vehicles < _MANY_VEHICLES else _LEAST_VERIFIED
+                vehicles = vehicles.take(position_sample(vehicles.boxes, most))
             self._n_skipped += candidates - len(vehicles)
             size_odds = 0.0 if self._prior is None else self._prior.size_odds(vehicles.boxes[:, 2] * level.factor)
             vehicles = verifier.scored(prepared.pixels, vehicles, size_odds=size_odds)
