@@ -8,8 +8,8 @@ The uncertainty of a scale has two parts. More vehicles reduce the statistical p
 length remains. The search of a large image ends when the statistical part is below a third of the fleet's part at two
 checks in a row.
 
-With doubts about the vehicles, or with a scale that is not usable, no search ends early. The intervals between checks
-grow, so that few checks can end a search by chance.
+With doubts about the vehicles, or with a scale that more vehicles may make usable, no search ends early. The intervals
+between checks grow, so that few checks can end a search by chance.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Convergence(NamedTuple):
     Attributes:
         statistical_log_sd: log standard deviation from the number and the spread of the vehicles; inf without any.
         fleet_log_sd: log standard deviation from the fleet's unknown length.
-        doubted: whether the scale is not usable yet, or there are doubts about the vehicles.
+        doubted: whether more vehicles may make the scale usable, or there are doubts about the vehicles.
         value_log_sd: log standard deviation of the value under resampling of the vehicles; inf for fewer than five.
         density: ``[g]`` density of the scale on ``vehanchor.scale.fusion.GRID``; None if the votes are uncalibrated.
         unseen_share: expected share of the image's vehicles in the tiles that are not visited.

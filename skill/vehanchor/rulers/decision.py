@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 _WIDEST_OF_UNCALIBRATED = 3.0  # high over low of an interval if the votes are uncalibrated
 _LOST_WIDTH = 10.0  # high over low of a prior's interval for an unknown scene: 19 % of the held-out tenth
+_CHANCE_MARGIN = 0.03  # early and full searches of nine photographs differed by at most 0.017
 _PRIOR_REACH, _PRIOR_SUPPORT = 0.4, 0.1  # a prior supports a scale if it holds a tenth within +-40 %
 
 
@@ -167,12 +168,19 @@ def convergence(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Conver
     return Convergence(
         statistical,
         max(vehicles.reference.log_sds),
-        doubted=doubts or vehicles.guarded or decide(vehicles, priors).reason is not None,
+        doubted=doubts or vehicles.guarded or not _is_settled(decide(vehicles, priors)),
         value_log_sd=math.hypot(resampling, vehicles.reference.sampling_log_sd)
         if vehicles.n >= MIN_KDE_VEHICLES
         else math.inf,
         density=None if vehicles.density is None else product(vehicles.density, *densities),
     )
+
+
+def _is_settled(decision: ScaleDecision) -> bool:
+    """Test whether a little change of the value leaves the status as it is: usable, or clearly too imprecise."""
+    chance = decision.p_within_20
+    clearly = chance is not None and chance < USABLE_CHANCE - _CHANCE_MARGIN
+    return decision.reason is None or (decision.reason == "imprecise" and clearly)
 
 
 def ruler_densities(evidence: Iterable[Evidence]) -> dict[str, NDArray[np.float64]]:

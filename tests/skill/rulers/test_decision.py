@@ -17,7 +17,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.rulers.decision import ScaleDecision, decide
+from vehanchor.rulers.decision import ScaleDecision, convergence, decide
 from vehanchor.rulers.evidence import Evidence, View
 from vehanchor.rulers.lognormal import lognormal
 from vehanchor.rulers.vehicles import Vehicles
@@ -234,3 +234,22 @@ def test_rulers_without_vehicles_need_no_search(monkeypatch: pytest.MonkeyPatch,
     record = vehanchor.estimate_gsd(blank_image(200, 100), detector=detector, **options)
     assert record.gsd_m_per_px == pytest.approx(0.12, rel=0.01)
     assert record.n_detections == 0
+
+
+def test_a_search_goes_on_while_more_cars_may_make_the_scale_usable() -> None:
+    boxes = np.array([[99.0 + 60 * k, 90, 50 + 0.2 * (k % 9), 20, 0] for k in range(60)])
+    seen = {}
+    for sd_m in np.linspace(0.05, 1.5, 59):
+        card = made_card(5.0).model_copy(update={"votes": VOTES, "reference_length_sd_m": float(sd_m)})
+        found = Detections(boxes, np.full(60, 0.8))
+        view = View(ImageFacts(4000, 3000), found, card, ScaleOptions(), lambda *_: 1.0)
+        cars = Vehicles().measure(view)
+        decision = decide(cars, ())
+        assert decision.p_within_20 is not None
+        seen[decision.p_within_20] = (decision.reason, convergence(cars, ()).doubted)
+    usable = [told for chance, told in seen.items() if chance >= 0.9]
+    close = [told for chance, told in seen.items() if 0.87 <= chance < 0.9]
+    far = [told for chance, told in seen.items() if chance < 0.87]
+    assert set(usable) == {(None, False)}
+    assert set(close) == {("imprecise", True)}
+    assert set(far) == {("imprecise", False)}
