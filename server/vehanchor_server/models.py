@@ -39,7 +39,6 @@ SLOW_IMPORTS = (
     "vehanchor_server.tools.registry",
     "vehanchor_server.calls.overlay",
     "vehanchor.engine",
-    "vehanchor.flight.estimate",
     "vehanchor.pictures.area",
 )
 """Modules that a first call would wait for."""
