@@ -21,7 +21,7 @@ from vehanchor_scenes import render_scene
 
 SERVE = [sys.executable, "-c", "import typer; from vehanchor_server.command import serve; typer.run(serve)"]
 START_S = 120
-IDLE_S = 2.0  # by then an idle worker has given back what it does not need
+IDLE_S = 7.0  # by then an idle worker has given back what it does not need
 _PAGE_BYTES = 4096
 _PROBE = """
 import sys, time, urllib.request

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.messages import WorkerMessage
     from vehanchor_server.calls.task import Parts, Task
 
-_IDLE_S = 0.5  # idle time before freed memory is returned, so that consecutive calls reuse it
+_IDLE_S = 5.0  # idle time before freed memory is returned; a call after that maps it again, for some 25 ms
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
 _logger = logging.getLogger(__name__)
 
