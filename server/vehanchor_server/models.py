@@ -99,6 +99,7 @@ class Models:
         self._settings = settings
         self._engine: Engine | None = None
         self._lock = threading.Lock()
+        self._preloading: threading.Timer | None = None
         self._detector = _OnDemand("detector", lambda: self.engine().detector)
         self._segmenter = _OnDemand("segmenter", lambda: self.engine().segmenter)
         self._calibration = _OnDemand("calibration", self._load_calibration)
@@ -137,7 +138,14 @@ class Models:
         """Load in the background after a delay; log failures, which the first call meets again."""
         timer = threading.Timer(delay_s, self.load_all)
         timer.name, timer.daemon = "vehanchor-preload", True
+        self._preloading = timer
         timer.start()
+
+    def end_preload(self) -> None:
+        """Wait for the load in the background: ONNX Runtime aborts a process that ends while it opens a model."""
+        if self._preloading is not None:
+            self._preloading.cancel()
+            self._preloading.join()
 
     def detector(self, call: Runtime | None = None) -> Detector:
         """Return the detector for a call; block while it loads.

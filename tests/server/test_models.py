@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -55,6 +56,18 @@ def test_models_are_loaded_once_and_in_the_background(settings: Settings) -> Non
     assert models.detector() is models.detector()
     assert models.segmenter() is models.segmenter()
     assert models.failure is None
+
+
+def test_a_preload_is_over_before_the_process_ends(settings: Settings) -> None:
+    models = Models(settings)
+    models.end_preload()  # nothing to wait for
+    models.preload()
+    models.end_preload()
+    assert "vehanchor-preload" not in {thread.name for thread in threading.enumerate()}
+    later = Models(settings)
+    later.preload(60.0)
+    later.end_preload()
+    assert not later.ready
 
 
 def test_a_model_that_appears_later_is_found(tmp_path: Path, detector_path: Path) -> None:

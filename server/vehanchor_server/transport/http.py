@@ -102,6 +102,7 @@ async def _closing(
             yield state
     finally:
         services.close()
+        services.models.end_preload()
 
 
 def serve_http(settings: Settings) -> None:

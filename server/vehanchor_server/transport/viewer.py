@@ -111,6 +111,7 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
                 yield
         finally:
             services.close()
+            services.models.end_preload()
 
     async def page(_: Request) -> Response:
         return HTMLResponse(view_html(), headers=_HEADERS)
