@@ -169,7 +169,8 @@ async def test_when_a_replica_is_killed_the_other_takes_over(deployment: Deploym
         tally = await _load(deployment)
     print(dict(tally))
     assert tally["right"] == N_CALLS, tally
-    assert tally["broken off"] <= N_CLIENTS, tally  # at most what was on its way to the one that died
+    most = 2 * N_CLIENTS  # what was on its way to the one that died, and what it still took while it ended
+    assert tally["broken off"] <= most, tally
 
 
 def test_a_request_that_a_replica_died_of_is_not_sent_to_the_other(tmp_path: Path) -> None:
