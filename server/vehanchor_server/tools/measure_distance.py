@@ -58,8 +58,7 @@ from vehanchor_server.tools.target import MAX_POINTS, MAX_TARGETS
 
 _DESCRIPTION = (
     "Measures distances on the ground (metres) in a near-nadir aerial or satellite image: how wide, how long, how far. "
-    "Give two points, or the vertices of a path in order. "
-    f"{STATUS_RULES}"
+    f"Give two points, or the vertices of a path in order. {STATUS_RULES}"
 )
 
 

@@ -204,9 +204,7 @@ def _component(
     component = Component(
         members,
         subgraph.log_scales,
-        np.hypot(
-            subgraph.sds_from(reference), _sds_by_tilt(own, offsets, [_link(each, photographs) for each in found])
-        ),
+        np.hypot(subgraph.sds_from(reference), by_tilt),
         reference,
         subgraph.ties,
         positions_evidence(extra),
