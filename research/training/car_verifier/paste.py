@@ -251,10 +251,11 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=12_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--without", default="", help="sets whose ground is left out, comma between")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     rng = np.random.default_rng(options.seed)
-    places = grounds(options.data)
+    places = [ground for ground in grounds(options.data) if ground.sample.set not in options.without.split(",")]
     names = np.array([ground.sample.set for ground in places])
     _, number, counts = np.unique(names, return_inverse=True, return_counts=True)
     odds = (1 / np.sqrt(counts))[number]
