@@ -27,12 +27,13 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--weights", type=Path, required=True, help="folder of a checkpoint")
+    parser.add_argument("--without", default="", help="sets that the fusion leaves out, comma between")
     options = parser.parse_args()
     torch.set_num_threads(1)
     network = CarVerifierNet()
     load_average(network, options.weights)
     network.eval()
-    fusion = fitted_fusion(options.run, network)
+    fusion = fitted_fusion(options.run, network, options.without.split(","))
     export(network, options.out)
     metadata = {
         "description": "VehAnchor network that verifies candidates where a photograph shows few",

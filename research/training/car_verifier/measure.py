@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -142,10 +143,17 @@ class Fusion(NamedTuple):
 EVEN = Fusion(1.0, 1.0, 0.0)
 
 
-def fitted_fusion(run: Path, network: CarVerifierNet) -> Fusion:
-    """Fit by logistic regression on the candidates of the held-out tenth, each set by the root of its number."""
+def fitted_fusion(run: Path, network: CarVerifierNet, without: Sequence[str] = ()) -> Fusion:
+    """Fit by logistic regression on the candidates of the held-out tenth, each set by the root of its number.
+
+    Args:
+        run: folder of the store ``held_out``.
+        network: car verifier.
+        without: sets that are left out.
+    """
     chips, rows = read_store(run / "held_out")
-    chosen = np.flatnonzero((rows.combined >= _LEAST_COMBINED) & ((rows.box_weight > 0) | (rows.car == 0)))
+    sure = (rows.combined >= _LEAST_COMBINED) & ((rows.box_weight > 0) | (rows.car == 0))
+    chosen = np.flatnonzero(sure & ~np.isin(rows.sets, list(without)))
     still = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
     new = np.zeros(len(chosen))
     with torch.no_grad():
