@@ -15,7 +15,6 @@ pytest.importorskip("onnxruntime")
 import onnxruntime
 import torch
 
-from research.benchmarks import regression_sets
 from research.training.car_verifier.cases import Cases, fitted_upright
 from research.training.car_verifier.lookalikes import LOOKALIKES
 from research.training.car_verifier.measure import Verified, corrected, curve, measured
@@ -134,11 +133,6 @@ def test_cars_that_nobody_labelled_count_and_doubtful_things_do_not(tmp_path: Pa
     assert found.n_labels.tolist() == [6]
     np.testing.assert_array_equal(found.boxes[:, 0], [10, 90, 10.5])
     assert (found.label >= 0).tolist() == [True, False, False]  # a box of half the length fits no car
-    seen = regression_sets.Sighted(boxes, np.ones(4), 1.0)
-    sighted = regression_sets.corrected(seen, "one.jpg", table)
-    precision, recall, n_boxes, n_labels = regression_sets.precision_recall([sighted])
-    assert (precision, recall, n_boxes, n_labels) == (1 / 3, 1.0, 3, 1)  # the rest: another thing, and half a car
-    assert regression_sets.corrected(seen, "two.jpg", table) is seen
 
 
 def test_of_chia_odd_numbers_train_and_their_cars_teach_nothing(tmp_path: Path) -> None:
