@@ -85,7 +85,7 @@ def default_workers() -> int:
     return min(MAX_WORKERS, os.cpu_count() or 1)
 
 
-_FORM = 4  # of what is kept of an image: a log of another form is refused
+_FORM = 5  # of what is kept of an image: a log of another form is refused
 
 
 def open_detection_log(

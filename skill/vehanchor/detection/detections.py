@@ -86,8 +86,9 @@ class Detections:
             within a class, not between classes.
         n_tiles_total: number of tiles of the image at all resolutions; None if it was not counted.
         stopped_because: reason for the end of the search; None without a search.
-        stretch_sigmas: how surely the image is too wide (above 0) or too high, see ``vehanchor.detection.proportions``;
-            None for few vehicles, without a verifier, or before the end of the search.
+        stretch: above 1 if the vehicles say that the image is too wide, below -1 if it is too high, see
+            ``vehanchor.detection.proportions``; None for a single vehicle, without a verifier, or before the end of the
+            search.
         corrections: by the caller; None without any.
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
         areas: ``[m, 4]`` left, top, right and bottom of the visited tiles at the resolution of most vehicles, in pixels
@@ -105,7 +106,7 @@ class Detections:
     others: Objects = field(default_factory=Objects.joined)
     n_tiles_total: int | None = None
     stopped_because: Stopped | None = None
-    stretch_sigmas: float | None = None
+    stretch: float | None = None
     corrections: Corrections | None = None
     n_skipped: int = 0
     areas: NDArray[np.float64] | None = None

@@ -30,7 +30,7 @@ from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.position_sample import position_sample
-from vehanchor.detection.proportions import stretch_sigmas
+from vehanchor.detection.proportions import stretch, stretch_of_few
 from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_chances, level_shares
 from vehanchor.detection.tile_prior import tile_prior_map, tile_prior_of
 from vehanchor.detection.verifier import Weights
@@ -290,9 +290,7 @@ class _Work:
         vehicles = Objects.joined([part.vehicles for part in parts])
         boxes = vehicles.boxes  # the fleet network is calibrated to the detector's boxes
         kept = _merged(vehicles, self._min_score, self._nms_iou)
-        stretch, verified = None, False
-        if because and check_stretch and self._verifier:
-            stretch = stretch_sigmas(self._raster, vehicles.boxes[kept], self._verifier)
+        checked, verified = because and check_stretch, False
         if because and self._car_verifier and len(kept) <= _FEW_VEHICLES:
             verified = True
             candidates = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
@@ -300,6 +298,11 @@ class _Work:
             vehicles = self._verified(self._car_verifier, vehicles.take(candidates))
             kept = _merged(vehicles, self._min_score, self._nms_iou)
         vehicles = vehicles.take(kept)
+        preference = None
+        if checked and verified and self._car_verifier:
+            preference = stretch_of_few(self._raster, vehicles.boxes, self._car_verifier)
+        elif checked and self._verifier:
+            preference = stretch(self._raster, vehicles.boxes, self._verifier)
         fleet = self._detector.fleet
         return Detections(
             vehicles.boxes,
@@ -312,7 +315,7 @@ class _Work:
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
             because,
-            stretch,
+            preference,
             n_skipped=self._n_skipped,
             areas=self._areas(factors[kept]) if because == "converged" else None,
             verified=verified,

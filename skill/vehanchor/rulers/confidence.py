@@ -24,7 +24,6 @@ _ALIKE_LOG_ODDS = 0.7  # standard deviation; fleets have 0.6 and more, caravans 
 _EQUAL_LOG_SPREAD = 0.065  # equal things in rows have 0.03 to 0.06
 _UNLIKE_LOG_ODDS = -3.2  # mean; fleets of the train split have -2.9 and more, boats in rows -2.5 to -4.5
 _ALIKE_VEHICLES = 20  # least number of vehicles, with which the spread is known to a sixth
-_STRETCH_SIGMAS = 2.75  # 0 of 243 images of true proportions have more; 87 of 100 of those stretched by 1.4
 _CLEAR_PERCENTILE = 90
 _CLEAR_OF_FEW = 0.32  # divided by the number of vehicles: tolerance for the best scores of a few cars
 _CLEAR_VERIFIED = 0.94  # by the car verifier; 170 of 172 right scales of the held-out tenth have 0.944 and more
@@ -82,12 +81,12 @@ def fleet_doubts(
     rival_share: float,
     clear_score: float,
     fleet_log_odds: ArrayLike | None = None,
-    stretch_sigmas: float | None = None,
+    stretch: float | None = None,
     verified: bool = False,
 ) -> tuple[NoticeCode, ...]:
     """List the doubts that the vehicles are cars, after a search over scales, which does not use their size.
 
-    * ``stretched``: the vehicles prefer a narrower or wider image by more than 2.75 standard deviations.
+    * ``stretched``: the vehicles prefer a narrower or wider image more than in images of true proportions.
     * ``lengths_disagree``: another group of lengths has at least 0.35 of the weight of this one.
     * ``lengths_alike``: the log lengths of 20 or more vehicles spread by less than 0.045 (interquartile range over
       1.349), as in a yard of equal lorries, containers or roof units. Makes and models of cars differ by 0.08.
@@ -105,7 +104,7 @@ def fleet_doubts(
         rival_share: see ``vehanchor.scale.lengths.dominant_group``.
         clear_score: score that the best tenth of a fleet reaches with this model; 0 if unknown.
         fleet_log_odds: ``[m]`` log odds of the vehicles with a chip; None without a fleet network.
-        stretch_sigmas: see ``vehanchor.detection.proportions``; None if unknown, or in a tilted view.
+        stretch: see ``vehanchor.detection.proportions``; None if unknown, or in a tilted view.
         verified: whether the car verifier scored the vehicles.
 
     Returns:
@@ -115,7 +114,7 @@ def fleet_doubts(
     if len(values) == 0:
         return ()
     doubts: list[NoticeCode] = []
-    if stretch_sigmas is not None and abs(stretch_sigmas) > _STRETCH_SIGMAS:
+    if stretch is not None and abs(stretch) > 1.0:
         doubts.append(NoticeCode.STRETCHED)
     if rival_share >= _RIVAL_SHARE:
         doubts.append(NoticeCode.LENGTHS_DISAGREE)

@@ -240,7 +240,7 @@ class Vehicles(Ruler):
         exact = view.options.method.preset == "paper"  # only what the paper has
         unresolved = not exact and seen_px >= guard_px > seen_px * resolved
         guarded = seen_px < guard_px or unresolved
-        doubts = _doubts(fleet, card, None if plane else detections.stretch_sigmas)
+        doubts = _doubts(fleet, card, None if plane else detections.stretch)
         terms = confidence_terms(
             fleet.lengths,
             fleet.scores,
@@ -316,7 +316,7 @@ def _density(fleet: Fleet, card: DetectorCard, reference: ReferenceLength) -> ND
     )
 
 
-def _doubts(fleet: Fleet, card: DetectorCard, stretch_sigmas: float | None) -> list[Notice]:
+def _doubts(fleet: Fleet, card: DetectorCard, stretch: float | None) -> list[Notice]:
     """List doubts that the vehicles are cars, after a search over scales, which accepts objects of any size."""
     if fleet.detections.scales is None:
         return []
@@ -326,7 +326,7 @@ def _doubts(fleet: Fleet, card: DetectorCard, stretch_sigmas: float | None) -> l
         rival_share=fleet.rival_share,
         clear_score=card.clear_score,
         fleet_log_odds=None if fleet.appearance is None else fleet.appearance.log_odds,
-        stretch_sigmas=stretch_sigmas,
+        stretch=stretch,
         verified=fleet.detections.verified,
     )
     resolved = _DOUBTS_OF_KIND if fleet.is_stated else frozenset[NoticeCode]()

@@ -95,7 +95,7 @@ class LiveEstimator:
         self._features: Features | None = None
         self._prior: SceneScalePrior | None = None
         self._prior_moved = math.inf  # new ground since the prior was taken
-        self._stretch_sigmas: float | None = None
+        self._stretch: float | None = None
         self._cars: NDArray[np.float64] = np.zeros((0, 2))
 
     def estimate(self, frame: Frame) -> LiveScale:
@@ -148,13 +148,13 @@ class LiveEstimator:
 
     @property
     def _checks_stretch(self) -> bool:
-        return self._stretch_sigmas is None or self._turn % _STRETCH_EVERY == 0
+        return self._stretch is None or self._turn % _STRETCH_EVERY == 0
 
     def _with_stretch(self, view: View) -> View:
         """Keep the last result of the test for stretch, in frames without the test too."""
-        if view.detections.stretch_sigmas is not None:
-            self._stretch_sigmas = view.detections.stretch_sigmas
-        return replace(view, detections=replace(view.detections, stretch_sigmas=self._stretch_sigmas))
+        if view.detections.stretch is not None:
+            self._stretch = view.detections.stretch
+        return replace(view, detections=replace(view.detections, stretch=self._stretch))
 
     def _expected_gsd(self) -> float | None:
         """Give the scale by the filter, else by the prior."""

@@ -260,7 +260,7 @@ def _taken(detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.
         scales=None if detections.scales is None else detections.scales[kept],
         fleet=None if fleet is None else fleet.take(kept[: len(fleet.log_odds)]),
         classes=None if detections.classes is None else detections.classes[kept],
-        stretch_sigmas=None,  # width and height have the scales that the model gives them
+        stretch=None,  # width and height have the scales that the model gives them
     )
 
 

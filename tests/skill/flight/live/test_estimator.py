@@ -102,10 +102,10 @@ def test_a_stretch_found_once_is_kept_and_tested_now_and_then(
     def searched(*arguments: Any, check_stretch: bool) -> View:
         view = search_raster(*arguments, check_stretch=check_stretch)
         tested.append(check_stretch)
-        return replace(view, detections=replace(view.detections, stretch_sigmas=7.0 if check_stretch else None))
+        return replace(view, detections=replace(view.detections, stretch=7.0 if check_stretch else None))
 
     def measured(view: View) -> tuple[VehicleEvidence, tuple[Evidence, ...]]:
-        kept.append(view.detections.stretch_sigmas)
+        kept.append(view.detections.stretch)
         return measure_all(view)
 
     monkeypatch.setattr(f"{module}.search_raster", searched)
