@@ -213,9 +213,9 @@ def rendered(kind: str, grounds: list[Path]) -> Iterator[NDArray[np.uint8]]:
             yield np.asarray(cv2.resize(drawn, None, fx=size, fy=size, interpolation=way), np.uint8)
 
 
-def corrected(found: Sighted, file: str, looked_at: Path = _LOOKED_AT) -> Sighted:
+def corrected(found: Sighted, file: str) -> Sighted:
     """Add the cars that were seen on contact sheets to the labels; leave out boxes on doubtful things."""
-    with looked_at.open(newline="") as handle:
+    with _LOOKED_AT.open(newline="") as handle:
         seen = [row for row in csv.DictReader(handle) if row["file"] == file]
     if not seen:
         return found
