@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
 
-LEAST_VEHICLES, LEAST_VERIFIED = 5, 2
+_LEAST_VEHICLES, _LEAST_VERIFIED = 5, 2
 _MOST_VEHICLES, _MOST_VERIFIED = 32, 5  # the most certain ones; more do not change the result
 _FACTOR = 1.4  # an error of 18 % in each direction
 _REACH = 1.4  # halves of a chip's diagonal from the centre to the farthest pixel that a stretched chip needs
@@ -51,7 +51,7 @@ def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> fl
         The preference over its limit: above 1 if the image is too wide, below -1 if it is too high; None for fewer
         than five vehicles.
     """
-    if len(boxes) < LEAST_VEHICLES:
+    if len(boxes) < _LEAST_VEHICLES:
         return None
     chosen = boxes[:_MOST_VEHICLES]
     chip = verifier.CHIP_PX, verifier.CHIP_LENGTH_PX
@@ -79,7 +79,7 @@ def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: CarVerif
     Returns:
         The preference over its limit, as for ``stretch``; None for a single vehicle, which can tell nothing.
     """
-    if len(boxes) < LEAST_VERIFIED:
+    if len(boxes) < _LEAST_VERIFIED:
         return None
     chosen = boxes[:_MOST_VERIFIED]
     chip = car_verifier.CHIP_PX, car_verifier.CHIP_LENGTH_PX

@@ -290,7 +290,7 @@ class _Work:
         vehicles = Objects.joined([part.vehicles for part in parts])
         boxes = vehicles.boxes  # the fleet network is calibrated to the detector's boxes
         kept = _merged(vehicles, self._min_score, self._nms_iou)
-        checked, verified = because and check_stretch, False
+        verified = False
         if because and self._car_verifier and len(kept) <= _FEW_VEHICLES:
             verified = True
             candidates = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
@@ -298,11 +298,6 @@ class _Work:
             vehicles = self._verified(self._car_verifier, vehicles.take(candidates))
             kept = _merged(vehicles, self._min_score, self._nms_iou)
         vehicles = vehicles.take(kept)
-        preference = None
-        if checked and verified and self._car_verifier:
-            preference = stretch_of_few(self._raster, vehicles.boxes, self._car_verifier)
-        elif checked and self._verifier:
-            preference = stretch(self._raster, vehicles.boxes, self._verifier)
         fleet = self._detector.fleet
         return Detections(
             vehicles.boxes,
@@ -315,7 +310,7 @@ class _Work:
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
             because,
-            preference,
+            self._stretch(vehicles.boxes, verified=verified) if because and check_stretch else None,
             n_skipped=self._n_skipped,
             areas=self._areas(factors[kept]) if because == "converged" else None,
             verified=verified,
@@ -331,6 +326,12 @@ class _Work:
             return None
         sides = [(tile.x_px, tile.y_px, tile.x_px + tile.width_px, tile.y_px + tile.height_px) for tile in tiles]
         return np.array(sorted(sides), np.float64) * working
+
+    def _stretch(self, boxes: NDArray[np.float64], *, verified: bool) -> float | None:
+        """Ask the verifier that scored the vehicles whether the image is stretched; None without a verifier."""
+        if verified and self._car_verifier:
+            return stretch_of_few(self._raster, boxes, self._car_verifier)
+        return stretch(self._raster, boxes, self._verifier) if self._verifier else None
 
     def _verified(self, car_verifier: CarVerifier, candidates: Objects) -> Objects:
         """Replace scores and boxes of candidates by those of the car verifier."""
