@@ -30,7 +30,7 @@ MAX_TURNS = 8
 SCHEMAS = Path(__file__).parent.parent / "schemas" / "openai.json"
 SYSTEM = (
     "You answer questions about aerial images. Every distance, length and area comes from a tool, never from your own "
-    "eyes. If a tool's confidence is below 0.5, say that the image allows no answer, and name another source of scale."
+    "eyes. If a tool's status is not ok, say that the image allows no answer, and name another source of scale."
 )
 
 

@@ -4,7 +4,7 @@
 
 The planner works without a language model, so that its rules are explicit. Planners with a model need the same rules:
 
-1. Never decide on a scale with ``confidence`` < 0.5. Try the next ruler; without one, hold altitude.
+1. Never decide on a scale whose ``status`` is not ``ok``. Try the next ruler; without one, hold altitude.
 2. A zone fits only if the *lower* end of its 95 % interval fits: ``inscribed_diameter_ci95_low_m``, never the estimate.
 3. Log the reason of every decision on stderr; print the decision as one JSON object on stdout.
 """
@@ -27,17 +27,14 @@ try:
 except ModuleNotFoundError as missing:
     sys.exit(f"this example needs the package {missing.name!r}: pip install .")
 
-FALLBACK_CONFIDENCE = 0.5
-ALTITUDE_ERROR = 0.10  # relative error of the barometer's height above ground
+ALTITUDE_ERROR = 0.10  # of the barometer's height above ground: half of its 95 % interval, relative
 
 REMEDIES = {  # by the record's reason
     "too_coarse": "fly lower",
     "too_few": "climb, or fly to a street, and take another image",
     "not_cars": "use another ruler",
     "disagree": "use another ruler",
-    "lost": "fly to streets or houses, and take another image",
-    "imprecise": "include more cars, or give a known length",
-    "stretched": "send the original image, or keep its aspect ratio",
+    "imprecise": "give the region or a known length",
     "assumed": "give a measured length or height",
 }
 
@@ -77,11 +74,19 @@ class Zone:
 
 @dataclass(frozen=True)
 class Ruler:
-    """A source of scale: the vehicles in the image, or a known scale with its relative error."""
+    """A source of scale: the vehicles in the image, or a measured scale with its relative error."""
 
     name: str
     gsd_m_per_px: float | None = None
     relative_error: float = 0.0
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of ``measure_area`` for a measured scale; none for the vehicles."""
+        if self.gsd_m_per_px is None:
+            return {}
+        tolerance = self.relative_error * self.gsd_m_per_px
+        return {"gsd_m_per_px": self.gsd_m_per_px, "gsd_basis": "measured", "gsd_tolerance": tolerance}
 
 
 @dataclass(frozen=True)
@@ -102,16 +107,14 @@ def decide_zone(record: dict[str, Any], ruler: Ruler, zone: Zone, craft: Craft) 
     """Decide on one zone by a record of ``measure_area``; HOLD_ALTITUDE if the ruler is not usable."""
     if record["status"] == "no_scale":
         return Decision(Action.HOLD_ALTITUDE, f"no scale from {ruler.name}", ruler.name, zone)
-    confidence = record["confidence"]  # null for a given scale
-    if confidence is not None and confidence < FALLBACK_CONFIDENCE:
-        reason_code = record["estimate"]["reason"]
-        why = f"{reason_code}; {REMEDIES[reason_code]}"
-        reason = f"confidence {confidence:.2f} of the scale from {ruler.name} is below {FALLBACK_CONFIDENCE}: {why}"
+    scale = record["estimate"]  # null for a measured scale
+    if scale is not None and scale["status"] != "ok":
+        why = f"{scale['reason']}; {REMEDIES[scale['reason']]}"
+        reason = f"the scale from {ruler.name} is not ok (confidence {record['confidence']:.2f}): {why}"
         return Decision(Action.HOLD_ALTITUDE, reason, ruler.name, zone)
     low = record["inscribed_diameter_ci95_low_m"]
     if record["status"] != "ok" or low is None:
         return Decision(Action.NEXT_ZONE, "the zone's outline is uncertain", ruler.name, zone)
-    low *= 1 - ruler.relative_error
     seen = f"a circle of at least {low:.1f} m fits by {ruler.name} (estimate {record['inscribed_diameter_m']:.1f} m)"
     center = record["inscribed_center"]
     measured = (ruler.name, zone, craft.needed_m, low, center["x_px"], center["y_px"])
@@ -138,10 +141,9 @@ async def decide(
                 "image": {"kind": "path", "path": str(image.resolve())},
                 "target": {"box": asdict(zone)},
                 "detail": "full",
+                **ruler.arguments,
             }
-            if ruler.gsd_m_per_px is not None:
-                arguments["gsd_m_per_px"] = ruler.gsd_m_per_px
-            elif region is not None:
+            if region is not None and ruler.gsd_m_per_px is None:
                 arguments["region"] = region
             result = await client.call_tool("measure_area", arguments)
             if result.is_error:  # "code: problem. remedy"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,8 +13,10 @@ from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import View
+from vehanchor.rulers.view import View
 from vehanchor.scale.defaults import Aggregation
+from vehanchor.scale.lengths import Z95
+from vehanchor.scale.posterior import Witness
 
 
 def made_card(reference_length_m: float = 5.045, min_length_px: float = 0.0) -> DetectorCard:
@@ -62,3 +66,9 @@ def analyse_found(
     """The second half of the skill, on vehicles that a test has made up."""
     image = ImageFacts(image_width_px, image_height_px)
     return analyse_detections(View(image, found, card, options or ScaleOptions(), lambda *_: resolved))
+
+
+def log_sd(witness: Witness) -> float:
+    """Compute the standard deviation of a witness's log scale from its interval."""
+    assert witness.interval is not None
+    return math.log(witness.interval.high / witness.interval.low) / (2 * Z95)

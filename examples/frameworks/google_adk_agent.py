@@ -17,7 +17,7 @@ try:
 except ModuleNotFoundError as missing:
     sys.exit(f"this example needs the package {missing.name!r}: pip install -r google_adk_agent.requirements.txt")
 
-SYSTEM = "Every distance and area comes from a tool. Below a confidence of 0.5, say that the image allows no answer."
+SYSTEM = "Every distance and area comes from a tool. If a tool's status is not ok, say that the image allows no answer."
 
 
 async def main(image: Path, question: str) -> None:

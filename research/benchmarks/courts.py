@@ -35,7 +35,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.courts import Courts, evidence_of
-from vehanchor.rulers.evidence import View
+from vehanchor.rulers.view import View
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:

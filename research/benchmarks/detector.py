@@ -32,7 +32,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
-from vehanchor.rulers.evidence import View
+from vehanchor.rulers.view import View
 from vehanchor_evaluation.detections import MatchedDetections, average_precision, length_errors, match_detections
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
@@ -119,11 +119,11 @@ def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
     covered_labelled = [bool(t.covered) for t in known if _labelled(t)]
     covered_regional = [bool(t.covered) for t in known_regional]
     mistakes = [t for t in trials if (t.error > 0.2 or not t.image.labelled_vehicles)]
-    confident = [t for t in mistakes if t.analysis.estimate.confidence >= 0.5]
+    confident = [t for t in mistakes if t.analysis.estimate.status == "ok"]
     good = [
         t for t in trials if t.image.gsd_m_per_px < 0.3 and (t.image.labelled_vehicles or 0) >= 20 and t.error < 0.1
     ]
-    sure = [t for t in good if t.analysis.estimate.confidence >= 0.5]
+    sure = [t for t in good if t.analysis.estimate.status == "ok"]
     found = [t.analysis.estimate.n_vehicles > 0 for t in trials if t.image.labelled_vehicles]
     empty = [t.analysis.estimate.n_vehicles == 0 for t in trials if t.image.set == "empty"]
     values: dict[str, float] = {
@@ -135,9 +135,9 @@ def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
         "truth inside the 95 % interval, %, five labelled cars": 100 * float(np.mean(covered_labelled)),
         "truth inside the 95 % interval, %, region given": 100 * float(np.mean(covered_regional)),
         "images with cars and an estimate": len(known),
-        "confidence >= 0.5 without cars or with an error > 20 %": len(confident),
+        "ok without cars or with an error > 20 %": len(confident),
         "images without cars or with an error > 20 %": len(mistakes),
-        "confidence >= 0.5 at GSD < 0.3, 20 cars, error < 10 %": len(sure),
+        "ok at GSD < 0.3, 20 cars, error < 10 %": len(sure),
         "images at GSD < 0.3, 20 cars, error < 10 %": len(good),
         "estimate, %, images with cars": 100 * float(np.mean(found)),
         "no estimate on scenes without vehicles": sum(empty),

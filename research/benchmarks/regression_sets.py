@@ -7,7 +7,7 @@ Prints Markdown; ``--record`` keeps it. ``--part`` chooses:
   second hit is a false box. Boxes on labelled lorries count as false, too. "Corrected by eye" adds cars that nobody had
   labelled and leaves doubtful things out (``car_verifier/looked_at.csv``);
 * ``clutter``: false boxes a megapixel where there are no cars, or where the cars are known;
-* ``mistakes``: confidence of 0.5 and more on an image of known scale with an error above 20 %, or without cars;
+* ``mistakes``: a scale that is ok on an image of known scale with an error above 20 %, or without cars;
 * ``levels``: photographs of 0.015 to 0.1 m/px, whether the cars were read at the right reduced resolution: their modal
   length within a factor of 1.5 of the labelled one, or of a car at the known scale.
 
@@ -54,7 +54,6 @@ if TYPE_CHECKING:
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _LEAST_SCORE = 0.15
 _THRESHOLDS = (0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
-_SURE = 0.5
 _LOOKED_AT = Path(car_verifier.__file__).with_name("looked_at.csv")
 _SAME_PLACE = 0.35  # of a length
 _HIGH_ERROR = 0.2
@@ -289,9 +288,9 @@ def mistakes_report(data: Path, detector: Detector) -> list[str]:
         wrong = gsd is None or abs(gsd / truth - 1) > _HIGH_ERROR or not has_cars
         row = counts.setdefault(name, [0, 0, 0])
         row[0] += 1
-        row[1] += estimate.confidence >= _SURE
-        row[2] += estimate.confidence >= _SURE and wrong
-    lines = ["| images | n | confidence >= 0.5 | of these mistaken |", "|---|---|---|---|"]
+        row[1] += estimate.status == "ok"
+        row[2] += estimate.status == "ok" and wrong
+    lines = ["| images | n | ok | of these mistaken |", "|---|---|---|---|"]
     total = np.sum(list(counts.values()), axis=0)
     return lines + [
         f"| {name} | {n} | {sure} | {wrong} |" for name, (n, sure, wrong) in (*counts.items(), ("all", total))

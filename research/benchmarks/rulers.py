@@ -3,7 +3,7 @@
 ``python -m research.benchmarks.rulers [--images N] [--scenes N]``. Prints Markdown; ``--record`` keeps it.
 
 The bundled models measure vehicles and scene-scale prior on val images of known scale and on rendered scenes of 3 to 10
-cars. The evidence of camera, given height and known length is drawn with the spreads that those rulers state. A wrong
+cars. The witnesses camera, given height and known length are drawn with the spreads that those rulers state. A wrong
 ruler is off by a factor of 1.5 to 5 either way.
 """
 
@@ -25,9 +25,8 @@ from vehanchor.errors import ImageError
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.decision import fuse_rulers, shares
-from vehanchor.rulers.evidence import Evidence
-from vehanchor.rulers.lognormal import lognormal_evidence
+from vehanchor.rulers.point import point_witness
+from vehanchor.scale.posterior import Witness, answer
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import render_scene
 
@@ -36,14 +35,15 @@ DRAWS = 3  # for each image
 _STATED = {"camera": (0.13, 0.05), "height": (0.064, 0.05), "known_length": (0.015, 0.05)}  # log spread, chance wrong
 _LIE = (math.log(1.5), math.log(5.0))
 _LEAST_CARS = 5
+_PROBABLY = 0.5
 _SEED = 17
 
 
 class Seen(NamedTuple):
-    """One image: evidence of vehicles and scene-scale prior, the truth, and whether vehicles alone are usable."""
+    """One image: witnesses of vehicles and scene-scale prior, the truth, and whether vehicles alone are usable."""
 
-    cars: Evidence
-    ground: tuple[Evidence, ...]
+    cars: Witness
+    ground: tuple[Witness, ...]
     true_gsd: float
     rendered: bool
     usable: bool
@@ -87,16 +87,16 @@ def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
     return [each for each in seen if each.cars.gsd_m_per_px is not None]
 
 
-def _seen(cars: Evidence, ground: Sequence[Evidence], true_gsd: float, usable: bool) -> Seen:
+def _seen(cars: Witness, ground: Sequence[Witness], true_gsd: float, usable: bool) -> Seen:
     return Seen(cars, tuple(ground), true_gsd, False, usable and cars.n >= _LEAST_CARS)
 
 
-def drawn(rng: np.random.Generator, seen: Seen, case: Case) -> tuple[list[Evidence], float]:
-    """Draw the evidence of a case's rulers, and the true scale; another one if the vehicles are wrong."""
+def drawn(rng: np.random.Generator, seen: Seen, case: Case) -> tuple[list[Witness], float]:
+    """Draw the witnesses of a case's rulers, and the true scale; another one if the vehicles are wrong."""
     truth, ground = seen.true_gsd, seen.ground
     if case.liar == "vehicles":
         truth, ground = _lie(rng, truth), ()
-    told: list[Evidence] = [*ground]
+    told: list[Witness] = [*ground]
     for kind in case.kinds:
         if kind == "vehicles":
             told.append(seen.cars)
@@ -104,7 +104,7 @@ def drawn(rng: np.random.Generator, seen: Seen, case: Case) -> tuple[list[Eviden
         spread, chance_wrong = _STATED[kind]
         lies = kind == case.liar or (case.wrong_at_times and rng.random() < chance_wrong)
         gsd = _lie(rng, truth) if lies else truth * math.exp(rng.normal(0, spread))
-        told.append(lognormal_evidence(kind, gsd, spread, chance_wrong, "{}"))
+        told.append(point_witness(kind, gsd, spread, chance_wrong, "{}"))
     return told, truth
 
 
@@ -144,14 +144,14 @@ def row(case: Case, seen: Sequence[Seen]) -> str:
     for image in (each for each in seen if case.only(each)):
         for _ in range(DRAWS):
             told, truth = drawn(rng, image, case)
-            fused = fuse_rulers(told)
-            assert fused is not None
-            assert fused.p_within_20 is not None
-            agreeing = shares(told, fused.gsd_m_per_px, fused.multiplied)
-            errors.append(abs(fused.gsd_m_per_px / truth - 1))
-            held.append(fused.interval.low <= truth <= fused.interval.high)
-            chances.append(fused.p_within_20)
-            flagged.append(any(ruler.kind == case.liar and not ruler.agrees for ruler in agreeing))
+            found = answer(told)
+            assert found is not None
+            errors.append(abs(found.gsd_m_per_px / truth - 1))
+            held.append(found.interval.low <= truth <= found.interval.high)
+            chances.append(found.chance)
+            heard = [each for each in told if each.found]
+            doubted = {each.kind for each, p in zip(heard, found.p_right, strict=True) if p < _PROBABLY}
+            flagged.append(case.liar in doubted)
     off = np.array(errors)
     named = f"{100 * np.mean(flagged):.1f} %" if case.liar else ""
     return (

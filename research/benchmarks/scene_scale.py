@@ -22,7 +22,7 @@ from research.results.record import add_record_option, recording
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.scene_scale import SceneScaleNetwork, load_scene_scale
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.scale.fusion import credible_interval
+from vehanchor.scale.density import credible_interval
 from vehanchor_evaluation.dota import read_labels
 
 if TYPE_CHECKING:

@@ -20,6 +20,7 @@ import numpy as np
 
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
 from research.results.record import add_record_option, header, recording
+from vehanchor.analysis.pipeline import _convergence as convergence
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.convergence import LARGE_PIXELS, has_converged, next_check, stop_rule
 from vehanchor.detection.detections import Detections
@@ -33,10 +34,10 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions, Search
-from vehanchor.rulers.decision import convergence, decide
-from vehanchor.rulers.evidence import View
 from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.scale.fusion import GRID
+from vehanchor.rulers.view import View
+from vehanchor.scale.density import lognormal
+from vehanchor.scale.posterior import answer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -136,10 +137,9 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
     card, side = detector.card, mosaic.side
     levels = search_levels(side, side, card.length_range_px, search_scales=True)
     places = [TilePlace(level.factor, tile) for level in levels for tile in tile_grid(level.width_px, level.height_px)]
-    density = np.exp(-0.5 * ((GRID - math.log(GSD_M)) / _SCENE_LOG_SD) ** 2)
     ranges = {each.factor: (max(card.length_range_px[0], each.shortest_px), each.longest_px) for each in levels}
     promises = np.array([tile_prior_of(mosaic.tile_prior, place.window, place.factor) for place in places])
-    order = TileScheduler(places, promises, level_shares(ranges, density / density.sum()))
+    order = TileScheduler(places, promises, level_shares(ranges, lognormal(GSD_M, _SCENE_LOG_SD)))
     rule = stop_rule(options.search, max(side * side, LARGE_PIXELS), len(places))
     view = partial(View, ImageFacts(side, side), card=card, options=options, resolved_share=lambda *_: 1.0)
     found, visited, due, checks = np.zeros(len(mosaic.boxes), bool), 0, rule.first_check, []
@@ -157,16 +157,16 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
             visited += 1
         if rule.share is not None and due <= visited < most:
             due = next_check(visited)
-            checks.append(convergence(Vehicles().measure(view(detections=mosaic.detections(found))), ()))
+            seen = mosaic.detections(found)
+            checks.append(convergence(view(detections=seen), seen))
             done = has_converged(checks, rule)
-    evidence = Vehicles().measure(view(detections=mosaic.detections(found)))
-    told = decide(evidence, ())
-    if told.gsd_m_per_px is None or told.interval is None:
+    seen = mosaic.detections(found)
+    told = answer([Vehicles().measure(view(detections=seen))])
+    if told is None:
         return Outcome(visited / len(places), math.nan, False, math.inf, done)
     covered = told.interval.low <= GSD_M <= told.interval.high
-    return Outcome(
-        visited / len(places), told.gsd_m_per_px, covered, convergence(evidence, ()).statistical_log_sd, done
-    )
+    statistical = convergence(view(detections=seen), seen).statistical_log_sd
+    return Outcome(visited / len(places), told.gsd_m_per_px, covered, statistical, done)
 
 
 def main() -> None:

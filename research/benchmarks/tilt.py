@@ -39,7 +39,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.evidence import View
+from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.storage.codec import Codec
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, plane_of_record

@@ -12,7 +12,6 @@ from mcp import Client
 from mcp.types import TextContent
 
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.compact import REUSE_SCALE
 from vehanchor_server.schemas import anthropic_definition, openai_definition
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -97,6 +96,5 @@ def _text(result: CallToolResult) -> str:
     lines = [block.text for block in result.content if isinstance(block, TextContent)]
     record = result.structured_content
     if record is not None and not result.is_error:
-        lines = [line for line in lines if not line.startswith(REUSE_SCALE)]  # the record also has the scale
         lines.append(json.dumps({key: value for key, value in record.items() if key not in _DRAWING_FIELDS}))
     return "\n".join(lines)

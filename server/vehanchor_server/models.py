@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from vehanchor.analysis.memory import AnalysisMemory
     from vehanchor.detection.detector import Detector
     from vehanchor.engine import Engine
     from vehanchor.options.models import Precision
@@ -98,6 +99,7 @@ class Models:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._engine: Engine | None = None
+        self._memory: AnalysisMemory | None = None
         self._lock = threading.Lock()
         self._preloading: threading.Timer | None = None
         self._detector = _OnDemand("detector", lambda: self.engine().detector)
@@ -197,6 +199,16 @@ class Models:
                 runtime = Runtime(threads, settings.providers or DEFAULT_PROVIDERS, precision)
                 self._engine = Engine(settings.detector, settings.segmenter, runtime=runtime)
             return self._engine
+
+    @property
+    def memory(self) -> AnalysisMemory:
+        """Memory of the analyses of this process."""
+        with self._lock:
+            if self._memory is None:
+                from vehanchor.analysis.memory import AnalysisMemory
+
+                self._memory = AnalysisMemory()
+            return self._memory
 
     def _load_calibration(self) -> Calibration:
         from vehanchor.scale.calibration import load_calibration

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from vehanchor_server.images.path_access import PathAccess
 from vehanchor_server.images.source import ImageSources
 from vehanchor_server.models import Models
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools.scale_seal import ScaleSeal, read_key
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,6 @@ class Services:
         sources: image sources.
         capacity: limit of concurrent calls.
         workers: worker processes; None if this process does the work.
-        seal: signs and verifies the scales that callers give back; without a key in workers.
     """
 
     settings: Settings
@@ -36,7 +34,6 @@ class Services:
     sources: ImageSources
     capacity: Capacity
     workers: WorkerPool | None = None
-    seal: ScaleSeal = field(default_factory=ScaleSeal)
 
     @property
     def readable(self) -> tuple[Path, ...] | None:
@@ -80,8 +77,7 @@ def create_services(settings: Settings) -> Services:
     if not settings.in_process:
         limits = WorkerLimits(settings.max_worker_bytes, (os.cpu_count() or 1) * settings.deadline_s)
         workers = WorkerPool(partial(_worker_services, settings), n_calls, limits)
-    seal = ScaleSeal(read_key(settings.scale_key_file) if settings.scale_key_file else None)
-    return replace(_services(settings, n_calls, workers), seal=seal)
+    return _services(settings, n_calls, workers)
 
 
 def _worker_services(settings: Settings) -> Services:

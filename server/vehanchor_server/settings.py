@@ -160,13 +160,6 @@ class Settings:
     token_file: Path | None = field(
         default=None, metadata=_words("File with one accepted bearer token per line.", panel=_HTTP)
     )
-    scale_key_file: Path | None = field(
-        default=None,
-        metadata=_words(
-            "File with a key, at least 32 bytes, that signs scales in answers. An unsigned one counts as assumed.",
-            panel=_HTTP,
-        ),
-    )
     oidc_issuer: str | None = field(default=None, metadata=_words("Issuer of accepted JWTs.", panel=_HTTP))
     oidc_audience: str | None = field(default=None, metadata=_words("Required audience of these JWTs.", panel=_HTTP))
     max_body_mb: float = field(default=32.0, metadata=_words("Largest request, MiB.", panel=_HTTP))

@@ -25,7 +25,7 @@ from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
+from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.segmentation.prompt import Prompt
 from vehanchor.storage.journal import Journal, Key
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
@@ -237,12 +237,12 @@ def _area_trial(entry: BenchmarkEntry, mask: MaskTrial, scale: GsdEstimate) -> A
 def summarise_area(trials: Sequence[AreaTrial]) -> list[AreaErrors]:
     """Summarise trials as rows: end to end (all, with a scale, confident), and each source of error."""
     scaled = [trial for trial in trials if trial.gsd_m_per_px is not None]
-    usable = [trial for trial in trials if trial.confidence >= FALLBACK_CONFIDENCE]
+    usable = [trial for trial in trials if trial.confidence >= USABLE_CHANCE]
     return [
         area_errors("end to end", ((t.category, t.end_to_end_m2, t.true_area_m2) for t in trials)),
         area_errors("end to end, with a scale", ((t.category, t.end_to_end_m2, t.true_area_m2) for t in scaled)),
         area_errors(
-            f"end to end, confidence >= {FALLBACK_CONFIDENCE:g}",
+            f"end to end, confidence >= {USABLE_CHANCE:g}",
             ((t.category, t.end_to_end_m2, t.true_area_m2) for t in usable),
         ),
         area_errors("true scale (GT-GSD)", ((t.category, t.true_scale_m2, t.true_area_m2) for t in trials)),

@@ -14,8 +14,7 @@ from vehanchor.pictures.placement import Placement
 from vehanchor.pictures.plot import require_plots
 from vehanchor.pictures.scale import caption_panel, draw_vehicles, fit_for_eyes, read_reduced
 from vehanchor.scale.calibration import length_density
-from vehanchor.scale.lengths import Z95
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX
+from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX, Z95
 from vehanchor_evaluation.gsd import HIGH_ERROR
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
 
@@ -64,9 +63,9 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
     axes.fill_between(line, line * (1 - _BAND), line * (1 + _BAND), color=_GREEN, alpha=0.18, lw=0, label="\u00b110 %")
     axes.plot(line, line, color=_GREEN, lw=1.2)
     axes.axhline(guard, color=_RED, ls="--", lw=1.4, label=f"resolution guard {guard:.2g} m/px")
-    confidence = np.array([trial.analysis.estimate.confidence for trial in known])
-    for sure, colour, name in ((True, _BLUE, "confidence \u2265 0.5"), (False, _ORANGE, "confidence < 0.5")):
-        some = (confidence >= FALLBACK_CONFIDENCE) == sure
+    usable = np.array([trial.analysis.estimate.status == "ok" for trial in known])
+    for sure, colour, name in ((True, _BLUE, "usable"), (False, _ORANGE, "not usable")):
+        some = usable == sure
         count = int(some.sum())
         axes.scatter(truth[some], estimate[some], s=18, color=colour, alpha=0.7, lw=0, label=f"{name} ({count})")
     if missed:

@@ -16,7 +16,6 @@ from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Reference, ScaleOptions
 from vehanchor.scale.lengths import kde_mode
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet, naming
 from vehanchor_evaluation.search import SearchedImage
@@ -291,10 +290,10 @@ class ScaleReport(_Row):
     confidence_error_spearman: float | None = Field(description="Rank correlation of confidence and absolute error.")
     high_errors: int = Field(description="Estimates with an error above 20 %.")
     high_errors_guarded: int = Field(description="Of these, estimates that the resolution guard caps.")
-    high_errors_low_confidence: int = Field(description="Of these, estimates with a confidence below 0.5.")
+    high_errors_low_confidence: int = Field(description="Of these, estimates that are not usable.")
     low_errors: int = Field(description="Estimates with an error of at most 20 %.")
     low_errors_guarded: int = Field(description="Of these, estimates that the resolution guard caps.")
-    low_errors_low_confidence: int = Field(description="Of these, estimates with a confidence below 0.5.")
+    low_errors_low_confidence: int = Field(description="Of these, estimates that are not usable.")
 
 
 def report_scale(benchmark: ScaleBenchmark) -> ScaleReport:
@@ -357,7 +356,7 @@ def _guarded(trials: Iterable[ScaleTrial]) -> int:
 
 
 def _low_confidence(trials: Iterable[ScaleTrial]) -> int:
-    return sum(trial.analysis.estimate.confidence < FALLBACK_CONFIDENCE for trial in trials)
+    return sum(trial.analysis.estimate.status != "ok" for trial in trials)
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:

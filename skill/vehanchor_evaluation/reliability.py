@@ -167,8 +167,7 @@ def _ranges(edges: Sequence[float], words: str, least: int = 0) -> list[tuple[st
 
 
 def _chance_rows(known: Sequence[ScaleTrial]) -> list[ChanceRow]:
-    pairs = [(trial.analysis.estimate.p_within_20, trial.error < HIGH_ERROR) for trial in known]
-    told = [(chance, right) for chance, right in pairs if chance is not None]
+    told = [(trial.analysis.estimate.confidence, trial.error < HIGH_ERROR) for trial in known]
     rows = []
     for low, high in itertools.pairwise(_CHANCES):
         some = [(chance, right) for chance, right in told if low <= chance and (chance < high or high == 1.0)]

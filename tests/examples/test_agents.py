@@ -18,7 +18,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.environments import environment
-from tests.examples.stand_in import GIVEN_BACK, KEY, StandIn, ToolCall
+from tests.examples.stand_in import KEY, StandIn, ToolCall
 
 pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]
 
@@ -30,12 +30,13 @@ _BOX = {"box": {"x_min": 255, "y_min": 160, "x_max": 535, "y_max": 470}}
 _LINE = {"points": [{"x": 255, "y": 160}, {"x": 535, "y": 160}]}
 VIEW = ToolCall("view_image", {"image": _PATH, "long_side_px": 512})
 ESTIMATE = ToolCall("estimate_gsd", {"image": _PATH})
-DISTANCE = ToolCall("measure_distance", {"image": _PATH, "lines": [_LINE], "scale": GIVEN_BACK})
-MEASURE = ToolCall("measure_area", {"image": _PATH, "targets": [_BOX], "scale": GIVEN_BACK})
+DISTANCE = ToolCall("measure_distance", {"image": _PATH, "lines": [_LINE]})
+MEASURE = ToolCall("measure_area", {"image": _PATH, "targets": [_BOX]})
 CALLS = [VIEW, ESTIMATE, DISTANCE, MEASURE]
 _USUAL = {
     "coordinates": "pixels",
     "height_basis": "assumed",
+    "gsd_basis": "assumed",
     "include_overlay": False,
     "overlay_side_px": 1000,
     "detail": "short",
@@ -108,7 +109,6 @@ def _check_answer(done: subprocess.CompletedProcess[str], stand_in: StandIn) -> 
     assert len(stand_in.requests) == len(stand_in.calls) + 1
     assert stand_in.n_pictures() == 1, "the model saw what view_image shows"
     said = done.stdout.rpartition("The tool says:")[2]
-    assert re.search(r"reused", said), "the last tool took the scale that the model gave back"
     assert re.search(r"area_m2|[\d.]+ m2", said)
 
 
@@ -121,7 +121,7 @@ def _check_transcript(done: subprocess.CompletedProcess[str], n_calls: int) -> N
     ], done.stdout
     assert re.search(r"^tool  Image of \d+ x \d+ px", done.stdout, flags=re.MULTILINE)
     assert re.search(r"^tool  0\.\d+ m/px \(95 % interval", done.stdout, flags=re.MULTILINE)
-    assert re.search(r"^tool  [\d.]+ m \(95 % interval .*reused", done.stdout, flags=re.MULTILINE)
+    assert re.search(r"^tool  [\d.]+ m \(95 % interval", done.stdout, flags=re.MULTILINE)
     assert re.search(r"^tool  .* m2", done.stdout, flags=re.MULTILINE)
 
 

@@ -27,11 +27,11 @@ _RENDERINGS = re.findall(r"^\$ vehanchor (scene (\w+\.jpg) .*)$", _README, flags
 def _record(**changes: Any) -> dict[str, Any]:
     record = {
         "status": "ok",
-        "confidence": 0.8,
+        "confidence": 0.95,
         "inscribed_diameter_m": 10.0,
         "inscribed_diameter_ci95_low_m": 8.5,
         "inscribed_center": {"x_px": 40.5, "y_px": 30.5},
-        "estimate": {"resolution_guard": False},
+        "estimate": {"status": "ok", "reason": None},
     }
     return record | changes
 
@@ -40,9 +40,10 @@ def _record(**changes: Any) -> dict[str, Any]:
 def decide_zone(example: Callable[[str], Any]) -> Callable[..., Any]:
     planner = example("planner_stdio")
 
-    def decided(record: dict[str, Any], *, error: float = 0.0) -> Any:
-        ruler = planner.Ruler("the ruler", relative_error=error)
-        return planner.decide_zone(record, ruler, planner.Zone(0, 0, 80, 60), planner.Craft(4.0, 2.0))
+    def decided(record: dict[str, Any]) -> Any:
+        return planner.decide_zone(
+            record, planner.Ruler("the ruler"), planner.Zone(0, 0, 80, 60), planner.Craft(4.0, 2.0)
+        )
 
     return decided
 
@@ -60,20 +61,22 @@ def test_an_estimate_that_fits_is_not_enough(decide_zone: Callable[..., Any]) ->
     assert decision.reason.startswith("too small: a circle of at least 7.9 m")
 
 
-def test_an_uncertain_ruler_takes_its_share_off_the_lower_bound(decide_zone: Callable[..., Any]) -> None:
-    given = _record(confidence=None, estimate=None)
-    assert decide_zone(given, error=0.05).action == "land"
-    assert decide_zone(given, error=0.10).action == "next_zone"
+def test_a_measured_scale_is_stated_with_its_tolerance(
+    example: Callable[[str], Any], decide_zone: Callable[..., Any]
+) -> None:
+    ruler = example("planner_stdio").Ruler("barometer", 0.5, 0.1)
+    assert ruler.arguments == {"gsd_m_per_px": 0.5, "gsd_basis": "measured", "gsd_tolerance": pytest.approx(0.05)}
+    assert decide_zone(_record(estimate=None)).action == "land"
 
 
 @pytest.mark.parametrize("reason", get_args(Reason))
-def test_below_the_limit_of_confidence_it_holds_whatever_the_size_and_says_what_helps(
+def test_on_a_scale_that_is_not_ok_it_holds_whatever_the_size_and_says_what_helps(
     decide_zone: Callable[..., Any], reason: str
 ) -> None:
-    record = _record(status="low_confidence", confidence=0.49, estimate={"reason": reason})
+    record = _record(status="low_confidence", confidence=0.89, estimate={"status": "low_confidence", "reason": reason})
     decision = decide_zone(record | {"inscribed_diameter_ci95_low_m": 100.0})
     assert decision.action == "hold_altitude"
-    assert "confidence 0.49" in decision.reason
+    assert "confidence 0.89" in decision.reason
     assert f": {reason}; " in decision.reason
     assert ("fly lower" in decision.reason) == (reason == "too_coarse")
 
@@ -85,7 +88,7 @@ def test_without_a_ruler_it_holds(decide_zone: Callable[..., Any]) -> None:
 
 
 def test_an_unclear_outline_is_no_place_to_land(decide_zone: Callable[..., Any]) -> None:
-    decision = decide_zone(_record(status="low_confidence"))  # of the mask: the scale's confidence is fine
+    decision = decide_zone(_record(status="low_confidence"))  # of the mask: the scale is ok
     assert decision.action == "next_zone"
     assert "outline" in decision.reason
 
@@ -113,7 +116,7 @@ def test_the_shipped_scenes_get_the_decisions_of_their_readme(image: str, zone: 
         assert decision["diameter_low_m"] >= decision["needed_m"] == 8.0
     if image == "no_cars.jpg":  # what the detector takes for cars there, if anything, is never to be trusted
         no_scale = decision["reason"].startswith("no scale from vehicles in the image")
-        assert no_scale or "is below 0.5" in decision["reason"]
+        assert no_scale or "is not ok" in decision["reason"]
     if image == "too_coarse.jpg":
         assert "too_coarse; fly lower" in decision["reason"]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mcp.server import MCPServer
 
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import paint_vehicles, write_detector
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conversation import ERAS
 from tests.tiles import Tiles, watched_tiles
@@ -24,6 +24,7 @@ N_TILES_LARGE = 25  # of large.png
 POOL = (300, 330, 348, 426)  # x and y of its corners; the test segmenter finds it to the pixel by POOL_BOX
 POOL_BOX = {"x_min": 294.0, "y_min": 324.0, "x_max": 354.0, "y_max": 432.0}
 _POOL_RGB = (40, 140, 210)
+_CELL_PX = 14
 
 
 @pytest.fixture
@@ -45,8 +46,8 @@ def _no_operator_variables(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> np.ndarray:
-    """An RGB image with vehicles of nearly one length."""
-    image = blank_image(width_px, height_px)
+    """An RGB image with vehicles of nearly one length, on a ground that looks neither coarse nor fine."""
+    image = _ground(width_px, height_px)
     generator = np.random.default_rng(7)
     columns = max(1, (width_px - 100) // 70)
     boxes = [
@@ -62,6 +63,13 @@ def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> 
     if boxes:
         paint_vehicles(image, boxes)
     return image
+
+
+def _ground(width_px: int, height_px: int) -> np.ndarray:
+    """Grey squares, which the prior of the scene takes for some 0.25 m/px; an even grey looks like 1 m/px."""
+    cells = np.random.default_rng(1).integers(40, 110, (height_px // _CELL_PX + 1, width_px // _CELL_PX + 1))
+    grey = cells.astype(np.uint8).repeat(_CELL_PX, 0).repeat(_CELL_PX, 1)[:height_px, :width_px]
+    return np.repeat(grey[:, :, None], 3, 2)
 
 
 def with_pool(image: np.ndarray) -> np.ndarray:
@@ -125,6 +133,13 @@ def services(settings: Settings) -> Services:
 @pytest.fixture(scope="session")
 def server(services: Services) -> MCPServer[object]:
     return create_server(services)
+
+
+@pytest.fixture(autouse=True)
+def _forgetful(request: pytest.FixtureRequest) -> None:
+    """Forget what earlier tests have asked the server that all share."""
+    if "services" in request.fixturenames:
+        request.getfixturevalue("services").models._memory = None
 
 
 @pytest.fixture

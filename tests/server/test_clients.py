@@ -22,7 +22,6 @@ from tests.server.transport.test_http import served
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools.scale_seal import ScaleSeal
 
 pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]
 
@@ -68,19 +67,15 @@ def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(
     detector = load_detector(detector_path, Runtime(threads=1))
     box = POOL_BOX["x_min"], POOL_BOX["y_min"], POOL_BOX["x_max"], POOL_BOX["y_max"]
     estimate = vehanchor.estimate_gsd(images / "cars.png", detector=detector)
-    assert estimate.scale is not None
-    given_back = estimate.scale.model_dump(mode="json")
     records = [
         estimate,
         vehanchor.measure_area(images / "pool.png", box=box, detector=detector, segmenter=segmenter_paths),
         vehanchor.measure_distance(images / "cars.png", PATH, detector=detector),
-        vehanchor.measure_distance(images / "cars.png", PATH, scale=ScaleSeal().opened(estimate.scale)),
     ]
     calls = [
         ("estimate_gsd", by_path(images / "cars.png")),
         ("measure_area", {**by_path(images / "pool.png"), "targets": [{"box": POOL_BOX}]}),
         ("measure_distance", {**by_path(images / "cars.png"), "lines": LINES}),
-        ("measure_distance", {**by_path(images / "cars.png"), "lines": LINES, "scale": given_back}),
         ("view_image", {"image": by_path(images / "cars.png")["image"], "long_side_px": 640}),
         ("estimate_gsd", by_path(tmp_path / "elsewhere.png")),
     ]

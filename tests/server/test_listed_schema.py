@@ -20,7 +20,6 @@ from tests.server.conversation import text_of
 from tests.server.listed_calls import documented_calls, random_value
 from tests.server.test_tokens import LISTED, tokens_of
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.compact import scale_as_text, scale_from_text
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
@@ -106,23 +105,6 @@ def test_every_measuring_tool_lists_what_can_give_a_scale() -> None:
     for tool in tools(roots=(ROOT,)):
         if tool.name != "view_image":
             assert {"region", "known_lengths", "height_m"} <= set(tool.parameters["properties"])
-
-
-def test_the_text_of_a_scale_keeps_the_tilt() -> None:
-    scale = {
-        "gsd_m_per_px": 0.13612,
-        "gsd_ci95_low_m_per_px": 0.121,
-        "gsd_ci95_high_m_per_px": 0.185,
-        "confidence": 0.83,
-        "image_id": "00123456789012e5",  # a number to a careless reader
-        "model_id": "1234567",
-        "plane": {"tilt_deg": 31.0, "roll_deg": -2.5, "focal_length_px": 1024.0},
-    }
-    assert scale_from_text(scale_as_text(scale)) == scale
-    flat = {**scale, "plane": None}
-    assert scale_from_text(scale_as_text(flat)) == flat
-    with pytest.raises(ValueError, match="unchanged"):
-        scale_from_text("0.13 0.12 x 0.8 aa bb")
 
 
 @pytest.mark.anyio

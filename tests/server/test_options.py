@@ -15,7 +15,7 @@ from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.options import OptionKeywords, ScaleOptions, declared_options
 from vehanchor.options.by_hand import BY_HAND
 from vehanchor.options.frame import FRAME, FRAME_SIDE
-from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
+from vehanchor.options.given_scale import GSD, GSD_M_PER_PX, OBJECT_HEIGHT
 from vehanchor.options.method import Preset
 from vehanchor.options.option import Limits, Option, Words, option_of
 from vehanchor.options.rulers import LINE_LENGTH_M
@@ -26,7 +26,8 @@ from vehanchor_server.settings import Settings, SettingsError
 from vehanchor_server.tools.registry import create_tools
 
 DECLARED = {each.keyword: each for each in declared_options()}
-BESIDE: dict[str, Option] = {"gsd_m_per_px": GSD, "object_height_m": OBJECT_HEIGHT}  # options of measurements alone
+BESIDE: dict[str, Option] = {"object_height_m": OBJECT_HEIGHT}  # an option of measurements alone
+STATED = {"stated_scale"}  # three arguments of the measuring tools
 LIMITED = {
     keyword: each.declared.takes
     for keyword, each in DECLARED.items()
@@ -93,10 +94,10 @@ def test_a_keyword_has_the_type_of_its_option() -> None:
         "Preset": Preset,
     }
     keywords = typing.get_type_hints(OptionKeywords, localns=names)
-    assert set(keywords) == set(DECLARED)
+    assert set(keywords) == set(DECLARED) - STATED
     converted = {"calibration", "rulers", "known_lengths", *BY_HAND}  # a keyword takes more than a field holds
     for keyword, each in DECLARED.items():
-        if keyword not in converted:
+        if keyword not in converted | STATED:
             assert keywords[keyword] == _hints(each.group)[each.field.name], keyword
 
 
@@ -106,7 +107,8 @@ def test_the_command_line_has_every_option_with_its_help_and_default() -> None:
 
     parameters = inspect.signature(scale_command()(command)).parameters
     shown = {keyword: each for keyword, each in DECLARED.items() if each.declared is not None and each.declared.cli}
-    assert set(DECLARED) - set(shown) == {"frame_width_px", "frame_height_px", "limits", "bgr", "verify"}
+    beside = {"frame_width_px", "frame_height_px", "limits", "bgr", "verify"}
+    assert set(DECLARED) - set(shown) == beside | STATED
     for keyword, each in shown.items():
         assert each.declared is not None
         parameter = parameters[keyword]
@@ -139,19 +141,20 @@ def test_the_tools_have_the_limits_and_the_help_of_the_options() -> None:
             if isinstance(declared.takes, Words):
                 words = next(each["enum"] for each in (schema, *schema.get("anyOf", ())) if "enum" in each)
                 assert words == list(declared.takes.words)
-    assert {"region", "reference_length_m", "known_lengths", "height_m", "focal_35mm", "gsd_m_per_px"} < seen
+    assert {"region", "reference_length_m", "known_lengths", "height_m", "focal_35mm"} < seen
     assert {"object_height_m", "effort", "max_tiles", "max_seconds", "coordinates"} < seen
 
 
 def test_the_parts_of_a_tools_arguments_have_the_limits_of_the_library() -> None:
-    (tool,) = (each for each in create_tools(create_services(Settings())) if each.name == "estimate_gsd")
-    properties = tool.full_parameters["properties"]
+    tools = {each.name: each.full_parameters["properties"] for each in create_tools(create_services(Settings()))}
+    properties = tools["estimate_gsd"]
     (frame,) = (each for each in properties["frame"]["anyOf"] if each["type"] == "object")
     (lines,) = (each for each in properties["known_lengths"]["anyOf"] if each["type"] == "array")
     for schema, limits in (
         (frame["properties"]["width_px"], FRAME_SIDE),
         (frame["properties"]["height_px"], FRAME_SIDE),
         (lines["items"]["properties"]["metres"]["anyOf"][0], LINE_LENGTH_M),
+        *((tools["measure_area"][name]["anyOf"][0], GSD_M_PER_PX) for name in ("gsd_m_per_px", "gsd_tolerance")),
     ):
         expected = {JSON_NAMES[limit]: value for limit, value in limits.schema.items()}
         assert {key: value for key, value in schema.items() if "imum" in key.lower()} == expected

@@ -205,7 +205,8 @@ async def test_what_strict_mode_makes_a_model_send_is_accepted(
         left_out |= {"confirm": None, "drop": None, "add": None}
         left_out |= {"effort": None, "max_tiles": None, "max_seconds": None}
     else:
-        left_out |= {"targets": None, "scale": None, "object_height_m": None, "overlay_side_px": 1000}
+        left_out |= {"targets": None, "object_height_m": None, "overlay_side_px": 1000}
+        left_out |= {"gsd_basis": "assumed", "gsd_tolerance": None, "drop": None, "add": None}
     arguments = {**by_path(images / "pool.png"), **more, **left_out}
     jsonschema.validate(arguments, files["openai.json"][TOOLS.index(tool)]["parameters"])
     async with Client(server) as client:

@@ -25,8 +25,8 @@ from research.training.scene_scale.density import (
     quantiles,
     scene_density,
 )
-from vehanchor.scale.fusion import GRID
-from vehanchor.scale.fusion import LOG_STEP as GRID_STEP
+from vehanchor.scale.density import GRID
+from vehanchor.scale.density import LOG_STEP as GRID_STEP
 from vehanchor.storage.atomic import whole_file
 
 BINS = SceneBins(FIRST_LOG_GSD, LOG_STEP)

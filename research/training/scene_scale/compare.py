@@ -18,7 +18,7 @@ from research.training.scene_scale.data import ScaledImage, load_val_images
 from vehanchor.detection.scene_scale import SceneScaleNetwork
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
-from vehanchor.scale.fusion import GRID
+from vehanchor.scale.density import GRID
 from vehanchor.storage.atomic import whole_file
 
 _BANDS = (0.0, 0.018, 0.03, 0.06, 0.12, 0.2, 0.35, 1.2)  # m/px

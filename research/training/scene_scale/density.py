@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from vehanchor.detection import scene_scale
-from vehanchor.scale.fusion import GRID
+from vehanchor.scale.density import GRID
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

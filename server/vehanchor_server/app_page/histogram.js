@@ -11,7 +11,7 @@ function histogramSection(scale, histogram) {
   const end = start + bin * bins.length;
   const mode = scale.mode_length_px;
   const top = Math.max(...bins.map((each) => each.kept + each.dropped), ...density, 1) * 1.05;
-  const guarded = scale.resolution_guard ? " The resolution guard caps the vehicles' confidence." : "";
+  const guarded = scale.resolution_guard ? " The vehicles are too coarse: their weight is reduced." : "";
 
   const draw = (width) => {
     const [left, right, above, below, height] = [34, width - 10, 40, 40, 250];

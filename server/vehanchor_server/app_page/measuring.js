@@ -28,15 +28,23 @@ const sizeOf = (record) => {
   return record.distance_m === null ? `${whole(Math.round(record.length_px))} px` : `${number(record.distance_m)} m`;
 };
 
-// The scale of this result, in any form, to skip the search.
-function knownScale(record) {
-  const scale = record.scale ?? call.arguments.scale;
-  if (scale) return { scale };
-  return record.gsd_m_per_px === null ? undefined : { gsd_m_per_px: record.gsd_m_per_px };
+const SCALE_ARGUMENTS = [
+  "region", "reference_length_m", "height_m", "height_basis", "height_tolerance_m", "focal_35mm", "gsd_m_per_px",
+  "gsd_basis", "gsd_tolerance", "drop",
+];
+
+// The arguments of this result's scale: the server remembers its search. Lines are in pixels of the image.
+function scaleArguments(record) {
+  const [across, down] = callerUnits(record);
+  const inPixels = (line) => ({ ...line, x1: line.x1 * across, y1: line.y1 * down, x2: line.x2 * across, y2: line.y2 * down });
+  const given = call.arguments;
+  const asked = Object.fromEntries(SCALE_ARGUMENTS.filter((name) => given[name]).map((name) => [name, given[name]]));
+  for (const name of ["known_lengths", "add"]) if (given[name]?.length) asked[name] = given[name].map(inPixels);
+  return asked;
 }
 
 async function measureBetween(kind, ends, record) {
-  const asked = { image: call.arguments.image, detail: "full", ...knownScale(record) };
+  const asked = { image: call.arguments.image, detail: "full", ...scaleArguments(record) };
   const [[x1, y1], [x2, y2]] = ends;
   if (kind === "distance") asked.lines = [{ points: [{ x: x1, y: y1 }, { x: x2, y: y2 }] }];
   else asked.targets = [{ box: { x_min: Math.min(x1, x2), y_min: Math.min(y1, y2), x_max: Math.max(x1, x2), y_max: Math.max(y1, y2) } }];
@@ -53,7 +61,7 @@ async function measureAllAgain(result) {
 
 // An area has the scale's confidence: if it is high, the mask is doubtful.
 const doubt = (record) =>
-  isArea(record) && record.confidence >= 0.5 ? "doubtful outline; check it, or draw another box" : "low confidence";
+  isArea(record) && record.confidence >= 0.9 ? "doubtful outline; check it, or draw another box" : "low confidence";
 
 function measuredRow({ kind, record }, remove) {
   const isGood = record.status === "ok";

@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 from mcp.server.mcpserver import Image
-from mcp.types import Annotations, CallToolResult, TextContent
+from mcp.types import CallToolResult, TextContent
 from pydantic import BaseModel
 
 from vehanchor_server.app_page import panel_meta
-from vehanchor_server.calls.compact import scale_as_text, scale_in_words, short_answer
+from vehanchor_server.calls.compact import short_answer
 
 if TYPE_CHECKING:
     from vehanchor_server.app_page.panel import Drawing, LengthHistogram
-    from vehanchor_server.tools.scale_seal import ScaleSeal
 
 Record = TypeVar("Record", bound=BaseModel, covariant=True)
 
@@ -61,26 +60,19 @@ class Answer(Generic[Record]):
         """The first record."""
         return self.records[0]
 
-    def to_result(
-        self, sentence: str, seal: ScaleSeal, *, detail: Detail = "full", paged: bool = False
-    ) -> CallToolResult:
+    def to_result(self, sentence: str, *, detail: Detail = "full", paged: bool = False) -> CallToolResult:
         """Convert to a tool result: text for models, structured content for programs, pictures and page data.
 
         Args:
             sentence: the records in words.
-            seal: signs the scales.
             detail: extent of the records.
             paged: whether the host shows a page, which needs the whole record.
         """
-        short = None if detail == "full" else seal.sealed(short_answer(self.records))
-        if short is not None and "scale" in short:
-            short["scale"] = scale_as_text(short["scale"])
+        short = None if detail == "full" else short_answer(self.records)
         content: list[Any] = [TextContent(type="text", text=sentence)]
         if self.overlay is not None:
             content.append(Image(data=self.overlay, format="jpeg").to_image_content())
-        if short is not None and (scale := scale_in_words(self.records, short)):
-            content.append(TextContent(type="text", text=scale, annotations=Annotations(audience=["assistant"])))
-        whole = [seal.sealed(record.model_dump(mode="json")) for record in self.records]
+        whole = [record.model_dump(mode="json") for record in self.records]
         full = whole[0] if len(whole) == 1 else {"measurements": whole}
         return CallToolResult(
             content=content,

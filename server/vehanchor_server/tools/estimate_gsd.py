@@ -67,10 +67,9 @@ from vehanchor_server.tools.scale_question import (
 from vehanchor_server.tools.strict_tool import StrictTool
 
 _DESCRIPTION = (
-    "Measures the metric scale (metres per pixel) of a near-nadir aerial or satellite image from the cars in it. A "
-    "known length, the camera height or the file's metadata also serve as rulers. Call it before any metric statement "
-    "about such an image; never estimate the scale by eye. Needs cars at about 0.3 m/px or finer, or another ruler. "
-    f"{POLICY} For metres call measure_distance or measure_area."
+    "Measures the scale (metres per pixel) of a near-nadir aerial or satellite image from cars, known lengths, camera "
+    "height or metadata. Call it before any metric statement; never estimate the scale by eye. Needs cars at "
+    f"0.3 m/px or finer, or another ruler. {POLICY}"
 )
 
 _CHECK = "look at include_overlay, then confirm the boxes that are cars and drop the others"
@@ -127,7 +126,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             asked = request_scale_input(ctx, question, answer.record, words)
             if asked is not None:
                 return asked
-        return answer.to_result(words, services.seal, detail=detail, paged=paged)
+        return answer.to_result(words, detail=detail, paged=paged)
 
     return StrictTool.read_only(
         estimate_gsd,
@@ -148,7 +147,7 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
         CallError: a model cannot be loaded.
         CallStoppedError: the call was stopped.
     """
-    from vehanchor.analysis.pipeline import analyse_raster, checked_detector
+    from vehanchor.analysis.pipeline import checked_detector
     from vehanchor.imagery.sources.opening import open_raster
 
     detector = services.models.detector(job.runtime)
@@ -156,7 +155,7 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
     checked_detector(detector, options)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
-        analysis = analyse_raster(raster, detector, options)
+        analysis = services.models.memory.analyse(raster, detector, options)
         return scale_answer(raster, analysis, asked.wanted, job)
 
 

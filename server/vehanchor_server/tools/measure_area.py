@@ -13,7 +13,7 @@ from mcp.types import CallToolResult
 from pydantic import Field
 
 from vehanchor.records import AreaMeasurement, BoundingBox, OtherObject
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
+from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
@@ -44,20 +44,24 @@ from vehanchor_server.tools.messages import (
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_question import (
     UNLISTED_ARGUMENTS,
+    AddArgument,
     CoordinatesArgument,
     DetailArgument,
+    DropArgument,
     FocalLengthArgument,
     FrameArgument,
     GsdArgument,
+    GsdBasisArgument,
+    GsdToleranceArgument,
     HeightArgument,
     HeightBasisArgument,
     HeightToleranceArgument,
     KnownLengthsArgument,
-    KnownScaleArgument,
     ObjectHeightArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
+    stated_scale,
 )
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import MAX_TARGETS, Target
@@ -66,11 +70,9 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.prompt import Prompt
 
 _DESCRIPTION = (
-    "Measures the real area (square metres) and size of objects in a near-nadir aerial or satellite image: roof, pool, "
-    "field, clearing, car park, landing site. Give a tight box around each whole object. Call it instead of estimating "
-    "an area by eye. Also returns length, width, and inscribed_diameter_m, the largest "
-    "circle inside, for landings. "
-    f"{STATUS_RULES}"
+    "Measures the area (square metres) and size of objects in a near-nadir aerial or satellite image: roof, pool, "
+    "field, landing site. Give a tight box around each whole object; never estimate an area by eye. Also "
+    f"returns length, width, and inscribed_diameter_m, the largest circle inside, for landings. {STATUS_RULES}"
 )
 
 
@@ -99,8 +101,9 @@ def measure_area_tool(services: Services) -> StrictTool:
         ] = None,
         coordinates: CoordinatesArgument = "pixels",
         frame: FrameArgument = None,
-        scale: KnownScaleArgument = None,
         gsd_m_per_px: GsdArgument = None,
+        gsd_basis: GsdBasisArgument = "assumed",
+        gsd_tolerance: GsdToleranceArgument = None,
         region: RegionArgument = None,
         reference_length_m: ReferenceLengthArgument = None,
         known_lengths: KnownLengthsArgument = None,
@@ -109,24 +112,19 @@ def measure_area_tool(services: Services) -> StrictTool:
         height_basis: HeightBasisArgument = "assumed",
         height_tolerance_m: HeightToleranceArgument = None,
         object_height_m: ObjectHeightArgument = None,
+        drop: DropArgument = None,
+        add: AddArgument = None,
         include_overlay: OverlayArgument = False,
         overlay_side_px: OverlaySideArgument = OVERLAY_SIDE_PX,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
-        question = ScaleQuestion(
-            region,
-            reference_length_m,
-            frame,
-            known_lengths,
-            height_m,
-            height_basis,
-            height_tolerance_m,
-            focal_35mm,
-            coordinates,
-        )
+        height = (height_m, height_basis, height_tolerance_m, focal_35mm)
+        stated = stated_scale(gsd_m_per_px, gsd_basis, gsd_tolerance)
+        facts = (region, reference_length_m, frame, known_lengths, *height, coordinates)
+        question = ScaleQuestion(*facts, drop=drop, add=add, stated=stated)
         paged = client_supports_apps(ctx)
         wanted = PictureRequest(include_overlay, paged, overlay_side_px)
-        by = ScaleArguments(gsd_m_per_px, services.seal.opened(scale), question, object_height_m)
+        by = ScaleArguments(question, object_height_m)
         asked = _Question(_merge_targets(target, targets), by, wanted)
         answer = await run_call(services, ctx, image, _measure, asked)
         words = [
@@ -134,7 +132,7 @@ def measure_area_tool(services: Services) -> StrictTool:
             *warnings_of(answer.records, detail),
             *copy_hint(_places(asked.targets), question, *_size(answer.record)),
         ]
-        return answer.to_result(" ".join(words), services.seal, detail=detail, paged=paged)
+        return answer.to_result(" ".join(words), detail=detail, paged=paged)
 
     return StrictTool.read_only(
         measure_area,
@@ -251,8 +249,8 @@ def _area_in_words(area: AreaMeasurement) -> str:
         size += f", largest circle inside {rounded(area.inscribed_diameter_m)} m across"
     size += f"; {scale_origin(area)}: "
     if area.status == "ok":
-        return size + ("as accurate as the given scale." if area.scale_source == "given" else "safe to use.")
-    if area.confidence is not None and area.confidence < FALLBACK_CONFIDENCE:
+        return size + "safe to use."
+    if area.confidence is not None and area.confidence < USABLE_CHANCE:
         return size + unusable_scale(area.estimate)
     if any(notice.code == "mask_score_low" for notice in area.warnings):
         return size + "do not rely on it (low mask score); look at include_overlay, or draw another box."

@@ -38,26 +38,30 @@ from vehanchor_server.tools.messages import (
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_question import (
     UNLISTED_ARGUMENTS,
+    AddArgument,
     CoordinatesArgument,
     DetailArgument,
+    DropArgument,
     FocalLengthArgument,
     FrameArgument,
     GsdArgument,
+    GsdBasisArgument,
+    GsdToleranceArgument,
     HeightArgument,
     HeightBasisArgument,
     HeightToleranceArgument,
     KnownLengthsArgument,
-    KnownScaleArgument,
     ObjectHeightArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
+    stated_scale,
 )
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import MAX_POINTS, MAX_TARGETS
 
 _DESCRIPTION = (
-    "Measures distances on the ground (metres) in a near-nadir aerial or satellite image: how wide, how long, how far. "
+    "Measures ground distances (metres) in a near-nadir aerial or satellite image: how wide, how long, how far. "
     f"Give two points, or the vertices of a path in order. {STATUS_RULES}"
 )
 
@@ -101,8 +105,9 @@ def measure_distance_tool(services: Services) -> StrictTool:
         ctx: Context[Any, Any],
         coordinates: CoordinatesArgument = "pixels",
         frame: FrameArgument = None,
-        scale: KnownScaleArgument = None,
         gsd_m_per_px: GsdArgument = None,
+        gsd_basis: GsdBasisArgument = "assumed",
+        gsd_tolerance: GsdToleranceArgument = None,
         region: RegionArgument = None,
         reference_length_m: ReferenceLengthArgument = None,
         known_lengths: KnownLengthsArgument = None,
@@ -111,22 +116,17 @@ def measure_distance_tool(services: Services) -> StrictTool:
         height_basis: HeightBasisArgument = "assumed",
         height_tolerance_m: HeightToleranceArgument = None,
         object_height_m: ObjectHeightArgument = None,
+        drop: DropArgument = None,
+        add: AddArgument = None,
         include_overlay: OverlayArgument = False,
         overlay_side_px: OverlaySideArgument = OVERLAY_SIDE_PX,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
-        question = ScaleQuestion(
-            region,
-            reference_length_m,
-            frame,
-            known_lengths,
-            height_m,
-            height_basis,
-            height_tolerance_m,
-            focal_35mm,
-            coordinates,
-        )
-        by = ScaleArguments(gsd_m_per_px, services.seal.opened(scale), question, object_height_m)
+        height = (height_m, height_basis, height_tolerance_m, focal_35mm)
+        stated = stated_scale(gsd_m_per_px, gsd_basis, gsd_tolerance)
+        facts = (region, reference_length_m, frame, known_lengths, *height, coordinates)
+        question = ScaleQuestion(*facts, drop=drop, add=add, stated=stated)
+        by = ScaleArguments(question, object_height_m)
         asked = _Question(lines, by, PictureRequest(include_overlay, False, overlay_side_px))
         answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record
@@ -136,7 +136,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
             *warnings_of(answer.records, detail),
             *copy_hint(places, question, first.image_width_px, first.image_height_px),
         ]
-        return answer.to_result(" ".join(words), services.seal, detail=detail)
+        return answer.to_result(" ".join(words), detail=detail)
 
     return StrictTool.read_only(
         measure_distance,
@@ -193,5 +193,5 @@ def _distance_in_words(record: DistanceMeasurement) -> str:
     text = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
     text += f"; {scale_origin(record)}: "
     if record.status == "ok":
-        return text + ("as accurate as the given scale." if record.scale_source == "given" else "safe to use.")
+        return text + "safe to use."
     return text + unusable_scale(record.estimate)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
 
-from vehanchor.records import KnownScale
 from vehanchor_server.calls.answer import MAX_SIDE_PX
 from vehanchor_server.frozen import Flag, WholeNumber
 from vehanchor_server.tools.scale_question import ScaleQuestion
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 OVERLAY_SIDE_PX = 1000
 _LEAST_OVERLAY_PX = 256
 
-OverlayArgument: TypeAlias = Annotated[Flag, Field(description="Also return a picture of what was measured.")]
+OverlayArgument: TypeAlias = Annotated[Flag, Field(description="Also return a picture.")]
 OverlaySideArgument: TypeAlias = Annotated[
     WholeNumber,
     Field(ge=_LEAST_OVERLAY_PX, le=MAX_SIDE_PX, description="Longer side of that picture, pixels, at most."),
@@ -35,31 +34,33 @@ class ScaleArguments:
     """Arguments of a call that determine the scale.
 
     Attributes:
-        gsd_m_per_px: a scale that the caller knows.
-        scale: the scale of an earlier answer.
         question: options for an estimate, and the coordinate system.
         object_height_m: height of the object above ground.
     """
 
-    gsd_m_per_px: float | None
-    scale: KnownScale | None
     question: ScaleQuestion
     object_height_m: float | None = None
 
     def resolve(self, services: Services, job: Job) -> tuple[ScaleOptions, ScaleInput]:
-        """Return the options and the source of the scale; load the detector only for an estimate.
+        """Return the options, and the measured scale or the detector that finds one.
 
         Raises:
             CallError: a model cannot be loaded.
             VehAnchorError: the arguments contradict each other.
         """
+        from vehanchor.analysis.memory import RememberingDetector
         from vehanchor.analysis.pipeline import checked_detector
         from vehanchor.measure.resolved_scale import given_scale
 
-        searched = self.gsd_m_per_px is None and self.scale is None
-        options = self.question.options(services.settings, services.models if searched else None)
-        given = given_scale(self.gsd_m_per_px, self.scale, options)
-        return options, checked_detector(services.models.detector(job.runtime), options) if given is None else given
+        stated = self.question.stated
+        if stated is not None and stated.basis == "measured":
+            options = self.question.options(services.settings, None)
+            given = given_scale(stated.gsd_m_per_px, None, options)
+            assert given is not None
+            return options, given
+        options = self.question.options(services.settings, services.models)
+        detector = checked_detector(services.models.detector(job.runtime), options)
+        return options, RememberingDetector(detector, services.models.memory)
 
 
 def copy_hint(

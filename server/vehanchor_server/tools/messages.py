@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.records.advice import CHECK_VEHICLES, advice_for
 from vehanchor.records.digits import significant
-from vehanchor_server.calls.compact import ADVICE_ON_REUSE
+from vehanchor_server.calls.compact import ADVICE_ON_STATED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -15,19 +15,21 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.answer import Detail
 
 POLICY = (
-    "Rule for planners: use the scale if confidence >= 0.5. Below 0.5 do not act on it: fall back to another ruler "
-    "(known altitude, an object of known size). Confidence 0 means that no ruler was found: gsd_m_per_px is null, "
-    "never a guess."
+    "Act on the scale only if status is ok: it is right within 20 % in at least 9 of 10 such photographs. "
+    "Otherwise use another ruler. no_scale: no ruler was found, gsd_m_per_px is null, never a guess."
 )
 """The rule for planners in the description of ``estimate_gsd``."""
 
-_ARGUMENTS = "(known_lengths, height_m: only values that someone knows)"
+_ARGUMENTS = {"known size": "known_lengths", "the region": "region"}
+"""Arguments of a remedy, which every measuring tool has."""
 
 STATUS_RULES = (
-    "status ok: use it. low_confidence: do not act on it. no_scale: no metres, only pixels. Arguments of the scale are "
-    "those of estimate_gsd."
+    "status ok: use it. low_confidence: do not act on it. no_scale: only pixels. Scale arguments: see estimate_gsd."
 )
 """The meaning of ``status`` in the descriptions of the measuring tools."""
+
+
+_PROBABLY = 0.5
 
 
 def rounded(value: float) -> str:
@@ -46,10 +48,10 @@ def count_vehicles(number: int) -> str:
 
 
 def ruler_names(estimate: GsdEstimate) -> str:
-    """List the rulers that agree with the scale, the leading one first, without priors."""
-    agreeing = [ruler for ruler in estimate.rulers if ruler.agrees and ruler.sets_scale]
-    by_weight = sorted(agreeing, key=lambda ruler: -ruler.weight)
-    words = [count_vehicles(estimate.n_vehicles) if ruler.kind == "vehicles" else ruler.label for ruler in by_weight]
+    """List the rulers that are probably right, the leading one first, without priors."""
+    right = [ruler for ruler in estimate.rulers if ruler.p_right >= _PROBABLY and ruler.sets_scale]
+    ordered = sorted(right, key=lambda ruler: ruler.kind != estimate.leading_ruler)
+    words = [count_vehicles(estimate.n_vehicles) if ruler.kind == "vehicles" else ruler.label for ruler in ordered]
     return " and ".join(words) or count_vehicles(estimate.n_vehicles)
 
 
@@ -93,15 +95,15 @@ def numbered(sentences: Sequence[str]) -> str:
 
 
 def unusable_scale(estimate: GsdEstimate | None, check: str = CHECK_VEHICLES) -> str:
-    """Say why a scale is not usable and what would help; shorter for a reused scale.
+    """Say why a scale is not usable and what would help; shorter for a stated scale.
 
     Args:
-        estimate: the record of the scale; None for a reused scale.
+        estimate: the record of the scale; None for a stated scale.
         check: how the called tool checks the vehicles.
     """
     advice = advice_for(estimate, check)
     if advice is None:
-        return f"do not rely on it; {ADVICE_ON_REUSE} {_ARGUMENTS}."
+        return f"do not rely on it; {ADVICE_ON_STATED}."
     return f"do not rely on it ({advice.why}); {_with_arguments(advice.helps)}."
 
 
@@ -113,16 +115,14 @@ def no_scale_message(estimate: GsdEstimate | None) -> str:
 
 
 def _with_arguments(helps: str) -> str:
-    """Name the arguments of a remedy; every measuring tool has them."""
-    return f"{helps} {_ARGUMENTS}" if "known length" in helps else helps
+    named = [argument for words, argument in _ARGUMENTS.items() if words in helps]
+    return f"{helps} ({', '.join(named)})" if named else helps
 
 
 def scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:
     """Name the source of a measurement's scale."""
     assert measured.gsd_m_per_px is not None
-    if measured.confidence is None:
-        return f"scale {measured.gsd_m_per_px:g} m/px as given"
     scale = f"scale {rounded(measured.gsd_m_per_px)} m/px"
     if measured.estimate is None:
-        return f"{scale} reused, confidence {measured.confidence:.2f}"
+        return f"{scale} as stated, confidence {measured.confidence or 0.0:.2f}"
     return f"{scale}, confidence {measured.confidence:.2f} from {ruler_names(measured.estimate)}"

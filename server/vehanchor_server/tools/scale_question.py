@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, cast
 
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
+from vehanchor.errors import InvalidParameterError
 from vehanchor.options import (
     AddedVehicle,
     Basis,
@@ -23,11 +24,10 @@ from vehanchor.options import (
 )
 from vehanchor.options.by_hand import vehicle_numbers
 from vehanchor.options.frame import FRAME, FRAME_SIDE
-from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
-from vehanchor.options.rulers import LINE_LENGTH_M
-from vehanchor.records import KnownScale
+from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT
+from vehanchor.options.rulers import LINE_LENGTH_M, StatedScale
 from vehanchor_server.calls.answer import Detail
-from vehanchor_server.calls.compact import scale_from_text
+from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import FrozenModel, Number, WholeNumber
 from vehanchor_server.tools.option_field import limits_field, option_field
 
@@ -90,12 +90,17 @@ FrameArgument: TypeAlias = Annotated[
     FrameSize | None, option_field(FRAME), Field(examples=[{"width_px": 1024, "height_px": 768}])
 ]
 CoordinatesArgument: TypeAlias = Annotated[Coordinates, option_field("coordinates")]
-KnownScaleArgument: TypeAlias = Annotated[
-    KnownScale | None,
-    BeforeValidator(scale_from_text, json_schema_input_type=KnownScale | Annotated[str, Field(max_length=300)] | None),
-    Field(description="scale of an earlier answer about this image, unchanged; skips the search."),
+GsdArgument: TypeAlias = Annotated[
+    Number | None,
+    limits_field(GSD_M_PER_PX),
+    Field(description="Metres per pixel by a map or sister photograph."),
 ]
-GsdArgument: TypeAlias = Annotated[Number | None, option_field(GSD)]
+GsdBasisArgument: TypeAlias = Annotated[
+    Basis, Field(description="measured: leads, without a search. assumed: other evidence must agree.")
+]
+GsdToleranceArgument: TypeAlias = Annotated[
+    Number | None, limits_field(GSD_M_PER_PX), Field(description="Half of its 95 % interval, m/px. Default: 10 %.")
+]
 DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
 KnownLengthsArgument: TypeAlias = Annotated[
     tuple[KnownLine, ...] | None,
@@ -119,6 +124,7 @@ UNLISTED_ARGUMENTS = (
     "reference_length_m",
     "height_tolerance_m",
     "tolerance_m",
+    "gsd_tolerance",
     "object_height_m",
     "overlay_side_px",
     "effort",
@@ -159,6 +165,7 @@ class ScaleQuestion:
         confirm: numbers of vehicles that are cars, as "1-20,23".
         drop: numbers of vehicles that are no cars.
         add: cars that were not found.
+        stated: a scale from elsewhere.
     """
 
     region: str | None = None
@@ -176,6 +183,7 @@ class ScaleQuestion:
     confirm: str | None = None
     drop: str | None = None
     add: tuple[CarAxis, ...] | None = None
+    stated: StatedScale | None = None
 
     @property
     def by_hand(self) -> ByHand:
@@ -225,6 +233,23 @@ class ScaleQuestion:
                 height_basis=self.height_basis,
                 height_tolerance_m=self.height_tolerance_m,
                 focal_35mm=self.focal_35mm,
+                stated_scale=self.stated,
             ),
             by_hand=self.by_hand,
         )
+
+
+def stated_scale(gsd_m_per_px: float | None, basis: Basis, tolerance: float | None) -> StatedScale | None:
+    """Combine the arguments of a scale from elsewhere; None without one.
+
+    Raises:
+        CallError: basis or tolerance are given without the scale, or the tolerance is as large as the scale.
+    """
+    if gsd_m_per_px is not None:
+        try:
+            return StatedScale.of(gsd_m_per_px, basis, tolerance)
+        except InvalidParameterError as error:
+            raise CallError(error.code, f"{error}.") from error
+    if basis == "measured" or tolerance is not None:
+        raise CallError("invalid_arguments", "gsd_basis and gsd_tolerance need gsd_m_per_px: give the scale, too.")
+    return None

@@ -78,7 +78,7 @@ def view_image_tool(services: Services) -> StrictTool:
         part: Annotated[Box | None, Field(description="Part to show; default all.", examples=[_PART])] = None,
         coordinates: CoordinatesArgument = "pixels",
         long_side_px: Annotated[WholeNumber, Field(ge=_LEAST_SIDE_PX, le=_LONGEST_SIDE_PX)] = _USUAL_SIDE_PX,
-        page: Annotated[WholeNumber, Field(ge=1, le=_LAST_PAGE, description="Page of the image list.")] = 1,
+        page: Annotated[WholeNumber, Field(ge=1, le=_LAST_PAGE, description="Page of the list.")] = 1,
         grid: Annotated[Flag, Field(description="Draw the grid; people who click need none.")] = True,
     ) -> Annotated[CallToolResult, ViewedImage]:
         if image is None:

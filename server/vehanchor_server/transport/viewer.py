@@ -37,7 +37,6 @@ from vehanchor.imagery.limits import read_checked_header
 from vehanchor_server.app import create_server
 from vehanchor_server.app_page import view_html
 from vehanchor_server.services import create_services
-from vehanchor_server.tools.scale_seal import MIN_KEY_BYTES, ScaleSeal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,7 +98,7 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
         dropped: folder for dropped photographs.
     """
     settings = replace(settings, max_concurrency=_MAX_CALLS)
-    services = replace(create_services(settings), seal=ScaleSeal(secrets.token_bytes(MIN_KEY_BYTES)))
+    services = create_services(settings)
     shows_pages = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
 
     @asynccontextmanager

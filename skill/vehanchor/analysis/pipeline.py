@@ -8,11 +8,13 @@ threads.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.detection.convergence import Convergence
 from vehanchor.detection.corrections import corrected
 from vehanchor.detection.detections import NOT_SEARCHED, Detections
 from vehanchor.detection.scene_scale import load_scene_scale
@@ -23,6 +25,7 @@ from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.identity import begin_image_id
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.records import (
+    ConfidenceTerms,
     FrameScale,
     GsdEstimate,
     KnownScale,
@@ -32,15 +35,18 @@ from vehanchor.records import (
     VehiclesByHand,
 )
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.agreement import disagreements, outvoted_priors
-from vehanchor.rulers.decision import convergence, decide
-from vehanchor.rulers.evidence import View
+from vehanchor.rulers.disagreements import disagreements
 from vehanchor.rulers.measurement import measure_all, with_tilt
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class, uses
 from vehanchor.rulers.scene_scale import SceneScale
-from vehanchor.rulers.stated import unit_notices
+from vehanchor.rulers.stated_scale import StatedScale
 from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.rulers.view import View
+from vehanchor.scale.defaults import USABLE_CHANCE
+from vehanchor.scale.density import product
+from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX, MIN_KDE_VEHICLES, statistical_log_sds
+from vehanchor.scale.posterior import Answer, answer, judged
 from vehanchor.tilt.camera_tilt import metadata_tilt
 from vehanchor.tilt.estimate import tilt_notice
 
@@ -48,17 +54,19 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.convergence import Convergence
     from vehanchor.detection.detector import Detector
     from vehanchor.detection.scene_scale import SceneScalePrior
-    from vehanchor.imagery.raster import Raster, RasterNote
+    from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
-    from vehanchor.rulers.decision import RulerShare, ScaleDecision
-    from vehanchor.rulers.evidence import Evidence
-    from vehanchor.rulers.vehicles import VehicleEvidence
+    from vehanchor.records import Reason
+    from vehanchor.rulers.vehicles import VehicleWitness
+    from vehanchor.scale.lengths import Interval
+    from vehanchor.scale.posterior import Remark, Witness
 
 _MODEL_DIGITS = 12
+_SAME_SCALE = 0.02  # of the log: a stated scale this near to the answer repeats it; a choice
+_CHANCE_MARGIN = 0.03  # early and full searches of nine photographs differed by at most 0.017
 GEOREFERENCE_TOLERANCE = 0.10  # largest difference of the file's own scale without a warning
 
 
@@ -106,8 +114,7 @@ def search_raster(
     facts, image_id = image_facts(raster), begin_image_id(raster)
     tilt = metadata_tilt(facts, options)  # refuses an image with the horizon before the work
     kinds = {ruler.kind for ruler in rulers}
-    weighed = detector.card.votes or Vehicles.kind not in kinds  # otherwise the prior has no use
-    if prior is None and weighed and SceneScale.kind in kinds:
+    if prior is None and SceneScale.kind in kinds:
         network = load_scene_scale(detector.runtime)
         prior = None if network is None else network.predict(raster)
     resolved = partial(resolved_share, raster)
@@ -121,7 +128,9 @@ def search_raster(
         detector,
         options.search,
         prior=prior,
-        convergence=None if tilt else partial(_convergence, view),  # in a tilted view, lengths vary over the image
+        convergence=None
+        if tilt
+        else partial(search_convergence, view),  # in a tilted view, lengths vary over the image
         check_stretch=check_stretch,
     )
     chosen, size_px = options.search, (raster.width_px, raster.height_px)
@@ -129,11 +138,31 @@ def search_raster(
     return replace(view, image=facts._replace(image_id=image_id()), detections=detections)
 
 
-def _convergence(view: View, detections: Detections) -> Convergence:
-    """Compute the convergence of the search so far."""
+def search_convergence(view: View, detections: Detections) -> Convergence:
+    """Measure how far more vehicles would change the scale found so far, by the vehicles and the prior alone."""
     view = replace(view, detections=detections)
     priors = [ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale]
-    return convergence(Vehicles().measure(view), priors)
+    vehicles = Vehicles().measure(view)
+    mode_px, lengths = vehicles.paper.mode_length_px, vehicles.fleet.lengths
+    if mode_px is None:
+        return Convergence(math.inf, 0.0, doubted=True)
+    scores = vehicles.fleet.scores if vehicles.paper.aggregation == "weighted_kde" else None
+    resampling, spread = statistical_log_sds(lengths, mode_px, scores=scores)
+    found = answer([vehicles, *priors])
+    return Convergence(
+        math.hypot(resampling, spread),
+        vehicles.reference.log_sd,
+        doubted=vehicles.doubted or found is None or not _is_settled(found),
+        value_log_sd=math.hypot(resampling, vehicles.reference.sampling_log_sd)
+        if vehicles.n >= MIN_KDE_VEHICLES
+        else math.inf,
+        density=product(vehicles.density, *(prior.density for prior in priors if prior.found)),
+    )
+
+
+def _is_settled(found: Answer) -> bool:
+    """Test whether a little change of the value leaves the status as it is: usable, or clearly too imprecise."""
+    return found.usable or (found.reason == "imprecise" and found.chance < USABLE_CHANCE - _CHANCE_MARGIN)
 
 
 def analyse_detections(view: View) -> ScaleAnalysis:
@@ -150,12 +179,12 @@ def analyse_detections(view: View) -> ScaleAnalysis:
     return analyse_view(with_tilt(view))
 
 
-def analyse_view(view: View, known: Sequence[Evidence] = ()) -> ScaleAnalysis:
+def analyse_view(view: View, known: Sequence[Witness] = ()) -> ScaleAnalysis:
     """Measure the scale of a view with an estimated tilt.
 
     Args:
         view: of the image.
-        known: earlier evidence, which is not measured again.
+        known: earlier witnesses, which are not measured again.
     """
     vehicles, others = measure_all(view, known)
     notices = tilt_notice(view.image, view.options, view.detections) if view.tilt is None and vehicles.n else ()
@@ -163,53 +192,98 @@ def analyse_view(view: View, known: Sequence[Evidence] = ()) -> ScaleAnalysis:
 
 
 def conclude(
-    view: View, vehicles: VehicleEvidence, others: tuple[Evidence, ...], notices: Sequence[Notice] = ()
+    view: View, vehicles: VehicleWitness, others: tuple[Witness, ...], notices: Sequence[Notice] = ()
 ) -> ScaleAnalysis:
     """Decide on the scale, and make the record.
 
     Args:
         view: of the image.
-        vehicles: their evidence.
-        others: evidence of the other rulers.
+        vehicles: their witness.
+        others: witnesses of the other rulers.
         notices: of the tilt.
     """
-    decision = decide(vehicles, others)
-    outvoted = [ruler.kind for ruler in decision.rulers if not ruler.agrees]
-    warnings = [*image_notices(view.image.notices), *vehicles.notices]
-    warnings += [notice for other in others for notice in other.notices]
-    warnings += [*notices, *disagreements((vehicles, *others), outvoted, settled=decision.led_by_measured)]
-    warnings += outvoted_priors((vehicles, *others)).values()
-    warnings += unit_notices((vehicles, *others))
-    if decision.gsd_m_per_px is not None:
-        alone = decision.gsd_m_per_px == vehicles.gsd_m_per_px
-        own, who_says = view.image.georeference_gsd_m_per_px, Vehicles.says() if alone else "the rulers say"
-        warnings += georeference_notice(own, decision.gsd_m_per_px, who_says)
-    record = _record(view, vehicles, others, decision, tuple(warnings))
+    witnesses = _without_repetition((vehicles, *others))
+    if view.options.method.preset == "paper":
+        found, decided = None, _by_paper(vehicles)
+    else:
+        found = answer(witnesses)
+        decided = _no_scale(others) if found is None else _Decided.of(found, witnesses)
+    own = (notice for each in witnesses for notice in each.notices)
+    warnings = [*notices_of(view.image.notices), *notices_of(own), *notices]
+    warnings += [] if found is None else disagreements(witnesses, found)
+    warnings += georeference_notice(view.image.georeference_gsd_m_per_px, decided.gsd_m_per_px, "the rulers say")
+    record = _record(view, vehicles, others, decided, tuple(warnings))
     rectified = view.tilt is not None and uses(view.options.rulers, Vehicles.kind)
-    return ScaleAnalysis(record, vehicles, others, view.detections if rectified else None)
+    return ScaleAnalysis(record, vehicles, others, view.detections if rectified else None, answer=found)
+
+
+def _without_repetition(witnesses: tuple[Witness, ...]) -> tuple[Witness, ...]:
+    """Leave out a stated scale that repeats the answer of the others: the same number is one witness."""
+    stated = next((each for each in witnesses if each.kind == StatedScale.kind and each.found), None)
+    rest = tuple(each for each in witnesses if each is not stated)
+    found = None if stated is None else judged(rest)
+    if stated is None or stated.gsd_m_per_px is None or found is None:
+        return witnesses
+    repeats = abs(math.log(stated.gsd_m_per_px / found.gsd_m_per_px)) <= _SAME_SCALE
+    return rest if repeats else witnesses
+
+
+class _Decided(NamedTuple):
+    """What a record says of the scale."""
+
+    gsd_m_per_px: float | None
+    interval: Interval | None
+    confidence: float
+    reason: Reason | None
+    leading: str | None = None
+    rulers: tuple[RulerScale, ...] = ()
+
+    @classmethod
+    def of(cls, found: Answer, witnesses: Sequence[Witness]) -> _Decided:
+        heard = [each for each in witnesses if each.found]
+        rulers = tuple(_ruler_scale(each, p_right) for each, p_right in zip(heard, found.p_right, strict=True))
+        kind = heard[found.leading].kind
+        return cls(found.gsd_m_per_px, found.interval, found.chance, found.reason, kind, rulers)
+
+
+def _by_paper(vehicles: VehicleWitness) -> _Decided:
+    """Decide by the published method, for the preset ``paper``."""
+    paper = vehicles.paper
+    if paper.gsd_m_per_px is None:
+        return _Decided(None, None, 0.0, "too_few")
+    rulers = (_ruler_scale(replace(vehicles, gsd_m_per_px=paper.gsd_m_per_px), paper.confidence),)
+    reason = paper.reason(vehicles.n)
+    return _Decided(paper.gsd_m_per_px, paper.interval, paper.confidence, reason, vehicles.kind, rulers)
+
+
+def _no_scale(others: Sequence[Witness]) -> _Decided:
+    """Say why there is no scale: the scene looks too coarse for cars, or no ruler found anything."""
+    priors = [each.interval for each in others if not each.sets_scale and each.interval is not None]
+    coarse = any(interval.low > GUARD_GSD_M_PER_PX for interval in priors)
+    return _Decided(None, None, 0.0, "too_coarse" if coarse else "too_few")
 
 
 def _record(
     view: View,
-    vehicles: VehicleEvidence,
-    others: Sequence[Evidence],
-    decision: ScaleDecision,
+    vehicles: VehicleWitness,
+    others: Sequence[Witness],
+    decided: _Decided,
     warnings: tuple[Notice, ...],
 ) -> GsdEstimate:
-    image, gsd, interval = view.image, decision.gsd_m_per_px, decision.interval
+    image, paper = view.image, vehicles.paper
+    gsd, interval = decided.gsd_m_per_px, decided.interval
     return GsdEstimate(
-        status="no_scale" if gsd is None else "low_confidence" if decision.reason else "ok",
+        status="no_scale" if gsd is None else "low_confidence" if decided.reason else "ok",
         gsd_m_per_px=gsd,
-        confidence=decision.confidence,
+        confidence=decided.confidence,
         n_vehicles=vehicles.n,
-        mode_length_px=vehicles.mode_length_px,
+        mode_length_px=paper.mode_length_px,
         gsd_ci95_low_m_per_px=interval and interval.low,
         gsd_ci95_high_m_per_px=interval and interval.high,
-        p_within_20=decision.p_within_20,
-        reason=decision.reason,
+        reason=decided.reason,
         scene_scale=next((_scene_scale(other) for other in others if other.kind == SceneScale.kind), None),
-        leading_ruler=decision.source,
-        rulers=tuple(_ruler_scale(share) for share in decision.rulers),
+        leading_ruler=decided.leading,
+        rulers=decided.rulers,
         n_detections=len(vehicles.fleet.detections.boxes),
         working_scale=vehicles.fleet.working_scale,
         by_hand=_by_hand(view.detections),
@@ -217,18 +291,18 @@ def _record(
         tiles_total=view.detections.n_tiles_total or view.detections.n_tiles,
         candidates_skipped=view.detections.n_skipped,
         stopped_because=view.detections.stopped_because,
-        aggregation=vehicles.aggregation,
+        aggregation=paper.aggregation,
         reference_length_m=vehicles.reference.length_m,
         reference_source=vehicles.reference.source,
-        resolution_guard=vehicles.guarded,
-        composite_confidence=vehicles.confidence,
-        confidence_terms=vehicles.terms,
+        resolution_guard=paper.guarded,
+        composite_confidence=paper.confidence,
+        confidence_terms=ConfidenceTerms(**paper.terms._asdict()),
         image_width_px=image.width_px,
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         tilt=None if view.tilt is None else view.tilt.record(image, gsd),
         frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
-        scale=_known_scale(view, gsd, interval, decision.confidence),
+        scale=_known_scale(view, gsd, interval, decided.confidence),
         model=view.card.name,
         model_sha256=view.card.sha256,
         warnings=warnings,
@@ -240,19 +314,20 @@ def _by_hand(detections: Detections) -> VehiclesByHand | None:
     return told and VehiclesByHand(confirmed=told.n_confirmed, dropped=told.n_dropped, added=told.n_added)
 
 
-def _ruler_scale(share: RulerShare) -> RulerScale:
-    ruler = ruler_class(share.kind)
+def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:
+    ruler, interval = ruler_class(witness.kind), witness.interval
+    assert witness.gsd_m_per_px is not None
+    assert interval is not None
     return RulerScale(
-        kind=share.kind,
+        kind=witness.kind,
         label=ruler.label,
         sets_scale=ruler.sets_scale,
-        gsd_m_per_px=share.gsd_m_per_px,
-        gsd_ci95_low_m_per_px=share.interval.low,
-        gsd_ci95_high_m_per_px=share.interval.high,
-        n=share.n,
-        weight=share.weight,
-        agrees=share.agrees,
-        explanation=share.explanation,
+        gsd_m_per_px=witness.gsd_m_per_px,
+        gsd_ci95_low_m_per_px=interval.low,
+        gsd_ci95_high_m_per_px=interval.high,
+        n=witness.n,
+        p_right=min(1.0, p_right),
+        explanation=witness.said,
     )
 
 
@@ -278,32 +353,30 @@ def _known_scale(
     )
 
 
-def _scene_scale(evidence: Evidence) -> SceneScaleEstimate | None:
-    if evidence.gsd_m_per_px is None or evidence.interval is None:
+def _scene_scale(prior: Witness) -> SceneScaleEstimate | None:
+    if prior.gsd_m_per_px is None or prior.interval is None:
         return None
-    low, high = evidence.interval
-    return SceneScaleEstimate(
-        gsd_m_per_px=evidence.gsd_m_per_px, gsd_ci95_low_m_per_px=low, gsd_ci95_high_m_per_px=high
-    )
+    low, high = prior.interval
+    return SceneScaleEstimate(gsd_m_per_px=prior.gsd_m_per_px, gsd_ci95_low_m_per_px=low, gsd_ci95_high_m_per_px=high)
 
 
-def image_notices(notes: Iterable[RasterNote]) -> tuple[Notice, ...]:
-    """Convert the warnings from reading an image to notices."""
+def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
+    """Convert the warnings of an image and of rulers to notices."""
     return tuple(Notice(code=note.code, message=note.message) for note in notes)
 
 
-def georeference_notice(own: float | None, gsd_m_per_px: float, who_says: str) -> list[Notice]:
+def georeference_notice(own: float | None, gsd_m_per_px: float | None, who_says: str) -> list[Notice]:
     """Warn if the file's own scale differs from another by more than a tenth.
 
     Args:
         own: the file's scale, metres per pixel; None without one.
-        gsd_m_per_px: the other scale.
+        gsd_m_per_px: the other scale; None without one.
         who_says: source of the other scale, as the middle of a sentence.
 
     Returns:
         One notice, or none.
     """
-    if own is None or abs(gsd_m_per_px - own) <= GEOREFERENCE_TOLERANCE * own:
+    if own is None or gsd_m_per_px is None or abs(gsd_m_per_px - own) <= GEOREFERENCE_TOLERANCE * own:
         return []
     return [
         Notice(

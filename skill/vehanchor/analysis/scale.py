@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from vehanchor.options import Reading
     from vehanchor.pictures.placement import Cut
     from vehanchor.records import GsdEstimate
-    from vehanchor.rulers.evidence import Evidence, Mark
-    from vehanchor.rulers.vehicles import VehicleEvidence
+    from vehanchor.rulers.vehicles import VehicleWitness
+    from vehanchor.scale.posterior import Answer, Mark, Witness
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,21 +29,23 @@ class ScaleAnalysis(Analysis):
 
     Attributes:
         estimate: the record.
-        vehicles: evidence of the vehicles, with the boxes that were dropped.
-        others: evidence of the other rulers.
+        vehicles: witness of the vehicles, with the boxes that were dropped.
+        others: witnesses of the other rulers.
         in_image: the vehicles in pixels of the image, if the evidence has rectified boxes; None otherwise.
         image: source to read the image from again; None for a stream.
         reading: options of reading; None for the defaults.
         ground: position of the image on the ground; None without a georeference.
+        answer: decision on the scale; None without a scale, and in the preset ``paper``.
     """
 
     estimate: GsdEstimate
-    vehicles: VehicleEvidence
-    others: tuple[Evidence, ...] = ()
+    vehicles: VehicleWitness
+    others: tuple[Witness, ...] = ()
     in_image: Detections | None = None
     image: ImageSource | None = None
     reading: Reading | None = None
     ground: Ground | None = None
+    answer: Answer | None = None
 
     @property
     def detections(self) -> Detections:

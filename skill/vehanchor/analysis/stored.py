@@ -12,22 +12,22 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
 from vehanchor.records.ruler_kinds import RULERS
-from vehanchor.rulers.evidence import Evidence, Fact, Mark
-from vehanchor.rulers.lognormal import LognormalEvidence
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.scale.lengths import Interval
+from vehanchor.scale.posterior import Lack, Mark, Witness
+from vehanchor.scale.reliability import Shared
 from vehanchor.tilt.camera_tilt import CameraTilt
 
 _CLASSES: dict[str, type[Any]] = {
     "camera_metadata": CameraMetadata,
     "camera_tilt": CameraTilt,
     "detections": Detections,
-    "evidence": Evidence,
-    "fact": Fact,
+    "shared": Shared,
+    "witness": Witness,
+    "lack": Lack,
     "fleet_appearance": FleetAppearance,
     "image_facts": ImageFacts,
     "interval": Interval,
-    "lognormal_evidence": LognormalEvidence,
     "mark": Mark,
     "notice": Notice,
     "objects": Objects,

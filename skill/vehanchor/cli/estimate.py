@@ -198,7 +198,7 @@ def _write_outputs(analysis: ScaleAnalysis, outputs: _Outputs) -> None:
 
 def _estimate_table(source: str, record: GsdEstimate) -> Table:
     fused = any(ruler.sets_scale and ruler.kind != "vehicles" for ruler in record.rulers)
-    guard = "; capped by the resolution guard" if record.resolution_guard and not fused else ""
+    guard = "; the vehicles are too coarse" if record.resolution_guard and not fused else ""
     facts = [
         ("scale", scale_text(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)),
         ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
@@ -238,9 +238,8 @@ def _vehicles_text(record: GsdEstimate) -> str:
 
 
 def _ruler_text(ruler: RulerScale) -> str:
-    """Describe a ruler's scale and its weight."""
-    part = f"weight {100 * ruler.weight:.0f} %" if ruler.agrees else "disagrees, outvoted"
-    return f"{ruler.label} {significant(ruler.gsd_m_per_px, 4)} m/px, {part}"
+    """Describe a ruler's scale, and the chance that it is right."""
+    return f"{ruler.label} {significant(ruler.gsd_m_per_px, 4)} m/px, right with a chance of {ruler.p_right:.2f}"
 
 
 def _tilt_text(tilt: TiltEstimate) -> str:

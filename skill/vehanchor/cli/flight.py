@@ -138,9 +138,9 @@ def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, 
         facts.append(("scale of all", scale_text(record.gsd_m_per_px, low, high)))
     facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     facts.append(("vehicles", str(record.n_vehicles)))
-    if rulers := [each for each in record.components[0].pooled.rulers if each.weight > 0]:
+    if rulers := [each for each in record.components[0].pooled.rulers if each.sets_scale]:
         largest = " in the largest component" if len(record.components) > 1 else ""
-        facts.append(("rulers", ", ".join(f"{each.kind} {100 * each.weight:.0f} %" for each in rulers) + largest))
+        facts.append(("rulers", ", ".join(f"{each.kind} {each.p_right:.2f}" for each in rulers) + largest))
     if not record.same_scale:
         sizes = ", ".join(str(component.n_photographs) for component in record.components[:_MOST_SIZES])
         sizes += ", ..." if len(record.components) > _MOST_SIZES else ""

@@ -232,7 +232,7 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
     if record.reason is not None:
         facts.append(("reason", record.reason))
     for ruler in record.rulers:
-        part = f"{100 * ruler.weight:.0f} %" if ruler.agrees else "disagrees"
+        part = f"right: {ruler.p_right:.2f}"
         stated = _interval(ruler.factor, ruler.factor_ci95_low, ruler.factor_ci95_high)
         facts.append((ruler.label, f"{stated}, n {ruler.n}, {part}"))
     used = [each for each in record.photographs if each.status == "used"]

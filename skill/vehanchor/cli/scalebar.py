@@ -81,7 +81,7 @@ def scalebar(
 def _refusal(found: ResolvedScale) -> str:
     if found.status == "ok" and found.plane is not None:
         return f"the camera was tilted by {found.plane.tilt_deg:.0f} degrees, and the scale varies"
-    return "there is no scale" if found.status == "no_scale" else "the scale's confidence is below 0.5"
+    return "there is no scale" if found.status == "no_scale" else "the scale is not usable"
 
 
 def _write_world(picture: Path, gsd_m: float) -> Path:

@@ -23,7 +23,7 @@ from vehanchor.models.files import read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import bundled_courts
-from vehanchor.scale.fusion import credible_interval
+from vehanchor.scale.density import credible_interval
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from vehanchor.detection.appearance import FleetLengths
 from vehanchor.errors import ModelContractError
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
-from vehanchor.scale.fusion import Votes
+from vehanchor.scale.votes import Votes
 
 MIN_SCORE = 0.1  # paper, section III-B
 REFERENCE_LENGTH_M = 5.045  # paper, section III-F: KDE mode of the DOTA v1.5 training labels
@@ -91,17 +91,6 @@ class DetectorCard(_Card):
     car_verifier_sha256: str | None = None
     votes: Votes | None = None
     quantised_from: str | None = None
-
-    @field_validator("votes")
-    @classmethod
-    def _votes_in_range(cls, value: Votes | None) -> Votes | None:
-        if value is not None and not (
-            min(value.log_sd, value.clutter_density, value.sharpness) > 0
-            and 0 < value.trust <= 1
-            and 0 < value.chance_wrong < 1
-        ):
-            raise ValueError("expected log_sd, clutter_density and sharpness > 0, trust and chance_wrong in 0..1")
-        return value
 
     @field_validator("length_range_px")
     @classmethod
@@ -210,7 +199,8 @@ def _fleet_lengths(text: str) -> FleetLengths:
 
 
 def _votes(text: str) -> Votes:
-    return Votes(**{name: float(value) for name, value in json.loads(text).items()})
+    stated = json.loads(text)
+    return Votes(float(stated["share_at_zero"]), float(stated["share_slope"]))
 
 
 # Python's parsers raise MemoryError or RecursionError for too many brackets.

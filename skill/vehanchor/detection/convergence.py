@@ -49,7 +49,7 @@ class Convergence(NamedTuple):
         fleet_log_sd: log standard deviation from the fleet's unknown length.
         doubted: whether more vehicles may make the scale usable, or there are doubts about the vehicles.
         value_log_sd: log standard deviation of the value under resampling of the vehicles; inf for fewer than five.
-        density: ``[g]`` density of the scale on ``vehanchor.scale.fusion.GRID``; None if the votes are uncalibrated.
+        density: ``[g]`` density of the scale on ``vehanchor.scale.density.GRID``; None if the votes are uncalibrated.
         unseen_share: expected share of the image's vehicles in the tiles that are not visited.
     """
 

@@ -24,7 +24,7 @@ from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import bundled_scene_scale
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.fusion import GRID, blurred, with_outlier_floor
+from vehanchor.scale.density import GRID, blurred, flat
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -98,12 +98,12 @@ class SceneScalePrior:
 
     @cached_property  # used by the boxes' scores and by the ruler
     def density(self) -> NDArray[np.float64]:
-        """Probabilities on ``vehanchor.scale.fusion.GRID``."""
+        """Probabilities on ``vehanchor.scale.density.GRID``."""
         return scene_density(self.levels, self.calibration)
 
     @cached_property
     def _size_odds(self) -> NDArray[np.float64]:
-        per_log = blurred(self.density, _SIZES_LOG_SD) / (GRID[1] - GRID[0])
+        per_log = blurred(self.density, (1.0, 0.0, _SIZES_LOG_SD)) / (GRID[1] - GRID[0])
         odds = np.log(np.maximum(per_log * _OPEN_LOG_WIDTH, _LEAST_PROBABILITY))
         return np.asarray(np.clip(odds, -_MOST_SIZE_ODDS, _MOST_SIZE_ODDS))
 
@@ -162,7 +162,7 @@ def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -
         calibration: calibration of the network.
 
     Returns:
-        Probabilities on ``vehanchor.scale.fusion.GRID``.
+        Probabilities on ``vehanchor.scale.density.GRID``.
     """
     total = np.zeros(len(GRID))
     for level in levels:
@@ -172,7 +172,8 @@ def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -
         total += np.interp(GRID + np.log(level.factor), centres, np.log(np.maximum(seen, _LEAST_PROBABILITY)))
     total *= float(len(levels)) ** (calibration.levels - 1)
     density = np.exp(total - total.max())
-    return with_outlier_floor(_with_finer(density / density.sum(), calibration.finer), calibration.floor)
+    seen = _with_finer(density / density.sum(), calibration.finer)
+    return np.asarray((1.0 - calibration.floor) * seen + calibration.floor * flat())
 
 
 class SceneScaleNetwork(LoadedModel):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.fusion import GRID
+from vehanchor.scale.density import GRID
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -49,7 +49,7 @@ def level_chances(
 
     Args:
         length_ranges_px: shortest and longest accepted vehicle at each resolution, pixels of the reduced image.
-        density: ``[g]`` probabilities of the scale on ``vehanchor.scale.fusion.GRID``.
+        density: ``[g]`` probabilities of the scale on ``vehanchor.scale.density.GRID``.
 
     Returns:
         Probabilities by factor. They need not sum to 1: neighbouring resolutions overlap, and at some scales cars fit

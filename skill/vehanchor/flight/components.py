@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.rulers.evidence import Evidence
+    from vehanchor.scale.posterior import Witness
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Component:
     log_sds: NDArray[np.float64]
     reference: int
     ties: Any = None
-    extra: tuple[Evidence, ...] = ()
+    extra: tuple[Witness, ...] = ()
     layout: NDArray[np.complex128] | None = None
     maybe_tilted: bool = False
 

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.imagery.metadata.lens import lens
-from vehanchor.rulers.lognormal import lognormal_evidence, on_grid
+from vehanchor.rulers.point import point_witness
 from vehanchor.rulers.positions import Positions
+from vehanchor.scale.density import on_grid
 from vehanchor.scale.height import GROUND_LOG_SD
 from vehanchor.scale.lengths import Z95
+from vehanchor.scale.reliability import RELIABILITY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,10 +27,9 @@ if TYPE_CHECKING:
 
     from vehanchor.flight.photograph import Photograph
     from vehanchor.records import GsdEstimate
-    from vehanchor.rulers.evidence import Evidence
+    from vehanchor.scale.posterior import Witness
 
 _ALTITUDE_SD_M = 3.0  # of the difference of two altitudes from one receiver
-_CHANCE_WRONG = 0.05
 _LEAST_HEIGHT_M = 5.0
 _MOST_RATIO = 3.0  # of the heights of two photographs: beyond it, the place or the zero of altitude differs
 
@@ -90,10 +91,10 @@ def ground_below(members: Sequence[Photograph], offsets: NDArray[np.float64], po
     return Ground(float(np.median(sea - above)), float(np.median(above)), spread, len(stood))
 
 
-def heights_evidence(
+def heights_witness(
     grounds: Sequence[Ground], members: Sequence[Photograph], offsets: NDArray[np.float64]
-) -> tuple[Evidence, ...]:
-    """Make evidence for a component without other evidence, in the pixels of its reference.
+) -> tuple[Witness, ...]:
+    """Make a witness for a component without other evidence, in the pixels of its reference.
 
     Args:
         grounds: ground below other components of the flight.
@@ -101,7 +102,7 @@ def heights_evidence(
         offsets: as in ``ground_below``.
 
     Returns:
-        At most one piece of evidence.
+        At most one witness.
     """
     stood = [(each, offset) for member, offset in zip(members, offsets, strict=True) if (each := _stood(member))]
     if not grounds or not stood:
@@ -121,4 +122,4 @@ def heights_evidence(
     lens_sd = stood[0][0].focal_log_sd * abs(1 - share)  # cancels if both heights are equal
     log_sd = math.hypot(GROUND_LOG_SD, _ALTITUDE_SD_M / middle, source.log_sd * share, lens_sd)
     said = f"Altitudes above sea level, with the ground below {sources} photographs of known scale, give {{}}."
-    return (lognormal_evidence(Positions.kind, gsd, log_sd, _CHANCE_WRONG, said, n=len(stood)),)
+    return (point_witness(Positions.kind, gsd, log_sd, RELIABILITY[Positions.kind].chance_wrong, said, n=len(stood)),)

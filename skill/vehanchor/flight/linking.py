@@ -15,7 +15,7 @@ from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import chief_member
 from vehanchor.records import FlightLink
-from vehanchor.rulers.positions import Positions, baseline, places_of, positions_evidence
+from vehanchor.rulers.positions import Positions, baseline, places_of, positions_witness
 from vehanchor.rulers.registry import uses
 from vehanchor.scale.lengths import Z95
 
@@ -207,7 +207,7 @@ def _component(
         np.hypot(subgraph.sds_from(reference), by_tilt),
         reference,
         subgraph.ties,
-        positions_evidence(extra),
+        positions_witness(extra),
         layout,
         bool(by_tilt.any()),
     )

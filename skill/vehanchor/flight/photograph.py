@@ -11,8 +11,8 @@ from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.stored import stored_classes
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
-from vehanchor.rulers.evidence import View
 from vehanchor.rulers.measurement import with_tilt
+from vehanchor.rulers.view import View
 from vehanchor.storage.codec import Codec
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.flight.features import Features
     from vehanchor.options import ScaleOptions
-    from vehanchor.rulers.evidence import Evidence
+    from vehanchor.scale.posterior import Witness
     from vehanchor.tilt.camera_tilt import CameraTilt
 
 
@@ -43,7 +43,7 @@ class StoredPhotograph:
     image: ImageFacts
     detections: Detections
     resolved: float
-    others: tuple[Evidence, ...] | None = None
+    others: tuple[Witness, ...] | None = None
     prior: SceneScalePrior | None = None
     tilt: CameraTilt | None = None
 

@@ -17,14 +17,12 @@ from vehanchor.analysis.pipeline import conclude
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
-from vehanchor.imagery.raster import RasterNote
-from vehanchor.records import Notice
-from vehanchor.rulers.evidence import Evidence, Fact, View
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.rulers.scene_scale import SceneScale
-from vehanchor.scale.fusion import GRID, TOLERANCE, credible_interval, mass_within
-from vehanchor.scale.lengths import Interval
+from vehanchor.rulers.view import View
+from vehanchor.scale.density import quantile, shifted
+from vehanchor.scale.posterior import Lack, Remark, Witness
 from vehanchor.tilt.camera_tilt import known_plane, with_scale
 
 if TYPE_CHECKING:
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
 
 _LEAST = 1e-12
-Remark = TypeVar("Remark", Notice, RasterNote)
+AnyRemark = TypeVar("AnyRemark", bound=Remark)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +55,7 @@ class _PooledPrior(SceneScalePrior):
 
 
 def pool(
-    members: Sequence[Photograph], log_scales: ArrayLike, reference: int, extra: Iterable[Evidence] = ()
+    members: Sequence[Photograph], log_scales: ArrayLike, reference: int, extra: Iterable[Witness] = ()
 ) -> ScaleAnalysis:
     """Pool the evidence of photographs with known ratios of scales.
 
@@ -136,7 +134,19 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         Objects.joined(),
         verified=all(each.verified for each in detections),
         stopped_because=next(ends, None),
+        stretch=_pooled_stretch(detections),
+        n_skipped=sum(each.n_skipped for each in detections),
+        n_tiles_total=sum(each.n_tiles_total or each.n_tiles for each in detections),
     )
+
+
+def _pooled_stretch(detections: Sequence[Detections]) -> float | None:
+    """Average the photographs' preferences for narrower or wider images by their vehicles; None if none has one."""
+    known = [(each.stretch, len(each.boxes)) for each in detections if each.stretch is not None and len(each.boxes)]
+    if not known:
+        return None
+    stretches, counts = np.array(known, dtype=np.float64).T
+    return float(np.average(stretches, weights=counts))
 
 
 def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> NDArray[np.float64]:
@@ -153,14 +163,6 @@ def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> N
     total = mean * len(densities) ** gain
     combined = np.exp(total - total.max())
     return np.asarray(combined / combined.sum())
-
-
-def shifted(density: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
-    """Shift a density of log scale down by ``offset``, to the pixels of another photograph."""
-    if offset == 0:
-        return density
-    moved = np.interp(GRID + offset, GRID, density)
-    return np.asarray(moved / moved.sum())
 
 
 def _resolved(members: Sequence[Photograph]) -> float:
@@ -187,8 +189,8 @@ def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneS
     return _PooledPrior(levels, priors[0][0].calibration, density)
 
 
-def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Evidence]:
-    """Pool the evidence of each other ruler over the photographs."""
+def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Witness]:
+    """Pool the witnesses of each other ruler over the photographs."""
     kinds = dict.fromkeys(other.kind for member in members for other in member.analysis.others)
     pooled = []
     for kind in kinds:
@@ -198,34 +200,42 @@ def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) 
             for other in member.analysis.others
             if other.kind == kind
         ]
-        pooled.append(_pooled_evidence(kind, found))
+        pooled.append(_pooled_witness(kind, found))
     return pooled
 
 
-def _pooled_evidence(kind: str, found: Sequence[tuple[Evidence, float]]) -> Evidence:
+def _pooled_witness(kind: str, found: Sequence[tuple[Witness, float]]) -> Witness:
+    """Pool one ruler's witnesses; their shared errors are those of the first."""
     notices = _distinct(notice for other, _ in found for notice in other.notices)
-    said = [(other, offset) for other, offset in found if other.density is not None and other.gsd_m_per_px is not None]
-    if not said:
-        return Evidence(kind, None, None, 0, 0.0, notices)
-    if len(said) == 1 and said[0][1] == 0.0:
-        return replace(said[0][0], notices=notices)
-    densities = [shifted(other.density, offset) for other, offset in said if other.density is not None]
-    gain = ruler_class(kind).pooling_gain
-    stating = said if gain else said[:1]  # the photographs of a flight share one height
-    facts = tuple(_shifted_fact(fact, offset) for other, offset in stating for fact in other.facts)
-    density = combined_density(densities, gain)
-    median = credible_interval(density, probability=0.0).low
-    cue = all(other.confidence == 0 for other, _ in said)
-    confidence = 0.0 if cue else min(1.0, mass_within(density, median, TOLERANCE))
-    n = sum(other.n for other, _ in said)
-    return Evidence(kind, median, credible_interval(density), n, confidence, notices, density, facts=facts)
+    heard = [(other, offset) for other, offset in found if other.found]
+    if not heard:
+        return Witness(kind, n=0, notices=notices)
+    first = heard[0][0]
+    if len(heard) == 1:
+        return replace(_moved(*heard[0]), notices=notices)
+    densities = [shifted(other.right, offset) for other, offset in heard if other.right is not None]
+    right = combined_density(densities, ruler_class(kind).pooling_gain)
+    return replace(
+        first,
+        gsd_m_per_px=quantile(right, 0.5),
+        right=right,
+        chance_wrong=sum(other.chance_wrong for other, _ in heard) / len(heard),
+        n=sum(other.n for other, _ in heard),
+        lacks=tuple(Lack(each.reason, replace(each.without, right=right)) for each in first.lacks),
+        said=None,
+        marks=(),
+        notices=notices,
+    )
 
 
-def _shifted_fact(fact: Fact, offset: float) -> Fact:
-    """Convert a fact to the pixels of another photograph."""
-    factor = math.exp(-offset)
-    low, high = fact.interval
-    return fact._replace(gsd_m_per_px=fact.gsd_m_per_px * factor, interval=Interval(low * factor, high * factor))
+def _moved(witness: Witness, offset: float) -> Witness:
+    """Convert a witness to the pixels of another photograph."""
+    if offset == 0.0 or witness.gsd_m_per_px is None or witness.right is None:
+        return witness
+    right = shifted(witness.right, offset)
+    lacks = tuple(Lack(each.reason, _moved(each.without, offset)) for each in witness.lacks)
+    moved_gsd = witness.gsd_m_per_px * math.exp(-offset)
+    return replace(witness, gsd_m_per_px=moved_gsd, right=right, lacks=lacks, said=None, marks=())
 
 
 def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:
@@ -234,9 +244,9 @@ def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:
     return members[reference].view.image._replace(notices=notices)
 
 
-def _distinct(notices: Iterable[Remark]) -> tuple[Remark, ...]:
+def _distinct(notices: Iterable[AnyRemark]) -> tuple[AnyRemark, ...]:
     """Keep the first remark of each code: photographs of one camera have the same remarks."""
-    first: dict[str, Remark] = {}
+    first: dict[str, AnyRemark] = {}
     for notice in notices:
         first.setdefault(notice.code, notice)
     return tuple(first.values())

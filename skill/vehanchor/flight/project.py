@@ -38,7 +38,6 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
             "gsd_ci95_high_m_per_px": photograph.gsd_ci95_high_m_per_px,
             "confidence": photograph.confidence,
             "scale": photograph.scale,
-            "p_within_20": pooled.p_within_20,
             "reason": photograph.reason,
             "leading_ruler": pooled.leading_ruler,
             "rulers": tuple(_in_pixels(ruler, ratio) for ruler in pooled.rulers),

@@ -11,7 +11,7 @@ import numpy as np
 
 from vehanchor.analysis.pipeline import model_id
 from vehanchor.flight.advice import carried_advice, component_advice
-from vehanchor.flight.heights import ground_below, heights_evidence
+from vehanchor.flight.heights import ground_below, heights_witness
 from vehanchor.flight.pooling import pool
 from vehanchor.flight.sorties import number_sorties
 from vehanchor.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler, KnownScale, Notice
@@ -19,8 +19,9 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.positions import Positions, places_of
 from vehanchor.rulers.registry import uses
 from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.scale.defaults import USABLE_CHANCE
+from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import Z95
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE, WIDEST_USABLE
 from vehanchor.tilt.camera_tilt import known_plane
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def _pooled(
         if pooled.estimate.gsd_m_per_px is None:
             members = _members(results, component)
             sortie = sorties[int(component.members[component.reference])]
-            heights = heights_evidence(grounds.get(sortie, []), *_of_sortie(sortie, component, members, sorties))
+            heights = heights_witness(grounds.get(sortie, []), *_of_sortie(sortie, component, members, sorties))
             by_height = replace(component, extra=(*component.extra, *heights))
             found[place] = by_height, pool(members, component.log_scales, component.reference, by_height.extra)
     return found
@@ -247,9 +248,8 @@ def _photograph(
             down = math.log(pooled.gsd_m_per_px / pooled.gsd_ci95_low_m_per_px)
             up = math.log(pooled.gsd_ci95_high_m_per_px / pooled.gsd_m_per_px)
             low, high = gsd * math.exp(-math.hypot(down, carried)), gsd * math.exp(math.hypot(up, carried))
-            if high > WIDEST_USABLE * low:
-                confidence = min(confidence, UNSURE_CONFIDENCE)
-        if status == "ok" and confidence < FALLBACK_CONFIDENCE:
+            confidence = _carried_chance(confidence, math.log(high / low), up + down)
+        if status == "ok" and confidence < USABLE_CHANCE:
             status, reason = "low_confidence", "imprecise"
             n_between = len(rulers[0].through) + 1 if rulers else 1
             advice = carried_advice(n_between, maybe_tilted=component.maybe_tilted)
@@ -273,6 +273,19 @@ def _photograph(
         error_code=None,
         error=None,
     )
+
+
+def _carried_chance(chance: float, width: float, pooled_width: float) -> float:
+    """Lower a component's chance by the error of the links to a photograph: the interval's log width grows.
+
+    Args:
+        chance: of the component.
+        width: of the photograph's interval.
+        pooled_width: of the component's interval.
+    """
+    tolerance = 2 * Z95 * math.log1p(TOLERANCE)  # within 20 %, in widths of a normal
+    within, pooled_within = (math.erf(tolerance / max(each, 1e-9) / math.sqrt(2)) for each in (width, pooled_width))
+    return chance * min(1.0, within / pooled_within)
 
 
 def _given_back(
@@ -304,14 +317,16 @@ def _supporting_rulers(
 ) -> list[tuple[FlightRuler, ...]]:
     """List each member's supporting rulers, by weight: of the nearest member with rulers, then of the strongest."""
     measured = _supports(members, component, pooled)
-    of_flight = [each for each in component.extra if each.gsd_m_per_px is not None]
-    common = [_Support(each.kind, place, each.confidence) for each in of_flight for place in range(len(members))]
+    of_flight = [each for each in component.extra if each.found]
+    common = [
+        _Support(each.kind, place, 1.0 - each.chance_wrong) for each in of_flight for place in range(len(members))
+    ]
     supports = measured + common
     if not supports:
         return [()] * len(members)
-    weights = {ruler.kind: ruler.weight for ruler in pooled.estimate.rulers}
+    chances = {ruler.kind: ruler.p_right for ruler in pooled.estimate.rulers}
     by_member: dict[int, list[_Support]] = {}
-    for support in sorted(supports, key=lambda each: (-weights.get(each.ruler, 0.0), -each.strength)):
+    for support in sorted(supports, key=lambda each: (-chances.get(each.ruler, 0.0), -each.strength)):
         by_member.setdefault(support.member, []).append(support)
     nearest = component.paths(sorted(by_member))
     strongest = max(measured or common, key=lambda each: each.strength).member
@@ -344,6 +359,8 @@ def _supports(members: Sequence[Photograph], component: Component, pooled: Scale
         if strength > 0:
             supports.append(_Support(Vehicles.kind, place, strength))
         supports += [
-            _Support(other.kind, place, other.confidence) for other in member.analysis.others if other.sets_scale
+            _Support(other.kind, place, 1.0 - other.chance_wrong)
+            for other in member.analysis.others
+            if other.found and other.sets_scale
         ]
     return supports

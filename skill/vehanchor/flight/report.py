@@ -95,7 +95,7 @@ def _components(record: FlightEstimate, short: Mapping[str, str]) -> str:
     rows = []
     for component in record.components:
         pooled = component.pooled
-        rulers = ", ".join(f"{each.kind} ({100 * each.weight:.0f} %)" for each in pooled.rulers if each.agrees)
+        rulers = ", ".join(f"{each.kind} ({each.p_right:.2f})" for each in pooled.rulers if each.sets_scale)
         scale = _scale(pooled.gsd_m_per_px, pooled.gsd_ci95_low_m_per_px, pooled.gsd_ci95_high_m_per_px)
         rows.append(
             (

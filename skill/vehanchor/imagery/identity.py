@@ -60,6 +60,8 @@ def image_id(raster: Raster) -> str:
     Of a file of more than 512 MiB that is read by windows, 512 evenly spaced blocks of 1 MiB count; of one on a web
     server its size; of the caller's rasterio dataset the windows alone.
     """
+    if raster.known_id:
+        return raster.known_id
     digest = hashlib.sha256(f"{raster.width_px} x {raster.height_px}".encode())
     step = _WINDOW_PX if raster.in_memory else None
     rows, columns = _spans(raster.height_px, step), _spans(raster.width_px, step)
@@ -68,7 +70,8 @@ def image_id(raster: Raster) -> str:
     for y, height in rows:
         for x, width in columns:
             digest.update(raster.read(Window(x, y, width, height)).data)
-    return digest.hexdigest()[:_DIGITS]
+    raster.known_id = digest.hexdigest()[:_DIGITS]
+    return raster.known_id
 
 
 def begin_image_id(raster: Raster) -> Callable[[], str]:
@@ -77,7 +80,7 @@ def begin_image_id(raster: Raster) -> Callable[[], str]:
     A decoded image is hashed in a thread beside the caller's work; others are hashed at once, because only one thread
     may read them.
     """
-    if not raster.in_memory:
+    if raster.known_id or not raster.in_memory:
         return partial(str, image_id(raster))
     beside = ThreadPoolExecutor(1)
     waiting = beside.submit(image_id, raster)

@@ -69,12 +69,14 @@ class Raster(ABC):
         ground: georeference of the image; None without one.
         in_memory: whether all pixels are decoded.
         encoded: path or bytes of the file that is read by windows, or its size on a web server; None if unknown.
+        known_id: result of ``vehanchor.imagery.identity.image_id``; empty before.
     """
 
     camera: CameraMetadata | None = None
     ground: Ground | None = None
     in_memory = False
     encoded: str | bytes | int | None = None
+    known_id = ""
 
     def __init__(
         self,

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from vehanchor.analysis.pipeline import analyse_raster, georeference_notice, image_notices
+from vehanchor.analysis.memory import RememberingDetector
+from vehanchor.analysis.pipeline import analyse_raster, georeference_notice, notices_of
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
 from vehanchor.imagery.facts import ImageFacts
@@ -19,9 +20,12 @@ from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale, Notice
 from vehanchor.records.known_scale import known_scale
 from vehanchor.records.notices import NoticeCode
-from vehanchor.scale.height import GIVEN_HEIGHT_LOG_SD, height_log_sd
+from vehanchor.rulers.stated_scale import stated_witness
+from vehanchor.scale.defaults import USABLE_CHANCE
+from vehanchor.scale.height import height_log_sd
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
+from vehanchor.scale.posterior import answer
+from vehanchor.scale.reliability import RELIABILITY
 from vehanchor.tilt.camera_tilt import metadata_tilt, plane_of_record
 
 if TYPE_CHECKING:
@@ -34,12 +38,13 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
+    from vehanchor.options.rulers import StatedScale
     from vehanchor.records import GsdEstimate, ScaleSource, Status
 
 _COARSE_M_PER_PX = 3.0
 """From here on a car has fewer than two pixels: 5 to 30 cm are usual for aerial photographs, and easily typed."""
 
-ScaleInput: TypeAlias = Detector | float | KnownScale
+ScaleInput: TypeAlias = Detector | RememberingDetector | float | KnownScale
 """The detector that finds the scale, or the known scale."""
 
 
@@ -110,9 +115,9 @@ class ResolvedScale:
     @property
     def status(self) -> Status:
         """Status of the scale."""
-        if self.gsd_m_per_px is None:
-            return "no_scale"
-        doubtful = self.confidence is not None and self.confidence < FALLBACK_CONFIDENCE
+        if self.estimate is not None or self.gsd_m_per_px is None:
+            return "no_scale" if self.estimate is None else self.estimate.status
+        doubtful = self.confidence is not None and self.confidence < USABLE_CHANCE
         return "low_confidence" if doubtful else "ok"
 
 
@@ -178,8 +183,14 @@ def resolve_scale(
 
 
 def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> ResolvedScale:
-    if isinstance(scale, Detector):
-        analysis = analyse_raster(raster, scale, options)
+    stated = options.rulers.stated_scale
+    if stated is not None and stated.basis == "measured":
+        return _stated(raster, stated, options)
+    if isinstance(scale, Detector | RememberingDetector):
+        if isinstance(scale, Detector):
+            analysis = analyse_raster(raster, scale, options)
+        else:
+            analysis = scale.analyse(raster, options)
         found = analysis.estimate
         spread = Spread()
         if found.gsd_m_per_px is not None:
@@ -188,7 +199,7 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         return ResolvedScale(
             found.gsd_m_per_px, spread, found.confidence, "estimated", analysis, found.warnings, plane, found.scale
         )
-    told = image_notices(raster.warnings)
+    told = notices_of(raster.warnings)
     own = raster.georeference_gsd_m_per_px
     if isinstance(scale, KnownScale):
         seen = image_id(raster)
@@ -203,6 +214,17 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         return ResolvedScale(scale.gsd_m_per_px, spread, scale.confidence, "reused", None, notices, plane, scale)
     notices = (*told, *_unit_notice(scale, own), *georeference_notice(own, scale, "the given scale is"))
     return ResolvedScale(scale, Spread(), None, "given", None, notices, _plane(raster, options, scale))
+
+
+def _stated(raster: Raster, stated: StatedScale, options: ScaleOptions) -> ResolvedScale:
+    """Take a measured scale from elsewhere: it leads, and the image is not searched."""
+    found = answer([stated_witness(stated)])
+    assert found is not None
+    gsd, own = stated.gsd_m_per_px, raster.georeference_gsd_m_per_px
+    notices = (*notices_of(raster.warnings), *_unit_notice(gsd, own))
+    notices = (*notices, *georeference_notice(own, gsd, "the stated scale is"))
+    spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
+    return ResolvedScale(gsd, spread, found.chance, "given", None, notices, _plane(raster, options, gsd))
 
 
 def _unit_notice(gsd_m_per_px: float, own_m_per_px: float | None) -> tuple[Notice, ...]:
@@ -253,7 +275,8 @@ def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) 
             "object_height_m needs the camera's height, which is in neither the file nor an option: give height_m, or "
             "measure on the ground"
         )
-    spread = GIVEN_HEIGHT_LOG_SD if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
+    given = RELIABILITY["measured height"].log_sd
+    spread = given if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
     return CameraAbove(seen, height, spread)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
+from vehanchor.options.given_scale import GSD_M_PER_PX
 from vehanchor.options.option import Flag, Limits, Text, Words, check_fields, option, set_frozen
 
 Basis: TypeAlias = Literal["assumed", "measured"]
@@ -15,6 +16,7 @@ Basis: TypeAlias = Literal["assumed", "measured"]
 
 _BASES = Words(get_args(Basis))
 _NAME = Text(64)
+_STATED_TOLERANCE = 0.1  # half of the 95 % interval of a stated scale without a tolerance, relative; a choice
 _MIN_LINE_PX = 5.0  # on a shorter line, an error of a pixel at each end exceeds a quarter
 LINE_LENGTH_M = Limits(above=0, most=100_000)
 """Limits for a line of known length, metres."""
@@ -22,6 +24,36 @@ LINE_LENGTH_M = Limits(above=0, most=100_000)
 _COORDINATE = Limits()
 _HEIGHT_M = Limits(above=0, most=20_000)  # survey aircraft fly at 10 km; cars are too small from higher up
 _FOCAL_MM = Limits(above=0, most=10_000)
+
+
+class StatedScale(NamedTuple):
+    """Scale from elsewhere, as of a map or a sister photograph.
+
+    Attributes:
+        gsd_m_per_px: metres per pixel of the full image.
+        basis: how it is known.
+        tolerance: half of its 95 % interval, metres per pixel.
+    """
+
+    gsd_m_per_px: float
+    basis: Basis
+    tolerance: float
+
+    @classmethod
+    def of(cls, gsd_m_per_px: float, basis: Basis = "assumed", tolerance: float | None = None) -> StatedScale:
+        """Check a stated scale; without a tolerance, 10 % are taken.
+
+        Raises:
+            InvalidParameterError: a number is invalid, or the tolerance reaches the scale.
+        """
+        gsd = GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
+        half = _STATED_TOLERANCE * gsd if tolerance is None else GSD_M_PER_PX.check("gsd_tolerance", tolerance)
+        if half >= gsd:
+            raise InvalidParameterError(
+                f"gsd_tolerance is {half:g}, as large as the scale: give half of its 95 % interval"
+            )
+        _BASES.check("gsd_basis", basis)
+        return cls(gsd, basis, half)
 
 
 class KnownLength(NamedTuple):
@@ -126,6 +158,7 @@ class Rulers:
         height_basis: how the height is known.
         height_tolerance_m: half of the 95 % interval of the height, metres; None for the default of its basis.
         focal_35mm: 35 mm equivalent focal length, millimetres; None takes the file's.
+        stated_scale: scale from elsewhere; None without one.
 
     Raises:
         KnownLengthError: a known length is invalid.
@@ -168,6 +201,8 @@ class Rulers:
         default=None,
         metadata=option("35 mm equivalent focal length, mm. Default: the file's.", _FOCAL_MM, metavar="MM"),
     )
+
+    stated_scale: StatedScale | None = None
 
     def __post_init__(self) -> None:
         if self.rulers is not None:

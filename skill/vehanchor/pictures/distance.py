@@ -10,7 +10,7 @@ from vehanchor.pictures.marks import draw_marks
 from vehanchor.pictures.measured import MEASURED_RGB, finish, numbered, open_canvas, size_in_words
 from vehanchor.pictures.placement import CUT_SIDE_PX, Cut, part_around
 from vehanchor.records.digits import significant
-from vehanchor.rulers.evidence import Mark
+from vehanchor.scale.posterior import Mark
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detections import Detections
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
-    from vehanchor.rulers.evidence import Evidence, Mark
-    from vehanchor.rulers.vehicles import VehicleEvidence
+    from vehanchor.rulers.vehicles import VehicleWitness
+    from vehanchor.scale.posterior import Answer, Mark, Witness
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation
 
@@ -24,9 +24,11 @@ class DrawableScale(Protocol):
     @property
     def estimate(self) -> GsdEstimate: ...
     @property
-    def vehicles(self) -> VehicleEvidence: ...
+    def vehicles(self) -> VehicleWitness: ...
     @property
-    def others(self) -> tuple[Evidence, ...]: ...
+    def others(self) -> tuple[Witness, ...]: ...
+    @property
+    def answer(self) -> Answer | None: ...
     @property
     def detections(self) -> Detections: ...
     @property

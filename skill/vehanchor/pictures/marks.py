@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.pictures.placement import Placement
-    from vehanchor.rulers.evidence import Mark
+    from vehanchor.scale.posterior import Mark
 
 Rgb: TypeAlias = tuple[int, int, int]
 

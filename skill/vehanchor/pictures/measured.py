@@ -18,7 +18,7 @@ from vehanchor.pictures.scale import (
 )
 from vehanchor.records.advice import ADVICE
 from vehanchor.records.digits import significant, with_interval
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
+from vehanchor.scale.defaults import USABLE_CHANCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -106,7 +106,7 @@ def size_in_words(value: float | None, low: float | None, high: float | None, un
 
 def _objection(record: Measured) -> str:
     """Explain why the scale is not usable; empty for a usable scale and without one."""
-    if record.confidence is None or record.gsd_m_per_px is None or record.confidence >= FALLBACK_CONFIDENCE:
+    if record.confidence is None or record.gsd_m_per_px is None or record.confidence >= USABLE_CHANCE:
         return ""
     reason = None if record.estimate is None else record.estimate.reason
-    return f"the scale's confidence is below {FALLBACK_CONFIDENCE}" if reason is None else ADVICE[reason].why
+    return f"the scale's confidence is below {USABLE_CHANCE}" if reason is None else ADVICE[reason].why

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehanchor.errors import MissingExtraError
-from vehanchor.pictures.ruler_plot import has_densities, plot_rulers
+from vehanchor.pictures.ruler_plot import plot_rulers
 from vehanchor.pictures.scale import write_picture
 from vehanchor.records.digits import significant, with_interval
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, modal_density
@@ -52,13 +52,13 @@ def plot_scale(analysis: DrawableScale) -> Figure:
 
     Returns:
         A matplotlib figure without global state. It shows the lengths if there are any. Below them it shows the
-        densities of all rulers if vehicles are not the only ruler.
+        densities of all rulers and the posterior, but not for the preset ``paper``.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
     estimate = analysis.estimate
-    measured, fused = estimate.mode_length_px is not None, has_densities(analysis)
+    measured, fused = estimate.mode_length_px is not None, analysis.answer is not None
     width_in, height_in = _SIZE_IN
     n_rows = max(1, measured + fused)
     size = (width_in + 1.6 * fused, height_in + _RULERS_IN * (n_rows - 1))
@@ -122,7 +122,7 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
 
 def _scale_and_mode(analysis: DrawableScale) -> tuple[float, float]:
     """Return the vehicles' own scale and ``P_mode``; there must be vehicles."""
-    gsd, mode = analysis.vehicles.gsd_m_per_px, analysis.vehicles.mode_length_px
+    gsd, mode = analysis.vehicles.gsd_m_per_px, analysis.vehicles.paper.mode_length_px
     assert gsd is not None
     assert mode is not None
     return gsd, mode

@@ -1,4 +1,4 @@
-"""Plot of the rulers' densities and their product, over metres per pixel."""
+"""Plot of the witnesses' densities and the posterior, over metres per pixel."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.records.digits import significant
-from vehanchor.rulers.decision import ruler_densities
 from vehanchor.rulers.registry import ruler_class
-from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.scale.fusion import GRID, product
+from vehanchor.scale.density import GRID
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,41 +20,32 @@ _PAD = 1.25  # factor beyond the widest interval
 _DRAWN = 0.004  # of the maximum; lower parts of a curve are not drawn
 
 
-def has_densities(analysis: DrawableScale) -> bool:
-    """Test whether any ruler other than vehicles has a density."""
-    return set(ruler_densities((analysis.vehicles, *analysis.others))) not in (set(), {Vehicles.kind})
-
-
 def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
-    """Plot the densities of all rulers, each normalised to its maximum, their product, and the scale's interval.
+    """Plot the densities of all witnesses, each normalised to its maximum, the posterior, and the scale's interval.
+
+    The label of a witness has its scale and the chance that it is right.
 
     Args:
         axes: axes of a matplotlib figure.
-        analysis: analysis of an image.
+        analysis: analysis of an image with a scale.
     """
-    evidence = (analysis.vehicles, *analysis.others)
-    densities = ruler_densities(evidence)
-    estimate = analysis.estimate
-    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
-    outvoted = {ruler.kind for ruler in estimate.rulers if not ruler.agrees}
-    ends = [end for each in evidence if each.interval is not None for end in each.interval]
-    scales = np.exp(GRID)
-    for kind, density in densities.items():
-        colour, name = ruler_class(kind).colour, ruler_class(kind).label
-        gsd = next(each.gsd_m_per_px for each in evidence if each.kind == kind)
-        label = f"{name} {significant(gsd or 0)}{' (disagrees)' if kind in outvoted else ''}"
-        curve = density / density.max()
+    heard = [each for each in (analysis.vehicles, *analysis.others) if each.found]
+    found, scales = analysis.answer, np.exp(GRID)
+    ends = [end for each in heard if each.interval is not None for end in each.interval]
+    chances = [1.0] * len(heard) if found is None else found.p_right
+    for witness, p_right in zip(heard, chances, strict=True):
+        ruler = ruler_class(witness.kind)
+        label = f"{ruler.label} {significant(witness.gsd_m_per_px or 0)} (right: {p_right:.2f})"
+        curve = witness.density / witness.density.max()
         shown = np.where(curve > _DRAWN, curve, 0.0)
-        axes.fill_between(scales, shown, color=colour, alpha=0.18, lw=0)
-        axes.plot(scales, shown, color=colour, lw=1.6, ls="--" if kind in outvoted else "-", label=label)
-    if estimate.gsd_m_per_px is not None:
-        posterior = product(*densities.values())
-        label = f"together {significant(estimate.gsd_m_per_px)}"
-        axes.plot(scales, posterior / posterior.max(), color=_INK, lw=2.2, label=label)
-        axes.axvline(estimate.gsd_m_per_px, color=_INK, lw=1.0, ls=":")
-        if low is not None and high is not None:
-            axes.axvspan(low, high, color="0.75", alpha=0.4, lw=0, zorder=0, label="95 % interval")
-            ends += [low, high]
+        axes.fill_between(scales, shown, color=ruler.colour, alpha=0.18, lw=0)
+        axes.plot(scales, shown, color=ruler.colour, lw=1.6, ls="-" if p_right >= 0.5 else "--", label=label)
+    if found is not None:
+        label = f"together {significant(found.gsd_m_per_px)} ({found.chance:.2f})"
+        axes.plot(scales, found.density / found.density.max(), color=_INK, lw=2.2, label=label)
+        axes.axvline(found.gsd_m_per_px, color=_INK, lw=1.0, ls=":")
+        axes.axvspan(*found.interval, color="0.75", alpha=0.4, lw=0, zorder=0, label="95 % interval")
+        ends += found.interval
     axes.set_xscale("log")
     axes.set_xlim(max(min(ends) / _PAD, scales[0]), min(max(ends) * _PAD, scales[-1]))
     axes.set_ylim(0, 1.08)

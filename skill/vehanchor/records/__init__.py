@@ -10,7 +10,6 @@ from vehanchor.records.gsd_estimate import (
     ConfidenceTerms,
     FrameScale,
     GsdEstimate,
-    Reason,
     ReferenceSource,
     RulerScale,
     SceneScaleEstimate,
@@ -24,6 +23,7 @@ from vehanchor.records.measurement import ScaleSource
 from vehanchor.records.model_scale import ModelPhotograph, ModelRuler, ModelScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION
+from vehanchor.scale.defaults import Reason
 
 __all__ = [
     "SCHEMA_VERSION",

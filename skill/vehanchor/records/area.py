@@ -45,7 +45,7 @@ class AreaMeasurement(Record):
     """Area of one object: the pixels of its mask times the square of the scale."""
 
     status: Status = Field(
-        description="ok. low_confidence: the scale's confidence is below 0.5, the mask's score is below the model's "
+        description="ok. low_confidence: the scale is not usable, the mask's score is below the model's "
         "limit, or there is no mask. no_scale: no scale, so pixels only."
     )
     area_m2: float | None = Field(

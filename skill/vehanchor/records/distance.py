@@ -27,7 +27,7 @@ class DistanceMeasurement(Record):
     """Length of a line on the ground: its pixels times the scale."""
 
     status: Status = Field(
-        description="ok. low_confidence: the scale's confidence is below 0.5. no_scale: no scale, so pixels only."
+        description="ok. low_confidence: the scale is not usable. no_scale: no scale, so pixels only."
     )
     distance_m: float | None = Field(
         description="length_px times GSD, metres, along the ground plane for a tilted camera; null without a scale."

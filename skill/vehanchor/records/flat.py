@@ -18,7 +18,7 @@ from vehanchor.records.ruler_kinds import RULERS
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
-_OF_RULERS: dict[str, type] = {"gsd_m_per_px": float, "agrees": bool}
+_OF_RULERS: dict[str, type] = {"gsd_m_per_px": float, "p_right": float}
 _CODES = "warning_codes"
 
 

@@ -6,10 +6,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from vehanchor.records.gsd_estimate import GsdEstimate, Reason, Status
+from vehanchor.records.gsd_estimate import GsdEstimate, Status
 from vehanchor.records.known_scale import KnownScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
+from vehanchor.scale.defaults import Reason
 
 
 class FlightRuler(Record):
@@ -28,7 +29,8 @@ class FlightPhotograph(Record):
 
     photograph: str = Field(description="The photograph, as the caller named it.")
     status: Status | Literal["error"] = Field(
-        description="ok: confidence >= 0.5. low_confidence: below 0.5. no_scale: no scale. error: unreadable."
+        description="ok: right within 20 % in at least 9 of 10 such photographs. low_confidence: do not act on the "
+        "scale. no_scale: no scale. error: unreadable."
     )
     gsd_m_per_px: float | None = Field(description="Metres per pixel of this photograph, by all evidence.")
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
@@ -80,7 +82,7 @@ class FlightEstimate(Record):
     """Scales of the photographs of one flight, from their common evidence."""
 
     status: Status = Field(
-        description="ok: all readable photographs have a scale with confidence >= 0.5. low_confidence: only some. "
+        description="ok: all readable photographs have a usable scale. low_confidence: only some. "
         "no_scale: none has a scale."
     )
     same_scale: bool = Field(description="Whether the caller stated one scale for all photographs.")

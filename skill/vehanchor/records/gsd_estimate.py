@@ -10,10 +10,9 @@ from vehanchor.records.known_scale import KnownScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 from vehanchor.records.ruler_kinds import RulerKind
-from vehanchor.scale.defaults import Aggregation, Stopped
+from vehanchor.scale.defaults import Aggregation, Reason, Stopped
 
 Status = Literal["ok", "low_confidence", "no_scale"]
-Reason = Literal["too_coarse", "too_few", "not_cars", "stretched", "disagree", "lost", "imprecise", "assumed"]
 ReferenceSource = Literal["model", "appearance", "region", "given", "calibration"]
 
 
@@ -70,13 +69,9 @@ class RulerScale(Record):
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its own 95 % interval.")
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its own 95 % interval.")
     n: int = Field(ge=0, description="Number of things measured: vehicles, lines, tiles of the scene.")
-    weight: float = Field(
-        ge=0,
-        le=1,
-        description="Its share of the precision of the multiplied densities; 0 for other rulers and for one that "
-        "disagrees.",
+    p_right: float = Field(
+        ge=0, le=1, description="Chance that it measured what it thinks, given all rulers; these do not add up to 1."
     )
-    agrees: bool = Field(description="Whether it agrees with the estimate.")
     explanation: str | None = Field(description="Explanation of the measurement in a sentence; null if not needed.")
 
 
@@ -97,7 +92,8 @@ class GsdEstimate(Record):
     """Metric scale of an aerial image: the paper's <GSD, C, N', P_mode> with its evidence."""
 
     status: Status = Field(
-        description="ok: confidence >= 0.5. low_confidence: below 0.5. no_scale: no ruler found anything."
+        description="ok: right within 20 % in at least 9 of 10 such photographs. low_confidence: do not act on the "
+        "scale. no_scale: no ruler found anything."
     )
     gsd_m_per_px: float | None = Field(
         description="Ground sampling distance, metres per pixel of the full image; null without a scale."
@@ -105,27 +101,24 @@ class GsdEstimate(Record):
     confidence: float = Field(
         ge=0,
         le=1,
-        description="Below 0.5 use another source of scale. It is p_within_20, capped below 0.5 if that is below 0.9, "
-        "the interval spans more than a factor of 2, or the vehicles are doubtful. The composite C in the preset paper "
-        "and for a foreign detector.",
+        description="Chance that the scale is right within 20 %; the status is ok from 0.9 on. In the preset paper the "
+        "composite C, with 0.5 in place of 0.9.",
     )
     n_vehicles: int = Field(ge=0, description="N': vehicles kept after the outlier filter.")
     mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without vehicles.")
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of the 95 % interval of the GSD.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of the 95 % interval of the GSD.")
-    p_within_20: float | None = Field(
-        ge=0, le=1, description="Chance that the error is below 20 %; null without a scale, or for a foreign detector."
-    )
     reason: Reason | None = Field(
         description="Why the scale is not usable; null for a usable one. too_coarse: vehicles of too few pixels. "
-        "too_few: too few vehicles. not_cars: the vehicles may not be cars. stretched: width and height differ in "
-        "scale. disagree: sizes or rulers. lost: the scene is unlike the training data. imprecise: the interval is too "
-        "wide. assumed: one assumed fact alone."
+        "too_few: too little evidence. not_cars: the vehicles may not be cars. disagree: rulers, or the directions of "
+        "the image. assumed: assumed facts alone. imprecise: the fleet or the fact is too uncertain."
     )
     scene_scale: SceneScaleEstimate | None = Field(
         description="Scale from the appearance of the scene, a prior; null if it was not computed."
     )
-    leading_ruler: RulerKind | None = Field(description="The ruler with the largest weight; null without a scale.")
+    leading_ruler: RulerKind | None = Field(
+        description="The ruler without which the interval is widest; null without a scale."
+    )
     rulers: tuple[RulerScale, ...] = Field(description="All rulers with evidence; empty without a scale.")
     n_detections: int = Field(ge=0, description="N: vehicles before the outlier filter, after corrections by hand.")
     by_hand: VehiclesByHand | None = Field(default=None, description="Corrections by the caller; null without any.")
@@ -149,8 +142,7 @@ class GsdEstimate(Record):
         "appearance. region, given, calibration: from the caller or the operator."
     )
     resolution_guard: bool = Field(
-        description="Whether the resolution guard capped the vehicles' confidence at 0.3: vehicles of too few pixels "
-        "or too little detail (an enlarged image)."
+        description="Whether the resolution guard applies: the vehicles have too few pixels."
     )
     composite_confidence: float = Field(
         ge=0, le=1, description="The paper's composite C of the vehicles: the weighted sum of its terms, capped."

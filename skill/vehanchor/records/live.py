@@ -20,7 +20,7 @@ class LiveScale(Record):
     gsd_m_per_px: float | None = Field(description="Metres per pixel of this frame; null without a scale.")
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
-    confidence: float = Field(ge=0, le=1, description="Chance of an error below 20 %; below 0.5 if not usable.")
+    confidence: float = Field(ge=0, le=1, description="Chance of an error below 20 %.")
     n_vehicles: int = Field(ge=0, description="Number of vehicles in the searched window of this frame.")
     seen_s_ago: float | None = Field(description="Seconds since vehicles last confirmed the scale.")
     linked: bool = Field(description="Whether features link this frame to the one before.")

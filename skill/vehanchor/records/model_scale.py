@@ -6,9 +6,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from vehanchor.records.gsd_estimate import Reason, Status
+from vehanchor.records.gsd_estimate import Status
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
+from vehanchor.scale.defaults import Reason
 
 
 class ModelRuler(Record):
@@ -20,8 +21,7 @@ class ModelRuler(Record):
     factor_ci95_low: float = Field(gt=0, description="Lower end of its 95 % interval.")
     factor_ci95_high: float = Field(gt=0, description="Upper end of its 95 % interval.")
     n: int = Field(ge=0, description="Number of things measured; a car in several photographs counts once.")
-    weight: float = Field(ge=0, le=1, description="Its share of the precision; 0 for a ruler that disagrees.")
-    agrees: bool = Field(description="Whether it agrees with the factor.")
+    p_right: float = Field(ge=0, le=1, description="Chance that it measured what it thinks, given all rulers.")
 
 
 class ModelPhotograph(Record):

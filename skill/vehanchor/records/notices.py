@@ -23,11 +23,7 @@ class NoticeCode(StrEnum):
     DETECTIONS_CAPPED = "detections_capped"
     # doubts that the vehicles are cars of true proportions
     STRETCHED = "stretched"
-    LENGTHS_DISAGREE = "lengths_disagree"
-    LENGTHS_ALIKE = "lengths_alike"
-    SCORES_UNCLEAR = "scores_unclear"
-    LOOKS_ALIKE = "looks_alike"
-    LOOKS_UNLIKE_CARS = "looks_unlike_cars"
+    LOOK_ALIKES = "look_alikes"
     # of the rulers beside vehicles
     RULERS_DISAGREE = "rulers_disagree"
     CAMERA_TILTED = "camera_tilted"
@@ -37,6 +33,7 @@ class NoticeCode(StrEnum):
     CAMERA_UNUSABLE = "camera_unusable"
     UNIT_MISTYPED = "unit_mistyped"
     KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
+    HEIGHT_REPEATED = "height_repeated"
     FOCAL_LENGTH_MISSING = "focal_length_missing"
     # of a flight
     NOT_LINKED = "not_linked"
@@ -49,17 +46,6 @@ class NoticeCode(StrEnum):
     MASK_IN_PIECES = "mask_in_pieces"
     TARGET_SMALL = "target_small"
     EXTENT_UNKNOWN = "extent_unknown"
-
-
-FLEET_DOUBTS = (
-    NoticeCode.STRETCHED,
-    NoticeCode.LENGTHS_DISAGREE,
-    NoticeCode.LENGTHS_ALIKE,
-    NoticeCode.SCORES_UNCLEAR,
-    NoticeCode.LOOKS_ALIKE,
-    NoticeCode.LOOKS_UNLIKE_CARS,
-)
-"""Doubts that the vehicles are cars of true proportions; each caps the confidence below 0.5."""
 
 
 class Notice(Record):

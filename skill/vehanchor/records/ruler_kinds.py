@@ -16,9 +16,9 @@ RULERS: dict[str, str] = {
     "camera": "vehanchor.rulers.camera:Camera",
     "known_length": "vehanchor.rulers.known_length:KnownLengths",
     "height": "vehanchor.rulers.given_height:GivenHeight",
+    "stated_scale": "vehanchor.rulers.stated_scale:StatedScale",
     "courts": "vehanchor.rulers.courts:Courts",
     "parking_bays": "vehanchor.rulers.parking_bays:ParkingBays",
-    "pitches": "vehanchor.rulers.pitches:Pitches",
     "positions": "vehanchor.rulers.positions:Positions",
 }
 """Class of each ruler by its kind, as ``module:Class``; imported on first use."""

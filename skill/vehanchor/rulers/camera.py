@@ -12,22 +12,25 @@ from typing import TYPE_CHECKING
 from vehanchor.imagery.metadata.lens import lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.evidence import Mark
-from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
+from vehanchor.rulers.point import no_evidence, point_witness
 from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.view import mark_of_height
+from vehanchor.scale.density import on_grid
 from vehanchor.scale.height import height_log_sd
+from vehanchor.scale.reliability import RELIABILITY, Shared
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 
 if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.metadata.lens import Lens
-    from vehanchor.rulers.evidence import View
-    from vehanchor.rulers.lognormal import LognormalEvidence
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.posterior import Witness
+
+LENS, HEIGHT = "lens", "height above take-off"
+"""Errors that the metadata share with a stated height."""
 
 _MAX_HEIGHT_M = 20_000.0
-_UNKNOWN_PITCH_LOG_SD = 0.10
-_CHANCE_WRONG, _CHANCE_WRONG_PITCH_UNKNOWN = 0.05, 0.25
 _MAX_TILT_DEG = 85.0
 _MAX_DIGITAL_ZOOM = 1.01
 
@@ -45,7 +48,7 @@ class Camera(Ruler):
     uses_plane = True
     independent_of_vehicles = True
 
-    def measure(self, view: View) -> LognormalEvidence:
+    def measure(self, view: View) -> Witness:
         """Measure by the camera's height and lens; without either, give no evidence."""
         camera = view.image.camera
         if camera is None or (camera.height_m is None and not camera.refused):
@@ -66,13 +69,9 @@ class Camera(Ruler):
             zero = camera.focal_mm is not None and camera.focal_mm <= 0
             return self._unusable("the focal length is 0") if zero else no_evidence(self.kind)
         measured = self._measured(camera, camera.height_m, seen, tilt_deg)
-        if measured.gsd_m_per_px is None:
-            return measured
-        return replace(measured, marks=(Mark.of_height(view.image, camera.height_m),))
+        return replace(measured, marks=(mark_of_height(view.image, camera.height_m),)) if measured.found else measured
 
-    def _measured(
-        self, camera: CameraMetadata, height_m: float, seen: Lens, tilt_deg: float | None
-    ) -> LognormalEvidence:
+    def _measured(self, camera: CameraMetadata, height_m: float, seen: Lens, tilt_deg: float | None) -> Witness:
         tilted = tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG
         if tilt_deg is not None and tilt_deg >= _MAX_TILT_DEG:
             return no_evidence(self.kind, _tilted(tilt_deg, unusable=True))
@@ -80,20 +79,19 @@ class Camera(Ruler):
         gsd = height_m / seen.pixels * coarser
         if not on_grid(gsd):
             return self._unusable(f"{height_m:g} m and {seen.source} would make {gsd:.3g} m/px")
-        log_sd = math.hypot(height_log_sd(height_m), seen.log_sd)
         said = f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and {seen.source}."
+        condition, notices = "camera", []
         if tilted and tilt_deg is not None:
-            log_sd = math.hypot(log_sd, tilt_log_sd)
-            notices = [_tilted(tilt_deg)]
+            notices.append(_tilted(tilt_deg))
             said += " This is the scale of the image's centre."
-            return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG, said, notices=notices)
-        if tilt_deg is not None:
-            return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG, said)
-        log_sd = math.hypot(log_sd, _UNKNOWN_PITCH_LOG_SD)
-        said += " The tilt is not stated: this holds at nadir."
-        return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG_PITCH_UNKNOWN, said)
+        elif tilt_deg is None:
+            condition, tilt_log_sd = "camera, tilt unknown", RELIABILITY["camera, tilt unknown"].log_sd
+            said += " The tilt is not stated: this holds at nadir."
+        errors = Shared(LENS, seen.log_sd), Shared(HEIGHT, height_log_sd(height_m))
+        chance_wrong = RELIABILITY[condition].chance_wrong
+        return point_witness(self.kind, gsd, tilt_log_sd, chance_wrong, said, shared=errors, notices=notices)
 
-    def _unusable(self, why: str) -> LognormalEvidence:
+    def _unusable(self, why: str) -> Witness:
         message = f"The camera metadata are not usable: {why}."
         return no_evidence(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
 

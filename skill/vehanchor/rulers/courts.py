@@ -12,10 +12,12 @@ from vehanchor.courts.find import find_courts, propose_courts
 from vehanchor.courts.rectified import find_courts_on, rough_courts_on
 from vehanchor.errors import TooObliqueError
 from vehanchor.rulers.court_cue import court_cues
-from vehanchor.rulers.evidence import Mark
-from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
+from vehanchor.rulers.point import no_evidence, point_witness
 from vehanchor.rulers.ruler import Ruler
+from vehanchor.scale.density import on_grid
 from vehanchor.scale.plane import GroundPlane
+from vehanchor.scale.posterior import Mark
+from vehanchor.scale.reliability import RELIABILITY
 from vehanchor.tilt.estimate import may_be_tilted
 from vehanchor.tilt.focal import focal_of
 from vehanchor.tilt.posterior import tilt_posterior
@@ -29,12 +31,10 @@ if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
     from vehanchor.rulers.court_cue import CourtCue
-    from vehanchor.rulers.evidence import View
-    from vehanchor.rulers.lognormal import LognormalEvidence
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.posterior import Witness
 
-_RULES_LOG_SD = 0.006  # lines 2.5 to 10 cm wide, layout by tape: 0.5 % on the tennis tiles
 _UNKNOWN_RULES_LOG_SD = 0.012  # of a basketball court: FIBA's 28 m and the NBA's 28.65 m are hard to distinguish
-_CHANCE_WRONG = 0.02
 _LIKELY_COURT = 0.6  # lowest share of a proposal that is also tried in tilted views
 _TRIED_DEG = (12.0, 28.0, 42.0)  # the fit of a court converges from ten degrees off
 _LEAST_TILT_DEG = 4.0  # of a tried view: the image was searched at nadir before
@@ -77,10 +77,10 @@ class Courts(Ruler):
         """Make tilt cues of courts in perspective."""
         return court_cues(found, image.width_px, image.height_px)
 
-    def measure(self, view: View) -> LognormalEvidence:
+    def measure(self, view: View) -> Witness:
         """Weigh the courts found by how well each was fitted."""
         plane, courts = view.plane, view.found[self.kind] if self.kind in view.found else self.find(view)
-        return evidence_of(courts if plane is None else [_rectified(court, plane) for court in courts])
+        return witness_of(courts if plane is None else [_rectified(court, plane) for court in courts])
 
     def _found_tilted(self, view: View, raster: Raster) -> tuple[Court, ...]:
         """Find courts that can be recognised only in perspective; the tilt is unknown."""
@@ -111,14 +111,14 @@ class Courts(Ruler):
         return find_courts_on(raster, plane, view.detections, view.card, runtime=view.runtime)
 
 
-def evidence_of(courts: Sequence[Court]) -> LognormalEvidence:
+def witness_of(courts: Sequence[Court]) -> Witness:
     """Weigh courts by how well each was fitted.
 
     Args:
         courts: of one image. Courts that differ from the median scale are left out.
 
     Returns:
-        The evidence, with outlines and sides as marks.
+        The witness, with outlines and sides as marks.
     """
     courts = [court for court in courts if on_grid(court.gsd_m_per_px)]
     if not courts:
@@ -131,11 +131,11 @@ def evidence_of(courts: Sequence[Court]) -> LognormalEvidence:
     mean = float(weights @ logs / weights.sum())
     spread = float(np.sqrt(weights @ (logs - mean) ** 2 / weights.sum()))
     log_sd = max(min(_rules_log_sd(court) for court in kept), spread, float(weights.sum() ** -0.5))
-    return lognormal_evidence(
+    return point_witness(
         Courts.kind,
         math.exp(mean),
         log_sd,
-        _CHANCE_WRONG,
+        RELIABILITY[Courts.kind].chance_wrong,
         f"{_named(kept)} {{}}.",
         n=len(kept),
         marks=[mark for court in kept for mark in _marks(court)],
@@ -160,7 +160,7 @@ def _marks(court: Court) -> list[Mark]:
 
 
 def _rules_log_sd(court: Court) -> float:
-    return _RULES_LOG_SD if court.kind == "tennis" else _UNKNOWN_RULES_LOG_SD
+    return RELIABILITY[Courts.kind].log_sd if court.kind == "tennis" else _UNKNOWN_RULES_LOG_SD
 
 
 def _log_sd(court: Court) -> float:

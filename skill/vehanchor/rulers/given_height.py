@@ -8,24 +8,21 @@ from typing import TYPE_CHECKING
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.camera import coarsening, cropped
-from vehanchor.rulers.evidence import Mark
-from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
+from vehanchor.rulers.camera import LENS, coarsening, cropped
+from vehanchor.rulers.point import assumed, no_evidence, point_witness
+from vehanchor.rulers.registry import uses
 from vehanchor.rulers.ruler import Ruler
-from vehanchor.scale.height import ASSUMED_HEIGHT_LOG_SD, GIVEN_HEIGHT_LOG_SD
+from vehanchor.rulers.view import mark_of_height
+from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95
+from vehanchor.scale.reliability import RELIABILITY, Shared
 
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
-    from vehanchor.options import Basis
-    from vehanchor.rulers.evidence import View
-    from vehanchor.rulers.lognormal import LognormalEvidence
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.posterior import Witness
 
-_SPREADS: dict[Basis, tuple[float, float]] = {
-    "measured": (GIVEN_HEIGHT_LOG_SD, 0.05),
-    "assumed": (ASSUMED_HEIGHT_LOG_SD, 0.15),
-}
-"""Standard deviation of the log, and chance of an outlier; that of assumed facts is our assumption."""
+_SAME_HEIGHT = 0.02  # relative: a height this near to the file's repeats it
 _NO_LENS_OF_A_CROP = (
     "no focal length of the whole photograph holds for it, and the given height is not usable. If focal_35mm is that "
     "of the crop, leave out the metadata"
@@ -47,7 +44,7 @@ class GivenHeight(Ruler):
     uses_plane = True
     independent_of_vehicles = True
 
-    def measure(self, view: View) -> LognormalEvidence:
+    def measure(self, view: View) -> Witness:
         """Measure by the given height and the focal length."""
         chosen, image = view.options.rulers, view.image
         if chosen.height_m is None:
@@ -55,6 +52,8 @@ class GivenHeight(Ruler):
         camera = image.camera if chosen.metadata else None
         if camera is not None and taken_ratio(image, camera) is None:
             return no_evidence(self.kind, cropped(image, camera, _NO_LENS_OF_A_CROP))
+        if _repeats(view, chosen.height_m):
+            return no_evidence(self.kind, _repeated(chosen.height_m))
         seen: Lens | None = None
         if chosen.focal_35mm is not None:
             seen = equivalent_lens(image.width_px, image.height_px, chosen.focal_35mm)
@@ -75,10 +74,33 @@ class GivenHeight(Ruler):
                     f"{gsd:.3g} m/px.",
                 ),
             )
-        height_log_sd, chance_wrong = _SPREADS[chosen.height_basis]
+        reliability = RELIABILITY["assumed" if chosen.height_basis == "assumed" else "measured height"]
+        log_sd = reliability.log_sd
         if chosen.height_tolerance_m is not None:
-            height_log_sd = chosen.height_tolerance_m / chosen.height_m / Z95
-        log_sd = math.hypot(height_log_sd, seen.log_sd, tilt_log_sd)
-        marks = [Mark.of_height(image, chosen.height_m)]
-        found = lognormal_evidence(self.kind, gsd, log_sd, chance_wrong, said, marks=marks)
-        return found.stated(f"given height of {chosen.height_m:g} m", chosen.height_basis)
+            log_sd = chosen.height_tolerance_m / chosen.height_m / Z95
+        found = point_witness(
+            self.kind,
+            gsd,
+            math.hypot(log_sd, tilt_log_sd),
+            reliability.chance_wrong,
+            said,
+            shared=[Shared(LENS, seen.log_sd)],
+            marks=[mark_of_height(image, chosen.height_m)],
+        )
+        return assumed(found) if chosen.height_basis == "assumed" else found
+
+
+def _repeats(view: View, height_m: float) -> bool:
+    """Test whether a given height is the file's, which the ruler camera uses: the same number is one witness."""
+    camera = view.image.camera
+    if camera is None or camera.height_m is None or not uses(view.options.rulers, "camera"):
+        return False
+    return lens(view.image, camera) is not None and abs(height_m - camera.height_m) <= _SAME_HEIGHT * camera.height_m
+
+
+def _repeated(height_m: float) -> Notice:
+    return Notice(
+        code=NoticeCode.HEIGHT_REPEATED,
+        message=f"The given height of {height_m:g} m is the file's own: it counts once, as the file's. If it was "
+        "measured on its own, leave out the metadata.",
+    )

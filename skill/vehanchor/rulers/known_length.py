@@ -7,31 +7,31 @@ from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from vehanchor.errors import KnownLengthError
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.agreement import agrees
-from vehanchor.rulers.evidence import Mark
-from vehanchor.rulers.lognormal import combined, lognormal_evidence, mixture, no_evidence, on_grid
+from vehanchor.rulers.point import assumed, density_witness, in_words, no_evidence
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.rulers.standards import Variant, lengths_of
+from vehanchor.scale.density import lognormal, mass_within, on_grid, product
 from vehanchor.scale.lengths import Z95
+from vehanchor.scale.posterior import Mark
+from vehanchor.scale.reliability import CALLER, RECOGNITION, RELIABILITY
 from vehanchor.tilt.camera_tilt import TILT_SD_DEG
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.options import Basis, KnownLength
-    from vehanchor.rulers.evidence import View
-    from vehanchor.rulers.lognormal import LognormalEvidence
+    from vehanchor.options import KnownLength
+    from vehanchor.rulers.view import View
     from vehanchor.scale.plane import GroundPlane
+    from vehanchor.scale.posterior import Witness
 
 _END_SD_PX = 1.0  # error of a drawn end, in pixels of the picture where it was drawn
-_SPREADS: dict[Basis, tuple[float, float]] = {
-    "measured": (0.01, 0.05),  # relief, slope, and rounding of the length
-    "assumed": (0.10, 0.15),
-}
-"""Standard deviation of the log of the length, and chance of an outlier; those of assumed facts are our assumption."""
+_LEAST_CHANCE = 0.01  # that one thing of known size is mistaken, beside the caller's chance to mistake all
+_AGREED = 0.05  # mass of one line's density within 20 % of another line's scale, below which they disagree
 
 
 class KnownLengths(Ruler):
@@ -44,7 +44,7 @@ class KnownLengths(Ruler):
     uses_plane = True
     independent_of_vehicles = True
 
-    def measure(self, view: View) -> LognormalEvidence:
+    def measure(self, view: View) -> Witness:
         """Multiply the densities of the measured lines; without any, those of the assumed ones.
 
         Raises:
@@ -54,20 +54,26 @@ class KnownLengths(Ruler):
         if not lines:
             return no_evidence(self.kind)
         drawn = [_drawn(line, view) for line in lines]
-        each = [_evidence(group, view.options.reference.region) for group in _groups(drawn)]
-        measured = [one for one in each if one.facts[0].basis == "measured"]
-        found = combined(measured or each)
+        groups = _groups(drawn)
+        measured = [group for group in groups if group[0].line.basis == "measured"]
         basis = "measured" if measured else "assumed"
+        each = [_witness(group, view.options.reference.region) for group in measured or groups]
+        found = each[0] if len(each) == 1 else _combined(each)
         given = f"The {len(lines)} given lines, {basis}, give" if len(lines) > 1 else f"The given line, {basis}, gives"
-        return replace(
+        assert found.gsd_m_per_px is not None
+        assert found.interval is not None
+        found = replace(
             found,
             n=len(lines),
-            facts=tuple(fact for one in each for fact in one.facts),
-            notices=_lines_disagree(each),
-            explanation=f"{given} {found.explanation}."
+            notices=_lines_disagree([_witness(group, view.options.reference.region) for group in groups]),
+            said=f"{given} {in_words(found.gsd_m_per_px, found.interval)}."
             + (" This is the scale of the image's centre." if view.plane else ""),
             marks=tuple(Mark(one.ends, _label(one.line)) for one in drawn),
         )
+        if measured:
+            return found
+        named = all(group[0].line.what is not None for group in groups)
+        return assumed(found, RECOGNITION if named else CALLER)
 
 
 class _Drawn(NamedTuple):
@@ -87,11 +93,11 @@ class _Drawn(NamedTuple):
 
 
 def _groups(drawn: Sequence[_Drawn]) -> list[list[_Drawn]]:
-    """Group the lines at things of one kind; every line in metres is a group of its own."""
+    """Group the lines at things of one kind, and lines that are given twice; other lines are groups of their own."""
     groups: dict[object, list[_Drawn]] = {}
-    for number, each in enumerate(drawn):
-        groups.setdefault(each.line.what or number, []).append(each)
-    return list(groups.values())
+    for each in drawn:
+        groups.setdefault(each.line.what or each.line, []).append(each)
+    return [group if group[0].line.what else group[:1] for group in groups.values()]
 
 
 def _label(line: KnownLength) -> str:
@@ -106,30 +112,34 @@ def _drawn(line: KnownLength, view: View) -> _Drawn:
     return _Drawn(line, ends, length_px, math.hypot(math.sqrt(2) * _END_SD_PX / line.length_px, tilt_log_sd))
 
 
-def _evidence(drawn: Sequence[_Drawn], region: str | None) -> LognormalEvidence:
-    """Make the evidence of one line in metres, or of all lines at things of one kind, which share their size."""
+def _witness(drawn: Sequence[_Drawn], region: str | None) -> Witness:
+    """Make the witness of one line in metres, or of all lines at things of one kind, which share their size."""
     line = drawn[0].line
     variants: tuple[Variant, ...]
     if line.what is None:
         assert line.metres is not None
-        log_sd, chance_wrong = _SPREADS[line.basis]
+        log_sd, chance_wrong = RELIABILITY[line.basis][:2]
         if line.tolerance_m is not None:
             log_sd = line.tolerance_m / line.metres / Z95
-        variants, name, family = (Variant(line.metres, log_sd),), f"known length of {line.metres:g} m", ""
+        variants = (Variant(line.metres, log_sd),)
     else:
         standard, variants = lengths_of(line.what, region)
-        chance_wrong, name, family = standard.chance_wrong, standard.label, standard.family
+        chance_wrong = max(_LEAST_CHANCE, standard.chance_wrong - RECOGNITION.chance_wrong)
     length_px, drawn_log_sd = _mean_length(drawn)
     possible = [each for each in variants if on_grid(each.metres / length_px)]
     if not possible:
         raise _impossible(variants[0].metres, length_px)
-    found = [
-        lognormal_evidence(
-            KnownLengths.kind, each.metres / length_px, math.hypot(each.log_sd, drawn_log_sd), chance_wrong, "{}"
-        )
+    total = sum(each.weight for each in possible)
+    densities = [
+        each.weight / total * lognormal(each.metres / length_px, math.hypot(each.log_sd, drawn_log_sd))
         for each in possible
     ]
-    return mixture(found, [each.weight for each in possible]).stated(name, line.basis, family)
+    return density_witness(KnownLengths.kind, sum(densities, np.zeros(1)), chance_wrong, "")
+
+
+def _combined(lines: Sequence[Witness]) -> Witness:
+    """Multiply lines, each of which may be wrong by itself; contradictions show as several modes."""
+    return density_witness(KnownLengths.kind, product(*(each.density for each in lines)), 0.0, "")
 
 
 def _mean_length(drawn: Sequence[_Drawn]) -> tuple[float, float]:
@@ -161,11 +171,12 @@ def _length_at_centre(
     return here, abs(math.log(here / there))
 
 
-def _lines_disagree(lines: Sequence[LognormalEvidence]) -> tuple[Notice, ...]:
-    """Warn of two lines of which neither agrees with the other's scale."""
-    scales = [(each, each.gsd_m_per_px) for each in lines if each.gsd_m_per_px is not None]
+def _lines_disagree(lines: Sequence[Witness]) -> tuple[Notice, ...]:
+    """Warn of two lines of which neither allows the other's scale."""
+    scales = [(each.density, each.gsd_m_per_px) for each in lines if each.gsd_m_per_px is not None]
     if not any(
-        not agrees(one, its) and not agrees(other, this) for (one, this), (other, its) in combinations(scales, 2)
+        max(mass_within(one, its), mass_within(other, this)) < _AGREED
+        for (one, this), (other, its) in combinations(scales, 2)
     ):
         return ()
     finest, coarsest = min(scale for _, scale in scales), max(scale for _, scale in scales)

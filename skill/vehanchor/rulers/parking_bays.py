@@ -8,22 +8,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.rulers.bay_rows import find_bay_rows
-from vehanchor.rulers.evidence import Mark
-from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
+from vehanchor.rulers.point import no_evidence, point_witness
 from vehanchor.rulers.prior_range import prior_range
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.rulers.standards import lengths_of
+from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Interval
+from vehanchor.scale.posterior import Mark
+from vehanchor.scale.reliability import PAINT, RELIABILITY
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.rulers.bay_rows import BayRow
-    from vehanchor.rulers.evidence import View
-    from vehanchor.rulers.lognormal import LognormalEvidence
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.posterior import Witness
 
 _STANDARD = "parking_bay_width"
-_CHANCE_WRONG = 0.05  # no false row in 1,429 photographs; but some bays have other widths
 _RESOLVED = Interval(0.01, 0.33)  # metres per pixel: paint is 0.1 m wide
 _PRIOR_SHARE = 0.9  # of the scene-scale prior, between whose scales bays are sought
 _FARTHEST = 1.7  # from the prior's median, as a factor: two bays are not one
@@ -37,7 +38,7 @@ class ParkingBays(Ruler):
     label = "parking bays"
     plural = True
     help = "a row of parking bays with visible lines, up to 0.33 m/px"
-    colour = "#0072B2"
+    colour = "#882255"
     pooling_gain = 0.0  # one country: one error
     independent_of_vehicles = True
 
@@ -51,7 +52,7 @@ class ParkingBays(Ruler):
             return ()
         return tuple(find_bay_rows(view.raster, scale, view.detections.covers))
 
-    def measure(self, view: View) -> LognormalEvidence:
+    def measure(self, view: View) -> Witness:
         """Measure the width of the bays, by the standards of the region or of all countries."""
         rows: tuple[BayRow, ...] = view.found[self.kind] if self.kind in view.found else self.find(view)
         if not rows:
@@ -69,12 +70,14 @@ class ParkingBays(Ruler):
         gsd = math.exp(log_width) / width_px
         if not on_grid(gsd):
             return no_evidence(self.kind)
-        return lognormal_evidence(
+        reliability = RELIABILITY[self.kind]
+        return point_witness(
             self.kind,
             gsd,
-            math.hypot(log_sd, spread),
-            _CHANCE_WRONG,
+            math.sqrt(max(reliability.log_sd**2 - PAINT.log_sd**2, log_sd**2) + spread**2),
+            reliability.chance_wrong,
             f"{n} lines of parking bays, {width_px:.1f} px apart, say {{}}.",
+            shared=[PAINT],
             n=n,
             marks=[mark for row, good in zip(rows, kept, strict=True) if good for mark in _marks(row)],
         )

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
+from vehanchor.rulers.point import no_evidence, point_witness
 from vehanchor.rulers.ruler import Ruler
+from vehanchor.scale.density import on_grid
+from vehanchor.scale.reliability import RELIABILITY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,20 +18,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.facts import ImageFacts
-    from vehanchor.rulers.evidence import Evidence, View
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.posterior import Witness
 
 _EARTH_M = 6_371_009.0
 _LEAST = 2
 _POSITION_SD_M = 2.0  # of a small receiver, relative to the neighbouring photograph
 _AIM_SHARE = 0.05  # of the picture's width: offset of the centre by a tilt of three degrees
-_FLOOR_LOG_SD = 0.02  # relief, lens
 _LEAST_AGREEMENT = 0.9  # of layout and positions; below, they do not match
-_CHANCE_WRONG = 0.05
 _REACH, _STEPS = 3.0, 10
 
 
 class Positions(Ruler):
-    """Positions in the metadata of a flight's photographs; the flight measures them (``positions_evidence``)."""
+    """Positions in the metadata of a flight's photographs; the flight measures them (``positions_witness``)."""
 
     kind = "positions"
     label = "positions"
@@ -41,7 +42,7 @@ class Positions(Ruler):
     independent_of_vehicles = True
     of_flights = True
 
-    def measure(self, view: View) -> Evidence:  # noqa: ARG002
+    def measure(self, view: View) -> Witness:  # noqa: ARG002
         """Give no evidence: a single image has no baseline."""
         return no_evidence(self.kind)
 
@@ -120,12 +121,14 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
     radius = math.sqrt(spread_m / n)
     stated_sd = math.hypot(_POSITION_SD_M, _AIM_SHARE * width_px * gsd) / (radius * math.sqrt(n))
     seen_sd = math.sqrt((1 - agreement**2) / (2 * max(n - 2, 0.5))) / agreement
-    return Baseline(gsd, math.sqrt(max(stated_sd, seen_sd) ** 2 + _FLOOR_LOG_SD**2), int(known.sum()))
+    log_sd = math.hypot(max(stated_sd, seen_sd), RELIABILITY[Positions.kind].log_sd)
+    return Baseline(gsd, log_sd, int(known.sum()))
 
 
-def positions_evidence(found: Baseline | None) -> tuple[Evidence, ...]:
-    """Make the evidence of a baseline; empty without one."""
+def positions_witness(found: Baseline | None) -> tuple[Witness, ...]:
+    """Make the witness of a baseline; empty without one."""
     if found is None or not on_grid(found.gsd_m_per_px):
         return ()
     said = f"The positions of {found.n} overlapping photographs give {{}}."
-    return (lognormal_evidence(Positions.kind, found.gsd_m_per_px, found.log_sd, _CHANCE_WRONG, said, n=found.n),)
+    chance_wrong = RELIABILITY[Positions.kind].chance_wrong
+    return (point_witness(Positions.kind, found.gsd_m_per_px, found.log_sd, chance_wrong, said, n=found.n),)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.scale.fusion import credible_interval
+from vehanchor.scale.density import credible_interval
 from vehanchor.scale.lengths import Interval
 
 if TYPE_CHECKING:
-    from vehanchor.rulers.evidence import View
+    from vehanchor.rulers.view import View
 
 
 def prior_range(view: View, resolved: Interval, share: float, farthest: float) -> Interval | None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.countries import COUNTRY_REGIONS, country_length
+from vehanchor.scale.reliability import FLEETS, KNOWN_REGION
 
 if TYPE_CHECKING:
     from vehanchor.detection.appearance import FleetAppearance
@@ -14,8 +16,8 @@ if TYPE_CHECKING:
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 
-_SMALLER_LOG_SD = 0.12  # towards smaller cars: six unseen fleets were read 5 to 17 % too long, rendered 3.7 m 12 %
-_LEFT_IN_REGION = 0.85  # 95 of 100 intervals hold the truth on the held-out tenth of train; 86 with 0.5
+
+_KNOWN_LENGTH = 0.5  # share of the spread that a length from the caller leaves; a choice
 
 
 class ReferenceLength(NamedTuple):
@@ -23,24 +25,27 @@ class ReferenceLength(NamedTuple):
 
     Attributes:
         length_m: metres.
-        sd_m: its standard deviation between places, metres.
         source: source of the length.
-        smaller_sd_m: its standard deviation towards smaller cars, metres; None for the same.
+        errors: of its log, a mixture of normals: weight, mean and standard deviation of each.
         sampling_log_sd: standard error of its log from the spread of the vehicles' appearance, which more vehicles
             reduce.
     """
 
     length_m: float
-    sd_m: float
     source: ReferenceSource
-    smaller_sd_m: float | None = None
+    errors: tuple[tuple[float, float, float], ...]
     sampling_log_sd: float = 0.0
 
+    @classmethod
+    def of(cls, length_m: float, sd_m: float, source: ReferenceSource) -> ReferenceLength:
+        """Make a reference length with a standard deviation between places, metres."""
+        return cls(length_m, source, ((1.0, 0.0, sd_m / length_m),))
+
     @property
-    def log_sds(self) -> tuple[float, float]:
-        """Standard deviations of its log, towards smaller and towards larger cars."""
-        larger = self.sd_m / self.length_m
-        return larger if self.smaller_sd_m is None else self.smaller_sd_m / self.length_m, larger
+    def log_sd(self) -> float:
+        """Standard deviation of its log between places."""
+        mean = sum(weight * mean for weight, mean, _ in self.errors)
+        return math.sqrt(sum(weight * (sd**2 + (each - mean) ** 2) for weight, each, sd in self.errors))
 
 
 def reference_length(card: DetectorCard, given: Reference, appearance: FleetAppearance | None) -> ReferenceLength:
@@ -64,21 +69,19 @@ def reference_length(card: DetectorCard, given: Reference, appearance: FleetAppe
     if given.calibration is not None:
         given.calibration.check_detector(card.name, card.sha256)
         measured = given.calibration
-        return ReferenceLength(measured.reference_length_m, measured.reference_length_sd_m, "calibration")
+        return ReferenceLength.of(measured.reference_length_m, measured.reference_length_sd_m, "calibration")
     if given.reference_length_m is not None:
-        return ReferenceLength(given.reference_length_m, card.reference_length_sd_m / 2, "given")
+        return ReferenceLength.of(given.reference_length_m, _KNOWN_LENGTH * card.reference_length_sd_m, "given")
     if given.region is not None:
         length_m = _region_length(given.region, card)
-        return ReferenceLength(length_m, _LEFT_IN_REGION * card.reference_length_sd_m, "region")
+        return ReferenceLength.of(length_m, KNOWN_REGION * card.reference_length_sd_m, "region")
     if card.fleet_lengths is not None and appearance is not None:
         length_m = card.fleet_lengths.reference_length(appearance.log_lengths)
-        sd_m = card.fleet_lengths.sd_m
-        smaller_sd_m = max(_SMALLER_LOG_SD * length_m, sd_m)
         sampling = (
             card.fleet_lengths.sampling_log_sd(appearance.log_lengths) if len(appearance.log_lengths) > 1 else 0.0
         )
-        return ReferenceLength(length_m, sd_m, "appearance", smaller_sd_m, sampling)
-    return ReferenceLength(card.reference_length_m, card.reference_length_sd_m, "model")
+        return ReferenceLength(length_m, "appearance", FLEETS, sampling)
+    return ReferenceLength.of(card.reference_length_m, card.reference_length_sd_m, "model")
 
 
 def _region_length(name: str, card: DetectorCard) -> float:

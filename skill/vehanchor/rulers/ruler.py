@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.imagery.facts import ImageFacts
-    from vehanchor.rulers.evidence import Evidence, View
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.posterior import Witness
     from vehanchor.tilt.posterior import TiltCue
 
 
@@ -32,10 +33,10 @@ class Ruler:
         needs_search: it measures detections, so that the detector must run.
         reads_metadata: it is left out if the caller forbids metadata.
         uses_plane: it measures on ``View.plane``. If False, it gives no evidence in a tilted view.
-        independent_of_vehicles: it does not use vehicles, so that its evidence can distinguish cars from parts of cars.
+        independent_of_vehicles: it does not use vehicles, so that it can distinguish cars from parts of cars.
         sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other rulers.
         of_flights: it measures the photographs of a flight together, never a single image.
-        stored_classes: classes of its evidence by their names in journals; a name never changes.
+        stored_classes: classes of its witnesses by their names in journals; a name never changes.
     """
 
     kind: ClassVar[str]
@@ -50,7 +51,7 @@ class Ruler:
     independent_of_vehicles: ClassVar[bool] = False
     sets_scale: ClassVar[bool] = True
     of_flights: ClassVar[bool] = False
-    stored_classes: ClassVar[Mapping[str, type[Evidence]]] = MappingProxyType({})
+    stored_classes: ClassVar[Mapping[str, type[Witness]]] = MappingProxyType({})
 
     def find(self, view: View) -> tuple[Any, ...]:  # noqa: ARG002
         """Find objects in the image once, before the tilt is estimated; ``measure`` gets them in ``View.found``.
@@ -78,14 +79,14 @@ class Ruler:
         """
         return ()
 
-    def measure(self, view: View) -> Evidence:
+    def measure(self, view: View) -> Witness:
         """Measure the scale; in a tilted view, the scale of the image's centre.
 
         Args:
             view: of the image.
 
         Returns:
-            The evidence; ``no_evidence`` if nothing was found.
+            The witness; ``no_evidence`` if nothing was found.
         """
         raise NotImplementedError
 

@@ -1,18 +1,16 @@
-"""Scene-scale prior as a ruler: the texture of the ground gives a rough scale.
-
-It never sets the scale. It weighs groups of vehicles, and widens or narrows the interval.
-"""
+"""Scene-scale prior as a ruler: the texture of the ground gives a rough scale; it never sets the scale."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.rulers.evidence import Evidence
+from vehanchor.rulers.point import no_evidence, prior_witness
 from vehanchor.rulers.ruler import Ruler
-from vehanchor.scale.fusion import credible_interval
+from vehanchor.scale.reliability import PRIOR_POWER
 
 if TYPE_CHECKING:
-    from vehanchor.rulers.evidence import View
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.posterior import Witness
 
 
 class SceneScale(Ruler):
@@ -27,11 +25,9 @@ class SceneScale(Ruler):
     independent_of_vehicles = True
     sets_scale = False
 
-    def measure(self, view: View) -> Evidence:
-        """Take the median of the prior; without a prior or in a tilted view, give no evidence."""
+    def measure(self, view: View) -> Witness:
+        """Weigh the prior's density; without a prior or in a tilted view, give no evidence."""
         if view.prior is None or view.plane is not None:
-            return Evidence(self.kind, None, None, 0, 0.0, ())
-        density = view.prior.density
-        median = credible_interval(density, probability=0.0).low
+            return no_evidence(self.kind)
         n_tiles = sum(level.n_tiles for level in view.prior.levels)
-        return Evidence(self.kind, median, credible_interval(density), n_tiles, 0.0, (), density)
+        return prior_witness(self.kind, view.prior.density, PRIOR_POWER, n_tiles)

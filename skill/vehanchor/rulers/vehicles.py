@@ -1,24 +1,25 @@
-"""Vehicles as a ruler: fleet among the detections, modal length, scale and confidence."""
+"""Vehicles as a ruler: the fleet among the detections, its votes for the scale, and doubts about it."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.records import Notice
-from vehanchor.records.notices import FLEET_DOUBTS, NoticeCode
-from vehanchor.rulers.confidence import composite, confidence_terms, fleet_doubts, largest_confidence
-from vehanchor.rulers.evidence import Evidence
-from vehanchor.rulers.lognormal import lognormal, on_grid
+from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.look_alikes import look_alikes
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.fusion import GRID, credible_interval, flat, vehicle_density, with_outlier_floor
-from vehanchor.scale.lengths import Z95, dominant_group, gsd_interval, guard_length, inlier_mask, modal_length
+from vehanchor.scale.density import GRID, blurred, flat, lognormal, on_grid
+from vehanchor.scale.lengths import dominant_group, guard_length, inlier_mask
+from vehanchor.scale.paper import paper_scale
+from vehanchor.scale.posterior import Lack, Witness
+from vehanchor.scale.reliability import RELIABILITY, uncalibrated_wrong, unresolved
+from vehanchor.scale.votes import UNCALIBRATED, vehicle_likelihood
 from vehanchor.tilt.rectified import rectified
 
 if TYPE_CHECKING:
@@ -27,39 +28,16 @@ if TYPE_CHECKING:
     from vehanchor.detection.appearance import FleetAppearance
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Detections
-    from vehanchor.options import Lengths, ScaleOptions
-    from vehanchor.records import ConfidenceTerms
-    from vehanchor.rulers.evidence import View
+    from vehanchor.options import Lengths
     from vehanchor.rulers.reference import ReferenceLength
-    from vehanchor.scale.defaults import Aggregation
-    from vehanchor.scale.lengths import Interval
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.paper import PaperScale
 
 _LEAST_SCORE = 1e-3  # floor of the scores, so that a detection counts
-_MODE_REACH, _MODE_SHARE = 0.25, 0.3  # of log scale, and of the density
-_DOUBTS_OF_KIND = frozenset(
-    {
-        NoticeCode.LENGTHS_ALIKE,
-        NoticeCode.SCORES_UNCLEAR,
-        NoticeCode.LOOKS_ALIKE,
-        NoticeCode.LOOKS_UNLIKE_CARS,
-    }
-)
-"""Doubts that a caller resolves who states that most of the vehicles are cars."""
-
-_DOUBTS: dict[NoticeCode, str] = {
-    NoticeCode.STRETCHED: "The vehicles have a car's proportions only if the image is made narrower or wider: it was "
-    "stretched in one direction, or taken at a tilt, and its width and height have different scales.",
-    NoticeCode.LENGTHS_DISAGREE: "Vehicles of two sizes were found, with nearly equal evidence. One group is not cars: "
-    "the scale may be wrong by the ratio of the sizes.",
-    NoticeCode.LENGTHS_ALIKE: "The vehicles have nearly equal lengths, unlike cars: they may be equal lorries, "
-    "containers or roof units, and the scale wrong by the ratio of their length to a car's.",
-    NoticeCode.SCORES_UNCLEAR: "None of the vehicles is clearly a car: they may be objects of similar shape at another "
-    "scale.",
-    NoticeCode.LOOKS_ALIKE: "The vehicles look more alike than cars of different makes and colours: they may be equal "
-    "caravans, lorries or containers, and the scale wrong by the ratio of their length to a car's.",
-    NoticeCode.LOOKS_UNLIKE_CARS: "The vehicles look unlike all known fleets of cars: they may be boats or other "
-    "objects of a car's shape, and the scale wrong by the ratio of their length to a car's.",
-}
+_LOOK_ALIKE_LENGTHS = 1.5  # of cars: vans, caravans, lorries, containers, boats; a choice
+_DOUBTED_LOG_SD = 0.4  # of the scale around that of doubted vehicles, if they are wrong; a choice
+_COARSEST = 2.9  # metres per pixel, on the grid
+_CLEAR_SCORE = 1.0  # of a car that nobody doubts
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +47,14 @@ class Fleet:
     Attributes:
         detections: all detections.
         kept: ``[n]`` bool, the detections of the fleet.
-        rival_share: evidence of the strongest group of other lengths over the fleet's; 0 without any.
         working_scale: scale of the image copy with most of the fleet, by score; None without vehicles.
+        rival_share: evidence of the strongest group of other lengths over the fleet's; 0 without any.
     """
 
     detections: Detections
     kept: NDArray[np.bool_]
-    rival_share: float
     working_scale: float | None
+    rival_share: float = 0.0
 
     @property
     def is_stated(self) -> bool:
@@ -130,7 +108,7 @@ def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float6
         kept, rival_share = group.members.copy(), group.rival_share
         kept[kept] = inlier_mask(found[kept], lengths.alpha)
     kept |= stated
-    return Fleet(detections, kept, rival_share, _working_scale(detections, kept))
+    return Fleet(detections, kept, _working_scale(detections, kept), 0.0 if stated.any() else rival_share)
 
 
 def _expected_weights(lengths_px: NDArray[np.float64], density: NDArray[np.float64] | None) -> NDArray[np.float64]:
@@ -151,64 +129,24 @@ def _working_scale(detections: Detections, kept: NDArray[np.bool_]) -> float | N
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class VehicleEvidence(Evidence):
-    """Evidence of vehicles, the paper's skill, with its intermediate results.
+class VehicleWitness(Witness):
+    """Witness of the vehicles, with intermediate results.
 
     Attributes:
         fleet: the vehicles.
         reference: ``L_ref`` and its source.
-        mode_length_px: ``P_mode``; None without vehicles.
-        aggregation: statistic of the lengths.
-        terms: of the confidence.
+        paper: scale by the published method.
         guard_length_px: ``P_thresh`` of the resolution guard.
-        guarded: whether the guard caps the confidence.
         resolved: share of the pixels' resolution at which there is detail.
-        sharpness: of the detector's votes, see ``vehanchor.scale.fusion.recalibrated``.
-        exact: whether the confidence is the paper's, for any interval: in the preset ``paper``.
+        doubted: whether the vehicles may be look-alikes, the image stretched, or the vehicles too coarse.
     """
 
     fleet: Fleet
     reference: ReferenceLength
-    mode_length_px: float | None
-    aggregation: Aggregation
-    terms: ConfidenceTerms
+    paper: PaperScale
     guard_length_px: float
-    guarded: bool
     resolved: float
-    sharpness: float = 1.0
-    exact: bool = False
-
-    @property
-    def fusable_density(self) -> NDArray[np.float64] | None:
-        """Vehicle density centred on the paper's GSD; lognormal if the votes are uncalibrated.
-
-        If the votes are uncalibrated, the guard caps the confidence, or the vehicles may not be cars, the confidence is
-        the density's weight over an outlier floor. Other rulers can then outvote any number of vehicles.
-        """
-        if self.gsd_m_per_px is None or self.interval is None:
-            return None
-        if self.density is not None:
-            density = _recentred(self.density, self.gsd_m_per_px)
-        else:
-            log_sd = math.log(self.interval.high / self.interval.low) / (2 * Z95)
-            density = lognormal(self.gsd_m_per_px, log_sd) if on_grid(self.gsd_m_per_px) else flat()
-        doubted = self.density is None or self.guarded or self.disputed
-        return with_outlier_floor(density, 1.0 - self.confidence) if doubted else density
-
-    @property
-    def disputed(self) -> bool:
-        """Whether there are doubts that the vehicles are cars."""
-        return any(each.code in FLEET_DOUBTS for each in self.notices)
-
-    @property
-    def stretched(self) -> bool:
-        """Whether the image's width and height have different scales."""
-        return any(each.code == NoticeCode.STRETCHED for each in self.notices)
-
-    @property
-    def largest_confidence(self) -> float:
-        """Limit of the confidence of a scale from these vehicles alone."""
-        return largest_confidence(guarded=self.guarded, disputed=self.disputed)
+    doubted: bool = False
 
 
 class Vehicles(Ruler):
@@ -222,8 +160,8 @@ class Vehicles(Ruler):
     needs_search = True
     uses_plane = True
 
-    def measure(self, view: View) -> VehicleEvidence:
-        """Measure the fleet in a view (paper, section III).
+    def measure(self, view: View) -> VehicleWitness:
+        """Measure the fleet in a view (paper, section III); its own scale is ``L_ref / P_mode``.
 
         Raises:
             InvalidParameterError: the model does not know the region.
@@ -233,47 +171,132 @@ class Vehicles(Ruler):
         detections = view.detections if plane is None else rectified(view.detections, plane)
         fleet = select(detections, view.options.lengths, _expected(view))
         reference = reference_length(card, view.options.reference, fleet.appearance)
-        mode_px, aggregation, gsd, interval = _scale(fleet, card, view.options, reference)
-        guard_px = guard_length(reference.length_m, card.min_length_px)
-        resolved = view.resolved_share(fleet.centres, fleet.working_scale or 1.0)
-        seen_px = (mode_px or math.nan) * (fleet.working_scale or 1.0)  # in pixels of the copy that the model saw
-        exact = view.options.method.preset == "paper"  # only what the paper has
-        unresolved = not exact and seen_px >= guard_px > seen_px * resolved
-        guarded = seen_px < guard_px or unresolved
-        doubts = _doubts(fleet, card, None if plane else detections.stretch)
-        terms = confidence_terms(
+        guard_px, seen_scale = guard_length(reference.length_m, card.min_length_px), fleet.working_scale or 1.0
+        paper = paper_scale(
             fleet.lengths,
             fleet.scores,
-            seen_px,
-            (max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
+            (reference.length_m, reference.log_sd * reference.length_m),
+            view.options.lengths.aggregation or card.aggregation,
+            seen_scale=seen_scale,
+            guard_length_px=guard_px,
+            length_range_px=(max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
         )
-        return VehicleEvidence(
-            kind=self.kind,
-            gsd_m_per_px=gsd,
-            interval=interval,
+        resolved = view.resolved_share(fleet.centres, seen_scale)
+        seen_px = (paper.mode_length_px or 0.0) * seen_scale  # in pixels of the copy that the model saw
+        doubts = _doubts(fleet, None if plane else detections.stretch)
+        coarseness = guard_px / (seen_px * resolved) if seen_px else 0.0
+        votes = _Votes(
+            fleet, card, reference, coarseness, doubts, only_kept=plane is not None and view.expected is not None
+        )
+        unresolved_only = seen_px >= guard_px > seen_px * resolved
+        return VehicleWitness(
+            self.kind,
+            paper.gsd_m_per_px,
+            votes.density() if len(fleet.lengths) else None,
+            votes.chance_wrong,
+            votes.wrong(paper.gsd_m_per_px),
             n=len(fleet.lengths),
-            confidence=composite(terms, guarded=guarded, disputed=bool(doubts)),
             notices=(
                 *_capped(detections),
-                *([_detail_missing(seen_px, resolved, guard_px)] if unresolved else []),
-                *doubts,
+                *([_detail_missing(seen_px, resolved, guard_px)] if unresolved_only else []),
+                *(_DOUBTS[doubt] for doubt in doubts),
             ),
-            density=None if exact else _density(fleet, card, reference),
+            lacks=votes.lacks() if len(fleet.lengths) else (),
             fleet=fleet,
             reference=reference,
-            mode_length_px=mode_px,
-            aggregation=aggregation,
-            terms=terms,
+            paper=paper,
             guard_length_px=guard_px,
-            guarded=guarded,
             resolved=resolved,
-            sharpness=1.0 if card.votes is None else card.votes.sharpness,
-            exact=exact,
+            doubted=votes.chance_wrong > _Votes(fleet, card, reference).chance_wrong,
         )
 
-    def not_measured(self, view: View) -> VehicleEvidence:
-        """Make the evidence without vehicles, for a caller who excludes them."""
+    def not_measured(self, view: View) -> VehicleWitness:
+        """Make the witness without vehicles, for a caller who excludes them."""
         return self.measure(replace(view, detections=NOT_SEARCHED, tilt=None))
+
+
+class _Votes(NamedTuple):
+    """Votes of the boxes, and doubts about them.
+
+    Attributes:
+        fleet: the vehicles.
+        card: of the detector.
+        reference: ``L_ref``.
+        coarseness: ``P_thresh`` over the vehicles' resolved length; above 1 they are too coarse.
+        doubts: that the vehicles are cars of true proportions.
+        only_kept: whether the fleet alone votes: in a tilted view, the other boxes are parts of cars.
+    """
+
+    fleet: Fleet
+    card: DetectorCard
+    reference: ReferenceLength
+    coarseness: float = 0.0
+    doubts: tuple[NoticeCode, ...] = ()
+    only_kept: bool = False
+
+    @property
+    def chance_wrong(self) -> float:
+        """0..1, chance that the vehicles do not tell the scale."""
+        if self.card.votes is None:
+            likely = UNCALIBRATED.log_odds(self.fleet.scores) > 0
+            chances = [uncalibrated_wrong(int(likely.sum()))]
+        else:
+            chances = [RELIABILITY["vehicles"].chance_wrong]
+        chances += [RELIABILITY[_RELIABILITY_OF[doubt]].chance_wrong for doubt in self.doubts]
+        rival_odds = self.fleet.rival_share**2  # that the other group is the fleet; a choice
+        rival_wrong = rival_odds / (1.0 + rival_odds)
+        return 1.0 - (1.0 - max(*chances, rival_wrong)) * (1.0 - unresolved(self.coarseness).chance_wrong)
+
+    def wrong(self, gsd_m_per_px: float | None) -> NDArray[np.float64]:
+        """Return the density ``[g]`` of the scale if the vehicles are wrong.
+
+        Flat without doubts. Look-alikes are longer than cars, and a stretched image has scales on either side: both
+        lie near the vehicles' scale, so that a prior which agrees with it does not remove the doubt.
+        """
+        if gsd_m_per_px is None or not on_grid(gsd_m_per_px) or not self.doubts:
+            return flat()
+        lengths = _LOOK_ALIKE_LENGTHS if NoticeCode.LOOK_ALIKES in self.doubts else 1.0
+        return (lognormal(min(gsd_m_per_px * lengths, _COARSEST), _DOUBTED_LOG_SD) + flat()) / 2
+
+    def density(self, *, cars: int = 0, clear: bool = False, fleet_known: bool = False) -> NDArray[np.float64]:
+        """Compute the density ``[g]`` of the scale, widened by the errors of the fleet and of too coarse vehicles.
+
+        Args:
+            cars: clear cars of the modal length to add.
+            clear: whether to take all vehicles of the fleet for clear cars.
+            fleet_known: whether to leave out the errors of the fleet.
+        """
+        found = self.fleet.detections
+        alone = self.only_kept or self.fleet.is_stated
+        voting = self.fleet.kept if alone else np.ones(len(self.fleet.kept), bool)
+        pointed = np.zeros(len(voting)) if found.corrections is None else found.corrections.pointed_log_sds
+        scores = np.where(self.fleet.kept, _CLEAR_SCORE, found.scores) if clear else found.scores
+        likelihood = vehicle_likelihood(
+            np.append(found.boxes[voting, 2], [np.median(self.fleet.lengths)] * cars),
+            np.append(scores[voting], [_CLEAR_SCORE] * cars),
+            self.reference.length_m,
+            self.card.votes or UNCALIBRATED,
+            np.append(pointed[voting], np.zeros(cars)),
+        )
+        coarse_log_sd = unresolved(self.coarseness).log_sd
+        errors = ((1.0, 0.0, 0.0),) if fleet_known else self.reference.errors
+        return blurred(likelihood, *((weight, mean, float(np.hypot(sd, coarse_log_sd))) for weight, mean, sd in errors))
+
+    def lacks(self) -> tuple[Lack, ...]:
+        """List what would raise the vehicles' weight: detail, cars without doubt, one car more, a known fleet."""
+        sharp = self._replace(coarseness=0.0)
+        alike = self._replace(doubts=tuple(doubt for doubt in self.doubts if doubt != NoticeCode.LOOK_ALIKES))
+        true = self._replace(
+            fleet=replace(self.fleet, rival_share=0.0),
+            doubts=tuple(doubt for doubt in self.doubts if doubt != NoticeCode.STRETCHED),
+        )
+        return (
+            Lack("too_coarse", Witness(Vehicles.kind, None, sharp.density(), sharp.chance_wrong)),
+            Lack("not_cars", Witness(Vehicles.kind, None, self.density(clear=True), alike.chance_wrong)),
+            Lack("disagree", Witness(Vehicles.kind, None, self.density(), true.chance_wrong)),
+            Lack("too_few", Witness(Vehicles.kind, None, self.density(cars=1), self.chance_wrong)),
+            Lack("imprecise", Witness(Vehicles.kind, None, self.density(fleet_known=True), self.chance_wrong)),
+        )
 
 
 def _expected(view: View) -> NDArray[np.float64] | None:
@@ -281,56 +304,37 @@ def _expected(view: View) -> NDArray[np.float64] | None:
     return view.expected if view.prior is None or view.plane is not None else view.prior.density
 
 
-def _recentred(density: NDArray[np.float64], gsd_m_per_px: float) -> NDArray[np.float64]:
-    """Shift a density so that its mode around a scale has its median there; unchanged without such a mode."""
-    near = np.where(np.abs(GRID - math.log(gsd_m_per_px)) <= _MODE_REACH, density, 0.0)
-    if near.sum() < _MODE_SHARE:
-        return density
-    median = credible_interval(near / near.sum(), probability=0.0).low
-    moved = np.interp(GRID - math.log(gsd_m_per_px / median), GRID, density)
-    return np.asarray(moved / moved.sum())
+_RELIABILITY_OF = {
+    NoticeCode.STRETCHED: "vehicles, stretched",
+    NoticeCode.LOOK_ALIKES: "vehicles, look-alikes",
+}
+_DOUBTS = {
+    NoticeCode.STRETCHED: Notice(
+        code=NoticeCode.STRETCHED,
+        message="The vehicles have a car's proportions only if the image is made narrower or wider: it was stretched "
+        "in one direction, or taken at a tilt, and its width and height have different scales.",
+    ),
+    NoticeCode.LOOK_ALIKES: Notice(
+        code=NoticeCode.LOOK_ALIKES,
+        message="The vehicles are more alike than cars of different makes, or unlike all known cars: they may be equal "
+        "lorries, caravans, containers, roof units or boats, and the scale wrong by the ratio of their length to a "
+        "car's.",
+    ),
+}
 
 
-def _scale(
-    fleet: Fleet, card: DetectorCard, options: ScaleOptions, reference: ReferenceLength
-) -> tuple[float | None, Aggregation, float | None, Interval | None]:
-    """Compute ``P_mode``, its aggregation, the GSD and its interval; None without vehicles."""
-    aggregation = options.lengths.aggregation or card.aggregation
-    if not len(fleet.lengths):
-        return None, aggregation, None, None
-    mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, aggregation)
-    weighted = fleet.scores if aggregation == "weighted_kde" else None
-    interval = gsd_interval(fleet.lengths, mode_px, reference.length_m, reference.log_sds, scores=weighted)
-    return mode_px, aggregation, reference.length_m / mode_px, interval
+def _doubts(fleet: Fleet, stretch: float | None) -> tuple[NoticeCode, ...]:
+    """List doubts that the vehicles are cars of true proportions, after a search over scales.
 
-
-def _density(fleet: Fleet, card: DetectorCard, reference: ReferenceLength) -> NDArray[np.float64] | None:
-    """Compute the density of all boxes, or of the fleet if the caller states it; None if the votes are uncalibrated."""
-    if card.votes is None:
-        return None
-    found = fleet.detections
-    voting = fleet.kept if fleet.is_stated else np.ones(len(fleet.kept), bool)
-    pointed = 0.0 if found.corrections is None else found.corrections.pointed_log_sds[voting]
-    return vehicle_density(
-        found.boxes[voting, 2], found.scores[voting], reference.length_m, reference.log_sds, card.votes, pointed
+    A caller who states that most of the vehicles are cars resolves the doubt that they are look-alikes.
+    """
+    if fleet.detections.scales is None or not len(fleet.lengths):
+        return ()
+    odds = None if fleet.appearance is None else fleet.appearance.log_odds
+    return (
+        *([NoticeCode.STRETCHED] if stretch is not None and abs(stretch) > 1.0 else []),
+        *([NoticeCode.LOOK_ALIKES] if not fleet.is_stated and look_alikes(fleet.lengths, odds) else []),
     )
-
-
-def _doubts(fleet: Fleet, card: DetectorCard, stretch: float | None) -> list[Notice]:
-    """List doubts that the vehicles are cars, after a search over scales, which accepts objects of any size."""
-    if fleet.detections.scales is None:
-        return []
-    doubts = fleet_doubts(
-        fleet.lengths,
-        fleet.scores,
-        rival_share=fleet.rival_share,
-        clear_score=card.clear_score,
-        fleet_log_odds=None if fleet.appearance is None else fleet.appearance.log_odds,
-        stretch=stretch,
-        verified=fleet.detections.verified,
-    )
-    resolved = _DOUBTS_OF_KIND if fleet.is_stated else frozenset[NoticeCode]()
-    return [Notice(code=doubt, message=_DOUBTS[doubt]) for doubt in doubts if doubt not in resolved]
 
 
 def _capped(detections: Detections) -> list[Notice]:

@@ -10,6 +10,12 @@ Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
 Stopped = Literal["all_searched", "converged", "max_tiles", "max_seconds"]
 """Why a search ended."""
 
+USABLE_CHANCE = 0.9
+"""Least chance of an error below 20 % for a usable scale; a choice: a planner acts if nine of ten cases are right."""
+
+Reason = Literal["too_few", "too_coarse", "not_cars", "disagree", "assumed", "imprecise"]
+"""Why a scale is not usable."""
+
 NMS_IOU = 0.45  # paper, section III-B
 OUTLIER_ALPHA = 1.5  # paper, equation 2
 

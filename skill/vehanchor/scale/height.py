@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-GIVEN_HEIGHT_LOG_SD = 0.05  # of a measured height above the ground, not above take-off
-ASSUMED_HEIGHT_LOG_SD = 0.10  # of one that the caller assumes
 GROUND_LOG_SD = 0.12  # of a height above take-off: 10 to 15 % between the ground there and below
 _HEIGHT_SD_M = 2.0  # barometer, and take-off from a hand or roof
 

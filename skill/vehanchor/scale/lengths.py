@@ -8,13 +8,13 @@ import numpy as np
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.defaults import OUTLIER_ALPHA
-from vehanchor.scale.thresholds import GUARD_GSD_M_PER_PX
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.scale.defaults import Aggregation
 
+GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
 MIN_KDE_VEHICLES = 5  # paper, section III-C: with fewer vehicles the median is used
 GROUP_LOG_REACH = 0.4  # a fleet lies within a factor of 1.5 of its modal length, as in the paper's outlier filter
 _GROUP_LOG_BANDWIDTH = 0.15  # more than the spread of a fleet (0.09) and of the measurement (0.05 to 0.1) together
@@ -69,18 +69,18 @@ def dominant_group(lengths: ArrayLike, weights: ArrayLike, stated: ArrayLike | N
     reach = round(4 * _GROUP_LOG_BANDWIDTH / _GROUP_LOG_STEP)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * _GROUP_LOG_STEP / _GROUP_LOG_BANDWIDTH) ** 2)
 
-    def strongest(among: NDArray[np.bool_], voting: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    told = np.zeros(len(logs), dtype=bool) if stated is None else np.asarray(stated, dtype=bool)
+
+    def strongest(voting: NDArray[np.bool_]) -> NDArray[np.bool_]:
         mass = np.bincount(cells[voting], weights=weight[voting], minlength=int(cells.max()) + 1)
         density = np.convolve(mass, kernel)[reach : reach + len(mass)]
         mode = int(np.argmax(density > density.max() * (1 - 1e-9)))
-        return np.asarray(among & (np.abs(cells - mode) * _GROUP_LOG_STEP <= GROUP_LOG_REACH + 1e-9))
+        return np.asarray(np.abs(cells - mode) * _GROUP_LOG_STEP <= GROUP_LOG_REACH + 1e-9)
 
-    everything = np.ones(len(logs), dtype=bool)
-    told = np.zeros(len(logs), dtype=bool) if stated is None else np.asarray(stated, dtype=bool)
-    members = strongest(everything, told if told.any() else everything)
+    members = strongest(told if told.any() else np.ones(len(logs), dtype=bool))
     if members.all():
         return LengthGroup(members, 0.0)
-    rival = strongest(~members, ~members)
+    rival = strongest(~members) & ~members
     return LengthGroup(members, float(weight[rival].sum() / weight[members].sum()))
 
 
@@ -314,7 +314,7 @@ def gsd_interval(
     lengths: ArrayLike,
     mode_px: float,
     reference_length_m: float,
-    reference_log_sds: tuple[float, float],
+    reference_log_sd: float,
     *,
     scores: ArrayLike | None = None,
 ) -> Interval:
@@ -322,23 +322,22 @@ def gsd_interval(
 
     The log of the GSD is taken as normal. Its variance is the sum of three independent causes: the mode under
     resampling (bootstrap, fixed seed), the fleet's own spread divided by the number of cars, and the reference length
-    between regions, which can be wider towards smaller cars (a finer scale). The second term keeps the interval wide if
-    a few cars agree by chance.
+    between regions. The second term keeps the interval wide if a few cars agree by chance.
 
     Args:
         lengths: ``[n]`` lengths behind ``mode_px``, pixels.
         mode_px: ``P_mode``.
         reference_length_m: ``L_ref``.
-        reference_log_sds: standard deviations of its log between regions, towards smaller and towards larger cars.
+        reference_log_sd: standard deviation of its log between regions.
         scores: ``[n]`` detection scores for ``weighted_kde``; else None.
 
     Returns:
         Metres per pixel, low and high.
     """
     resampling, fleet = statistical_log_sds(lengths, mode_px, scores=scores)
-    smaller, larger = (float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + sd**2))) for sd in reference_log_sds)
+    reach = float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + reference_log_sd**2)))
     gsd = reference_length_m / mode_px
-    return Interval(gsd / smaller, gsd * larger)
+    return Interval(gsd / reach, gsd * reach)
 
 
 def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-
-from research.training.fusion.fit import Outcomes, best_sharpness, told
-from vehanchor.scale.fusion import recalibrated
+from research.training.fusion.fit import Boxes, Outcome, fit_votes, row
 
 
-@pytest.mark.parametrize("true", [1.0, 1.3, 1.8])
-def test_the_certainty_under_which_chances_came_true_is_found_again(true: float) -> None:
+def test_the_log_odds_under_which_boxes_were_cars_are_found_again() -> None:
     rng = np.random.default_rng(4)
-    said = rng.uniform(0.3, 0.999, 20_000)
-    right = rng.random(len(said)) < recalibrated(said, true)
-    assert best_sharpness(said, right) == pytest.approx(true, abs=0.1)
+    scores = rng.uniform(0.2, 1.0, 20_000)
+    car = rng.random(len(scores)) < 1 / (1 + np.exp(6.0 - 9.0 * scores))
+    votes = fit_votes(Boxes(scores, car, np.ones(len(scores))))
+    assert votes == pytest.approx((-6.0, 9.0), rel=0.1)
 
 
-def test_a_line_of_the_report_counts_usable_and_wrong_scales() -> None:
-    error, width = np.array([0.05, 0.25, 0.3, 0.1, 0.5]), np.array([1.5, 1.5, 2.5, 1.5, 1.5])
-    held, chance = np.array([True, False, True, True, True]), np.array([0.95, 0.95, 0.95, 0.7, 0.95])
-    seen = Outcomes(np.zeros(5), held, width, chance, error)
-    line = told("few", seen, chance, np.array([True, True, True, True, False]))
-    assert "few: 2 of 4 usable, 1 wrong" in line
-    assert "median error 17.5%" in line
-    assert "cover 0.500 usable, 1.000 else" in line
+def test_a_row_of_the_report_counts_usable_and_wrong_scales() -> None:
+    seen = [
+        Outcome(3, True, 0.05, True),
+        Outcome(3, True, 0.25, False),
+        Outcome(2, False, 0.3, True),
+        Outcome(1, False, 0.1, True),
+        Outcome(0, False, math.nan, False),
+    ]
+    assert row("few", seen) == "| few | 5 | 2 | 1 | 97.5% | 17.5% | 0.750 |"

@@ -24,7 +24,7 @@ from research.training.scene_scale.density import (
     tile_places,
 )
 from tests.conftest import ROOT
-from vehanchor.scale.fusion import GRID
+from vehanchor.scale.density import GRID
 
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")

@@ -21,8 +21,6 @@ from mcp.types import CallToolResult, ImageContent, TextResourceContents
 from tests.analyses import make_analysis
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path
-from vehanchor.records import ConfidenceTerms
-from vehanchor.rulers.confidence import composite
 from vehanchor_server.app_page import APP_URI, PANEL_KEY, page, page_html, view_html
 from vehanchor_server.app_page.panel import LengthHistogram, length_histogram
 
@@ -150,8 +148,13 @@ async def test_the_page_gets_the_whole_record_where_the_model_gets_a_short_one(
 
 
 @pytest.mark.anyio
-async def test_a_given_scale_has_no_histogram(server: MCPServer[object], images: Path) -> None:
-    arguments = {**by_path(images / "pool.png"), "target": {"box": POOL_BOX}, "gsd_m_per_px": 0.2}
+async def test_a_measured_scale_has_no_histogram(server: MCPServer[object], images: Path) -> None:
+    arguments = {
+        **by_path(images / "pool.png"),
+        "target": {"box": POOL_BOX},
+        "gsd_m_per_px": 0.2,
+        "gsd_basis": "measured",
+    }
     async with Client(server) as client:
         result = await client.call_tool("measure_area", arguments)
     assert panel_of(result)["histogram"] is None
@@ -264,12 +267,3 @@ def test_the_page_names_no_other_place_and_its_policy_allows_nothing_but_its_own
 def hash_of(page: str, tag: str) -> str:
     [text] = re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
-
-
-def test_the_page_shows_the_papers_weights() -> None:
-    shown = {name: float(weight) for name, weight in re.findall(r'\["(\w+)", "[\w ]+", ([\d.]+)\]', page_html())}
-    nothing = dict.fromkeys(ConfidenceTerms.model_fields, 0.0)
-    assert shown == {
-        name: composite(ConfidenceTerms(**{**nothing, name: 1.0}), guarded=False)
-        for name in ConfidenceTerms.model_fields
-    }

@@ -36,7 +36,11 @@ def spans() -> Iterator[InMemorySpanExporter]:
     [
         ("estimate_gsd", {}, ["decode", "detect", "scale", "overlay"]),
         ("measure_area", {"target": {"box": POOL_BOX}}, ["decode", "segment", "detect", "scale", "overlay"]),
-        ("measure_area", {"target": {"box": POOL_BOX}, "gsd_m_per_px": 0.2}, ["decode", "segment", "overlay"]),
+        (
+            "measure_area",
+            {"target": {"box": POOL_BOX}, "gsd_m_per_px": 0.2, "gsd_basis": "measured"},
+            ["decode", "segment", "overlay"],
+        ),
     ],
 )
 async def test_the_stages_of_a_call_are_children_of_the_calls_span(

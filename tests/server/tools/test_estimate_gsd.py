@@ -16,7 +16,7 @@ from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.records import GsdEstimate, Notice
 from vehanchor.records.digits import significant
-from vehanchor.records.notices import FLEET_DOUBTS
+from vehanchor.records.notices import NoticeCode
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -67,8 +67,8 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     assert result.structured_content["gsd_m_per_px"] is None
     assert result.structured_content["confidence"] == 0
     assert text_of(result) == (
-        "No ruler was found, confidence 0: no metric scale (no car was found); give a known length or the camera's "
-        "height, or take a picture with cars (known_lengths, height_m: only values that someone knows)."
+        "No ruler was found, confidence 0: no metric scale (no car was found); draw a line over something of known "
+        "size, or take a picture with cars (known_lengths)."
     )
 
 
@@ -77,8 +77,9 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCP
         result = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
     assert result.structured_content is not None
     assert result.structured_content["status"] == "low_confidence"
-    assert "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give a known length" in text_of(
-        result
+    assert text_of(result).endswith(
+        "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the region, or include one "
+        "more car (region)."
     )
 
 
@@ -144,7 +145,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPSe
 
 
 async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MCPServer[object], images: Path) -> None:
-    arguments = {**by_path(images / "empty.png"), "height_m": 30, "height_basis": "measured", "focal_35mm": 24}
+    arguments = {**by_path(images / "empty.png"), "height_m": 100, "height_basis": "measured", "focal_35mm": 24}
     async with Client(server) as client:
         heard = await client.call_tool("estimate_gsd", arguments)
         refused = await client.call_tool("estimate_gsd", {**by_path(images / "empty.png"), "focal_35mm": 24})
@@ -183,8 +184,8 @@ async def test_the_overlay_is_a_small_jpeg_beside_the_record(server: MCPServer[o
 
 @pytest.fixture
 def doubtful() -> GsdEstimate:
-    """An estimate from three vehicles."""
-    boxes = np.array([[x, 50.0, 30.0, 12.0, 0.0] for x in (50.0, 150.0, 250.0)])
+    """An estimate from two vehicles."""
+    boxes = np.array([[x, 50.0, 30.0, 12.0, 0.0] for x in (50.0, 150.0)])
     estimate = make_analysis(boxes, 400, 300).estimate
     assert estimate.status == "low_confidence"
     return estimate
@@ -192,8 +193,18 @@ def doubtful() -> GsdEstimate:
 
 def test_few_vehicles_are_too_little_evidence(doubtful: GsdEstimate) -> None:
     words = describe_estimate(doubtful)
-    assert "from 3 vehicles: do not rely on it (3 vehicles alone: too little evidence); give a known length" in words
-    assert words.endswith("(known_lengths, height_m: only values that someone knows).")
+    assert "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the region" in words
+    assert words.endswith("or include one more car (region).")
+
+
+def test_a_wide_interval_and_assumed_facts_are_told_with_what_helps(doubtful: GsdEstimate) -> None:
+    wide = describe_estimate(doubtful.model_copy(update={"reason": "imprecise"}))
+    assert wide.endswith(
+        "(the interval is too wide); give the region, or draw a line over something of known size "
+        "(known_lengths, region)."
+    )
+    assumed = describe_estimate(doubtful.model_copy(update={"reason": "assumed"}))
+    assert "(it rests on assumed facts alone); include cars, or draw a line" in assumed
 
 
 def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> None:
@@ -205,20 +216,19 @@ def test_the_guard_is_told_as_what_it_means(doubtful: GsdEstimate) -> None:
     assert "(the vehicles are only 30 px long); fly lower" in describe_estimate(guarded)
 
 
-@pytest.mark.parametrize("reason", ["too_few", "not_cars", "disagree", "lost"])
+@pytest.mark.parametrize("reason", ["too_few", "not_cars", "disagree", "assumed", "imprecise"])
 def test_only_vehicles_of_too_few_pixels_are_a_reason_to_fly_lower(doubtful: GsdEstimate, reason: str) -> None:
     assert "fly lower" not in describe_estimate(doubtful.model_copy(update={"reason": reason}))
 
 
-@pytest.mark.parametrize("code", FLEET_DOUBTS)
-def test_doubts_about_the_fleet_are_told_with_their_warning(doubtful: GsdEstimate, code: str) -> None:
-    notice = Notice(code=code, message="They are all alike.")
+def test_doubts_about_the_fleet_are_told_with_their_warning(doubtful: GsdEstimate) -> None:
+    notice = Notice(code=NoticeCode.LOOK_ALIKES, message="They are all alike.")
     words = describe_estimate(doubtful.model_copy(update={"warnings": (notice,), "reason": "not_cars"}))
     assert "(the vehicles may not be cars); look at include_overlay, then confirm the boxes that are cars" in words
     measuring = unusable_scale(doubtful.model_copy(update={"reason": "not_cars"}))
     assert "check what was taken for cars" in measuring
     assert "confirm" not in measuring, "the measuring tools take none"
-    assert words.endswith(f"Warning {code}: They are all alike.")
+    assert words.endswith("Warning look_alikes: They are all alike.")
 
 
 @pytest.mark.parametrize(("gsd", "words"), [(0.15234, "0.152 m/px"), (12.345, "12.3 m/px"), (1234.5, "1234 m/px")])

@@ -100,7 +100,16 @@ async def test_an_image_that_nothing_ties_to_the_others_keeps_its_own_scale_and_
     assert own.structured_content is not None
     assert among.structured_content is not None
     assert [each["code"] for each in among.structured_content["warnings"]] == ["not_linked"]
-    assert {**among.structured_content, "warnings": []} == own.structured_content
+    assert digits({**among.structured_content, "warnings": []}) == digits(own.structured_content)
+
+
+def digits(value: Any) -> Any:
+    """A record with twelve digits: a product of several factors depends on their order by its last bit."""
+    if isinstance(value, dict):
+        return {name: digits(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [digits(each) for each in value]
+    return float(f"{value:.12g}") if isinstance(value, float) else value
 
 
 async def test_images_of_one_scale_put_their_vehicles_together(server: MCPServer[object], images: Path) -> None:

@@ -37,6 +37,9 @@ Call = Callable[..., Any]
 BOX = POOL_BOX["x_min"], POOL_BOX["y_min"], POOL_BOX["x_max"], POOL_BOX["y_max"]
 
 
+MEASURED = {"gsd_basis": "measured"}
+
+
 def pool_in(path: Path, **more: Any) -> dict[str, Any]:
     return {**by_path(path), "target": {"box": POOL_BOX}, **more}
 
@@ -98,7 +101,7 @@ async def test_another_object_that_a_point_may_mean_is_told_in_the_callers_pixel
     pools[330:426, 400:448] = pools[330:426, 300:348]  # beside the first; the toy network takes both in a large crop
     data = base64.b64encode(cv2.imencode(".png", pools)[1].tobytes()).decode()  # no file: other tests list the folder
     image = {"kind": "base64", "data": data}
-    asking = {"image": image, "target": {"points": [{"x": 162, "y": 189}]}, "gsd_m_per_px": 0.15}
+    asking = {"image": image, "target": {"points": [{"x": 162, "y": 189}]}, "gsd_m_per_px": 0.15, **MEASURED}
     result = await asked(server, {**asking, "frame": {"width_px": 320, "height_px": 256}})
     assert record_of(result)["status"] == "low_confidence"
     (first, *_) = record_of(
@@ -124,13 +127,14 @@ async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServe
     assert "The mask spans x 150 to 174, y 165 to 213 px of your 320 x 256 copy." in text_of(result)
 
 
-async def test_a_given_scale_needs_neither_cars_nor_a_detector(settings: Settings, images: Path) -> None:
+async def test_a_measured_scale_needs_neither_cars_nor_a_detector(settings: Settings, images: Path) -> None:
     server = create_server(create_services(replace(settings, detector="/nowhere.onnx", calibration=Path("/nowhere"))))
-    result = await asked(server, pool_in(images / "pool_alone.png", gsd_m_per_px=0.15, region="atlantis"))
+    result = await asked(server, pool_in(images / "pool_alone.png", gsd_m_per_px=0.15, **MEASURED))
     record = record_of(result)
     assert record["area_m2"] == pytest.approx(0.15**2 * record["mask_area_px"])
-    assert (record["scale_source"], record["confidence"], record["scale"]) == ("given", None, None)
-    assert "scale 0.15 m/px as given: as accurate as the given scale." in text_of(result)
+    assert (record["scale_source"], record["status"], record["scale"]) == ("given", "ok", None)
+    assert record["confidence"] >= 0.9
+    assert f"scale 0.150 m/px as stated, confidence {record['confidence']:.2f}: safe to use." in text_of(result)
 
 
 async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object], images: Path) -> None:
@@ -146,7 +150,7 @@ async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object],
 async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, pool_in(images / "pool_two.png"))
     assert record_of(result)["status"] == "low_confidence"
-    assert "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give a known length" in text_of(
+    assert "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the region" in text_of(
         result
     )
 
@@ -187,7 +191,7 @@ async def test_the_overlay_has_the_requested_side_and_shows_all_targets(
     other = {"x_min": 600, "y_min": 700, "x_max": 660, "y_max": 760}
     for side_px in (300, 1568):
         asking = {"targets": [{"box": POOL_BOX}, {"box": other}], "include_overlay": True, "overlay_side_px": side_px}
-        decoded = picture_of(await asked(server, {**by_path(image), **asking, "gsd_m_per_px": 0.1}))
+        decoded = picture_of(await asked(server, {**by_path(image), **asking, "gsd_m_per_px": 0.1, **MEASURED}))
         assert side_px / 2 < max(decoded.shape[:2]) <= side_px
     yellow = np.abs(decoded[:, :, ::-1].astype(int) - PROMPT_RGB).max(2) < 60
     assert np.ptp(np.nonzero(yellow)[1]) > 0.4 * decoded.shape[1], "a prompt is missing"
@@ -270,7 +274,7 @@ async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
     assert not estimate.is_error
 
 
-@pytest.mark.parametrize(("more", "n_reports"), [({}, 5), ({"gsd_m_per_px": 0.2}, 3)])
+@pytest.mark.parametrize(("more", "n_reports"), [({}, 5), ({"gsd_m_per_px": 0.2, **MEASURED}, 3)])
 async def test_progress_is_reported_three_to_five_times_and_rises(
     server: MCPServer[object], images: Path, more: dict[str, Any], n_reports: int
 ) -> None:

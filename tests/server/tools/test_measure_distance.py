@@ -1,8 +1,7 @@
-"""What differs from ``estimate_gsd``: the lines, a scale that is given back, several answers a call."""
+"""What differs from ``estimate_gsd``: the lines, several answers a call."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from mcp.server import MCPServer
 from mcp.types import CallToolResult
 
 import vehanchor
-from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, error_of, picture_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
@@ -76,31 +74,17 @@ async def test_several_lines_are_several_answers_after_one_search(server: MCPSer
     record = record_of(result)
     first, second = record["measurements"]
     assert second["distance_m"] == pytest.approx(1.4 * first["distance_m"], rel=0.01)
-    assert set(record) == {"measurements", "scale"}
-    assert "scale" not in first
+    assert set(record) == {"measurements"}
     assert text_of(result).splitlines()[1].startswith(f"2. {second['distance_m']:.3g} m")
     assert sum("searched 0" in report for report in reports) <= 1
 
 
-async def test_a_scale_that_is_given_back_needs_no_detector(settings: Settings, images: Path) -> None:
-    server = create_server(create_services(settings))
-    scale = record_of(await asked(server, "estimate_gsd", images / "pool.png", detail="short"))["scale"]
-    searched = record_of(await asked(server, "measure_distance", images / "pool.png", lines=[LINE], detail="short"))
-    assert searched["scale"] == scale
-    blind = create_server(create_services(replace(settings, detector="/nowhere.onnx")))
-    again = await asked(blind, "measure_distance", images / "pool.png", lines=[LINE], scale=scale, detail="short")
-    same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "status")
-    assert [record_of(again)[name] for name in same] == [searched[name] for name in same]
-    assert record_of(again)["confidence"] <= min(0.85, searched["confidence"]), "without a key it counts as assumed"
-    assert "reused, confidence " in text_of(again)
-    area = await asked(blind, "measure_area", images / "pool.png", targets=[{"box": POOL_BOX}] * 2, scale=scale)
-    assert [each["scale_source"] for each in record_of(area)["measurements"]] == ["reused", "reused"]
-    other = await asked(blind, "measure_distance", images / "cars.png", lines=[LINE], scale=scale)
-    assert error_of(other) == "scale_mismatch"
-
-
 async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServer[object], images: Path) -> None:
-    whole = record_of(await asked(server, "measure_distance", images / "cars.png", lines=[LINE], gsd_m_per_px=0.1))
+    whole = record_of(
+        await asked(
+            server, "measure_distance", images / "cars.png", lines=[LINE], gsd_m_per_px=0.1, gsd_basis="measured"
+        )
+    )
     for coordinates, reach in (("fraction", 1), ("per_mille", 1000)):
         points = [{"x": at["x"] / 640 * reach, "y": at["y"] / 512 * reach} for at in LINE["points"]]
         told = await asked(
@@ -109,6 +93,7 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServ
             images / "cars.png",
             lines=[{"points": points}],
             gsd_m_per_px=0.1,
+            gsd_basis="measured",
             coordinates=coordinates,
         )
         assert record_of(told)["distance_m"] == pytest.approx(whole["distance_m"])
@@ -137,8 +122,7 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCP
             "invalid_arguments",
             "lines.0.points.0: give an object with x, y",
         ),
-        ({"lines": [LINE], "scale": "0.1"}, "invalid_arguments", "scale: it is not the scale of an earlier answer"),
-        ({"lines": [LINE], "scale": {"gsd_m_per_px": 1}}, "invalid_arguments", "scale: "),
+        ({"lines": [LINE], "scale": "0.1"}, "invalid_arguments", "scale: there is no such argument"),
         ({"lines": [{"points": [{"x": 1, "y": 1}, {"x": 900, "y": 5}]}]}, "invalid_prompt", "copy of 1024 x 819 px"),
         ({"lines": [{"points": [{"x": 0.1, "y": 0}, {"x": 0.9, "y": 1}]}]}, "invalid_prompt", '"fraction"'),
     ],
@@ -157,9 +141,9 @@ async def test_a_place_that_may_be_one_of_a_copy_is_questioned(server: MCPServer
     image = write_image(tmp_path / "large.png", paint_scene(3136, 1000, 0))
     settings = Settings(roots=(tmp_path.resolve(),), in_process=True)
     server = create_server(create_services(settings))
-    near = await asked(server, "measure_distance", image, lines=[LINE], gsd_m_per_px=0.1)
+    near = await asked(server, "measure_distance", image, lines=[LINE], gsd_m_per_px=0.1, gsd_basis="measured")
     assert "If you used a smaller copy, give its size as frame" in text_of(near)
     far = {"points": [{"x": 20, "y": 500}, {"x": 3000, "y": 900}]}
     for more in ({"lines": [far]}, {"lines": [LINE], "frame": {"width_px": 3136, "height_px": 1000}}):
-        told = await asked(server, "measure_distance", image, gsd_m_per_px=0.1, **more)
+        told = await asked(server, "measure_distance", image, gsd_m_per_px=0.1, gsd_basis="measured", **more)
         assert "smaller copy" not in text_of(told)

@@ -43,7 +43,7 @@ def image_size_tool(services: Services) -> StrictTool:
         image: ImageArgument, ctx: Context[Any, Any], detail: DetailArgument = "short"
     ) -> Annotated[CallToolResult, Size]:
         answer = await run_call(services, ctx, image, _image_size, None)
-        return answer.to_result(f"{answer.record.width_px} px wide.", services.seal)
+        return answer.to_result(f"{answer.record.width_px} px wide.")
 
     return StrictTool.read_only(image_size, title="Tell an image's size", description="Tells the size of an image.")
 
@@ -65,7 +65,7 @@ async def test_the_contract_names_every_hint(server: MCPServer[object], era: str
         assert tool.description
         assert len(tool.description.encode()) < 2048
         measures_nothing = tool.name == "view_image"
-        assert measures_nothing or "confidence" in tool.description or "status ok: use it" in tool.description
+        assert measures_nothing or "status is ok" in tool.description or "status ok: use it" in tool.description
         assert tool.annotations is not None
         assert tool.annotations.read_only_hint
         assert tool.annotations.idempotent_hint
@@ -74,7 +74,8 @@ async def test_the_contract_names_every_hint(server: MCPServer[object], era: str
     assert instructions is not None
     assert "with status ok" in instructions
     said = " ".join([instructions, *(tool.description or "" for tool in listed)])
-    assert said.count("Below 0.5") == said.count("Confidence 0 means") == 1, "the rule stands once"
+    assert said.count("in at least 9 of 10") == said.count("never a guess") == 1, "the rule stands once"
+    assert "0.5" not in said, "the status decides, never a confidence of 0.5"
 
 
 async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(

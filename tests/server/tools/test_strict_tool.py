@@ -105,7 +105,7 @@ async def test_a_bug_is_told_without_its_details_and_logged_with_them(
     def broken(*_: object, **__: object) -> None:
         raise RuntimeError("password is hunter2")
 
-    monkeypatch.setattr("vehanchor.analysis.pipeline.analyse_raster", broken)
+    monkeypatch.setattr("vehanchor.analysis.memory.AnalysisMemory.analyse", broken)
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert error_of(result) == "internal_error"

@@ -17,6 +17,7 @@ from mcp import Client
 from mcp.server import MCPServer
 from mcp.types import CallToolResult
 
+from tests.models import blank_image
 from tests.server.conftest import POOL, POOL_BOX, paint_scene, with_pool, write_image
 from tests.server.conversation import error_of, picture_of, text_of
 from vehanchor_server.app import create_server
@@ -88,8 +89,10 @@ async def test_a_part_is_shown_enlarged_with_the_way_back_in_words(server: MCPSe
     assert again == seen
 
 
-async def test_the_grids_lines_lie_where_their_numbers_say(server: MCPServer[object], images: Path) -> None:
-    result = await asked(server, images / "empty.png", long_side_px=640)
+async def test_the_grids_lines_lie_where_their_numbers_say(tmp_path: Path) -> None:
+    image = write_image(tmp_path / "even.png", blank_image(640, 512))
+    server = create_server(create_services(Settings(roots=(tmp_path.resolve(),), in_process=True)))
+    result = await asked(server, image, long_side_px=640)
     step = seen_in(result)["grid_px"]
     assert step == 100
     grey = picture_of(result).astype(int).mean(2)[300:380]  # between the numbers along the edges

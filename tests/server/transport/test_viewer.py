@@ -111,14 +111,13 @@ def test_a_call_tells_how_far_it_is_and_its_result_last(address: Address, images
     assert panel["record"]["n_vehicles"] == len(panel["drawing"]["vehicles"]) == 24
 
 
-def test_the_page_gives_its_own_scale_back_with_full_confidence(address: Address, images: Path) -> None:
+def test_a_distance_after_an_estimate_has_its_confidence(address: Address, images: Path) -> None:
     image = by_path(images / "pool.png")
-    scale = ask(address, "estimate_gsd", image)[-1]["result"]["structuredContent"]["scale"]
-    arguments = {**image, "lines": [{"points": [{"x": 10, "y": 20}, {"x": 300, "y": 120}]}], "scale": scale}
-    measured = ask(address, "measure_distance", arguments)[-1]["result"]["structuredContent"]
-    assert measured["confidence"] == scale["confidence"] > 0.85
-    raised = {**arguments, "scale": {**scale, "confidence": 1.0}}
-    assert ask(address, "measure_distance", raised)[-1]["result"]["structuredContent"]["confidence"] <= 0.85
+    estimate = ask(address, "estimate_gsd", image)[-1]["result"]["structuredContent"]
+    lines = [{"points": [{"x": 10, "y": 20}, {"x": 300, "y": 120}]}]
+    measured = ask(address, "measure_distance", {**image, "lines": lines})[-1]["result"]["structuredContent"]
+    assert measured["estimate"] == estimate
+    assert measured["confidence"] == estimate["confidence"] >= 0.9
 
 
 def test_an_error_of_a_tool_is_a_result_and_an_unknown_tool_too(address: Address) -> None:
@@ -140,9 +139,7 @@ def test_a_photograph_that_is_dropped_is_measured_as_one_of_the_folder(address: 
     *_, listed = ask(address, "view_image", {})
     assert set(paths) <= set(listed["result"]["structuredContent"]["images"])
     image = {"kind": "path", "path": paths[0]}
-    *_, estimated = ask(address, "estimate_gsd", {"image": image})
-    scale = estimated["result"]["structuredContent"]["scale"]
-    *_, measured = ask(address, "measure_area", {"image": image, "targets": [{"box": POOL_BOX}], "scale": scale})
+    *_, measured = ask(address, "measure_area", {"image": image, "targets": [{"box": POOL_BOX}]})
     assert measured["result"]["structuredContent"]["area_m2"] > 0
 
 

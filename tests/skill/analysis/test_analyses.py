@@ -19,6 +19,7 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import AreaAnalysis, Detector, analyse_area, analyse_distance, analyse_scale
 from vehanchor.cli.app import app
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, MissingExtraError
+from vehanchor.options import ScaleOptions
 from vehanchor.pictures.measured import MEASURED_RGB
 from vehanchor.records import KnownPlane
 
@@ -49,7 +50,7 @@ def test_the_overlay_and_the_plot_are_those_of_the_command(cars: np.ndarray, det
 
 
 def test_an_image_is_read_again_as_it_was_read(cars: np.ndarray, detector: Detector) -> None:
-    from vehanchor import Reading, ScaleOptions
+    from vehanchor import Reading
 
     swapped = np.ascontiguousarray(cars[:, :, ::-1])
     analysis = analyse_scale(swapped, ScaleOptions(reading=Reading(bgr=True)), detector=detector)
@@ -189,7 +190,7 @@ def test_a_distance_is_drawn_where_it_lies_as_by_the_command(
 def test_a_size_whose_scale_is_not_to_be_used_or_holds_in_one_place_has_no_bar(
     cars: np.ndarray, detector: Detector
 ) -> None:
-    scale = analyse_scale(cars, detector=detector).estimate.scale
+    scale = analyse_scale(cars, ScaleOptions.of({"rulers": ("vehicles",)}), detector=detector).estimate.scale
     assert scale is not None
     aside = KnownPlane(tilt_deg=30.0, roll_deg=0.0, focal_length_px=400.0)
     known = [scale.model_copy(update=each) for each in ({}, {"confidence": 0.2}, {"plane": aside})]

@@ -45,6 +45,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _batch(place: Path, output: Path, *options: object, table: str = "targets.csv") -> Result:
     words = ["batch", place / "photos", "--measure", place / table, "-o", output, "--detector", place / "painted.onnx"]
+    words += ["--rulers", "vehicles"]  # the scene-scale prior does not know painted pictures
     return CliRunner().invoke(app, [str(each) for each in (*words, *options)])
 
 

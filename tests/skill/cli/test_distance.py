@@ -55,7 +55,7 @@ def test_a_scale_that_looks_like_centimetres_is_asked_about(place: tuple[Path, P
 def test_a_scale_is_estimated_once_and_taken_from_its_record_after_that(
     place: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    code, out, _ = run("estimate", place[0], "--json", "--detector", place[1])
+    code, out, _ = run("estimate", place[0], "--json", "--detector", place[1], "--rulers", "vehicles")
     assert code == 0
     kept = tmp_path / "scale.json"
     kept.write_text(out)
@@ -89,7 +89,7 @@ def test_a_result_that_is_not_ok_ends_with_3_where_that_is_asked_for(place: tupl
     for command in (["estimate", empty], ["distance", empty, *POINTS]):
         assert run(*command, "--detector", place[1])[0] == 0
         assert run(*command, "--detector", place[1], "--strict")[0] == 3
-    assert run("estimate", place[0], "--detector", place[1], "--strict")[0] == 0
+    assert run("estimate", place[0], "--detector", place[1], "--rulers", "vehicles", "--strict")[0] == 0
 
 
 def test_estimate_of_a_folder_names_batch(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_prompts_are_read_in_the_frame(run: Any) -> None:
 def test_the_options_reach_the_method(run: Any) -> None:
     plain = _line(run("cars.png", "--box", *BOX, "--json"))
     longer = _line(run("cars.png", "--box", *BOX, "--json", "--reference-length", 10.09))
-    assert longer["area_m2"] == pytest.approx(4 * plain["area_m2"])
+    assert longer["area_m2"] == pytest.approx(4 * plain["area_m2"], rel=0.02)
     europe = _line(run("cars.png", "--box", *BOX, "--json", "--region", "europe"))
     assert europe["estimate"]["reference_length_m"] == pytest.approx(4.5)
     assert _line(run("cars.png", "--box", *BOX, "--json", "--bands", 2, 1, 3))["n_vehicles"] == 0

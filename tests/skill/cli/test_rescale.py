@@ -63,7 +63,7 @@ def test_json_is_the_record_and_nothing_else(run: Any) -> None:
 
 
 def test_an_orthophoto_without_scale_gets_a_world_file(run: Any, tmp_path: Path) -> None:
-    done = run("ortho.png", "--world-file", "ortho.pgw")
+    done = run("ortho.png", "--world-file", "ortho.pgw", "--rulers", "vehicles")
     assert done.exit_code == 0, done.output
     assert "states no scale" in " ".join(done.stdout.split())
     lines = [float(line) for line in (tmp_path / "ortho.pgw").read_text().split()]
@@ -77,7 +77,7 @@ def test_an_orthophoto_of_a_wrong_scale_is_told_how_wrong(run: Any) -> None:
     placed = {"crs": "EPSG:32632", "transform": rasterio.Affine(0.1472, 0, 5e5, 0, -0.1472, 5e6)}
     with rasterio.open("ortho.tif", "w", driver="GTiff", photometric="RGB", **shape, **placed) as file:
         file.write(pixels)
-    done = run("ortho.tif", "--json", "--geotiff", "metric.tif")
+    done = run("ortho.tif", "--json", "--geotiff", "metric.tif", "--rulers", "vehicles")
     assert json.loads(done.stdout)["factor"] == pytest.approx(1 / 0.92, rel=0.02)
     with rasterio.open("metric.tif") as copy:
         assert copy.res == pytest.approx((0.16, 0.16), rel=0.02)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import vehanchor
-from tests.analyses import made_card
+from tests.analyses import log_sd, made_card
 from tests.skill.courts.drawing import draw_court
 from vehanchor.courts.court import Court
 from vehanchor.courts.find import Proposed, find_courts, measure_court
@@ -16,7 +16,7 @@ from vehanchor.courts.proposals import Proposal, _peaks, boxes_of_courts, coarse
 from vehanchor.courts.template import BASKETBALL, TENNIS, Template
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.rulers.courts import evidence_of
+from vehanchor.rulers.courts import witness_of
 from vehanchor_scenes import render_scene
 
 NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
@@ -127,15 +127,15 @@ def _court(gsd: float, kind: str = "tennis", log_sd: float = 0.001) -> Court:
     return Court(kind, corners, 23.77, 10.97, gsd, log_sd, 0.9, 0.9, 0.0)
 
 
-def test_courts_are_evidence_with_their_measured_sides() -> None:
-    evidence = evidence_of([_court(0.3), _court(0.302)])
-    assert evidence.gsd_m_per_px == pytest.approx(0.301, rel=1e-3)
-    assert (evidence.kind, evidence.n) == ("courts", 2)
-    assert evidence.interval is not None
-    assert 0.295 < evidence.interval.low < 0.301 < evidence.interval.high < 0.307
-    assert evidence.explanation is not None
-    assert evidence.explanation.startswith("2 tennis courts say 0.301 m/px")
-    outline, long_side, short_side = evidence.marks[:3]
+def test_courts_are_a_witness_with_their_measured_sides() -> None:
+    witness = witness_of([_court(0.3), _court(0.302)])
+    assert witness.gsd_m_per_px == pytest.approx(0.301, rel=1e-3)
+    assert (witness.kind, witness.n) == ("courts", 2)
+    assert witness.interval is not None
+    assert 0.295 < witness.interval.low < 0.301 < witness.interval.high < 0.307
+    assert witness.said is not None
+    assert witness.said.startswith("2 tennis courts say 0.301 m/px")
+    outline, long_side, short_side = witness.marks[:3]
     assert outline.closed
     assert len(outline.points) == 4
     assert (long_side.label, short_side.label) == ("23.77 m", "10.97 m")
@@ -143,24 +143,22 @@ def test_courts_are_evidence_with_their_measured_sides() -> None:
 
 
 def test_rules_of_basketball_that_are_hard_to_tell_apart_make_a_wider_interval() -> None:
-    tennis, basketball = evidence_of([_court(0.3)]), evidence_of([_court(0.3, "basketball_nba")])
-    assert tennis.log_sd is not None
-    assert basketball.log_sd is not None
-    assert basketball.log_sd > 1.5 * tennis.log_sd
-    assert basketball.explanation is not None
-    assert "by the NBA's rules" in basketball.explanation
+    tennis, basketball = witness_of([_court(0.3)]), witness_of([_court(0.3, "basketball_nba")])
+    assert log_sd(basketball) > 1.5 * log_sd(tennis)
+    assert basketball.said is not None
+    assert "by the NBA's rules" in basketball.said
 
 
 def test_a_court_that_says_something_else_than_the_others_is_left_out() -> None:
-    evidence = evidence_of([_court(0.3), _court(0.301), _court(0.4)])
-    assert evidence.n == 2
-    assert evidence.gsd_m_per_px == pytest.approx(0.3, rel=0.01)
+    witness = witness_of([_court(0.3), _court(0.301), _court(0.4)])
+    assert witness.n == 2
+    assert witness.gsd_m_per_px == pytest.approx(0.3, rel=0.01)
 
 
 def test_no_court_says_nothing() -> None:
-    evidence = evidence_of([])
-    assert evidence.gsd_m_per_px is None
-    assert not evidence.marks
+    witness = witness_of([])
+    assert witness.gsd_m_per_px is None
+    assert not witness.marks
 
 
 def test_a_court_is_found_in_an_image_and_named_in_the_record() -> None:

@@ -65,7 +65,7 @@ def test_a_confirmation_of_most_vehicles_lifts_the_doubt_of_their_looks(alike: D
     doubted, few, most = (_analysis(alike, confirm=range(1, n + 1)).estimate for n in (0, 15, 16))
     for record in (doubted, few):
         assert (record.status, record.reason) == ("low_confidence", "not_cars")
-        assert [w.code for w in record.warnings] == ["looks_alike"]
+        assert [w.code for w in record.warnings] == ["look_alikes"]
     assert (most.status, most.warnings) == ("ok", ())
     assert most.confidence <= 0.99
     assert most.by_hand is not None
@@ -77,14 +77,13 @@ def test_a_confirmation_does_not_lift_the_resolution_guard() -> None:
     small = _analysis(_found([(9.0, 30)]), confirm=range(1, 31)).estimate
     assert small.resolution_guard
     assert (small.status, small.reason) == ("low_confidence", "too_coarse")
-    assert small.confidence <= 0.3
 
 
 def test_dropped_vehicles_are_no_evidence_and_the_others_keep_their_numbers() -> None:
     found = _found([(40.0, 12), (100.0, 10)])
     both, one = _analysis(found), _analysis(found, drop=range(13, 23))
     alone = _analysis(_found([(40.0, 12)]))
-    assert [w.code for w in both.estimate.warnings] == ["lengths_disagree"]
+    assert both.estimate.confidence < one.estimate.confidence
     assert one.estimate.warnings == ()
     assert one.estimate.model_copy(update={"by_hand": None}) == alone.estimate
     assert one.estimate.by_hand is not None

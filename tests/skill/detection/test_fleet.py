@@ -52,7 +52,7 @@ def test_a_model_that_tells_fleets_apart_moves_the_reference_length(model: Detec
     assert dark.mode_length_px == light.mode_length_px
     for estimate in (dark, light):
         assert estimate.mode_length_px is not None
-        assert estimate.gsd_m_per_px == pytest.approx(estimate.reference_length_m / estimate.mode_length_px)
+        assert estimate.rulers[0].gsd_m_per_px == estimate.reference_length_m / estimate.mode_length_px
 
 
 def test_only_vehicles_that_were_kept_have_a_say(model: Detector) -> None:

@@ -15,7 +15,7 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.fusion import credible_interval
+from vehanchor.scale.density import credible_interval
 from vehanchor_scenes import render_scene
 
 _CALIBRATION = SceneCalibration(np.log(0.01), 0.08, floor=0.02)

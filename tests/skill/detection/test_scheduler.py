@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares, spread_order
 from vehanchor.imagery.tiles import tile_grid
-from vehanchor.scale.fusion import GRID
+from vehanchor.scale.density import GRID
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

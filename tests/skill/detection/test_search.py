@@ -24,9 +24,9 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.runtime import Runtime
-from vehanchor.options import Search
+from vehanchor.options import ScaleOptions, Search
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.fusion import GRID
+from vehanchor.scale.density import GRID
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -101,7 +101,7 @@ def test_vehicles_are_found_at_the_level_that_fits_them_in_pixels_of_the_image(
     searching: Detector, factor: int, mean: float
 ) -> None:
     image, painted = _painted(factor, _fleet(mean, 12), columns=4)
-    analysis = analyse_scale(image, detector=searching)
+    analysis = analyse_scale(image, ScaleOptions.of({"rulers": ("vehicles",)}), detector=searching)
     found, e = analysis.detections, analysis.estimate
     order = np.lexsort((found.boxes[:, 0], np.rint(found.boxes[:, 1] / 10 / factor)))
     np.testing.assert_allclose(found.boxes[order], painted, atol=0.02 * factor)

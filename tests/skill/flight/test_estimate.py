@@ -54,7 +54,7 @@ def test_a_photograph_without_a_car_is_supported_by_those_with_cars(flight: list
 
 def test_a_photograph_that_cannot_be_read_is_told_and_stops_nothing(flight: list[str], detector: Detector) -> None:
     Path(flight[2]).write_bytes(b"no image")
-    record = vehanchor.estimate_flight(flight, same_scale=True, detector=detector)
+    record = vehanchor.estimate_flight(flight, same_scale=True, detector=detector, rulers=("vehicles",))
     broken = record.photographs[2]
     assert (broken.status, broken.error_code, broken.gsd_m_per_px) == ("error", "image_undecodable", None)
     assert record.status == "ok"

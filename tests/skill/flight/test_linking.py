@@ -132,7 +132,7 @@ def test_positions_are_listed_beside_three_other_rulers(seen: list[Features]) ->
         lens: dict[str, Any] = {"focal_px": 1000.0, "taken_width_px": 500, "taken_height_px": 500, "off_nadir_deg": 0.0}
         camera = replace(facts.camera, height_m=height_m, height_tag="RelativeAltitude", **lens)
         stored = StoredPhotograph(facts._replace(camera=camera), sighting_of(FLEET / scale), 1.0)
-        options = ScaleOptions.of({"height_m": height_m})
+        options = ScaleOptions.of({"height_m": 1.03 * height_m})  # nearer, it would repeat the file's
         flight[number] = Photograph.of(str(number), stored, made_card(5.0), options)
     linked = link_photographs(flight, seen)
     record = conclude_flight(flight, linked.components, made_card(5.0), same_scale=False, links=linked.links)

@@ -42,7 +42,7 @@ def test_a_photograph_of_a_flight_has_its_own_record_with_the_flights_scale() ->
     assert (record.n_vehicles, record.image_height_px) == (0, 400)
     assert record.gsd_m_per_px == flight.gsd_m_per_px
     assert (record.status, record.leading_ruler) == ("ok", "vehicles")
-    assert [ruler.gsd_m_per_px for ruler in record.rulers] == pytest.approx([flight.gsd_m_per_px])
+    assert [ruler.gsd_m_per_px for ruler in record.rulers] == pytest.approx([flight.gsd_m_per_px], rel=1e-3)
 
 
 def test_a_photograph_that_could_not_be_read_has_no_record() -> None:

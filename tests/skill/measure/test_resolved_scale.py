@@ -9,15 +9,14 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.measure.resolved_scale import CameraAbove, ResolvedScale, camera_above, raised
 from vehanchor.measure.spread import Spread
 from vehanchor.options import ScaleOptions
-from vehanchor.scale.height import GIVEN_HEIGHT_LOG_SD
+from vehanchor.scale.reliability import RELIABILITY
 
 
 def test_a_given_height_has_the_spread_that_the_ruler_gives_it() -> None:
     with open_raster(np.zeros((300, 400, 3), np.uint8)) as raster:
         camera = camera_above(raster, ScaleOptions.of({"height_m": 50.0}), 10.0)
     found = ResolvedScale(0.1, Spread(), None, "given", None, ())
-    assert raised(found, 10.0, camera).spread == pytest.approx([10 / 40 * GIVEN_HEIGHT_LOG_SD] * 2)
-    assert math.isclose(GIVEN_HEIGHT_LOG_SD, 0.05)
+    assert raised(found, 10.0, camera).spread == pytest.approx([10 / 40 * RELIABILITY["measured height"].log_sd] * 2)
 
 
 def test_a_skewed_interval_stays_skewed_at_the_height_of_the_object() -> None:

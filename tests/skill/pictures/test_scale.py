@@ -27,7 +27,7 @@ from vehanchor.pictures.scale import (
     read_reduced,
     write_picture,
 )
-from vehanchor.rulers.evidence import Mark
+from vehanchor.scale.posterior import Mark
 from vehanchor.tilt.camera_tilt import CameraTilt
 
 
@@ -104,7 +104,8 @@ def test_the_scale_bar_is_about_a_fifth_of_the_width_and_true(gsd: float) -> Non
     picture = draw_overlay(_grey(1000, 700), _judged(analysis, "ok", None))
     white = (picture[690 - 14 : 690, :600] >= 250).all(axis=2)
     bar_px = int(white.sum(axis=1).max())
-    metres = (bar_px - 1) * gsd
+    assert analysis.estimate.gsd_m_per_px is not None
+    metres = (bar_px - 1) * analysis.estimate.gsd_m_per_px
     nearest = min((m * 10.0**k for m in (1, 2, 5) for k in range(-2, 4)), key=lambda length: abs(length - metres))
     assert metres == pytest.approx(nearest, abs=2 * gsd)
     assert 120 <= bar_px <= 330
@@ -118,7 +119,7 @@ def test_without_an_anchor_there_is_no_scale_bar() -> None:
 
 def test_a_scale_that_is_not_to_be_used_has_no_scale_bar() -> None:
     analysis = make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700)
-    sure, doubtful = _judged(analysis, "ok", None), _judged(analysis, "low_confidence", "lost")
+    sure, doubtful = _judged(analysis, "ok", None), _judged(analysis, "low_confidence", "imprecise")
     corner = (slice(600, 700), slice(0, 600))
     assert (draw_overlay(_grey(1000, 700), doubtful)[corner] == 100).all()
     assert not (draw_overlay(_grey(1000, 700), sure)[corner] == 100).all()
@@ -227,10 +228,10 @@ def test_a_label_stays_inside_the_picture_and_a_line_beside_its_edge_is_no_error
     )
 
 
-def test_the_caption_says_what_each_ruler_says_and_who_disagrees() -> None:
+def test_the_caption_says_what_each_ruler_says_and_who_is_probably_wrong() -> None:
     def said(*lines: tuple[float, float, float, float, float]) -> list[str]:
         return [text for _, text in scale._rulers_line(_measured_by_lines(list(lines)))]
 
     assert said() == []
     assert said((200, 400, 700, 400, 84)) == ["vehicles 0.168 m/px", "known length 0.168 m/px"]
-    assert said((200, 400, 700, 400, 840)) == ["vehicles 0.168 m/px, disagrees", "known length 1.68 m/px"]
+    assert said((200, 400, 700, 400, 840)) == ["vehicles 0.168 m/px", "known length 1.68 m/px, probably wrong"]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.analyses import made_card
+from tests.analyses import log_sd, made_card
 from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts, image_facts
@@ -16,9 +16,9 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
-from vehanchor.rulers.evidence import View
-from vehanchor.rulers.lognormal import LognormalEvidence
-from vehanchor.scale.fusion import GRID, credible_interval
+from vehanchor.rulers.view import View
+from vehanchor.scale.density import GRID, credible_interval
+from vehanchor.scale.posterior import Witness
 
 MAVIC = CameraMetadata(
     make="DJI",
@@ -40,13 +40,8 @@ def _view(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 
     return View(facts, found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0)
 
 
-def _measured(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000) -> LognormalEvidence:
+def _measured(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000) -> Witness:
     return Camera().measure(_view(camera, width_px, height_px))
-
-
-def _spread(evidence: LognormalEvidence) -> float:
-    assert evidence.log_sd is not None
-    return evidence.log_sd
 
 
 def _but(**changes: object) -> CameraMetadata:
@@ -57,15 +52,15 @@ UNLISTED = _but(make="Unknown", model="")  # a camera that the table of sensors 
 
 
 def test_height_and_the_equivalent_focal_length_make_a_scale_with_an_honest_interval() -> None:
-    evidence = _measured(UNLISTED)
-    assert evidence.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
-    assert evidence.interval is not None
-    assert evidence.interval.low < TRUE_GSD < evidence.interval.high
-    assert evidence.interval.high / evidence.interval.low == pytest.approx(math.exp(2 * 1.96 * 0.128), rel=0.01)
-    assert (evidence.kind, evidence.n) == ("camera", 1)
-    assert evidence.notices == ()
-    assert evidence.explanation is not None
-    assert "100 m (DJI RelativeAltitude) and 26 mm" in evidence.explanation
+    witness = _measured(UNLISTED)
+    assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
+    assert witness.interval is not None
+    assert witness.interval.low < TRUE_GSD < witness.interval.high
+    assert witness.interval.high / witness.interval.low == pytest.approx(math.exp(2 * 1.96 * 0.128), rel=0.01)
+    assert (witness.kind, witness.n) == ("camera", 1)
+    assert witness.notices == ()
+    assert witness.said is not None
+    assert "100 m (DJI RelativeAltitude) and 26 mm" in witness.said
 
 
 def test_the_sensor_tells_better_than_the_equivalent_and_a_calibration_best() -> None:
@@ -73,17 +68,17 @@ def test_the_sensor_tells_better_than_the_equivalent_and_a_calibration_best() ->
     assert by_sensor.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=1e-6)
     calibrated = _measured(_but(pixel_mm=6.17 / 4000, focal_px=3100.0, centre_x_px=1995.0))
     assert calibrated.gsd_m_per_px == pytest.approx(100 / 3100)
-    assert _spread(calibrated) < _spread(by_sensor) < _spread(_measured(UNLISTED))
+    assert log_sd(calibrated) < log_sd(by_sensor) < log_sd(_measured(UNLISTED))
 
 
 @pytest.mark.parametrize("size", [(4000, 3000), (4000, 2250), (2000, 1500), (2000, 1125), (1125, 2000)])
 def test_a_listed_sensor_tells_at_every_size_and_shape_of_the_whole_picture(size: tuple[int, int]) -> None:
     """A picture of 16:9 has all columns of a sensor of 4:3."""
     taken = _but(taken_width_px=None, taken_height_px=None)
-    evidence = _measured(taken, *size)
-    assert evidence.gsd_m_per_px == pytest.approx(TRUE_GSD * 4000 / max(size), rel=1e-3)
-    assert evidence.explanation is not None
-    assert "6.17 mm wide sensor of the FC220" in evidence.explanation
+    witness = _measured(taken, *size)
+    assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD * 4000 / max(size), rel=1e-3)
+    assert witness.said is not None
+    assert "6.17 mm wide sensor of the FC220" in witness.said
 
 
 def test_a_picture_of_4_3_has_all_rows_of_a_sensor_of_3_2() -> None:
@@ -94,8 +89,8 @@ def test_a_picture_of_4_3_has_all_rows_of_a_sensor_of_3_2() -> None:
 def test_a_listed_sensor_is_not_believed_behind_another_lens() -> None:
     """A drone's second camera may write the same model."""
     other = _measured(_but(focal_mm=13.5, focal_35mm=72.0))
-    assert other.explanation is not None
-    assert "72 mm (35 mm equivalent)" in other.explanation
+    assert other.said is not None
+    assert "72 mm (35 mm equivalent)" in other.said
 
 
 def test_a_calibration_of_another_size_is_not_believed() -> None:
@@ -113,9 +108,9 @@ def test_a_resized_copy_has_the_scale_of_its_pixels(size: tuple[int, int]) -> No
 
 @pytest.mark.parametrize("size", [(4000, 2250), (3000, 3000), (2000, 1000), (4000, 2900)])
 def test_a_crop_is_refused(size: tuple[int, int]) -> None:
-    evidence = _measured(MAVIC, *size)
-    assert (evidence.gsd_m_per_px, evidence.confidence) == (None, 0.0)
-    assert [notice.code for notice in evidence.notices] == ["camera_cropped"]
+    witness = _measured(MAVIC, *size)
+    assert (witness.gsd_m_per_px, witness.found) == (None, False)
+    assert [notice.code for notice in witness.notices] == ["camera_cropped"]
 
 
 def test_a_wide_picture_is_a_full_width_with_rows_left_out() -> None:
@@ -127,28 +122,28 @@ def test_a_camera_that_looks_aslant_measures_the_centre() -> None:
     straight, aslant = _measured(_but(off_nadir_deg=9.9)), _measured(_but(off_nadir_deg=40.0))
     assert straight.gsd_m_per_px is not None
     assert aslant.gsd_m_per_px == pytest.approx(straight.gsd_m_per_px * math.cos(math.radians(40)) ** -1.5)
-    assert _spread(aslant) > _spread(straight)
+    assert log_sd(aslant) > log_sd(straight)
     assert [notice.code for notice in aslant.notices] == ["camera_tilted"]
     assert straight.notices == ()
 
 
 def test_a_camera_that_looks_at_the_horizon_is_no_ruler() -> None:
-    evidence = _measured(_but(off_nadir_deg=88.0))
-    assert evidence.gsd_m_per_px is None
-    assert [notice.code for notice in evidence.notices] == ["camera_tilted"]
+    witness = _measured(_but(off_nadir_deg=88.0))
+    assert witness.gsd_m_per_px is None
+    assert [notice.code for notice in witness.notices] == ["camera_tilted"]
 
 
 def test_an_unknown_pitch_widens_the_interval() -> None:
     known, unknown = _measured(MAVIC), _measured(_but(off_nadir_deg=None))
-    assert _spread(unknown) > _spread(known)
+    assert log_sd(unknown) > log_sd(known)
     assert unknown.chance_wrong > known.chance_wrong
-    assert unknown.explanation is not None
-    assert "at nadir" in unknown.explanation
+    assert unknown.said is not None
+    assert "at nadir" in unknown.said
 
 
 def test_the_nearer_the_ground_the_less_a_height_says() -> None:
-    low, high = _measured(_but(height_m=10.0)), _measured(_but(height_m=500.0))
-    assert _spread(low) > 0.2 > 0.14 > _spread(high)
+    low, high = _measured(_but(height_m=20.0)), _measured(_but(height_m=500.0))
+    assert log_sd(low) > 0.15 > 0.13 > log_sd(high)
 
 
 @pytest.mark.parametrize(
@@ -164,27 +159,26 @@ def test_the_nearer_the_ground_the_less_a_height_says() -> None:
     ],
 )
 def test_what_cannot_be_is_told_and_not_measured_with(changes: dict[str, object], words: str) -> None:
-    evidence = _measured(_but(**changes))
-    assert evidence.gsd_m_per_px is None
-    assert [notice.code for notice in evidence.notices] == ["camera_unusable"]
-    assert words in evidence.notices[0].message
+    witness = _measured(_but(**changes))
+    assert witness.gsd_m_per_px is None
+    assert [notice.code for notice in witness.notices] == ["camera_unusable"]
+    assert words in witness.notices[0].message
 
 
 @pytest.mark.parametrize("camera", [None, _but(height_m=None), replace(UNLISTED, focal_mm=None, focal_35mm=None)])
 def test_a_file_that_does_not_tell_both_is_passed_over_in_silence(camera: CameraMetadata | None) -> None:
-    evidence = _measured(camera)
-    assert (evidence.gsd_m_per_px, evidence.interval, evidence.n, evidence.notices) == (None, None, 0, ())
-    assert evidence.density is None
+    witness = _measured(camera)
+    assert (witness.gsd_m_per_px, witness.interval, witness.n, witness.notices) == (None, None, 0, ())
+    assert not witness.found
 
 
 def test_the_density_lies_around_the_scale_with_a_floor_below_it() -> None:
-    evidence = _measured(MAVIC)
-    assert evidence.gsd_m_per_px is not None
-    assert evidence.density is not None
-    assert evidence.density.sum() == pytest.approx(1)
-    assert GRID[evidence.density.argmax()] == pytest.approx(math.log(evidence.gsd_m_per_px), abs=0.005)
-    assert evidence.density.min() >= 0.05 / len(GRID)
-    low, high = credible_interval(evidence.density, 0.8)
+    witness = _measured(MAVIC)
+    assert witness.gsd_m_per_px is not None
+    assert witness.density.sum() == pytest.approx(1)
+    assert GRID[witness.density.argmax()] == pytest.approx(math.log(witness.gsd_m_per_px), abs=0.005)
+    assert witness.density.min() == pytest.approx(0.05 / len(GRID), rel=1e-3)
+    low, high = credible_interval(witness.density, 0.8)
     assert low < TRUE_GSD < high
 
 
@@ -193,9 +187,7 @@ def test_an_image_without_cars_has_the_cameras_scale_which_alone_is_too_open_to_
     assert record.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
     assert (record.status, record.reason, record.leading_ruler) == ("low_confidence", "imprecise", "camera")
     assert (record.n_vehicles, record.mode_length_px) == (0, None)
-    assert record.p_within_20 is not None
-    assert record.p_within_20 < 0.9
-    assert record.confidence < 0.5
+    assert record.confidence < 0.9
 
 
 @pytest.mark.parametrize("options", [{"metadata": False}, {"rulers": ("vehicles", "height")}])
@@ -212,8 +204,8 @@ def test_nadir_photographs_of_a_known_sensor_come_out_within_a_few_per_cent(
 ) -> None:
     with open_raster(real_data / f"tilt/images/{name}.jpg") as raster:
         facts = image_facts(raster)
-    evidence = Camera().measure(replace(_view(None), image=facts))
-    assert evidence.gsd_m_per_px == pytest.approx(height_m * 6.17 / (4.73 * 3000), rel=0.01)
+    witness = Camera().measure(replace(_view(None), image=facts))
+    assert witness.gsd_m_per_px == pytest.approx(height_m * 6.17 / (4.73 * 3000), rel=0.01)
 
 
 @pytest.mark.data
@@ -223,5 +215,5 @@ def test_photographs_that_know_only_their_height_above_the_sea_have_no_ruler(rea
         facts = image_facts(raster)
     assert facts.camera is not None
     assert facts.camera.focal_mm
-    evidence = Camera().measure(replace(_view(None), image=facts))
-    assert (evidence.gsd_m_per_px, evidence.notices) == (None, ())
+    witness = Camera().measure(replace(_view(None), image=facts))
+    assert (witness.gsd_m_per_px, witness.notices) == (None, ())

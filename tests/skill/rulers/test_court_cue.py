@@ -20,7 +20,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers import courts as ruler
 from vehanchor.rulers.court_cue import court_cues
-from vehanchor.rulers.evidence import View
+from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.focal import Focal
 from vehanchor.tilt.posterior import GimbalCue, tilt_posterior

@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.analyses import made_card
+from tests.analyses import log_sd, made_card
 from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.bay_rows import BayRow
-from vehanchor.rulers.evidence import View
 from vehanchor.rulers.parking_bays import ParkingBays
+from vehanchor.rulers.view import View
 from vehanchor_scenes import render_scene
 
 
@@ -31,13 +31,13 @@ def _view(*rows: BayRow) -> View:
 
 
 def test_the_width_of_bays_makes_a_scale_whose_interval_holds_the_widths_of_many_countries() -> None:
-    evidence = ParkingBays().measure(_view(_row(25.0), _row(25.2)))
-    assert evidence.interval is not None
+    witness = ParkingBays().measure(_view(_row(25.0), _row(25.2)))
+    assert witness.interval is not None
     for width_m in (2.4, 2.5, 2.59, 2.743):
-        assert evidence.interval.low < width_m / 25.1 < evidence.interval.high
-    assert (evidence.n, evidence.kind) == (16, "parking_bays")
-    assert evidence.explanation is not None
-    assert "16 lines of parking bays" in evidence.explanation
+        assert witness.interval.low < width_m / 25.1 < witness.interval.high
+    assert (witness.n, witness.kind) == (16, "parking_bays")
+    assert witness.said is not None
+    assert "16 lines of parking bays" in witness.said
 
 
 def test_a_country_chooses_the_width() -> None:
@@ -48,9 +48,7 @@ def test_a_country_chooses_the_width() -> None:
     assert american.gsd_m_per_px == pytest.approx(2.664 / 25, rel=1e-3)  # between 8.5 and 9 feet
     assert german.gsd_m_per_px == pytest.approx(2.5 / 25, rel=1e-3)
     anywhere = ParkingBays().measure(view)
-    assert american.log_sd is not None
-    assert anywhere.log_sd is not None
-    assert american.log_sd < anywhere.log_sd
+    assert log_sd(american) < log_sd(anywhere)
 
 
 def test_a_row_of_another_width_is_left_out() -> None:
@@ -79,7 +77,7 @@ def test_an_empty_car_park_has_a_scale() -> None:
         network = load_scene_scale()
         assert network is not None
         view = replace(_view(), raster=raster, prior=network.predict(raster), found={})
-        evidence = ParkingBays().measure(view)
-    assert evidence.gsd_m_per_px == pytest.approx(0.2, rel=0.06)
-    assert evidence.interval is not None
-    assert evidence.interval.low < 0.2 < evidence.interval.high
+        witness = ParkingBays().measure(view)
+    assert witness.gsd_m_per_px == pytest.approx(0.2, rel=0.06)
+    assert witness.interval is not None
+    assert witness.interval.low < 0.2 < witness.interval.high

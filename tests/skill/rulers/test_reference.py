@@ -14,7 +14,9 @@ from vehanchor.options import Reference
 from vehanchor.rulers.reference import reference_length
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, country_length
 from vehanchor.scale.defaults import REGIONS
-from vehanchor.scale.lengths import gsd_interval
+from vehanchor.scale.density import blurred, credible_interval
+from vehanchor.scale.reliability import FLEETS
+from vehanchor.scale.votes import vehicle_likelihood
 
 
 @pytest.fixture(scope="module")
@@ -58,10 +60,12 @@ def test_an_unknown_place_names_the_nearest(card: DetectorCard, region: str, exp
 def test_an_unknown_fleet_may_have_smaller_cars_than_it_seems(card: DetectorCard) -> None:
     seen = FleetAppearance(np.zeros(30), np.full(30, 1.53))
     read = reference_length(card, Reference(), seen)
-    smaller, larger = read.log_sds
-    assert read.source == "appearance"
-    assert smaller > larger >= card.fleet_lengths.sd_m / read.length_m  # type: ignore[union-attr]
-    interval = gsd_interval(np.full(100, 46.0), 46.0, read.length_m, read.log_sds)
-    assert interval.low * 46.0 < 3.7 < read.length_m  # Nepal's fleet, read as one of 4.5 m
+    assert card.votes is not None
+    assert (read.source, read.errors) == ("appearance", FLEETS)
+    lengths = 46.0 * np.exp(0.09 * np.linspace(-1.7, 1.7, 40))
+    votes = vehicle_likelihood(lengths, np.full(40, 0.95), read.length_m, card.votes)
+    low, high = credible_interval(blurred(votes, *read.errors))
+    assert low * 46.0 == pytest.approx(3.7, rel=0.01)  # Nepal's fleet, read as one of 4.5 m
+    assert read.length_m < high * 46.0
     named = reference_length(card, Reference(region="NP"), seen)
-    assert named.log_sds[0] == named.log_sds[1]
+    assert [mean for _, mean, _ in named.errors] == [0.0]

@@ -15,11 +15,11 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Lengths, ScaleOptions
 from vehanchor.records import Notice
 from vehanchor.records.ruler_kinds import RULERS
-from vehanchor.rulers.evidence import Evidence, View
+from vehanchor.rulers.point import point_witness
 from vehanchor.rulers.ruler import Ruler
-from vehanchor.rulers.vehicles import Vehicles, select
-from vehanchor.scale.fusion import Votes, credible_interval
-from vehanchor.scale.lengths import Interval
+from vehanchor.rulers.vehicles import Vehicles, VehicleWitness, select
+from vehanchor.rulers.view import View
+from vehanchor.scale.posterior import Witness
 
 _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
 
@@ -38,15 +38,15 @@ def test_the_fleet_is_what_the_outlier_filter_leaves() -> None:
 
 
 def test_vehicles_say_the_reference_length_over_their_modal_length() -> None:
-    evidence = Vehicles().measure(_view(_LENGTHS))
-    assert evidence.mode_length_px is not None
-    assert evidence.gsd_m_per_px == 5.0 / evidence.mode_length_px == pytest.approx(5 / 40.8, rel=0.02)
-    assert (evidence.kind, evidence.n) == ("vehicles", 5)
+    witness = Vehicles().measure(_view(_LENGTHS))
+    assert witness.paper.mode_length_px is not None
+    assert witness.gsd_m_per_px == 5.0 / witness.paper.mode_length_px == pytest.approx(5 / 40.8, rel=0.02)
+    assert (witness.kind, witness.n) == ("vehicles", 5)
 
 
 def test_no_vehicles_are_no_evidence() -> None:
-    evidence = Vehicles().measure(_view([]))
-    assert (evidence.gsd_m_per_px, evidence.interval, evidence.n, evidence.confidence) == (None, None, 0, 0.0)
+    witness = Vehicles().measure(_view([]))
+    assert (witness.gsd_m_per_px, witness.interval, witness.n, witness.found) == (None, None, 0, False)
 
 
 class Shadow(Ruler):
@@ -56,9 +56,9 @@ class Shadow(Ruler):
     label = "shadow"
     help = "a shadow"
 
-    def measure(self, view: View) -> Evidence:
+    def measure(self, view: View) -> Witness:
         doubt = Notice(code="shadow_short", message="The shadow is short.")
-        return Evidence(self.kind, 100 / view.image.width_px, Interval(0.1, 0.2), 1, 0.2, (doubt,))
+        return point_witness(self.kind, 100 / view.image.width_px, 0.02, 0.1, "It says {}.", notices=[doubt])
 
 
 def test_a_ruler_in_the_registry_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,8 +66,8 @@ def test_a_ruler_in_the_registry_is_heard(monkeypatch: pytest.MonkeyPatch) -> No
     analysis = analyse_detections(_view(_LENGTHS, rulers=("vehicles", "shadow")))
     assert [(each.kind, each.gsd_m_per_px) for each in analysis.others] == [("shadow", 0.125)]
     assert [notice.code for notice in analysis.estimate.warnings] == ["shadow_short"]
-    assert analysis.estimate.leading_ruler == "vehicles"  # without a density there is nothing to multiply
-    assert analysis.estimate.gsd_m_per_px == analysis.vehicles.gsd_m_per_px
+    assert analysis.estimate.leading_ruler == "shadow"
+    assert analysis.estimate.gsd_m_per_px == pytest.approx(0.125, rel=0.02)
 
 
 def test_the_appearance_of_the_kept_vehicles_is_what_was_asked_of_them() -> None:
@@ -80,14 +80,41 @@ def test_the_appearance_of_the_kept_vehicles_is_what_was_asked_of_them() -> None
     assert fleet.appearance.log_lengths.tolist() == [1.0, 1.5]
 
 
-def test_among_other_rulers_the_boxes_speak_around_the_papers_scale() -> None:
-    votes = Votes(share_at_zero=-2.0, share_slope=6.0, log_sd=0.15, clutter_density=1.0, trust=0.6, chance_wrong=0.02)
-    lengths = [*np.linspace(27, 33, 12), 40.0, 41.0, 42.0]  # a few long ones: mean and mode part
-    view = _view(lengths)
-    evidence = Vehicles().measure(replace(view, card=view.card.model_copy(update={"votes": votes})))
-    assert evidence.density is not None
-    assert evidence.fusable_density is not None
-    assert evidence.gsd_m_per_px is not None
-    own, among = (credible_interval(each, 0.0).low for each in (evidence.density, evidence.fusable_density))
-    assert among == pytest.approx(evidence.gsd_m_per_px, rel=0.01)
-    assert abs(among / evidence.gsd_m_per_px - 1) < abs(own / evidence.gsd_m_per_px - 1)
+def _doubts(view: View) -> tuple[list[str], float]:
+    witness = Vehicles().measure(view)
+    return [notice.code for notice in witness.notices], witness.chance_wrong
+
+
+def _searched(view: View, **changes: Any) -> View:
+    """A view after a search over scales."""
+    found = replace(view.detections, scales=np.ones(len(view.detections.boxes)), **changes)
+    return replace(view, detections=found)
+
+
+def test_a_doubt_makes_half_of_the_fleets_wrong() -> None:
+    equal, fleet = _view([40.0] * 30), _view(list(40 * np.exp(0.09 * np.linspace(-1.7, 1.7, 30))))
+    codes, chance_wrong = _doubts(_searched(fleet))
+    assert codes == []
+    assert chance_wrong <= 0.1
+    assert _doubts(_searched(equal)) == (["look_alikes"], 0.5)
+    assert _doubts(_searched(fleet, stretch=1.5)) == (["stretched"], 0.5)
+    assert _doubts(equal)[0] == []  # found at one scale: they were not chosen by their length
+
+
+def test_doubts_are_about_the_same_fleet_and_the_larger_counts() -> None:
+    codes, chance_wrong = _doubts(_searched(_view([40.0] * 30), stretch=1.5))
+    assert (codes, chance_wrong) == (["stretched", "look_alikes"], 0.5)
+
+
+def test_of_two_groups_of_lengths_one_is_the_fleet() -> None:
+    lengths = [*(40 * np.exp(0.09 * np.linspace(-1.7, 1.7, 12))), *(100 * np.exp(0.09 * np.linspace(-1.7, 1.7, 6)))]
+    witness = Vehicles().measure(_searched(_view(lengths)))
+    assert witness.n == 12
+    assert witness.chance_wrong == pytest.approx(1 / 3, abs=0.02)  # six of eighteen, of one score
+
+
+@pytest.mark.parametrize("lengths", [_LENGTHS, [40.0]])
+def test_a_lack_filled_is_never_worse_than_the_vehicles_as_they_are(lengths: list[float]) -> None:
+    witness: VehicleWitness = Vehicles().measure(_view(lengths))
+    assert [lack.reason for lack in witness.lacks] == ["too_coarse", "not_cars", "disagree", "too_few", "imprecise"]
+    assert all(lack.without.chance_wrong <= witness.chance_wrong for lack in witness.lacks)

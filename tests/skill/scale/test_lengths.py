@@ -107,8 +107,8 @@ def test_the_weighted_mode_has_the_interval_of_its_own_density() -> None:
     scores = np.concatenate([np.full(40, 0.9), np.full(38, 0.2)])
     mode, _ = modal_length(lengths, scores, "weighted_kde")
     plain, weighted = (
-        gsd_interval(lengths, mode, 4.6, (0.0, 0.0)),
-        gsd_interval(lengths, mode, 4.6, (0.0, 0.0), scores=scores),
+        gsd_interval(lengths, mode, 4.6, 0.0),
+        gsd_interval(lengths, mode, 4.6, 0.0, scores=scores),
     )
     assert np.log(weighted.high / weighted.low) < np.log(plain.high / plain.low)
 
@@ -126,16 +126,16 @@ def test_fewer_than_five_lengths_fall_back_to_the_median() -> None:
 def test_the_interval_holds_the_estimate_and_scales_with_it(n: int, factor: float) -> None:
     lengths = _fleet(n, n)
     mode, _ = modal_length(lengths, np.ones(n))
-    low, high = gsd_interval(lengths, mode, 4.6, (0.07, 0.07))
+    low, high = gsd_interval(lengths, mode, 4.6, 0.07)
     assert 0 < low < 4.6 / mode < high
-    scaled = gsd_interval(lengths * factor, mode * factor, 4.6, (0.07, 0.07))
+    scaled = gsd_interval(lengths * factor, mode * factor, 4.6, 0.07)
     assert scaled.low == pytest.approx(low / factor, rel=5e-3)  # a length on a histogram cell's edge may round
-    assert gsd_interval(lengths, mode, 4.6, (0.07, 0.07)) == (low, high)
+    assert gsd_interval(lengths, mode, 4.6, 0.07) == (low, high)
 
 
 def test_few_vehicles_never_give_a_narrow_interval() -> None:
     def width(n: int) -> float:
-        low, high = gsd_interval(np.full(n, 30.0), 30.0, 4.6, (0.0, 0.0))
+        low, high = gsd_interval(np.full(n, 30.0), 30.0, 4.6, 0.0)
         return high / low
 
     assert width(1) > 1.4

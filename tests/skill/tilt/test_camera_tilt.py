@@ -14,7 +14,7 @@ from vehanchor.flight.pooling import pool
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import View
+from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor.tilt.rectified import rectified
@@ -94,7 +94,7 @@ def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
     with_height = analyse_detections(said)
     assert with_height.vehicles.n == pytest.approx(20, abs=4)
     assert with_height.estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
-    assert {each.kind for each in with_height.estimate.rulers if each.agrees} == {"vehicles", "camera"}
+    assert {each.kind for each in with_height.estimate.rulers if each.p_right > 0.5} == {"vehicles", "camera"}
 
 
 def test_so_it_does_in_photographs_of_one_scale_put_together() -> None:

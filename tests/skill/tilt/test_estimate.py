@@ -22,10 +22,10 @@ from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.rulers.camera import Camera
 from vehanchor.rulers.courts import Courts
-from vehanchor.rulers.evidence import View
 from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.measurement import with_tilt
+from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor.tilt.estimate import estimate_tilt
@@ -146,11 +146,11 @@ def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
         assert moved.gsd_m_per_px == pytest.approx(GSD, rel=1e-6)
         assert moved.interval is not None
         assert moved.interval.high / moved.interval.low > before.interval.high / before.interval.low
-        assert moved.explanation is not None
-        assert moved.explanation.endswith("This is the scale of the image's centre.")
+        assert moved.said is not None
+        assert moved.said.endswith("This is the scale of the image's centre.")
     record = analyse_detections(view).estimate
     assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.1)  # the metadata have 30 degrees, and no roll
-    assert [ruler.agrees for ruler in record.rulers] == [True, True]
+    assert [ruler.p_right > 0.5 for ruler in record.rulers] == [True, True]
 
 
 def test_a_tilt_that_a_court_cannot_tell_from_a_horizon_is_refused() -> None:

@@ -12,7 +12,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import View
+from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.estimate import tilt_from_vehicles
 from vehanchor.tilt.posterior import TiltPosterior

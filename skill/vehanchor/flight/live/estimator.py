@@ -22,9 +22,8 @@ from vehanchor.records import LiveScale
 from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.scale.fusion import credible_interval
+from vehanchor.scale.density import credible_interval
 from vehanchor.scale.lengths import Z95
-from vehanchor.scale.thresholds import UNSURE_CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
     from vehanchor.flight.matching import Match
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options import ScaleOptions
-    from vehanchor.rulers.evidence import View
+    from vehanchor.rulers.view import View
 
 HOLD_S = Limits(above=0, most=3600)
 """Limits of the seconds without vehicles after which there is no scale."""
@@ -48,7 +47,6 @@ _FEATURES_SIDE_PX = 480  # of the reduced copy: a third of the side of 1280 px
 _STRETCH_EVERY = 10  # frames; a camera's proportions do not change in flight
 _PRIOR_FRAMES = 1.0  # new ground, in frames, after which the scene-scale prior is taken again
 _GRID_POINTS = 8  # along each side of a frame, to count its new ground
-_POOLABLE = frozenset({None, "too_few", "imprecise"})  # more frames help; other reasons are doubts about the vehicles
 
 
 def live_scales(
@@ -89,7 +87,7 @@ class LiveEstimator:
         self._options = replace(options, rulers=rulers)
         self._detector = checked_detector(detector, self._options)
         self._hold_s = HOLD_S.check("hold", hold_s)
-        self._network = load_scene_scale(detector.runtime) if detector.card.votes else None
+        self._network = load_scene_scale(detector.runtime)
         self._turn, self._first_s, self._last_s = 0, 0.0, 0.0
         self._state: FilterState | None = None
         self._features: Features | None = None
@@ -172,7 +170,6 @@ class LiveEstimator:
     def _record(self, frame: Frame, n_vehicles: int, *, linked: bool) -> LiveScale:
         state = self._state
         interval = None if state is None else state.interval
-        confidence = 0.0 if state is None else state.chance
         usable = state is not None and state.usable
         return LiveScale(
             frame=frame.name,
@@ -181,7 +178,7 @@ class LiveEstimator:
             gsd_m_per_px=None if state is None else state.gsd_m_per_px,
             gsd_ci95_low_m_per_px=interval and interval.low,
             gsd_ci95_high_m_per_px=interval and interval.high,
-            confidence=confidence if usable else min(confidence, UNSURE_CONFIDENCE),
+            confidence=0.0 if state is None else state.chance,
             n_vehicles=n_vehicles,
             seen_s_ago=None if state is None else state.silent_s,
             linked=linked,
@@ -207,12 +204,9 @@ def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
     if estimate.gsd_m_per_px is None or not low or not high:
         return None
     log_sd = math.log(high / low) / (2 * Z95)
-    common = min(log_sd, sum(vehicles.reference.log_sds) / 2)
-    chance = estimate.confidence
-    if estimate.reason in _POOLABLE and estimate.p_within_20 is not None:
-        chance = max(chance, estimate.p_within_20)
+    common = min(log_sd, vehicles.reference.log_sd)
     own = math.sqrt(max(log_sd**2 - common**2, 0.0))
-    return Measurement(math.log(estimate.gsd_m_per_px / factor), own, common, chance)
+    return Measurement(math.log(estimate.gsd_m_per_px / factor), own, common, estimate.confidence)
 
 
 def _motion(matched: Match, width_px: int, height_px: int) -> Motion:

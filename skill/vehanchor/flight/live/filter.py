@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from vehanchor.scale.fusion import TOLERANCE, USABLE_CHANCE
+from vehanchor.scale.defaults import USABLE_CHANCE
+from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import Z95, Interval
 
 _STEADY_LOG_SD = 0.002  # of the ratio between two frames of the same ground
@@ -22,6 +23,7 @@ _LEAST_LOG_SD = 0.02  # of a measurement, beside the common error
 _GATE_SDS = 3.5  # a measurement further off contradicts the state
 _MOST_CONTRADICTIONS = 3  # in a row; then the state was wrong
 _MOST_LOG_ODDS = 4.0
+_CONTRADICTED = 0.5  # factor on the chance for each contradiction in a row: either may be right; a choice
 
 
 class Measurement(NamedTuple):
@@ -97,12 +99,12 @@ class FilterState(NamedTuple):
     def chance(self) -> float:
         """Probability of an error below 20 %."""
         within = math.erf(math.log1p(TOLERANCE) / (self.log_sd * math.sqrt(2)))
-        return within / (1 + math.exp(-self.log_odds))
+        return within / (1 + math.exp(-self.log_odds)) * _CONTRADICTED**self.contradictions
 
     @property
     def usable(self) -> bool:
-        """Whether a planner can use the scale now: no measurement contradicts it."""
-        return self.chance >= USABLE_CHANCE and self.contradictions == 0
+        """Whether a planner can use the scale now."""
+        return self.chance >= USABLE_CHANCE
 
 
 def started(measured: Measurement) -> FilterState:

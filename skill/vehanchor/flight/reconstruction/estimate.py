@@ -22,7 +22,6 @@ from vehanchor.imagery.identity import Source
 from vehanchor.records import ModelPhotograph, ModelRuler, ModelScale, Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.known_length_table import lines_in, with_lines_of
-from vehanchor.scale.thresholds import WIDEST_USABLE
 
 if TYPE_CHECKING:
     import os
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate
     from vehanchor.rulers.known_length_table import KnownLengthTable
     from vehanchor.storage.journal import Journal
+_WIDEST_USED = 2.0  # largest ratio of the ends of a photograph's interval, with which it carries the factor
 
 
 class _Scaled(NamedTuple):
@@ -261,8 +261,7 @@ def _rulers(estimate: GsdEstimate, gsd: float) -> tuple[ModelRuler, ...]:
             factor_ci95_low=each.gsd_ci95_low_m_per_px / gsd,
             factor_ci95_high=each.gsd_ci95_high_m_per_px / gsd,
             n=each.n,
-            weight=each.weight,
-            agrees=each.agrees,
+            p_right=each.p_right,
         )
         for each in estimate.rulers
         if each.sets_scale
@@ -293,7 +292,7 @@ def _status(own: _Scaled | None, whole: _Scaled | None) -> Literal["used", "uncl
         return "nothing"
     if own.low > whole.high or own.high < whole.low:
         return "outlier"
-    return "used" if own.high <= WIDEST_USABLE * own.low else "unclear"
+    return "used" if own.high <= _WIDEST_USED * own.low else "unclear"
 
 
 def _failed(failure: Failure) -> ModelPhotograph:

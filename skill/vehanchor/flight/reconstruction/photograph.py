@@ -17,10 +17,10 @@ from vehanchor.detection.detections import Detections
 from vehanchor.flight.photograph import Photograph, StoredPhotograph
 from vehanchor.flight.reconstruction.ground import local_heights, plane_below
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.rulers.evidence import View
 from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.rulers.view import View
 from vehanchor.scale.plane import LEAST_DESCENT
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt
 from vehanchor.tilt.rectified import box_axes, length_off_nadir
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from vehanchor.flight.reconstruction.ground import Plane
     from vehanchor.flight.reconstruction.model import Shot
     from vehanchor.options import KnownLength, ScaleOptions
-    from vehanchor.rulers.evidence import Evidence
+    from vehanchor.scale.posterior import Witness
 
 _DESCENTS = 3  # a ray meets the ground around its foot
 _MOST_RELIEF = 0.3  # of the camera's height
@@ -118,7 +118,7 @@ class SeenPhotograph:
 
     name: str
     view: View
-    others: tuple[Evidence, ...]
+    others: tuple[Witness, ...]
     sight: Sight
     places: NDArray[np.float64]
 
@@ -214,7 +214,7 @@ def distinct(seen: Sequence[SeenPhotograph]) -> list[Photograph]:
     return [each.photograph(chosen, own) for each, chosen, own in parts]
 
 
-def _measured(view: View, sight: Sight) -> tuple[Evidence, ...]:
+def _measured(view: View, sight: Sight) -> tuple[Witness, ...]:
     """Measure with the rulers that use the plane and no vehicles; courts are found in the photograph as it is."""
     rulers = [each for each in active_rulers(view.options.rulers) if each.uses_plane and each.independent_of_vehicles]
     found = {ruler.kind: ruler.moved(ruler.find(view), sight.shot.lens.ideal) for ruler in rulers}

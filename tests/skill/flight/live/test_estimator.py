@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.rulers.evidence import Evidence, View
-    from vehanchor.rulers.vehicles import VehicleEvidence
+    from vehanchor.rulers.vehicles import VehicleWitness
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.posterior import Witness
 
 FLEET = 30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3)
 
@@ -102,9 +103,11 @@ def test_a_stretch_found_once_is_kept_and_tested_now_and_then(
     def searched(*arguments: Any, check_stretch: bool) -> View:
         view = search_raster(*arguments, check_stretch=check_stretch)
         tested.append(check_stretch)
-        return replace(view, detections=replace(view.detections, stretch=7.0 if check_stretch else None))
+        scales = np.ones(len(view.detections.boxes))
+        stretched = replace(view.detections, stretch=7.0 if check_stretch else None, scales=scales)
+        return replace(view, detections=stretched)
 
-    def measured(view: View) -> tuple[VehicleEvidence, tuple[Evidence, ...]]:
+    def measured(view: View) -> tuple[VehicleWitness, tuple[Witness, ...]]:
         kept.append(view.detections.stretch)
         return measure_all(view)
 

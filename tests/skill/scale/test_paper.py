@@ -5,10 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.confidence import composite, confidence_terms, fleet_doubts
 from vehanchor.scale.lengths import guard_length
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
+from vehanchor.scale.paper import FALLBACK_CONFIDENCE, PaperScale, composite, confidence_terms, paper_scale
 
 _RANGE = (12.0, 64.0)
 
@@ -27,8 +25,31 @@ def test_fewer_than_five_vehicles_never_reach_the_fallback_threshold(n: int) -> 
     assert composite(terms, guarded=False) < FALLBACK_CONFIDENCE
 
 
-def test_no_vehicles_give_no_confidence() -> None:
-    assert composite(confidence_terms([], [], float("nan"), _RANGE), guarded=False) == 0
+def _paper(lengths: list[float], scores: list[float], **more: float) -> PaperScale:
+    seen = {"seen_scale": 1.0, "guard_length_px": 15.0} | more
+    return paper_scale(lengths, scores, (4.5, 0.45), "kde", length_range_px=_RANGE, **seen)
+
+
+def test_no_vehicles_give_no_scale_and_no_confidence() -> None:
+    found = _paper([], [])
+    assert (found.gsd_m_per_px, found.interval, found.confidence) == (None, None, 0.0)
+
+
+def test_the_scale_is_the_reference_length_over_the_mode_in_its_interval() -> None:
+    found = _paper([30.0] * 20, [0.9] * 20)
+    assert found.gsd_m_per_px == pytest.approx(0.15)
+    assert found.interval is not None
+    assert found.interval.low < 0.15 < found.interval.high
+    assert found.reason(20) is None
+
+
+@pytest.mark.parametrize(
+    ("n", "length_px", "reason"), [(20, 12.0, "too_coarse"), (3, 30.0, "too_few"), (3, 12.0, "too_coarse")]
+)
+def test_the_reason_of_a_confidence_below_one_half(n: int, length_px: float, reason: str) -> None:
+    found = _paper([length_px] * n, [0.9] * n)
+    assert found.confidence < FALLBACK_CONFIDENCE
+    assert found.reason(n) == reason
 
 
 def test_many_equal_confident_vehicles_are_almost_certain() -> None:
@@ -66,11 +87,3 @@ def test_the_guard_follows_the_reference_length_and_the_model() -> None:
     assert guard_length(5.045) == pytest.approx(16.82, abs=0.01)  # the paper's "about 17 px"
     assert guard_length(4.5) == pytest.approx(15.0)
     assert guard_length(4.5, min_length_px=18.0) == 18.0
-
-
-@pytest.mark.parametrize(("best", "doubted"), [(0.91, True), (0.95, False)])
-def test_verified_vehicles_need_a_higher_score_to_be_clear(best: float, doubted: bool) -> None:
-    lengths, scores = [22.0, 23.0, 25.0, 26.0, 28.0, 35.0, 24.0], [best, best, 0.87, 0.83, 0.73, 0.6, 0.52]
-    assert not fleet_doubts(lengths, scores, rival_share=0.0, clear_score=0.67)
-    doubts = fleet_doubts(lengths, scores, rival_share=0.0, clear_score=0.67, verified=True)
-    assert doubts == ((NoticeCode.SCORES_UNCLEAR,) if doubted else ())

@@ -1,0 +1,67 @@
+"""Memory of analyses, so that an area after an estimate of the same image costs no second search.
+
+An analysis is a pure function of image, detector and options: the memory changes the time, never the result.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from vehanchor.analysis.pipeline import analyse_raster
+from vehanchor.imagery.identity import image_id
+
+if TYPE_CHECKING:
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.detection.detector import Detector
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.options import ScaleOptions
+
+_MOST = 8  # analyses; a choice: 10,000 vehicles take 1 MB
+
+
+class AnalysisMemory:
+    """The last analyses, by image, detector and options."""
+
+    def __init__(self) -> None:
+        self._found: OrderedDict[tuple[str, str, str], ScaleAnalysis] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def analyse(self, raster: Raster, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
+        """Return the analysis of an open image; see ``vehanchor.analysis.pipeline.analyse_raster``.
+
+        A search with a time limit is not remembered, because its result depends on the machine.
+        """
+        if options.search.max_seconds is not None:
+            return analyse_raster(raster, detector, options)
+        key = image_id(raster), detector.card.sha256, repr(options)
+        with self._lock:
+            known = self._found.get(key)
+            if known is not None:
+                self._found.move_to_end(key)
+                return known
+        analysis = analyse_raster(raster, detector, options)
+        with self._lock:
+            self._found[key] = analysis
+            while len(self._found) > _MOST:
+                self._found.popitem(last=False)
+        return analysis
+
+
+@dataclass(frozen=True)
+class RememberingDetector:
+    """Detector with a memory of its analyses.
+
+    Attributes:
+        detector: the model.
+        memory: of its analyses.
+    """
+
+    detector: Detector
+    memory: AnalysisMemory
+
+    def analyse(self, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:
+        """Return the analysis of an open image."""
+        return self.memory.analyse(raster, self.detector, options)

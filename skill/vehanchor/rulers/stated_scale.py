@@ -1,0 +1,41 @@
+"""Stated scale as a ruler: metres per pixel from the caller, as of a map or a sister photograph."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vehanchor.rulers.point import assumed, no_evidence, point_witness
+from vehanchor.rulers.ruler import Ruler
+from vehanchor.scale.lengths import Z95
+from vehanchor.scale.reliability import RELIABILITY
+
+if TYPE_CHECKING:
+    from vehanchor.options.rulers import StatedScale as Stated
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.posterior import Witness
+
+
+class StatedScale(Ruler):
+    """Metres per pixel that the caller states."""
+
+    kind = "stated_scale"
+    label = "stated scale"
+    help = "a scale from elsewhere, such as a map or a sister photograph"
+    colour = "#56B4E9"
+    pooling_gain = 0.0  # one statement: one error
+    uses_plane = True
+    independent_of_vehicles = True
+
+    def measure(self, view: View) -> Witness:
+        """Take the stated scale with its tolerance."""
+        stated = view.options.rulers.stated_scale
+        return no_evidence(self.kind) if stated is None else stated_witness(stated)
+
+
+def stated_witness(stated: Stated) -> Witness:
+    """Make the witness of a stated scale."""
+    log_sd = stated.tolerance / stated.gsd_m_per_px / Z95
+    chance_wrong = RELIABILITY[stated.basis].chance_wrong
+    said = f"The stated scale, {stated.basis}, is {{}}."
+    found = point_witness(StatedScale.kind, stated.gsd_m_per_px, log_sd, chance_wrong, said)
+    return assumed(found) if stated.basis == "assumed" else found

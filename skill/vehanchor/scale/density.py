@@ -1,0 +1,122 @@
+"""Densities over the log of the ground sampling distance.
+
+A density is ``[g]`` cell probabilities on one grid, ``GRID``: steps of 0.5 % from 3 mm to 3 m per pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.scale.lengths import Interval
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+LOG_STEP = 0.005
+TOLERANCE = 0.2  # largest relative error with which a planner can use a scale
+_FINEST, _COARSEST = 0.003, 3.0  # metres per pixel
+GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_STEP)
+"""``[g]`` natural logs of metres per pixel."""
+
+LEAST_PROBABILITY = 1e-300  # of a cell, so that it has a log
+_KERNEL_REACH_SDS = 6.0
+
+
+def flat() -> NDArray[np.float64]:
+    """Return the flat density: ``[g]`` equal probabilities."""
+    return np.full(len(GRID), 1.0 / len(GRID))
+
+
+def on_grid(gsd_m_per_px: float) -> bool:
+    """Tell whether a scale is possible: 3 mm to 3 m per pixel."""
+    return gsd_m_per_px > 0 and bool(GRID[0] <= math.log(gsd_m_per_px) <= GRID[-1])
+
+
+def lognormal(gsd_m_per_px: float, log_sd: float) -> NDArray[np.float64]:
+    """Make a lognormal density.
+
+    Args:
+        gsd_m_per_px: its median, on the grid (see ``on_grid``).
+        log_sd: standard deviation of its log; at least one cell is used.
+
+    Returns:
+        ``[g]`` probabilities.
+    """
+    off = (GRID - math.log(gsd_m_per_px)) / max(log_sd, LOG_STEP)
+    return normalised(np.exp(-0.5 * off**2))
+
+
+def normalised(density: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scale a non-negative density ``[g]`` to the sum 1."""
+    return np.asarray(density / density.sum())
+
+
+def blurred(density: NDArray[np.float64], *normals: tuple[float, float, float]) -> NDArray[np.float64]:
+    """Add an error of the log scale: a mixture of normals.
+
+    Args:
+        density: ``[g]`` probabilities.
+        *normals: weight, mean and standard deviation of each; one of less than a tenth of a cell is taken as exact.
+
+    Returns:
+        ``[g]`` probabilities.
+    """
+    reach = max(abs(mean) + _KERNEL_REACH_SDS * log_sd for _, mean, log_sd in normals)
+    if reach < LOG_STEP / 10:
+        return density
+    cells = math.ceil(reach / LOG_STEP)
+    errors = np.arange(-cells, cells + 1) * LOG_STEP
+    kernel = np.zeros(len(errors))
+    for weight, mean, log_sd in normals:
+        kernel += weight * normalised(np.exp(-0.5 * ((errors - mean) / max(log_sd, LOG_STEP)) ** 2))
+    padded = np.pad(density, cells, mode="edge")  # a flat floor stays flat
+    return normalised(np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0))
+
+
+def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Multiply densities.
+
+    Args:
+        *densities: ``[g]`` probabilities each, positive together in at least one cell.
+
+    Returns:
+        ``[g]`` probabilities.
+    """
+    logs = np.sum([np.log(np.maximum(density, LEAST_PROBABILITY)) for density in densities], axis=0)
+    return normalised(np.exp(logs - logs.max()))
+
+
+def shifted(density: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
+    """Shift a density ``[g]`` of log scale down by ``offset``, to the pixels of another photograph."""
+    return density if offset == 0 else normalised(np.interp(GRID + offset, GRID, density))
+
+
+def quantile(density: NDArray[np.float64], probability: float) -> float:
+    """Compute a quantile of a density ``[g]``, metres per pixel."""
+    return float(np.exp(np.interp(probability, np.cumsum(density), GRID + LOG_STEP / 2)))
+
+
+def credible_interval(density: NDArray[np.float64], probability: float = 0.95) -> Interval:
+    """Compute the central interval of a density ``[g]`` that holds a probability, metres per pixel."""
+    tail = (1.0 - probability) / 2
+    return Interval(quantile(density, tail), quantile(density, 1.0 - tail))
+
+
+def mass_within(density: NDArray[np.float64], gsd_m_per_px: float, tolerance: float = TOLERANCE) -> float:
+    """Compute the mass of the scales from which an estimate differs by at most a relative tolerance.
+
+    Args:
+        density: ``[g]`` probabilities of the true scale; their sum may be below 1.
+        gsd_m_per_px: the estimated scale.
+        tolerance: largest ``|estimated - true| / true``.
+
+    Returns:
+        At most the sum of the density.
+    """
+    low, high = np.log(gsd_m_per_px / (1 + tolerance)), np.log(gsd_m_per_px / (1 - tolerance))
+    below = np.concatenate([[0.0], np.cumsum(density)])
+    edges = np.concatenate([GRID - LOG_STEP / 2, [GRID[-1] + LOG_STEP / 2]])
+    return float(np.interp(high, edges, below) - np.interp(low, edges, below))

@@ -1,0 +1,334 @@
+"""From evidence to an answer by one rule: each witness of the scale measured what it thinks, or did not.
+
+The posterior is the product over witnesses of ``(1 - c) right + c wrong``, in which c is the chance that the witness is
+wrong. Witnesses with a common error (one lens, one height, one caller) form a group: their product is blurred by the
+common error, and may be wrong as a whole. Value, interval, chance and reason follow from this posterior alone:
+
+* the value is the median, given that at least one witness who can set a scale is right;
+* the interval is the central 95 % of the same distribution;
+* the chance is the posterior's mass within 20 % of the value. A prior does not confirm what a caller assumes;
+* the scale is usable if the chance is at least 0.9;
+* the reason is the doubt or lack whose removal raises the chance most.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+
+from vehanchor.scale.defaults import USABLE_CHANCE
+from vehanchor.scale.density import (
+    LEAST_PROBABILITY,
+    blurred,
+    credible_interval,
+    flat,
+    mass_within,
+    normalised,
+    quantile,
+)
+from vehanchor.scale.lengths import Interval
+from vehanchor.scale.reliability import MOST_SURE, Shared
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.scale.defaults import Reason
+
+_LEAST_GAIN = 1e-6
+
+
+class Mark(NamedTuple):
+    """Measured line of a ruler, or a labelled place.
+
+    Attributes:
+        points: its corners, x and y in pixels of the image; a single point is a place.
+        label: text beside its middle, as "60 m"; empty for none.
+        closed: whether the last corner is connected to the first.
+    """
+
+    points: tuple[tuple[float, float], ...]
+    label: str = ""
+    closed: bool = False
+
+
+class Remark(Protocol):
+    """Warning of a ruler."""
+
+    @property
+    def code(self) -> str:
+        """Stable identifier."""
+
+    @property
+    def message(self) -> str:
+        """The fact with its value, and its meaning for the result."""
+
+
+class Lack(NamedTuple):
+    """Doubt or lack of a witness.
+
+    Attributes:
+        reason: its name.
+        without: the witness if the doubt were removed, or the lack filled.
+    """
+
+    reason: Reason
+    without: Witness
+
+
+@dataclass(frozen=True, eq=False)
+class Witness:
+    """Measurement of the scale by one ruler.
+
+    Attributes:
+        kind: of the ruler.
+        gsd_m_per_px: its own scale, metres per pixel of the full image, at its centre in a tilted view; None if nothing
+            was found.
+        right: ``[g]`` density of the scale if it measured what it thinks, without shared errors; None if nothing was
+            found.
+        chance_wrong: 0..1, chance that it did not.
+        wrong: ``[g]`` density in that case.
+        sets_scale: whether it can set a scale; a prior cannot.
+        assumed: whether it rests on a guess of the caller, neither found in the picture nor measured.
+        shared: errors in common with other witnesses.
+        lacks: what would raise its weight.
+        n: number of things measured.
+        said: the measurement in a sentence; None if not needed.
+        marks: measured lines, for pictures.
+        notices: warnings; without a scale they say why.
+    """
+
+    kind: str
+    gsd_m_per_px: float | None = None
+    right: NDArray[np.float64] | None = None
+    chance_wrong: float = 0.0
+    wrong: NDArray[np.float64] = field(default_factory=flat, repr=False)
+    sets_scale: bool = True
+    assumed: bool = False
+    shared: tuple[Shared, ...] = ()
+    lacks: tuple[Lack, ...] = ()
+    n: int = 1
+    said: str | None = None
+    marks: tuple[Mark, ...] = ()
+    notices: tuple[Remark, ...] = ()
+
+    @property
+    def found(self) -> bool:
+        """Whether the ruler found something."""
+        return self.right is not None
+
+    @cached_property
+    def density(self) -> NDArray[np.float64]:
+        """``[g]`` density of the scale by this witness alone, with its shared errors; flat if nothing was found."""
+        return flat() if self.right is None else self.factor(self.shared)
+
+    @property
+    def interval(self) -> Interval | None:
+        """Its own 95 % interval if it is right, metres per pixel, extended to its scale; None if nothing was found."""
+        if self.right is None or self.gsd_m_per_px is None:
+            return None
+        low, high = credible_interval(_blurred(self.right, self.shared))
+        return Interval(min(low, self.gsd_m_per_px), max(high, self.gsd_m_per_px))
+
+    def factor(self, shared: Sequence[Shared]) -> NDArray[np.float64]:
+        """Compute the density ``[g]`` with some of the shared errors."""
+        assert self.right is not None
+        return _mixed(self.right * (1.0 - self.chance_wrong) + self.wrong * self.chance_wrong, shared, self.wrong)
+
+    def floor(self, factor: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Keep the part of a factor ``[g]`` that says nothing: the largest multiple of ``wrong`` below it."""
+        return np.asarray(self.wrong * float((factor / self.wrong).min()))
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Scale by all witnesses.
+
+    Attributes:
+        gsd_m_per_px: the value, metres per pixel.
+        interval: 95 % interval, metres per pixel.
+        chance: 0..1, chance of an error below 20 %.
+        density: ``[g]`` posterior, given that at least one witness who can set a scale is right.
+        p_right: by witness that found something, the chance that it is right; these do not add up to 1.
+        leading: index of the setting witness without which the interval is widest.
+        gains: rise of the chance without each doubt or lack, by reason, largest first; empty for a usable scale.
+    """
+
+    gsd_m_per_px: float
+    interval: Interval
+    chance: float
+    density: NDArray[np.float64] = field(repr=False)
+    p_right: tuple[float, ...] = ()
+    leading: int = 0
+    gains: Mapping[Reason, float] = field(default_factory=dict)
+
+    @property
+    def usable(self) -> bool:
+        """Whether a planner may act on the scale."""
+        return self.chance >= USABLE_CHANCE
+
+    @property
+    def reason(self) -> Reason | None:
+        """Why the scale is not usable; None if it is."""
+        return None if self.usable else next(iter(self.gains), "imprecise")
+
+
+def answer(witnesses: Sequence[Witness]) -> Answer | None:
+    """Decide on the scale.
+
+    Args:
+        witnesses: all that found something, and others, which change nothing.
+
+    Returns:
+        The answer; None without a witness that can set a scale.
+    """
+    heard = [each for each in witnesses if each.found]
+    found = judged(heard)
+    if found is None:
+        return None
+    parts = _components(heard)
+    whole = _log_product(parts)
+    p_wrong = [float(np.exp(_log_product(parts, (k,)) - whole.max()).sum()) for k in range(len(heard))]
+    total = float(np.exp(whole - whole.max()).sum())
+    return replace(
+        found,
+        p_right=tuple(max(0.0, 1.0 - each / total) for each in p_wrong),
+        leading=_leading(heard),
+        gains={} if found.usable else _gains(heard, found.chance),
+    )
+
+
+def judged(witnesses: Sequence[Witness]) -> Answer | None:
+    """Compute value, interval and chance alone; see ``answer``."""
+    heard = [each for each in witnesses if each.found]
+    setting = [k for k, each in enumerate(heard) if each.sets_scale]
+    if not setting:
+        return None
+    parts = _components(heard)
+    whole = _log_product(parts)
+    posterior = np.exp(whole - whole.max())
+    none_right = np.exp(_log_product(parts, setting) - whole.max())
+    given_any = normalised(np.maximum(posterior - none_right, 0.0) + LEAST_PROBABILITY)
+    value = quantile(given_any, 0.5)
+    chance = mass_within(normalised(posterior), value)
+    if any(each.assumed for each in heard):
+        chance = _unconfirmed(heard, value, chance)
+    return Answer(value, credible_interval(given_any), min(chance, MOST_SURE), given_any)
+
+
+def _unconfirmed(heard: Sequence[Witness], value: float, chance: float) -> float:
+    """Limit the chance by assumed witnesses alone to that without priors: a prior narrows a guess, no more."""
+    masses = []
+    for some in (heard, [each for each in heard if each.sets_scale]):
+        parts = _components(some)
+        known = [k for k, each in enumerate(some) if each.sets_scale and not each.assumed]
+        whole, rest = _log_product(parts), _log_product(parts, known)
+        total = float(np.exp(whole - whole.max()).sum())
+        masses.append(mass_within(np.exp(rest - whole.max()), value) / total)
+    with_priors, without = masses
+    return chance - with_priors + min(with_priors, without)
+
+
+def _gains(heard: Sequence[Witness], chance: float) -> dict[Reason, float]:
+    """Compute the rise of the chance without each doubt, lack or contradiction; only those that raise it."""
+    gains: dict[Reason, float] = {}
+    for reason, others in _without_each_doubt(heard):
+        better = judged(others)
+        if better is not None:
+            gains[reason] = max(gains.get(reason, 0.0), better.chance - chance)
+    rising = [(reason, gain) for reason, gain in gains.items() if gain > _LEAST_GAIN]
+    return dict(sorted(rising, key=lambda each: -each[1]))
+
+
+def _without_each_doubt(heard: Sequence[Witness]) -> Iterator[tuple[Reason, list[Witness]]]:
+    for k, each in enumerate(heard):
+        others = [*heard[:k], *heard[k + 1 :]]
+        for lack in each.lacks:
+            yield lack.reason, [*others, lack.without]
+        yield "disagree", others
+
+
+def _leading(heard: Sequence[Witness]) -> int:
+    """Find the setting witness without which the interval is widest; the first of equals."""
+
+    def width_without(k: int) -> float:
+        rest = judged([*heard[:k], *heard[k + 1 :]])
+        return math.inf if rest is None else rest.interval.high / rest.interval.low
+
+    return max((k for k, each in enumerate(heard) if each.sets_scale), key=width_without)
+
+
+class _Component(NamedTuple):
+    """Witnesses that are linked by shared errors.
+
+    Attributes:
+        members: by their index.
+        factors: ``[g]`` each, with the errors of one member alone.
+        common: errors of two or more members.
+    """
+
+    members: Mapping[int, Witness]
+    factors: Mapping[int, NDArray[np.float64]]
+    common: tuple[Shared, ...]
+
+    def density(self, floored: Collection[int]) -> NDArray[np.float64]:
+        """Compute the factor ``[g]``; of the members in ``floored`` only the part that says nothing is kept."""
+        kept = [each.floor(self.factors[k]) if k in floored else self.factors[k] for k, each in self.members.items()]
+        if len(kept) == 1:
+            return kept[0]
+        total = float(np.prod(list(self.factors.values()), axis=0).sum())
+        return _mixed(np.prod(kept, axis=0) / total, self.common, flat())
+
+
+def _components(heard: Sequence[Witness]) -> list[_Component]:
+    """Group witnesses that share an error, directly or by others."""
+    groups: list[dict[int, Witness]] = []
+    for k, each in enumerate(heard):
+        names = {shared.name for shared in each.shared}
+        linked = [group for group in groups if names & {s.name for one in group.values() for s in one.shared}]
+        merged = {k: each}
+        for group in linked:
+            merged |= group
+            groups.remove(group)
+        groups.append(dict(sorted(merged.items())))
+    return [_component(group) for group in groups]
+
+
+def _component(members: Mapping[int, Witness]) -> _Component:
+    named: dict[str, list[Shared]] = {}
+    for witness in members.values():
+        for each in witness.shared:
+            named.setdefault(each.name, []).append(each)
+    common = tuple(
+        Shared(name, max(each.log_sd for each in some), max(each.chance_wrong for each in some))
+        for name, some in sorted(named.items())
+        if len(some) > 1
+    )
+    own = {
+        k: witness.factor([each for each in witness.shared if len(named[each.name]) == 1])
+        for k, witness in members.items()
+    }
+    return _Component(members, own, common)
+
+
+def _mixed(density: NDArray[np.float64], shared: Sequence[Shared], wrong: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Blur a density by errors, and mix it with the case that their causes make it wrong."""
+    chance_right = math.prod(1.0 - each.chance_wrong for each in shared)
+    return chance_right * _blurred(density, shared) + (1.0 - chance_right) * wrong
+
+
+def _blurred(density: NDArray[np.float64], shared: Sequence[Shared]) -> NDArray[np.float64]:
+    """Blur a density ``[g]`` of any sum by errors."""
+    total = float(density.sum())
+    return total * blurred(density / total, (1.0, 0.0, math.hypot(*(each.log_sd for each in shared))))
+
+
+def _log_product(parts: Sequence[_Component], floored: Collection[int] = ()) -> NDArray[np.float64]:
+    """Multiply the factors of all components, as logs ``[g]``."""
+    densities = [np.maximum(each.density(floored), LEAST_PROBABILITY) for each in parts]
+    return np.asarray(np.sum(np.log(densities), axis=0))

@@ -1,0 +1,269 @@
+"""A scale from elsewhere in the measuring tools: measured, it leads; assumed, it is one witness of several."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+
+from tests.server.conftest import POOL_BOX
+from tests.server.conversation import by_path, error_of, text_of
+from vehanchor_server.app import create_server
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+
+pytestmark = pytest.mark.anyio
+
+LINES = [{"points": [{"x": 20, "y": 500}, {"x": 320, "y": 100}]}]  # 500 px
+LINE = {"x1": 100, "y1": 50, "x2": 300, "y2": 50, "metres": 31}
+TOOLS: dict[str, dict[str, Any]] = {
+    "measure_distance": {"lines": LINES},
+    "measure_area": {"targets": [{"box": POOL_BOX}]},
+}
+
+
+async def measured(server: MCPServer[object], image: Path, tool: str = "measure_distance", **more: Any) -> Any:
+    async with Client(server) as client:
+        result = await client.call_tool(tool, {**by_path(image), **TOOLS[tool], **more})
+    assert not result.is_error, text_of(result)
+    return result.structured_content
+
+
+async def refused(server: MCPServer[object], image: Path, tool: str, **more: Any) -> tuple[str, str]:
+    async with Client(server) as client:
+        result = await client.call_tool(tool, {**by_path(image), **TOOLS[tool], **more})
+    return error_of(result), text_of(result)
+
+
+@pytest.fixture
+def never_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    def searched(*_: object, **__: object) -> None:
+        raise AssertionError("searched")
+
+    monkeypatch.setattr("vehanchor.analysis.memory.AnalysisMemory.analyse", searched)
+    monkeypatch.setattr("vehanchor.measure.resolved_scale.analyse_raster", searched)
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+@pytest.mark.parametrize(("more", "half"), [({}, 0.015), ({"gsd_tolerance": 0.003}, 0.003)])
+@pytest.mark.usefixtures("never_searches")
+async def test_a_measured_scale_leads_without_a_search_and_a_detector(
+    settings: Settings, images: Path, tool: str, more: dict[str, Any], half: float
+) -> None:
+    server = create_server(create_services(replace(settings, detector="/nowhere.onnx", calibration=Path("/nowhere"))))
+    found = await measured(server, images / "pool.png", tool, gsd_m_per_px=0.15, gsd_basis="measured", **more)
+    assert (found["status"], found["gsd_m_per_px"], found["scale_source"]) == ("ok", 0.15, "given")
+    assert (found["estimate"], found["confidence"] >= 0.9) == (None, True)
+    if tool == "measure_distance":
+        assert found["distance_m"] == pytest.approx(75)
+        bounds = [found["distance_ci95_low_m"] / 500, found["distance_ci95_high_m"] / 500]
+        assert bounds == pytest.approx([0.15 - half, 0.15 + half], rel=0.01)
+
+
+@pytest.mark.usefixtures("never_searches")
+async def test_a_measured_scale_as_wide_as_a_guess_is_not_to_be_used(server: MCPServer[object], images: Path) -> None:
+    wide = {"gsd_m_per_px": 0.15, "gsd_basis": "measured", "gsd_tolerance": 0.06}
+    assert (await measured(server, images / "pool.png", **wide))["status"] == "low_confidence"
+
+
+@pytest.mark.parametrize(
+    "more", [{"known_lengths": [LINE]}, {"drop": "1"}, {"add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}]
+)
+@pytest.mark.parametrize("tool", TOOLS)
+async def test_what_a_measured_scale_would_leave_unheard_is_refused(
+    server: MCPServer[object], images: Path, tool: str, more: dict[str, Any]
+) -> None:
+    stated = {"gsd_m_per_px": 0.15, "gsd_basis": "measured"}
+    code, words = await refused(server, images / "pool.png", tool, **stated, **more)
+    assert code == "invalid_parameter"
+    assert "give gsd_m_per_px or " in words
+
+
+@pytest.mark.parametrize("more", [{"gsd_basis": "measured"}, {"gsd_tolerance": 0.01}])
+@pytest.mark.parametrize("tool", TOOLS)
+async def test_a_basis_or_a_tolerance_without_the_scale_is_refused(
+    server: MCPServer[object], images: Path, tool: str, more: dict[str, Any]
+) -> None:
+    code, words = await refused(server, images / "pool.png", tool, **more)
+    assert code == "invalid_arguments"
+    assert "need gsd_m_per_px: give the scale, too" in words
+
+
+@pytest.mark.parametrize("basis", ["assumed", "measured"])
+async def test_a_tolerance_as_large_as_the_scale_is_refused(
+    server: MCPServer[object], images: Path, basis: str
+) -> None:
+    stated = {"gsd_m_per_px": 0.15, "gsd_basis": basis, "gsd_tolerance": 0.15}
+    code, words = await refused(server, images / "pool.png", "measure_distance", **stated)
+    assert code == "invalid_parameter"
+    assert "as large as the scale" in words
+
+
+def chance_of(found: dict[str, Any], kind: str) -> float:
+    (chance,) = (each["p_right"] for each in found["estimate"]["rulers"] if each["kind"] == kind)
+    return float(chance)
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+async def test_an_assumed_scale_that_agrees_is_one_more_witness(
+    server: MCPServer[object], images: Path, tool: str
+) -> None:
+    alone = await measured(server, images / "pool_two.png", tool)
+    found = await measured(server, images / "pool_two.png", tool, gsd_m_per_px=0.95 * alone["gsd_m_per_px"])
+    assert alone["status"] == "low_confidence"
+    assert found["confidence"] > alone["confidence"]
+    assert found["estimate"]["n_vehicles"] == 2, "the image is searched"
+    assert chance_of(found, "stated_scale") > 0.5
+
+
+@pytest.mark.parametrize("factor", [0.3, 0.5, 0.7, 1.5, 2, 4])
+async def test_an_assumed_scale_that_contradicts_the_cars_makes_nothing_surer_and_is_told(
+    server: MCPServer[object], images: Path, factor: float
+) -> None:
+    alone = await measured(server, images / "pool.png")
+    found = await measured(server, images / "pool.png", gsd_m_per_px=factor * alone["gsd_m_per_px"])
+    assert found["confidence"] < alone["confidence"]
+    assert found["status"] == "low_confidence"
+    assert "rulers_disagree" in [each["code"] for each in found["warnings"]]
+    if factor not in (1.5, 2):  # there the prior of the scene agrees with the stated scale
+        assert found["gsd_m_per_px"] == pytest.approx(alone["gsd_m_per_px"], rel=0.03)
+        assert chance_of(found, "stated_scale") < 0.5
+
+
+@pytest.mark.parametrize("image", ["pool.png", "pool_two.png"])
+async def test_an_assumed_scale_that_repeats_the_images_own_changes_nothing(
+    server: MCPServer[object], images: Path, image: str
+) -> None:
+    alone = await measured(server, images / image)
+    for factor in (0.985, 1.0, 1.015):
+        found = await measured(server, images / image, gsd_m_per_px=factor * alone["gsd_m_per_px"])
+        assert found == alone, "the same number twice is one witness"
+
+
+async def test_an_assumed_scale_alone_is_never_usable(server: MCPServer[object], images: Path) -> None:
+    stated = {"gsd_m_per_px": 0.25, "gsd_tolerance": 0.002}  # the prior of the scene agrees
+    found = await measured(server, images / "empty.png", **stated)
+    assert found["gsd_m_per_px"] == pytest.approx(0.25, rel=0.1)
+    assert (found["status"], found["estimate"]["reason"]) == ("low_confidence", "assumed")
+
+
+# --- The memory ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def searches(monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
+    """Number of searches so far."""
+    from vehanchor.analysis import memory
+
+    real, seen = memory.analyse_raster, []
+
+    def counted(*arguments: Any) -> Any:
+        seen.append(arguments)
+        return real(*arguments)
+
+    monkeypatch.setattr(memory, "analyse_raster", counted)
+    return lambda: len(seen)
+
+
+async def estimated(server: MCPServer[object], image: Path, **more: Any) -> Any:
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", {**by_path(image), **more})
+    assert not result.is_error, text_of(result)
+    return result.structured_content
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {},
+        {"region": "europe"},
+        {"frame": {"width_px": 640, "height_px": 512}, "known_lengths": [LINE], "height_m": 100, "focal_35mm": 24},
+        {"drop": "1", "add": [{"x1": 100, "y1": 480, "x2": 132, "y2": 480}]},
+    ],
+)
+async def test_a_measurement_after_an_estimate_with_the_same_arguments_costs_no_second_search(
+    settings: Settings, images: Path, searches: Callable[[], int], more: dict[str, Any]
+) -> None:
+    server = create_server(create_services(settings))
+    estimate = await estimated(server, images / "pool.png", **more)
+    assert searches() == 1
+    distance = await measured(server, images / "pool.png", "measure_distance", **more)
+    area = await measured(server, images / "pool.png", "measure_area", **more)
+    assert await estimated(server, images / "pool.png", **more) == estimate
+    assert searches() == 1
+    assert distance["estimate"] == area["estimate"] == estimate
+    elsewhere = create_server(create_services(settings))
+    assert await measured(elsewhere, images / "pool.png", "measure_area", **more) == area, "it changes no result"
+    assert searches() == 2
+
+
+@pytest.mark.parametrize(
+    ("image", "more"),
+    [
+        ("pool.png", {"region": "europe"}),
+        ("pool.png", {"drop": "1"}),
+        ("pool.png", {"gsd_m_per_px": 0.17}),
+        ("cars.png", {}),
+    ],
+)
+async def test_another_image_or_another_argument_is_searched(
+    settings: Settings, images: Path, searches: Callable[[], int], image: str, more: dict[str, Any]
+) -> None:
+    server = create_server(create_services(settings))
+    await estimated(server, images / "pool.png")
+    await measured(server, images / image, **more)
+    assert searches() == 2
+
+
+async def test_a_changed_file_of_the_same_name_is_searched(
+    settings: Settings, images: Path, tmp_path: Path, searches: Callable[[], int]
+) -> None:
+    server = create_server(create_services(replace(settings, roots=(tmp_path.resolve(),))))
+    image = tmp_path.resolve() / "photo.png"
+    for name, n_vehicles in (("cars.png", 24), ("two.png", 2)):
+        image.write_bytes((images / name).read_bytes())
+        assert (await estimated(server, image))["n_vehicles"] == n_vehicles
+    assert searches() == 2
+
+
+async def test_a_search_that_the_clock_may_end_is_not_remembered(
+    settings: Settings, images: Path, searches: Callable[[], int]
+) -> None:
+    server = create_server(create_services(settings))
+    for _ in range(2):
+        await estimated(server, images / "cars.png", max_seconds=60)
+    assert searches() == 2
+
+
+# --- Corrections -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(
+    server: MCPServer[object], images: Path, tool: str
+) -> None:
+    plain = await measured(server, images / "pool.png", tool)
+    told = {"drop": "1,3", "add": [{"x1": 100, "y1": 480, "x2": 132, "y2": 480}]}
+    found = await measured(server, images / "pool.png", tool, **told)
+    assert found["estimate"]["by_hand"] == {"confirmed": 0, "dropped": 2, "added": 1}
+    assert found["estimate"]["n_vehicles"] == plain["estimate"]["n_vehicles"] - 1
+    assert found["estimate"] == await estimated(server, images / "pool.png", **told)
+    half = {"frame": {"width_px": 320, "height_px": 256}, "coordinates": "pixels", "drop": "1,3"}
+    half["add"] = [{"x1": 50, "y1": 240, "x2": 66, "y2": 240}]
+    halved = {"box": {name: value / 2 for name, value in POOL_BOX.items()}}
+    where = {"targets": [halved]} if tool == "measure_area" else {}
+    copied = await measured(server, images / "pool.png", tool, **half, **where)
+    assert copied["estimate"]["by_hand"] == found["estimate"]["by_hand"]
+    assert copied["gsd_m_per_px"] == pytest.approx(found["gsd_m_per_px"], rel=1e-3)  # points of a copy are less exact
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+async def test_a_number_that_no_vehicle_has_is_refused(server: MCPServer[object], images: Path, tool: str) -> None:
+    code, words = await refused(server, images / "pool.png", tool, drop="99")
+    assert code == "invalid_parameter"
+    assert "drop has number 99, which is no vehicle of this image" in words

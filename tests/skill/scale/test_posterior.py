@@ -1,0 +1,199 @@
+"""Properties of the answer: what a witness may and may not do to value, interval and chance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from vehanchor.scale.density import blurred, flat, lognormal, normalised
+from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judged
+from vehanchor.scale.reliability import CALLER, FLEETS, Shared
+from vehanchor.scale.votes import Votes, vehicle_likelihood
+
+VOTES = Votes(-13.76, 17.4)
+LENS, HEIGHT = Shared("lens", 0.03), Shared("height", 0.12)
+
+
+def _point(gsd: float, log_sd: float = 0.015, chance_wrong: float = 0.05, kind: str = "line") -> Witness:
+    return Witness(kind, gsd, lognormal(gsd, log_sd), chance_wrong)
+
+
+def _cars(n: int, gsd: float = 0.12, *, spread: float = 0.1, score: float = 0.95) -> Witness:
+    lengths = 4.5 / gsd * np.exp(spread * np.linspace(-1, 1, n) if n > 1 else np.zeros(1))
+    votes = vehicle_likelihood(lengths, np.full(n, score), 4.5, VOTES)
+    return Witness("vehicles", gsd, blurred(votes, *FLEETS), 0.01)
+
+
+def _prior(gsd: float, log_sd: float = 0.22) -> Witness:
+    return Witness("scene", gsd, lognormal(gsd, log_sd), 0.1, sets_scale=False)
+
+
+def _said(found: Answer | None) -> tuple[float, float, float, float]:
+    assert found is not None
+    return found.gsd_m_per_px, *found.interval, found.chance
+
+
+_DECIDED = 0.3  # chance; where two modes have equal weight, the median lies in the flat part between them
+_scales = st.floats(0.02, 0.8)
+_points = st.builds(_point, _scales, st.floats(0.005, 0.3), st.floats(0.005, 0.3))
+_priors = st.builds(_prior, _scales, st.floats(0.1, 0.6))
+_fleets = st.builds(_cars, st.integers(1, 40), _scales, spread=st.floats(0.0, 0.2), score=st.floats(0.6, 1.0))
+_setting = st.lists(st.one_of(_points, _fleets), min_size=1, max_size=3)
+_witnesses = st.builds(lambda some, priors: [*some, *priors], _setting, st.lists(_priors, max_size=1))
+
+
+@given(_witnesses, st.floats(0.0, 1.0))
+def test_a_flat_witness_changes_nothing(witnesses: list[Witness], chance_wrong: float) -> None:
+    mute = Witness("mute", 0.1, flat(), chance_wrong)
+    before = _said(judged(witnesses))
+    assume(before[3] > _DECIDED)
+    assert _said(judged([*witnesses, mute])) == pytest.approx(before, rel=1e-6)
+
+
+@given(_witnesses, st.randoms(use_true_random=False))
+def test_the_order_does_not_matter(witnesses: list[Witness], random: object) -> None:
+    mixed = list(witnesses)
+    random.shuffle(mixed)  # type: ignore[attr-defined]
+    assert _said(judged(mixed)) == pytest.approx(_said(judged(witnesses)), rel=1e-6)
+
+
+@given(_witnesses, st.floats(0.005, 0.15), st.floats(0.0, 0.3))
+def test_a_setting_witness_at_the_value_never_lowers_the_chance(
+    witnesses: list[Witness], log_sd: float, chance_wrong: float
+) -> None:
+    before = judged(witnesses)
+    assert before is not None
+    after = judged([*witnesses, _point(before.gsd_m_per_px, log_sd, chance_wrong, "supporter")])
+    assert after is not None
+    assert after.chance >= before.chance - 1e-3  # the value can move by a cell
+
+
+@given(_witnesses, st.sampled_from([1 / 5, 1 / 3, 1 / 2, 2, 3, 5]), st.floats(0.005, 0.1), st.floats(0.01, 0.3))
+def test_a_witness_that_contradicts_all_others_never_makes_sure(
+    witnesses: list[Witness], factor: float, log_sd: float, chance_wrong: float
+) -> None:
+    before = judged(witnesses)
+    assert before is not None
+    lie = before.gsd_m_per_px * factor
+    liar = _point(lie, log_sd, chance_wrong, "liar")
+    assume(all(each.gsd_m_per_px and abs(np.log(lie / each.gsd_m_per_px)) > 0.6 for each in witnesses))
+    assume(all(each.interval and not each.interval.low <= lie <= each.interval.high for each in witnesses))
+    alone = judged([liar, *(each for each in witnesses if not each.sets_scale)])
+    after = judged([*witnesses, liar])
+    assert alone is not None
+    assert after is not None
+    assert after.chance <= max(before.chance, alone.chance) + 0.03
+
+
+@given(_setting, st.floats(0.02, 0.8), st.floats(0.01, 0.2), st.floats(0.01, 0.5))
+def test_the_value_is_continuous(witnesses: list[Witness], gsd: float, log_sd: float, chance_wrong: float) -> None:
+    near, here = (judged([*witnesses, _point(gsd * k, log_sd, chance_wrong)]) for k in (1.0001, 1.0))
+    assert near is not None
+    assert here is not None
+    assert near.chance == pytest.approx(here.chance, abs=0.02)
+    assume(here.chance > 0.6)
+    assert near.gsd_m_per_px == pytest.approx(here.gsd_m_per_px, rel=0.01)
+
+
+def test_witnesses_of_one_lens_and_one_height_do_not_confirm_each_other() -> None:
+    camera = replace(_point(0.0417, 0.005, kind="camera"), shared=(LENS, HEIGHT))
+    given_height = replace(_point(0.0417, 0.05, kind="height"), shared=(LENS,))
+    cars, prior = _cars(40), _prior(0.12)
+    both = answer([cars, prior, camera, given_height])
+    apart = answer([cars, prior, replace(camera, shared=()), replace(given_height, shared=())])
+    assert both is not None
+    assert apart is not None
+    assert not both.usable
+    assert both.chance > apart.chance or abs(both.gsd_m_per_px - 0.0417) > 0.01
+
+
+def test_an_error_in_common_widens_the_product_of_its_members() -> None:
+    one = replace(_point(0.1, 0.02), shared=(HEIGHT,))
+    two = replace(_point(0.1, 0.02, kind="other"), shared=(HEIGHT,))
+    low, high = _said(answer([one, two]))[1:3]
+    assert np.log(high / low) / 3.92 == pytest.approx(0.12, rel=0.1)  # not 0.12 over the root of two
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.3, 1.5, 2.0])
+@pytest.mark.parametrize("prior_log_sd", [0.1, 0.22])
+def test_a_guess_never_makes_sure(factor: float, prior_log_sd: float) -> None:
+    guess = replace(_point(0.12 * factor, 0.10, kind="guess"), assumed=True, shared=(CALLER,))
+    again = replace(_point(0.12 * factor, 0.10, kind="again"), assumed=True, shared=(CALLER,))
+    prior = _prior(0.12, prior_log_sd)
+    for witnesses in ([guess], [guess, again], [guess, prior], [guess, again, prior]):
+        found = answer(witnesses)
+        assert found is not None
+        assert not found.usable
+
+
+def test_a_prior_narrows_a_guess() -> None:
+    guess = replace(_point(0.12, 0.20, kind="guess"), assumed=True)
+    alone, beside = answer([guess]), answer([guess, _prior(0.12, 0.1)])
+    assert alone is not None
+    assert beside is not None
+    assert beside.interval.high / beside.interval.low < alone.interval.high / alone.interval.low
+    assert beside.chance <= alone.chance + 0.05
+
+
+def test_a_measured_line_leads_up_to_a_fifth_and_is_outvoted_beyond() -> None:
+    cars, prior = _cars(40), _prior(0.12)
+    for factor in (1.0, 1.1, 1.2):
+        led = answer([cars, prior, _point(0.12 * factor)])
+        assert led is not None
+        assert led.usable
+        assert led.gsd_m_per_px == pytest.approx(0.12 * factor, rel=0.03)
+    doubtful = answer([cars, prior, _point(0.12 * 1.3)])
+    assert doubtful is not None
+    assert not doubtful.usable
+    assert doubtful.reason == "disagree"
+    lie = answer([cars, prior, _point(0.12 * 2.2)])
+    assert lie is not None
+    assert lie.gsd_m_per_px == pytest.approx(0.12, rel=0.05)
+    assert lie.p_right[2] < 0.5 < lie.p_right[0]
+
+
+def test_the_chance_that_a_witness_is_right_is_high_for_supporters_and_low_for_a_liar() -> None:
+    found = answer([_cars(12), _prior(0.12), _point(0.12), _point(0.5, kind="liar")])
+    assert found is not None
+    cars, prior, line, liar = found.p_right
+    assert min(cars, prior, line) > 0.9
+    assert liar < 0.05
+
+
+def test_the_witness_without_which_the_interval_is_widest_leads() -> None:
+    found = answer([_cars(40), _point(0.12, 0.01), _prior(0.12)])
+    assert found is not None
+    assert found.leading == 1
+
+
+def test_without_a_witness_that_sets_a_scale_there_is_no_answer() -> None:
+    assert answer([]) is None
+    assert answer([_prior(0.1)]) is None
+    assert answer([_prior(0.1), Witness("none", n=0)]) is None
+
+
+def test_the_reason_is_the_lack_whose_removal_raises_the_chance_most() -> None:
+    more, known = _cars(2), _cars(1, spread=0.0)
+    few = replace(_cars(1), chance_wrong=0.3, lacks=(Lack("too_few", more), Lack("imprecise", known)))
+    found = answer([few])
+    assert found is not None
+    assert found.reason == "too_few"
+    assert list(found.gains) == ["too_few", "imprecise"]
+    assert list(found.gains.values()) == sorted(found.gains.values(), reverse=True)
+
+
+def test_a_usable_scale_has_no_reason() -> None:
+    found = answer([_point(0.1)])
+    assert found is not None
+    assert (found.usable, found.reason, found.gains) == (True, None, {})
+
+
+def test_a_witness_without_a_floor_does_not_break_the_product() -> None:
+    sure = Witness("sure", 0.1, normalised(np.where(lognormal(0.1, 0.01) > 1e-6, 1.0, 0.0)), 0.0)
+    found = answer([sure, _point(0.5)])
+    assert found is not None
+    assert found.gsd_m_per_px == pytest.approx(0.1, rel=0.05)
