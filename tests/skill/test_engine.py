@@ -19,7 +19,14 @@ from tests.sam_models import write_sam
 from tests.tiles import watched_tiles
 from vehanchor import Cancellation, Engine, Runtime, ScaleOptions
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import InvalidParameterError, ModelNotFoundError, VehAnchorError
+from vehanchor.errors import (
+    ImageDecodeError,
+    ImageFormatError,
+    ImageListError,
+    InvalidParameterError,
+    ModelNotFoundError,
+    VehAnchorError,
+)
 from vehanchor.segmentation.segmenter import Segmenter
 
 BOX = (300.0, 150.0, 371.0, 190.0)
@@ -170,6 +177,21 @@ def test_a_verb_gives_what_its_method_gives(engine: Engine, files: Path, segment
     assert engine.measure_distance(image, PATH) == distance == engine.analyse_distance(image, PATH).measurement
     flight = vehanchor.estimate_flight([image, image[::-1]], detector=detector, same_scale=True)
     assert engine.flight([image, image[::-1]], same_scale=True) == flight
+
+
+def test_a_bad_image_of_a_list_is_named_and_the_others_are_kept(engine: Engine, tmp_path: Path) -> None:
+    image, bad = _place(), tmp_path / "bad.jpg"
+    bad.write_bytes(b"no image")
+    with pytest.raises(ImageListError) as caught:
+        engine.estimate([image, bad, image, image[:8]])
+    message = str(caught.value)
+    assert message.startswith("2 of 4 images cannot be used: image 2 (")
+    assert str(bad) in message
+    assert "image 4 (ndarray): the image is 800 x 8 px" in message
+    first, second, third, fourth = caught.value.results
+    assert first == third == engine.estimate(image)
+    assert isinstance(second, ImageDecodeError)
+    assert isinstance(fourth, ImageFormatError)
 
 
 def test_keywords_change_single_fields_of_the_engines_options(files: Path) -> None:

@@ -21,6 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
+from vehanchor.analysis.image_list import estimate_each
 from vehanchor.analysis.pipeline import analyse_image, checked_detector
 from vehanchor.courts.proposals import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
@@ -189,6 +190,7 @@ class Engine:
 
         Raises:
             ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
+            ImageListError: images of a list cannot be used; ``results`` holds the records of the others.
             ModelError: a model cannot be used.
             InvalidParameterError: an option is invalid.
             FrameError: the frame has another aspect ratio than the image.
@@ -198,7 +200,7 @@ class Engine:
         engine, chosen = self._call(options, keywords)
         detector = checked_detector(engine.detector, chosen)
         if isinstance(image, list | tuple):
-            return [analyse_image(each, detector, chosen).estimate for each in image]
+            return estimate_each(image, detector, chosen)
         return analyse_image(image, detector, chosen).estimate
 
     def analyse_scale(

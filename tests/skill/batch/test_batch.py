@@ -124,6 +124,20 @@ def test_a_file_named_with_a_patterns_characters_is_that_file(folder: Path, tmp_
     assert find_images([str(odd)]) == [str(odd)]
 
 
+def test_folders_behind_links_are_searched_once(folder: Path, tmp_path: Path) -> None:
+    data, top = (folder / "cars.png").read_bytes(), tmp_path / "top"
+    for name in ("elsewhere", "top/real"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "cars.png").write_bytes(data)
+    (top / "link").symlink_to(tmp_path / "elsewhere")
+    (top / "a second name").symlink_to(top / "real")
+    (top / "real/round").symlink_to(top)
+    (tmp_path / "only links").mkdir()
+    (tmp_path / "only links/2026").symlink_to(tmp_path / "elsewhere")
+    assert find_images([str(top)]) == [str(top / "link/cars.png"), str(top / "real/cars.png")]
+    assert find_images(tmp_path / "only links") == [str(tmp_path / "only links/2026/cars.png")]
+
+
 @pytest.mark.parametrize("nothing", [[], ["*.tiff"], ["empty folder"]])
 def test_nothing_found_is_an_error_before_the_work(nothing: list[str], monkeypatch: Any, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)

@@ -62,6 +62,10 @@ def test_each_target_has_a_row_with_metres_or_an_error(place: Path, tmp_path: Pa
     assert [each["status"] for each in (pool, middle, road, outside, bare)] == [
         *("ok", "low_confidence", "ok", "", "no_scale")
     ]
+    assert "confidence" not in middle, "the scale's confidence is not that of the measurement"
+    assert float(middle["scale_confidence"]) == float(road["scale_confidence"]) > 0.5
+    assert 0 <= float(middle["mask_score"]) <= 1
+    assert road["mask_score"] == ""
     assert (pool["name"], outside["error_code"]) == ("'=pool", "invalid_prompt"), "no formula for a spreadsheet"
     again = _batch(place, tmp_path / "out.csv")
     assert (again.exit_code, "--overwrite" in again.stderr) == (2, True)

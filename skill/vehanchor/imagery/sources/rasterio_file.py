@@ -150,7 +150,7 @@ def open_rasterio(
         ImageDecodeError: the image is damaged.
         ImageTooLargeError: a block has too many pixels.
     """
-    rasterio = _import_rasterio(source, header)
+    rasterio = import_rasterio(source, header)
     # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could name any other file.
     with (
         gdal_environment(source, GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_PAM_ENABLED="NO"),
@@ -182,17 +182,24 @@ def _opener(file: RemoteFile) -> Callable[..., RemoteStream]:
     return opened
 
 
-def _import_rasterio(source: str, header: ImageHeader) -> Any:
+def import_rasterio(source: str, header: ImageHeader) -> Any:
+    """Import rasterio for a file that OpenCV does not decode.
+
+    Raises:
+        MissingExtraError: it is not installed; the message says why this file needs it.
+    """
     try:
         import rasterio
         import rasterio.enums
         import rasterio.errors
     except ImportError as error:
         why = "is georeferenced, too large or unsupported by OpenCV" if header.tiff else "is too large to decode whole"
+        least = math.ceil(header.width_px * header.height_px / 1e6)
+        other = f", or decode it whole with --max-megapixels {least}" if header.format == "JPEG" else ""
         if header.format == "JPEG 2000":
             why = "has a format that OpenCV does not decode safely"
         raise MissingExtraError(
-            f"the {header.format} ({source}) {why}; reading it needs rasterio: pip install 'vehanchor[geo]'"
+            f"the {header.format} ({source}) {why}; reading it needs rasterio: pip install 'vehanchor[geo]'{other}"
         ) from error
     return rasterio
 
