@@ -30,7 +30,7 @@ TargetsFile: TypeAlias = Annotated[
     typer.Option(
         metavar="FILE.csv",
         help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; files relative to the "
-        "table). The output may also be .geojson or .gpkg.",
+        "table). The output may also be .geojson.",
     ),
 ]
 
@@ -46,7 +46,7 @@ def batch(
         list[str],
         typer.Argument(
             metavar="INPUTS",
-            help="Images, directories (searched recursively), patterns such as 'flight/**/*.jpg', or addresses.",
+            help="Images, directories (searched recursively), patterns such as 'flight/**/*.jpg'.",
             show_default=False,
         ),
     ],

@@ -53,7 +53,7 @@ Photograph: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="IMAGE",
-        help=f"Photograph: {', '.join(IMAGE_FORMATS)}; or its address.",
+        help=f"Photograph: {', '.join(IMAGE_FORMATS)}.",
         show_default=False,
     ),
 ]

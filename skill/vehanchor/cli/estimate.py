@@ -28,7 +28,7 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
-from vehanchor.export.formats import check_vector_path, vectors_help
+from vehanchor.export.geojson import check_geojson_path
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.records.advice import advice_for
 from vehanchor.records.digits import significant
@@ -71,7 +71,7 @@ def estimate(
         str | None,
         typer.Option(
             metavar="OUT.geojson",
-            help=f"Write the vehicles as {vectors_help()}; on the ground if georeferenced; '{{stem}}' as above.",
+            help="Write the vehicles as GeoJSON: degrees if georeferenced, else pixels; '{stem}' as above.",
         ),
     ] = None,
     strict: Strict = False,
@@ -161,7 +161,7 @@ def _outputs(images: Sequence[str], overlay: str | None, plot: str | None, boxes
         inputs = {Path(source).resolve() for source in images}
         seen: set[Path] = set()
         for path in chosen:
-            resolved = (check_vector_path if path in tables else check_picture_path)(path).resolve()
+            resolved = (check_geojson_path if path in tables else check_picture_path)(path).resolve()
             if resolved in inputs:
                 raise InvalidParameterError(f"{str(path)!r} is one of the images: writing there would destroy it")
             if resolved in seen:
@@ -191,7 +191,7 @@ def _write_outputs(analysis: ScaleAnalysis, outputs: _Outputs) -> None:
 
         write_plot(outputs.plot, analysis.plot())
     if outputs.boxes is not None:
-        from vehanchor.export.vectors import write_boxes
+        from vehanchor.export.geojson import write_boxes
 
         write_boxes(outputs.boxes, analysis)
 

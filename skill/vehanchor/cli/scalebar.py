@@ -1,4 +1,4 @@
-"""``vehanchor scalebar``: photograph with a scale bar; world file and GeoTIFF for GIS programs."""
+"""``vehanchor scalebar``: photograph with a scale bar, and a GeoTIFF for GIS programs."""
 
 from __future__ import annotations
 
@@ -15,19 +15,11 @@ from vehanchor.storage.atomic import check_apart
 if TYPE_CHECKING:
     from vehanchor.measure.resolved_scale import ResolvedScale
 
-_WORLD_SUFFIXES = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw"}
-
 
 @scale_command()
 def scalebar(
     image: Photograph,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.png", help="Picture to write, .png or .jpg.")],
-    world_file: Annotated[
-        bool,
-        typer.Option(
-            "--world-file", help="Also write a world file: local metres, upper left corner at 0, 0, y upwards."
-        ),
-    ] = False,
     geotiff: Annotated[
         Path | None,
         typer.Option(
@@ -71,7 +63,7 @@ def scalebar(
         drawn_gsd = found.gsd_m_per_px * width_px / picture.shape[1]
         draw_scale_bar(picture, drawn_gsd)
         write_picture(output, picture)
-        written = [output, geotiff, _write_world(output, drawn_gsd) if world_file else None]
+        written = [output, geotiff]
         confidence = "as given" if found.confidence is None else f"{found.confidence:.2f}"
         facts = [("scale", scale_text(found.gsd_m_per_px, None, None)), ("confidence", confidence)]
         facts.extend(("written", str(path)) for path in written if path is not None)
@@ -82,11 +74,3 @@ def _refusal(found: ResolvedScale) -> str:
     if found.status == "ok" and found.plane is not None:
         return f"the camera was tilted by {found.plane.tilt_deg:.0f} degrees, and the scale varies"
     return "there is no scale" if found.status == "no_scale" else "the scale's confidence is below 0.5"
-
-
-def _write_world(picture: Path, gsd_m: float) -> Path:
-    from vehanchor.export.geotiff import write_world_file
-
-    path = picture.with_suffix(_WORLD_SUFFIXES[picture.suffix.lower()])
-    write_world_file(path, gsd_m)
-    return path

@@ -103,10 +103,10 @@ def read_targets(path: str | os.PathLike[str]) -> dict[str, tuple[Target, ...]]:
     The kind is ``box``, ``line`` or ``point``; an empty one is a point without ``x2``, else a box.
 
     Args:
-        path: path of the table. Files are relative to the table, or addresses.
+        path: path of the table. Files are relative to the table.
 
     Returns:
-        The targets of each image, by its absolute path or address.
+        The targets of each image, by its absolute path.
 
     Raises:
         PromptError: the table cannot be read, or a row is invalid; the message names the row.
@@ -120,7 +120,7 @@ def measure_targets(
     """Measure all targets of an image with one search.
 
     Args:
-        image: path or address.
+        image: its path.
         targets: of this image.
         detector: finds the vehicles.
         segmenter: finds the objects.

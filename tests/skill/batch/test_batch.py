@@ -9,8 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -679,24 +677,6 @@ def test_lines_of_one_image_scale_all_where_all_are_of_one_scale(folder: Path, d
     lines.write_text("file,x1,y1,x2,y2,metres\nfull.png,100,50,500,50,48\n")
     refused = _batch(*common, lines, "-o", table, "--overwrite")
     assert (refused.exit_code, "not one of the images" in refused.stderr) == (2, True)
-
-
-def test_images_may_be_addresses(folder: Path, detector: Path, table: Path) -> None:
-    handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
-    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
-        base = f"http://127.0.0.1:{server.server_port}"
-        lines = table.with_name("lines.csv")
-        lines.write_text(f"file,x1,y1,x2,y2,metres\n{base}/empty.png,100,50,500,50,48\n")
-        inputs = (f"{base}/cars.png", f"{base}/empty.png", f"{base}/none.png?size=1")
-        result = _batch(*inputs, "cars.png", "-o", table, "--detector", detector, "--known-lengths", lines)
-        server.shutdown()
-    assert result.exit_code == 0, result.output
-    there, empty, none, here = _rows(table)
-    assert there["file"] == f"{base}/cars.png"
-    assert {**there, "file": "cars.png"} == here
-    assert empty["leading_ruler"] == "known_length"
-    assert (none["error_code"], "404" in none["error"]) == ("image_not_found", True)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
-from vehanchor.imagery.sources.addresses import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,8 +26,8 @@ def find_images(
 
     Args:
         inputs: one or several: directories (searched by suffix, recursively, also behind links), patterns
-            (``photos/*.jpg``, also ``**``), files, and http(s) addresses, which are not checked here. A missing file
-            with an image suffix stays in the list if other images exist: it becomes a row with an error.
+            (``photos/*.jpg``, also ``**``), and files. A missing file with an image suffix stays in the list if other
+            images exist: it becomes a row with an error.
         leave_out: files that match a pattern but are not images, such as the table to write.
 
     Returns:
@@ -49,7 +48,7 @@ def find_images(
         found.update(dict.fromkeys(images))
     if not found:
         raise ImageNotFoundError("no image given: name files, directories or patterns")
-    if not any(is_address(image) or Path(image).exists() for image in found):
+    if not any(Path(image).exists() for image in found):
         raise ImageNotFoundError(f"there is no file {next(iter(found))!r}, nor any other of the {len(found)} named")
     return list(found)
 
@@ -68,8 +67,8 @@ def _is_left_out(image: str, excluded: Mapping[str, Path]) -> bool:
 
 
 def where_it_is(image: str | os.PathLike[str]) -> str:
-    """Give the unique name of an image: its absolute path without links, or its address."""
-    return str(image) if is_address(str(image)) else str(Path(image).resolve())
+    """Give the unique name of an image: its absolute path without links."""
+    return str(Path(image).resolve())
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -91,8 +90,6 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _images(name: str) -> list[str]:
-    if is_address(name):
-        return [name]
     path = Path(name)
     if path.is_dir():
         return sorted(str(file) for file in _files(path) if file.suffix.lower() in SUFFIXES and file.is_file())

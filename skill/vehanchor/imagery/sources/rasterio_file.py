@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
-import uuid
 import warnings
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import cv2
@@ -25,11 +23,10 @@ from vehanchor.imagery.bands import check_dtype, choose_bands, merge_bands
 from vehanchor.imagery.limits import check_block, check_windowed_size
 from vehanchor.imagery.metadata.georeference import Ground, dataset_gsd_m_per_px
 from vehanchor.imagery.raster import Raster, StoredPixels, Window, stored_window
-from vehanchor.imagery.sources.addresses import RemoteFile, RemoteStream
 from vehanchor.imagery.stretch import SAMPLE_PX
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -42,7 +39,6 @@ _SAMPLE_GRID = 8  # windows per side: 64 windows of 128 px make SAMPLE_PX
 _SUPPORTED_PHOTOMETRIC = (1, 2, 3, 6)  # grey from black, RGB, palette, YCbCr
 _DRIVERS = {"TIFF": "GTiff", "JPEG 2000": "JP2OpenJPEG", "JPEG": "JPEG"}
 _OPENJPEG_SAMPLE_BYTES = 4
-_REMOTE_NAME = "image"
 _INKS = frozenset({"cyan", "magenta", "yellow", "black"})
 
 
@@ -93,12 +89,12 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
 
 
 def open_file(
-    file: str | bytes | RemoteFile, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits
+    file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits
 ) -> DatasetRaster:
     """Open a TIFF or JPEG 2000 by absolute path or from memory; sidecar files are ignored.
 
     Args:
-        file: its path, its bytes or a file on a web server.
+        file: its path or its bytes.
         source: name of the image in messages.
         header: its header.
         bands: bands to use as red, green and blue.
@@ -130,13 +126,11 @@ def open_file(
     return raster
 
 
-def open_rasterio(
-    file: str | bytes | RemoteFile, source: str, header: ImageHeader, limits: ImageLimits, stack: ExitStack
-) -> Any:
+def open_rasterio(file: str | bytes, source: str, header: ImageHeader, limits: ImageLimits, stack: ExitStack) -> Any:
     """Open a file with its format's driver, ignoring sidecar files.
 
     Args:
-        file: its path, its bytes or a file on a web server.
+        file: its path or its bytes.
         source: name of the image in messages.
         header: its header.
         limits: limits to apply to its blocks.
@@ -161,25 +155,11 @@ def open_rasterio(
             file = stack.enter_context(rasterio.MemoryFile(file)).name
         driver = _DRIVERS[header.format]
         where: dict[str, Any] = {} if driver == "JPEG" else {"GEOREF_SOURCES": "INTERNAL"}
-        if isinstance(file, RemoteFile):
-            name = f"{uuid.uuid4().hex}/{_REMOTE_NAME}"  # rasterio keeps openers by name
-            where["opener"], file = _opener(file), name
         dataset = stack.enter_context(rasterio.open(file, driver=driver, sharing=False, **where))
         if (dataset.width, dataset.height) != (header.width_px, header.height_px):
             raise ImageDecodeError(f"the {header.format} ({source}) declares two different sizes: damaged")
         _check_block(dataset, header.format, limits)
     return dataset
-
-
-def _opener(file: RemoteFile) -> Callable[..., RemoteStream]:
-    """Make rasterio's opener of one remote file; GDAL may open no other through it."""
-
-    def opened(name: str, mode: str = "rb") -> RemoteStream:
-        if Path(name).name != _REMOTE_NAME or mode != "rb":  # a sidecar file
-            raise FileNotFoundError(name)
-        return RemoteStream(file)
-
-    return opened
 
 
 def import_rasterio(source: str, header: ImageHeader) -> Any:
