@@ -12,9 +12,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from tests.known_scale_data import REFERENCE_M, cars, dota_lines, paint, write_geotiff
+from vehanchor import analyse_scale
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import ImageTooLargeError
 from vehanchor.options import ScaleOptions
 from vehanchor_evaluation import ablation

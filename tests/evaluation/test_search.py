@@ -8,11 +8,11 @@ import pytest
 
 from tests.known_scale_data import cars, paint
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
+from vehanchor import analyse_scale
 from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster

@@ -10,7 +10,7 @@ import numbers
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.models import PRECISION_WORDS
@@ -64,16 +64,6 @@ class Cancellation:
             return self._options
 
 
-class RuntimeKeywords(TypedDict, total=False):
-    """The fields of ``Runtime`` under the names that the verbs take as keywords."""
-
-    threads: int | None
-    providers: Sequence[str] | None
-    precision: Precision
-    progress: Progress | None
-    cancellation: Cancellation | None
-
-
 @dataclass(frozen=True)
 class Runtime:
     """Settings for opening models (the first three fields) and for one call (the last two).
@@ -115,7 +105,7 @@ class Runtime:
         return replace(self, progress=call.progress, cancellation=call.cancellation)
 
     def with_keywords(self, keywords: Mapping[str, Any]) -> Runtime:
-        """The same runtime with other fields (``RuntimeKeywords``); None leaves a field as it is."""
+        """The same runtime with other fields; None leaves a field as it is."""
         changes = {name: value for name, value in keywords.items() if value is not None}
         return replace(self, **changes) if changes else self
 

@@ -82,7 +82,7 @@ class ScaleOptions:
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> ScaleOptions:
-        """Make options from keywords (``OptionKeywords``).
+        """Make options from keywords.
 
         Raises:
             InvalidParameterError: a value is invalid, or an option does not exist.
@@ -90,7 +90,7 @@ class ScaleOptions:
         return cls().with_keywords(keywords)
 
     def with_keywords(self, keywords: Mapping[str, Any]) -> ScaleOptions:
-        """Copy the options with other values of single fields (``OptionKeywords``).
+        """Copy the options with other values of single fields.
 
         Raises:
             InvalidParameterError: a value is invalid, or an option does not exist.

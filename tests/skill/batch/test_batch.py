@@ -20,6 +20,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
+from vehanchor import estimate_gsd
 from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch, worker
 from vehanchor.batch.engines.local import local_workers
@@ -32,7 +33,6 @@ from vehanchor.detection import scene_scale as scene
 from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.networks import networks_sha256
-from vehanchor.engine.verbs import estimate_gsd
 from vehanchor.errors import (
     ImageNotFoundError,
     InvalidParameterError,

@@ -14,9 +14,11 @@ from rasterio.warp import transform
 from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector
-from vehanchor import Detector, ScaleAnalysis, analyse_area, analyse_scale
+from vehanchor import analyse_area, analyse_scale
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.cli.app import app
 from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.detector import Detector
 from vehanchor.errors import OutputError
 from vehanchor.export.geojson import PIXELS_WKT, write_boxes, write_measured
 

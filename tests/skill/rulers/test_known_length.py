@@ -11,6 +11,7 @@ import vehanchor
 from tests.analyses import analyse_found, made_card
 from tests.models import blank_image, write_detector
 from tests.skill.rulers.test_camera import MAVIC
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.facts import ImageFacts
@@ -109,7 +110,7 @@ def test_without_a_word_from_the_caller_both_are_silent() -> None:
         assert (ruler.measure(_view()).gsd_m_per_px, ruler.measure(_view()).notices) == (None, ())
 
 
-def _beside_cars(metres: float, basis: str = "assumed") -> vehanchor.ScaleAnalysis:
+def _beside_cars(metres: float, basis: str = "assumed") -> ScaleAnalysis:
     """Cars of 50 px and 5 m beside a line of 100 px."""
     boxes = np.array([[99.0 * k, 50, 50.0, 18, 0] for k in range(6)])
     options = ScaleOptions.of({"known_lengths": [(0, 0, 100, 0, metres, basis)]})

@@ -18,6 +18,7 @@ from tests.skill.courts.drawing import draw_court
 from tests.skill.imagery.metadata_bytes import exif, jpeg, xmp
 from vehanchor.cli import app as cli
 from vehanchor.courts.template import TENNIS
+from vehanchor.detection.detector import Detector
 from vehanchor.errors import (
     CalibrationFileError,
     CalibrationMismatchError,
@@ -259,7 +260,7 @@ def calibration(folder: Path) -> Path:
 
 def test_calibrating_with_the_detector_makes_its_estimates_true(folder: Path, calibration: Path) -> None:
     record = load_calibration(calibration)
-    detector = vehanchor.Detector(folder / "detector.onnx")
+    detector = Detector(folder / "detector.onnx")
     assert (record.source, record.detector_sha256) == ("detections", detector.card.sha256)
     before = vehanchor.estimate_gsd(folder / "cars.png", detector=detector)
     after = vehanchor.estimate_gsd(folder / "cars.png", detector=detector, calibration=calibration)
