@@ -224,7 +224,7 @@ def test_an_output_that_cannot_be_written_is_told(tmp_path: Path, detector: Path
     (tmp_path / "t.csv").write_text("file,gsd_m_per_px\na.png,0.2\n")
     common = ["--table", tmp_path / "t.csv", "--detector", detector, "--out", tmp_path / "file"]
     for command in ("gsd", "figures"):
-        result = _run("evaluate", command, *common, "--cache", tmp_path / "log.jsonl")
+        result = _run("evaluate", command, *common, "--cache", tmp_path / "log.sqlite")
         assert result.exit_code == 2
         assert "error[output_unwritable]" in result.stderr
 

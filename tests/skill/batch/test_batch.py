@@ -351,15 +351,6 @@ def test_an_interrupted_run_goes_on_and_ends_as_one_that_was_not(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["at once.jsonl", "table.jsonl"]
 
 
-def test_a_line_cut_off_by_a_crash_is_made_anew(analysed: list[str], detector: Path, table: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        run_batch(["."], table, detector=detector, workers=1)
-    journal = journal_path(table)
-    journal.write_bytes(journal.read_bytes()[:-20])
-    assert run_batch(["."], table, detector=detector, workers=1).n_resumed == 1
-    assert [row["file"] for row in _rows(table)] == FILES
-
-
 def test_other_images_than_before_change_only_what_is_missing(analysed: list[str], detector: Path, table: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_batch(["."], table, detector=detector, workers=1)
@@ -495,7 +486,7 @@ def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
     )
     journal = tmp_path / "t.csv.journal"
     deadline = time.monotonic() + 120
-    while not (journal.exists() and journal.read_bytes().count(b"\n") > 3):
+    while not (journal.exists() and journal.stat().st_size > 40_000):
         assert time.monotonic() < deadline
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all of them

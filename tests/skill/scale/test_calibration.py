@@ -13,6 +13,7 @@ from scipy.stats import gaussian_kde
 from typer.testing import CliRunner
 
 import vehanchor
+from tests.journals import n_results
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.skill.courts.drawing import draw_court
 from tests.skill.imagery.metadata_bytes import exif, jpeg, xmp
@@ -468,11 +469,11 @@ def test_a_bad_file_is_told_and_left_out(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "b.txt").write_bytes(b"\xff\xfe")
     (tmp_path / "table.csv").write_text("file,gsd_m_per_px\n" + "".join(f"{name}.png,{GSD}\n" for name in "abc"))
     common = ["calibrate", "--table", tmp_path / "table.csv", "--out", tmp_path / "c.json"]
-    result = _run(*common, "--detector", folder / "detector.onnx", "--cache", tmp_path / "log.jsonl")
+    result = _run(*common, "--detector", folder / "detector.onnx", "--cache", tmp_path / "log.sqlite")
     assert result.exit_code == 0, result.stderr
     assert "warning[image_undecodable]" in result.stderr
     assert load_calibration(tmp_path / "c.json").n_vehicles == 264
-    assert (tmp_path / "log.jsonl").read_text().count('"key"') == 2
+    assert n_results(tmp_path / "log.sqlite") == 2
     result = _run(*common, "--from", "labels")
     assert result.exit_code == 2
     assert "warning[unreadable_labels]" in result.stderr
