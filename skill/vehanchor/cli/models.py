@@ -1,4 +1,4 @@
-"""``vehanchor models list | info``: bundled models and model files of the user."""
+"""``vehanchor models list | info``: bundled models and model files of the user; ``--sizes``: things of known size."""
 
 from __future__ import annotations
 
@@ -18,7 +18,23 @@ if TYPE_CHECKING:
 
 _SHORT_SHA = 12
 
-models = typer.Typer(help="Show bundled models and your own model files.", no_args_is_help=True)
+models = typer.Typer(no_args_is_help=True, add_completion=False)
+
+
+@models.callback(invoke_without_command=True)
+def _show(
+    sizes: Annotated[
+        bool, typer.Option("--sizes", help="List the things of known size for --known-length, then exit.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="With --sizes: one JSON object per thing and line.")] = False,
+) -> None:
+    """Show bundled models and your own model files, and the things of known size."""
+    if sizes:
+        from vehanchor.cli.sizes import print_sizes
+
+        with exit_on_error():
+            print_sizes(as_json=as_json)
+        raise typer.Exit
 
 
 @models.command("list")

@@ -93,7 +93,7 @@ class KnownLength(NamedTuple):
         except ValueError:
             raise KnownLengthError(
                 f"the known length is {text!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, or X1 Y1 X2 Y2 and "
-                "a name of 'vehanchor rulers'"
+                "a name of 'vehanchor models --sizes'"
             ) from None
         return cls.of((x1, y1, x2, y2, *values))
 
