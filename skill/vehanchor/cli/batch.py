@@ -124,11 +124,11 @@ def _run(
         address=address,
         workers=workers,
         detector=model.detector,
-        classes=model.names_and_indices,
+        classes=model.classes,
         options=chosen.options(),
         known_lengths=known_lengths,
         overwrite=overwrite,
-        runtime=model.runtime(progress),
+        runtime=chosen.runtime(progress),
     )
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.cli_options import DetectorChoice
 from vehanchor.cli.terminal import exit_on_error, facts_table, failure, print_json, print_table, printable
 from vehanchor.errors import ModelError, VehAnchorError
+from vehanchor.options.models import CLASSES
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
@@ -102,8 +102,7 @@ def show_model(
         try:
             from vehanchor.engine import Engine
 
-            choice = DetectorChoice(detector=file, classes=classes)
-            engine = Engine(choice.detector, classes=choice.names_and_indices)
+            engine = Engine(file, classes=CLASSES.from_texts(classes or []))
             model = engine.detector
         except VehAnchorError as error:
             if as_json:

@@ -13,15 +13,13 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.models import PRECISION_WORDS
-from vehanchor.options.option import set_frozen
+from vehanchor.options.models import PRECISION, PRECISION_WORDS, PROVIDERS, THREADS, Precision
+from vehanchor.options.option import metadata_of, set_frozen
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     import onnxruntime
-
-    from vehanchor.options.models import Precision
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
@@ -84,9 +82,9 @@ class Runtime:
         InvalidParameterError: ``threads``, ``providers`` or ``precision`` is invalid.
     """
 
-    threads: int | None = None
-    providers: Sequence[str] = DEFAULT_PROVIDERS
-    precision: Precision = "float32"
+    threads: int | None = field(default=None, metadata=metadata_of(THREADS))
+    providers: Sequence[str] = field(default=DEFAULT_PROVIDERS, metadata=metadata_of(PROVIDERS))
+    precision: Precision = field(default="float32", metadata=metadata_of(PRECISION))
     progress: Progress | None = field(default=None, compare=False)
     cancellation: Cancellation | None = field(default=None, compare=False)
 
