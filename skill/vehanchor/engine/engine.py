@@ -189,7 +189,7 @@ class Engine:
             CalibrationError: the calibration cannot be read, or belongs to another detector.
             CancelledError: the call was cancelled (``concurrent.futures``).
         """
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         detector = checked_detector(engine.detector, chosen)
         if isinstance(image, list | tuple):
             return estimate_each(image, detector, chosen)
@@ -197,7 +197,7 @@ class Engine:
 
     def analyse_scale(self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any) -> ScaleAnalysis:
         """Estimate the scale of one image; return the record with its detections and evidence."""
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         return analyse_image(image, checked_detector(engine.detector, chosen), chosen)
 
     def measure_area(self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any) -> AreaMeasurement:
@@ -246,7 +246,7 @@ class Engine:
             object_height_m: height of the object above the ground, as of a roof; None for 0.
             **keywords: see ``Engine``.
         """
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         prompt, segmenter = read_prompt(box, points), engine.segmenter
         known = engine._scale_input(gsd_m_per_px, scale, chosen)
         with _opened(image, chosen) as raster:
@@ -294,7 +294,7 @@ class Engine:
 
         The keywords are those of ``analyse_area`` without ``box`` and ``points``.
         """
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         places, known = read_path(path), engine._scale_input(gsd_m_per_px, scale, chosen)
         with _opened(image, chosen) as raster:
             (found,) = analyse_paths(raster, [places], known, chosen, object_height_m=object_height_m)
@@ -333,7 +333,7 @@ class Engine:
         from vehanchor.flight.inputs import check_many
 
         check_many(images)  # before a model is loaded
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         return analyse_flight(images, engine.detector, chosen, same_scale=same_scale, journal=journal)
 
     def rescale(
@@ -367,7 +367,7 @@ class Engine:
         from vehanchor.flight.reconstruction.estimate import rescale
         from vehanchor.flight.reconstruction.files import images_of, read_model
 
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         read = read_model(model)
         folder = images_of(read) if images is None else Path(images)
         return rescale(read, folder, engine.detector, chosen, known_lengths_table, journal)
@@ -407,13 +407,17 @@ class Engine:
         from vehanchor.flight.live.estimator import live_scales
         from vehanchor.flight.live.frames import open_frames
 
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         name = str(source) if isinstance(source, int) else os.fspath(source)
         frames = open_frames(name, chosen.reading, every_s=every_s, idle_s=idle_s, tell=tell)
         return live_scales(frames, engine.detector, chosen, hold_s=hold_s)
 
-    def _call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
-        """Apply the keywords of a call to the engine and its options."""
+    def for_call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
+        """Apply the keywords of a call to the engine and its options.
+
+        Raises:
+            InvalidParameterError: a keyword is unknown or invalid.
+        """
         own: dict[str, Any] = {name: keywords[name] for name in keywords if name in _OWN_KEYWORDS}
         models: dict[str, Any] = {name: own.pop(name) for name in ("detector", "segmenter") if name in own}
         engine = self.replace(**models, runtime=self.runtime.with_keywords(own)) if own or models else self
