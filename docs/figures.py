@@ -16,7 +16,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from vehanchor import ScaleAnalysis, analyse_scale
+from vehanchor import analyse_scale
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.boxes import box_corners, oriented_iou
 from vehanchor.scale.lengths import modal_density
 from vehanchor_scenes import Scene, render_scene

@@ -24,11 +24,11 @@ import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
 from research.training.detector.places import is_held_out, places
+from vehanchor import analyse_scale
 from vehanchor.courts.find import find_courts
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster

@@ -23,11 +23,11 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from research.results.record import add_record_option, recording, values_table
+from vehanchor import analyse_scale
 from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search as search_image
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model

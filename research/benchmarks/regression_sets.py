@@ -33,11 +33,11 @@ from research.results.record import add_record_option, recording
 from research.training import car_verifier
 from research.training.detector.distractors import KINDS, draw_distractors
 from research.training.detector.places import Place, is_held_out, looked_at, places
+from vehanchor import analyse_scale
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
+from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import ImageError
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model

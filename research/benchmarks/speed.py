@@ -21,10 +21,10 @@ import onnxruntime
 
 from research.benchmarks.networks_time import networks_seconds
 from research.results.record import add_record_option, recording
+from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid
 from vehanchor.models.zoo import resolve_model

@@ -20,7 +20,7 @@ import numpy as np
 
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
 from research.results.record import add_record_option, header, recording
-from vehanchor.analysis.pipeline import _convergence as convergence
+from vehanchor.analysis.pipeline import search_convergence as convergence
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.convergence import LARGE_PIXELS, has_converged, next_check, stop_rule
 from vehanchor.detection.detections import Detections

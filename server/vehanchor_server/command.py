@@ -1,4 +1,4 @@
-"""The commands ``vehanchor serve``, ``view``, ``schemas`` and ``skill``."""
+"""The commands ``vehanchor serve`` and ``view``."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from vehanchor.cli.collection import paused_collection
 from vehanchor_server.settings import Settings, SettingsError
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from vehanchor.options.option import Option
 
 _VIEW_SETTINGS = (  # settings that are also options of ``view``
@@ -30,13 +32,13 @@ _VIEW_SETTINGS = (  # settings that are also options of ``view``
 _VIEW_DEADLINE_S = 600.0  # people see the progress and can leave
 
 
-def _parameters() -> list[inspect.Parameter]:
-    """List the options of ``serve``: the transport and every setting."""
-    http = Annotated[bool, typer.Option("--http", help="Serve over HTTP instead of stdio.")]
-    kinds = typing.get_type_hints(Settings)
+def _parameters(command: Any, settings: Collection[str] | None = None) -> list[inspect.Parameter]:
+    """List the options of a command: its own, and those of settings; None for every setting."""
+    kinds, types = typing.get_type_hints(command, include_extras=True), typing.get_type_hints(Settings)
+    own = [each for each in inspect.signature(command).parameters.values() if each.kind is not each.VAR_KEYWORD]
     return [
-        inspect.Parameter("http", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=http),
-        *(_parameter(each, kinds[each.name]) for each in fields(Settings)),
+        *(each.replace(annotation=kinds[each.name]) for each in own),
+        *(_parameter(each, types[each.name]) for each in fields(Settings) if settings is None or each.name in settings),
     ]
 
 
@@ -70,12 +72,27 @@ def _help(setting: Field[Any]) -> str:
     return f"{text.removesuffix('.')} \\[{default}]." if default else text  # a bare [ begins Rich's markup
 
 
-def serve(http: bool = False, **options: Any) -> None:
+def serve(
+    http: Annotated[bool, typer.Option("--http", help="Serve over HTTP instead of stdio.")] = False,
+    schemas: Annotated[
+        Path | None,
+        typer.Option(
+            "--schemas",
+            metavar="DIR",
+            help="Write the tools' JSON Schemas and their Anthropic and OpenAI definitions to a directory, then exit.",
+        ),
+    ] = None,
+    skill: Annotated[bool, typer.Option("--skill", help="Print the skill file for agents, then exit.")] = False,
+    **options: Any,
+) -> None:
     """Serve the tools over MCP: on stdio, or over HTTP at /mcp.
 
     Every option has an environment variable: --max-image-mb is VEHANCHOR_MAX_IMAGE_MB, --root is VEHANCHOR_ROOTS. The
     system's path separator separates several paths in one variable.
     """
+    if schemas is not None or skill:
+        _print_definitions(schemas, skill=skill)
+        return
     given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
     try:
         settings = Settings.from_environment(**{name: value for name, value in given.items() if _is_given(value)})
@@ -93,8 +110,21 @@ def serve(http: bool = False, **options: Any) -> None:
         raise typer.Exit(2) from None
 
 
-serve.__signature__ = inspect.Signature(_parameters())  # type: ignore[attr-defined] # what Typer reads,
-serve.__annotations__ = {each.name: each.annotation for each in _parameters()}
+_SERVE_PARAMETERS = _parameters(serve)
+serve.__signature__ = inspect.Signature(_SERVE_PARAMETERS)  # type: ignore[attr-defined] # what Typer reads,
+serve.__annotations__ = {each.name: each.annotation for each in _SERVE_PARAMETERS}
+
+
+def _print_definitions(schemas: Path | None, *, skill: bool) -> None:
+    """Write the schemas and print their paths; print the skill file."""
+    from importlib.resources import files
+
+    from vehanchor_server.schemas import write_schemas
+
+    for path in () if schemas is None else write_schemas(schemas):
+        typer.echo(path)
+    if skill:
+        typer.echo(files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8"), nl=False)
 
 
 def _is_given(value: Any) -> bool:
@@ -162,64 +192,6 @@ def _check_photograph(path: Path, settings: Settings) -> None:
         raise typer.Exit(2) from None
 
 
-def _own_parameters(command: Any) -> list[inspect.Parameter]:
-    kinds = typing.get_type_hints(command, include_extras=True)
-    own = inspect.signature(command).parameters.values()
-    return [each.replace(annotation=kinds[each.name]) for each in own if each.kind is not each.VAR_KEYWORD]
-
-
-_VIEW_PARAMETERS = [
-    *_own_parameters(view),
-    *(each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in _parameters() if each.name in _VIEW_SETTINGS),
-]
+_VIEW_PARAMETERS = _parameters(view, _VIEW_SETTINGS)
 view.__signature__ = inspect.Signature(_VIEW_PARAMETERS)  # type: ignore[attr-defined]
 view.__annotations__ = {each.name: each.annotation for each in _VIEW_PARAMETERS}
-
-
-def schemas(
-    directory: Annotated[Path, typer.Argument(help="Directory to write to.")] = Path("schemas"),
-) -> None:
-    """Write the tools' JSON Schemas and their Anthropic and OpenAI definitions."""
-    from vehanchor_server.schemas import write_schemas
-
-    for path in write_schemas(directory):
-        typer.echo(path)
-
-
-def skill(
-    install: Annotated[
-        Path | None,
-        typer.Option(
-            "--install",
-            metavar="DIR",
-            help="Skill folder of an agent, such as ~/.claude/skills: write DIR/vehanchor/SKILL.md.",
-        ),
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a skill file that differs from ours.")
-    ] = False,
-) -> None:
-    """Print the skill file for agents, or install it in a skill folder."""
-    from importlib.resources import files
-
-    from vehanchor.cli.terminal import exit_on_error
-    from vehanchor.errors import OutputError
-    from vehanchor.storage.atomic import whole_file
-
-    text = files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8")
-    if install is None:
-        typer.echo(text, nl=False)
-        return
-    target = install / "vehanchor" / "SKILL.md"
-    with exit_on_error():
-        if target.is_symlink() or target.parent.is_symlink():
-            raise OutputError(f"{str(target)!r} is a link, or in one: remove it first")
-        if target.exists() and target.read_text(encoding="utf-8", errors="replace") != text and not overwrite:
-            raise OutputError(f"{str(target)!r} differs from this version's skill: keep it, or pass --overwrite")
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"cannot write {str(target)!r}: {error.strerror or error}") from None
-        with whole_file(target) as partial:
-            partial.write_text(text, encoding="utf-8")
-    typer.echo(target)

@@ -17,68 +17,30 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.errors import VehAnchorError
 
 if TYPE_CHECKING:
-    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
-    from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.engine import Cancellation, Detector, Engine, Runtime, Segmenter
-    from vehanchor.engine.verbs import (
-        analyse_area,
-        analyse_distance,
-        analyse_scale,
-        estimate_flight,
-        estimate_gsd,
-        measure_area,
-        measure_distance,
-    )
+    from vehanchor.engine import Cancellation, Engine, Runtime
     from vehanchor.imagery.sources.files import find_images
-    from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
-    from vehanchor.scale.calibration import Calibration, load_calibration
+    from vehanchor.options import ImageLimits, ScaleOptions
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+    from vehanchor.scale.calibration import load_calibration
 
     __version__: str
-
-_LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
-    "analysis.measured": ("AreaAnalysis", "DistanceAnalysis"),
-    "analysis.scale": ("ScaleAnalysis",),
-    "imagery.sources.files": ("find_images",),
-    "engine": ("Cancellation", "Detector", "Engine", "Runtime", "Segmenter"),
-    "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "Rulers", "ScaleOptions", "Search"),
-    "records": ("AreaMeasurement", "DistanceMeasurement", "FlightEstimate", "GsdEstimate", "KnownScale"),
-    "scale.calibration": ("Calibration", "load_calibration"),
-    "engine.verbs": (
-        "analyse_area",
-        "analyse_distance",
-        "analyse_scale",
-        "estimate_flight",
-        "estimate_gsd",
-        "measure_area",
-        "measure_distance",
-    ),
-}
-_HOME = {name: module for module, names in _LAZY.items() for name in names}
+    estimate_gsd = Engine().estimate
+    analyse_scale = Engine().analyse_scale
+    measure_area = Engine().measure_area
+    analyse_area = Engine().analyse_area
+    measure_distance = Engine().measure_distance
+    analyse_distance = Engine().analyse_distance
+    estimate_flight = Engine().flight
 
 __all__ = [
-    "AreaAnalysis",
     "AreaMeasurement",
-    "Calibration",
     "Cancellation",
-    "Detector",
-    "DistanceAnalysis",
     "DistanceMeasurement",
     "Engine",
-    "FlightEstimate",
-    "Frame",
     "GsdEstimate",
     "ImageLimits",
-    "KnownScale",
-    "Lengths",
-    "Reading",
-    "Reference",
-    "Rulers",
     "Runtime",
-    "ScaleAnalysis",
     "ScaleOptions",
-    "Search",
-    "Segmenter",
     "VehAnchorError",
     "__version__",
     "analyse_area",
@@ -91,14 +53,25 @@ __all__ = [
     "measure_area",
     "measure_distance",
 ]
+_HOMES = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
+    "engine": ("Cancellation", "Engine", "Runtime"),
+    "imagery.sources.files": ("find_images",),
+    "options": ("ImageLimits", "ScaleOptions"),
+    "records": ("AreaMeasurement", "DistanceMeasurement", "GsdEstimate"),
+    "scale.calibration": ("load_calibration",),
+}
+_METHODS = {"estimate_gsd": "estimate", "estimate_flight": "flight"}  # the other functions have their method's name
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("vehanchor")  # alone costs more than all the rest
-    if name in _HOME:
-        return getattr(importlib.import_module(f"vehanchor.{_HOME[name]}"), name)
-    raise AttributeError(f"module 'vehanchor' has no attribute {name!r}")
+    if name not in __all__:
+        raise AttributeError(f"module 'vehanchor' has no attribute {name!r}")
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(importlib.import_module(f"vehanchor.{home}"), name)
+    return getattr(__getattr__("Engine")(), _METHODS.get(name, name))  # a method of an engine with the bundled models
 
 
 def __dir__() -> list[str]:

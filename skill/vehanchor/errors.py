@@ -12,6 +12,7 @@
     - ImageTooLargeError                 ``image_too_large``    more bytes or declared pixels than the limits allow
     - ImageFormatError                   ``image_unsupported``  decodable, not measurable: 1 x 1 px, NaN, wrong dtype
     - TooObliqueError                    ``too_oblique``        the horizon is in the image or close: no scale holds
+    - ImageListError                     ``images_unusable``    images of a list failed; it holds the others' results
   x ReconstructionError (ValueError)     ``reconstruction_unusable``  no reconstruction, damaged, or without ground
   x ModelError
     - ModelNotFoundError                 ``model_not_found``    no such file, and no model of that name
@@ -30,6 +31,11 @@
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 class VehAnchorError(Exception):
@@ -102,6 +108,20 @@ class TooObliqueError(ImageError):
     """The image is too oblique for a scale: the horizon is visible, or a measured place is too close to it."""
 
     code = "too_oblique"
+
+
+class ImageListError(ImageError):
+    """Images of a list cannot be used; the message names them.
+
+    Attributes:
+        results: for each image in order, its ``GsdEstimate`` or its ``VehAnchorError``.
+    """
+
+    code = "images_unusable"
+
+    def __init__(self, message: str, results: Sequence[object] = ()) -> None:
+        super().__init__(message)
+        self.results = tuple(results)
 
 
 class ReconstructionError(VehAnchorError, ValueError):

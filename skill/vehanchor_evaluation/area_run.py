@@ -80,7 +80,7 @@ def measure_benchmark(
         folder,
         entries,
         segmenter,
-        open_mask_log(logs and logs / "masks.jsonl", benchmark_sha, segmenter.card.sha256),
+        open_mask_log(logs and logs / "masks.sqlite", benchmark_sha, segmenter.card.sha256),
         workers=n_workers,
         progress=step(f"{len(entries)} objects"),
     )
@@ -90,7 +90,7 @@ def measure_benchmark(
         detector,
         options,
         classes=classes,
-        cache=logs and logs / "detections.jsonl",
+        cache=logs and logs / "detections.sqlite",
         workers=n_workers,
         progress=step(f"{len(images)} images"),
     )

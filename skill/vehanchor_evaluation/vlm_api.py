@@ -133,7 +133,7 @@ def reply_journal(folder: Path | None) -> Journal[dict[str, Any]]:
         InvalidParameterError: the file in the folder is not a journal.
         OutputError: the file cannot be read or written.
     """
-    path = None if folder is None else folder / "replies.jsonl"
+    path = None if folder is None else folder / "replies.sqlite"
     return Journal(path, {"responses": "as the service gave them"}, dump=dict, load=dict)
 
 

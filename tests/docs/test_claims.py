@@ -12,6 +12,7 @@ from dataclasses import fields as fields_of
 from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.util import find_spec
+from inspect import signature
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ import pytest
 from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS
 from tests.packaging.dockerfile import read_dockerfile
-from vehanchor.engine import AreaKeywords, Engine
+from vehanchor.engine import Engine
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Search
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor_server.settings import Settings
@@ -55,7 +56,7 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     records = set(GsdEstimate.model_fields) | set(AreaMeasurement.model_fields)
     measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
     choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
-    choices |= {*AreaKeywords.__annotations__, *KnownLength._fields}
+    choices |= {*signature(Engine.analyse_area).parameters, *KnownLength._fields}
     choices |= set(json.loads((ROOT / "schemas/measure_area.input.json").read_text(encoding="utf-8"))["properties"])
     if document.name != "records-names.md":  # has former names; test_records_names.py reads it
         assert not set(measured) - records - choices

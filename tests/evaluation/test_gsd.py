@@ -12,9 +12,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from tests.known_scale_data import REFERENCE_M, cars, dota_lines, paint, write_geotiff
+from vehanchor import analyse_scale
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import ImageTooLargeError
 from vehanchor.options import ScaleOptions
 from vehanchor_evaluation import ablation
@@ -226,7 +226,7 @@ def test_an_output_that_cannot_be_written_is_told(tmp_path: Path, detector: Path
     (tmp_path / "t.csv").write_text("file,gsd_m_per_px\na.png,0.2\n")
     common = ["--table", tmp_path / "t.csv", "--detector", detector, "--out", tmp_path / "file"]
     for command in ("gsd", "figures"):
-        result = _run("evaluate", command, *common, "--cache", tmp_path / "log.jsonl")
+        result = _run("evaluate", command, *common, "--cache", tmp_path / "log.sqlite")
         assert result.exit_code == 2
         assert "error[output_unwritable]" in result.stderr
 

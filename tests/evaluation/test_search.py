@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.journals import n_results
 from tests.known_scale_data import cars, paint
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
+from vehanchor import analyse_scale
 from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
@@ -41,15 +42,14 @@ def test_an_interrupted_search_goes_on_where_it_stopped(tmp_path: Path, detector
         if done == 2:
             raise KeyboardInterrupt
 
-    log = tmp_path / "deep" / "log.jsonl"
+    log = tmp_path / "deep" / "log.sqlite"
     with pytest.raises(KeyboardInterrupt):
         list(search_images(files, model, ScaleOptions(), log=_log(log, model), progress=interrupt))
-    kept = len(log.read_text().splitlines()) - 1  # after the settings
+    kept = n_results(log)
     assert 2 <= kept <= 3
-    log.write_bytes(log.read_bytes()[:-40])  # and the machine went down while it was writing
     counted.clear()
     again = dict(search_images(files, model, ScaleOptions(), log=_log(log, model), workers=2))
-    assert len(counted) == 4 - (kept - 1)
+    assert len(counted) == 4 - kept
     counted.clear()
     cached = dict(search_images(files, model, ScaleOptions(), log=_log(log, model)))
     assert counted == []
@@ -64,7 +64,7 @@ def test_an_interrupted_search_goes_on_where_it_stopped(tmp_path: Path, detector
 def test_a_search_is_repeated_for_other_settings_and_for_changed_files(
     tmp_path: Path, detector: Path, counted: list[str]
 ) -> None:
-    file, log, model = tmp_path / "a.png", tmp_path / "log.jsonl", Detector(detector)
+    file, log, model = tmp_path / "a.png", tmp_path / "log.sqlite", Detector(detector)
     paint(file, cars(20))
     plain, strict = ScaleOptions(), ScaleOptions(search=Search(min_score=0.95))
     other_half = ScaleOptions(lengths=Lengths("mean", None), reference=Reference(4.0))
@@ -86,7 +86,7 @@ def test_an_unreadable_image_is_an_issue_and_is_tried_again(tmp_path: Path, dete
     good, bad = tmp_path / "good.png", tmp_path / "bad.png"
     paint(good, cars(20))
     bad.write_bytes(b"no image")
-    model, log = Detector(detector), tmp_path / "log.jsonl"
+    model, log = Detector(detector), tmp_path / "log.sqlite"
     found = dict(search_images([bad, good, tmp_path / "none.png"], model, ScaleOptions(), log=_log(log, model)))
     assert [item.reason if isinstance(item, FileIssue) else "" for item in found.values()] == [
         "image_undecodable", "", "image_not_found"
@@ -98,11 +98,11 @@ def test_an_unreadable_image_is_an_issue_and_is_tried_again(tmp_path: Path, dete
 
 def test_a_log_that_cannot_be_used_is_told(tmp_path: Path, detector: Path) -> None:
     (tmp_path / "file").write_text("")
-    for path in (tmp_path / "file" / "log.jsonl", tmp_path):
+    for path in (tmp_path / "file" / "log.sqlite", tmp_path):
         with pytest.raises(OutputError, match="cannot keep results"):
             _log(path, Detector(detector))
     (tmp_path / "notes.txt").write_text("not a log")
-    with pytest.raises(InvalidParameterError, match="is not a line of a journal"):
+    with pytest.raises(InvalidParameterError, match="is not a journal"):
         _log(tmp_path / "notes.txt", Detector(detector))
 
 
@@ -122,7 +122,7 @@ def test_the_detail_is_that_around_the_vehicles_which_each_alpha_keeps(
         monkeypatch.setattr(f"{module}.resolved_share", lambda _raster, centres, _scale: centres[:, 0].mean() / 480)
     boxes = cars(20)
     boxes[[4, 5, 10, 11], 2] = 24, 33, 26, 60
-    file, log, model = tmp_path / "a.png", tmp_path / "log.jsonl", Detector(detector)
+    file, log, model = tmp_path / "a.png", tmp_path / "log.sqlite", Detector(detector)
     paint(file, boxes)
     seen = set()
     data = KnownScaleSet("", (KnownScaleImage(file, 0.2),))
@@ -138,7 +138,7 @@ def test_the_detail_is_that_around_the_vehicles_which_each_alpha_keeps(
 
 
 def test_an_alpha_that_no_search_has_looked_at_is_looked_at(tmp_path: Path, detector: Path, counted: list[str]) -> None:
-    file, log, model = tmp_path / "a.png", tmp_path / "log.jsonl", Detector(detector)
+    file, log, model = tmp_path / "a.png", tmp_path / "log.sqlite", Detector(detector)
     paint(file, cars(20))
     plain, wide = ScaleOptions(), ScaleOptions(lengths=Lengths(alpha=2.5))
     data = KnownScaleSet("", (KnownScaleImage(file, 0.2),))
@@ -162,8 +162,8 @@ def test_a_log_keeps_all_that_was_seen(tmp_path: Path) -> None:
     with open_raster(image) as raster:
         found, facts = search(raster, telling), image_facts(raster)
     ground = SceneScalePrior((SceneLevel(1, 9, np.log([0.25, 0.5, 0.25])),), SceneCalibration(-2.0, 0.1, doubt=0.1))
-    _log(tmp_path / "log.jsonl", telling).add(("a.png",), SearchedImage(found, facts, prior=ground))
-    again = _log(tmp_path / "log.jsonl", telling).get(("a.png",))
+    _log(tmp_path / "log.sqlite", telling).add(("a.png",), SearchedImage(found, facts, prior=ground))
+    again = _log(tmp_path / "log.sqlite", telling).get(("a.png",))
     assert again is not None
     assert (len(found.boxes), len(found.others)) == (3, 1)
     for kept, seen in ((again.detections, found), (again.detections.others, found.others)):
@@ -173,4 +173,4 @@ def test_a_log_keeps_all_that_was_seen(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.detections.fleet, found.fleet)
     assert again.prior is not None
     np.testing.assert_array_equal(again.prior.density, ground.density)
-    assert _log(tmp_path / "log.jsonl", model).get(("a.png",)) is None  # of another fleet network: none
+    assert _log(tmp_path / "log.sqlite", model).get(("a.png",)) is None  # of another fleet network: none

@@ -236,11 +236,9 @@ def test_replies_are_kept_and_never_asked_for_twice(run: Any, service: ModelServ
     assert run("--hint").exit_code == 0
     assert len(service.requests) == 6
     whole = Path("out/vlm.csv").read_text()
-    replies = Path("out/replies.jsonl")
-    replies.write_bytes(replies.read_bytes()[:-30])  # a crash in the middle of a line
-    assert run().exit_code == 0
+    assert Path("out/replies.sqlite").exists()
     assert run("--hint").exit_code == 0
-    assert len(service.requests) == 7
+    assert len(service.requests) == 6
     assert Path("out/vlm.csv").read_text() == whole
 
 
@@ -294,7 +292,7 @@ def test_the_key_is_sent_and_written_nowhere(run: Any, service: ModelService, pr
     assert KEY in (headers.get("x-api-key") or headers["authorization"])
     assert KEY not in result.output
     for path in Path("out").rglob("*"):
-        assert path.is_dir() or KEY not in path.read_text()
+        assert path.is_dir() or KEY.encode() not in path.read_bytes()
 
 
 def test_a_message_that_quotes_the_key_is_told_without_it(

@@ -84,7 +84,7 @@ def test_it_carries_the_schemas_that_its_command_writes(wheel: Path, run: Run) -
         if "/data/share/vehanchor/schemas/" in name
     }
     assert carried == schema_files()
-    written = [Path(line) for line in run("vehanchor", "schemas", "written").splitlines()]
+    written = [Path(line) for line in run("vehanchor", "serve", "--schemas", "written").splitlines()]
     assert {path.name for path in written} == set(carried)
 
 

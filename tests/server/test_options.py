@@ -12,11 +12,9 @@ import typer
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.errors import InvalidParameterError
 from vehanchor.measure.resolved_scale import given_scale
-from vehanchor.options import OptionKeywords, ScaleOptions, declared_options
-from vehanchor.options.by_hand import BY_HAND
+from vehanchor.options import ScaleOptions, declared_options
 from vehanchor.options.frame import FRAME, FRAME_SIDE
 from vehanchor.options.given_scale import GSD, GSD_M_PER_PX, OBJECT_HEIGHT
-from vehanchor.options.method import Preset
 from vehanchor.options.option import Limits, Option, Words, option_of
 from vehanchor.options.rulers import LINE_LENGTH_M
 from vehanchor.rulers.registry import rulers_help
@@ -76,29 +74,6 @@ def test_a_measurement_takes_a_scale_within_its_limits() -> None:
     for value in _beyond(GSD.takes):
         with pytest.raises(InvalidParameterError, match="gsd_m_per_px"):
             given_scale(value, None, ScaleOptions())
-
-
-def test_a_keyword_has_the_type_of_its_option() -> None:
-    import os
-    from collections.abc import Sequence
-
-    import vehanchor.options as options
-    from vehanchor.scale.defaults import Aggregation
-
-    names = {
-        **vars(options),
-        "Calibration": Calibration,
-        "os": os,
-        "Sequence": Sequence,
-        "Aggregation": Aggregation,
-        "Preset": Preset,
-    }
-    keywords = typing.get_type_hints(OptionKeywords, localns=names)
-    assert set(keywords) == set(DECLARED) - STATED
-    converted = {"calibration", "rulers", "known_lengths", *BY_HAND}  # a keyword takes more than a field holds
-    for keyword, each in DECLARED.items():
-        if keyword not in converted | STATED:
-            assert keywords[keyword] == _hints(each.group)[each.field.name], keyword
 
 
 def test_the_command_line_has_every_option_with_its_help_and_default() -> None:

@@ -44,7 +44,7 @@ def files() -> dict[str, Any]:
 def test_the_published_files_are_current() -> None:
     expected = schema_files()
     found = {path.name: path.read_text(encoding="utf-8") for path in PUBLISHED.glob("*.json")}
-    assert found == expected, "run: vehanchor schemas schemas"
+    assert found == expected, "run: vehanchor serve --schemas schemas"
 
 
 def test_writing_makes_the_directory(tmp_path: Path) -> None:

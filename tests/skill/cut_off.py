@@ -79,24 +79,27 @@ def _journal(path: Path) -> Journal[Any]:
 
 
 def _kept(folder: Path, ends: Counter[str]) -> Iterable[str]:
-    """Cut a journal's next line off at each of its bytes."""
+    """Fill the disk, or kill the process, at many sizes of a journal while a long result is added."""
     path = folder / "run.journal"
     for number in range(_RESULTS):
         _journal(path).add(("f", number), "x")
     before = path.read_bytes()
-    _journal(path).add(("new",), "y")
-    after = path.read_bytes()
-    for n_bytes in range(len(before), len(after)):
-        path.write_bytes(before)
-        end = limited(lambda: _journal(path).add(("new",), "y"), n_bytes, killed=False)
-        ends[_named(end)] += 1
-        if end != REFUSED or path.read_bytes() != before:
-            yield f"journal, disk full at byte {n_bytes}: {_named(end)}"
-        path.write_bytes(after[:n_bytes])  # as a process leaves it that is killed while it writes
-        found = len(_journal(path))
-        _journal(path).add(("next",), "z")
-        if found != _RESULTS or len(_journal(path)) != _RESULTS + 1:
-            yield f"journal, killed at byte {n_bytes}: {found} results"
+
+    def add() -> None:
+        _journal(path).add(("new",), "y" * 50_000)
+
+    assert limited(add, None, killed=False) == WRITTEN
+    after = path.stat().st_size
+    for killed in (False, True):
+        for n_bytes in range(0, after, 1000):
+            path.write_bytes(before)
+            end = limited(add, n_bytes, killed=killed)
+            ends[_named(end)] += 1
+            with _journal(path) as journal:
+                found, added = len(journal), journal.get(("new",))
+                journal.add(("next",), "z")
+            if end == WRITTEN or found != _RESULTS or added is not None:
+                yield f"journal, full at byte {n_bytes}, killed {killed}: {_named(end)}, {found} results"
 
 
 def _named(end: int) -> str:

@@ -8,8 +8,8 @@ import pytest
 
 import vehanchor
 from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
-from vehanchor.engine.verbs import analyse_scale, estimate_gsd
 from vehanchor.errors import FrameError, InvalidParameterError, ModelNotFoundError
 from vehanchor.options import ScaleOptions
 

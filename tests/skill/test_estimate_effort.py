@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
-from vehanchor.engine.verbs import analyse_scale, estimate_gsd
 from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from tests.analyses import analyse_found
 from tests.models import write_detector
 from tests.yards import YARDS, Yard, paint_yard
+from vehanchor import estimate_gsd
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
-from vehanchor.engine.verbs import estimate_gsd
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions

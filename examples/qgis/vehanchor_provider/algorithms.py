@@ -8,8 +8,6 @@ import json
 import os
 import shutil
 import subprocess
-import tempfile
-from pathlib import Path
 
 from qgis.core import (
     QgsProcessing,
@@ -171,10 +169,7 @@ class LocalMetres(_Command):
     def processAlgorithm(self, parameters, context, feedback):  # noqa: N802 - QGIS's name
         """Run the algorithm."""
         raster = self.parameterAsOutputLayer(parameters, self.RASTER, context)
-        with tempfile.TemporaryDirectory() as folder:
-            picture = str(Path(folder) / "bar.png")
-            words = ["scalebar", *self.arguments(parameters, context), "--output", picture, "--geotiff", raster]
-            _, errors, status = self.ask(words, feedback)
+        _, errors, status = self.ask(["estimate", *self.arguments(parameters, context), "--geotiff", raster], feedback)
         if status == NOT_OK:
             raise QgsProcessingException(f"the scale is not usable: {errors.strip() or 'see the log'}")
         return {self.RASTER: raster}

@@ -16,6 +16,14 @@ class VehAnchorProvider(QgsProcessingProvider):
         """Displayed name."""
         return "VehAnchor"
 
+    def supportedOutputVectorLayerExtensions(self):  # noqa: N802 - QGIS's name
+        """Write GeoJSON, the format of the command."""
+        return ["geojson"]
+
+    def defaultVectorFileExtension(self, hasGeometry=True):  # noqa: ARG002, N802, N803 - QGIS's names
+        """Name temporary layers with the suffix of GeoJSON."""
+        return "geojson"
+
     def loadAlgorithms(self):  # noqa: N802 - QGIS's name
         """Add the algorithms."""
         self.addAlgorithm(EstimateScale())

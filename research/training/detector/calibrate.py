@@ -31,12 +31,12 @@ from numpy.typing import NDArray
 
 from research.training.detector.data import LENGTH_RANGE_PX, is_dev
 from research.training.detector.export import export
+from vehanchor import analyse_scale
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Search
 from vehanchor.scale.defaults import Aggregation

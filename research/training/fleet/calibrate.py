@@ -22,9 +22,9 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from research.training.fleet.data import MEASURED, N_FOLDS, fold_of
+from vehanchor import analyse_scale
 from vehanchor.detection.appearance import MAX_CHIPS, FleetLengths, vehicle_chips
 from vehanchor.detection.detector import Detector
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.known_scale import KnownScaleImage

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from research.training.detector.calibrate import clear_score
+from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.verifier import Weights
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor_evaluation.table import read_table

@@ -58,7 +58,7 @@ def run_same_scale(
     check_options(options)
     photographs = list(named(images))
     with open_journal(journal, detector, options, lines, anew=overwrite) as kept:
-        n_resumed = sum(journal_key(each) in kept for each in photographs)
+        n_resumed = sum((key := journal_key(each)) is not None and key in kept for each in photographs)
         results = search_flight(photographs, detector, options, journal=kept, lines=lines)
         record = conclude(results, detector.card, same_scale=True)
         write_table(table, (_row(record, each) for each in record.photographs))

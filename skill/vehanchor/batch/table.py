@@ -36,8 +36,8 @@ def check_table_path(path: Path) -> Path:
     """
     if path.suffix.lower() not in _WRITERS:
         raise OutputError(
-            f"cannot write a table as {str(path)!r}: use one of {', '.join(_WRITERS)}; .geojson and .gpkg hold the "
-            "targets of --measure"
+            f"cannot write a table as {str(path)!r}: use one of {', '.join(_WRITERS)}; .geojson holds the targets "
+            "of --measure"
         )
     if not path.parent.is_dir():
         raise OutputError(f"there is no folder {str(path.parent)!r} for {path.name!r}: create it first")

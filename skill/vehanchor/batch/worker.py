@@ -16,7 +16,6 @@ from vehanchor.detection.detector import Detector
 from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.imagery.identity import Source
-from vehanchor.imagery.sources.addresses import is_address
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
@@ -58,7 +57,7 @@ class Task:
 
     Attributes:
         file: its name in the table.
-        path: its absolute path or address.
+        path: its absolute path.
     """
 
     file: str
@@ -68,7 +67,7 @@ class Task:
     def of(cls, path: str) -> Task:
         """Make the task of an image; undecodable bytes of its name are replaced in the table."""
         name = path.encode("utf-8", "backslashreplace").decode()
-        return cls(file=name, path=path if is_address(path) else str(Path(path).absolute()))
+        return cls(file=name, path=str(Path(path).absolute()))
 
     def key(self) -> Key:
         """Make the journal key of the row: name and present state of the image."""

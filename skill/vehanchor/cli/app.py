@@ -28,11 +28,9 @@ if TYPE_CHECKING:
 
 _GROUP = "vehanchor.commands"
 _PANELS = {
-    **dict.fromkeys(
-        ("estimate", "distance", "measure", "batch", "flight", "live", "rescale", "scalebar", "view"), "Measure"
-    ),
-    **dict.fromkeys(("serve", "schemas", "skill"), "For agents"),
-    **dict.fromkeys(("doctor", "models", "rulers"), "This installation"),
+    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "live", "rescale", "view"), "Measure"),
+    **dict.fromkeys(("serve",), "For agents"),
+    **dict.fromkeys(("doctor", "models"), "This installation"),
 }
 _OTHER_PANEL = "Calibrate and evaluate"
 _FIRST = (
@@ -43,11 +41,9 @@ _FIRST = (
     "flight",
     "live",
     "rescale",
-    "scalebar",
     "view",
     "doctor",
     "models",
-    "rulers",
     "serve",
 )  # in --help; commands of other packages follow
 _SETTINGS = {"help_option_names": ["-h", "--help"]}

@@ -5,9 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -18,19 +17,26 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.options.by_hand import BY_HAND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from vehanchor.batch import BatchSummary
+    from vehanchor.engine import Engine
 
 _STATUSES = ("ok", "low_confidence", "no_scale", "error")
 
 
+Inputs: TypeAlias = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="INPUTS",
+        help="Images, directories (searched recursively), patterns such as 'flight/**/*.jpg'.",
+        show_default=False,
+    ),
+]
 TargetsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.csv",
         help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; files relative to the "
-        "table). The output may also be .geojson or .gpkg.",
+        "table). The output may also be .geojson.",
     ),
 ]
 
@@ -42,14 +48,7 @@ class _Engine(StrEnum):
 
 @scale_command(without=("frame", "coordinates", "known_lengths", *BY_HAND, "threads"))
 def batch(
-    inputs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="INPUTS",
-            help="Images, directories (searched recursively), patterns such as 'flight/**/*.jpg', or addresses.",
-            show_default=False,
-        ),
-    ],
+    inputs: Inputs,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="File to write: .parquet, .csv or .jsonl.")
     ],
@@ -90,72 +89,34 @@ def batch(
 
                 measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
                 return
+            if same_scale and (engine is not _Engine.local or workers not in (None, 1)):
+                raise InvalidParameterError("--same-scale works in one process: leave out --engine and --workers")
+            common = {"known_lengths": known_lengths, "overwrite": overwrite}
             try:
-                run = partial(_run, inputs, output, chosen, progress, workers, overwrite=overwrite)
-                summary = run(engine, address, known_lengths, same_scale=same_scale)
+                if same_scale:
+                    summary = _of_one_scale(inputs, output, chosen.engine(progress=progress), **common)
+                else:
+                    machines = {"engine": engine.value, "address": address, "workers": workers}
+                    summary = _each(inputs, output, chosen, runtime=chosen.runtime(progress), **machines, **common)
             except KeyboardInterrupt:
                 print("interrupted: finished rows are kept; run the same command to resume", file=sys.stderr)
                 raise typer.Exit(INTERRUPTED) from None
         _summarise(summary, time.monotonic() - started)
 
 
-def _run(
-    inputs: list[str],
-    output: Path,
-    chosen: ParsedOptions,
-    progress: Callable[[int, int], None],
-    workers: int | None,
-    engine: _Engine,
-    address: str | None,
-    known_lengths: Path | None,
-    *,
-    overwrite: bool,
-    same_scale: bool,
-) -> BatchSummary:
-    if same_scale:
-        return _of_one_scale(inputs, output, engine, workers, chosen, progress, known_lengths, overwrite=overwrite)
+def _each(inputs: list[str], output: Path, chosen: ParsedOptions, **more: Any) -> BatchSummary:
+    """Estimate the scale of each image; ``more`` are arguments of ``run_batch``."""
     from vehanchor.batch import run_batch
 
     model = chosen.detector
-    return run_batch(
-        inputs,
-        output,
-        engine=engine.value,
-        address=address,
-        workers=workers,
-        detector=model.detector,
-        classes=model.names_and_indices,
-        options=chosen.options(),
-        known_lengths=known_lengths,
-        overwrite=overwrite,
-        runtime=model.runtime(progress),
-    )
+    return run_batch(inputs, output, detector=model.detector, classes=model.classes, options=chosen.options(), **more)
 
 
-def _of_one_scale(
-    inputs: list[str],
-    output: Path,
-    engine: _Engine,
-    workers: int | None,
-    chosen: ParsedOptions,
-    progress: Callable[[int, int], None],
-    known_lengths: Path | None,
-    *,
-    overwrite: bool,
-) -> BatchSummary:
+def _of_one_scale(inputs: list[str], output: Path, engine: Engine, **more: Any) -> BatchSummary:
+    """Estimate the common scale of all images; ``more`` are arguments of ``run_same_scale``."""
     from vehanchor.batch.same_scale import run_same_scale
 
-    if engine is not _Engine.local or workers not in (None, 1):
-        raise InvalidParameterError("--same-scale works in one process: leave out --engine and --workers")
-    opened = chosen.engine(progress=progress)
-    return run_same_scale(
-        inputs,
-        output,
-        detector=opened.detector,
-        options=opened.options,
-        known_lengths=known_lengths,
-        overwrite=overwrite,
-    )
+    return run_same_scale(inputs, output, detector=engine.detector, options=engine.options, **more)
 
 
 def _summarise(summary: BatchSummary, seconds: float) -> None:

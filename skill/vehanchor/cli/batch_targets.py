@@ -13,8 +13,7 @@ from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.cli.terminal import FAILED, printable, report
 from vehanchor.errors import OutputError, PromptError
-from vehanchor.export.formats import VECTOR_FORMATS, check_vector_path
-from vehanchor.export.vectors import write_targets
+from vehanchor.export.geojson import SUFFIX, check_geojson_path, write_features
 from vehanchor.imagery.sources.files import find_images, where_it_is
 from vehanchor.measure.targets import TARGET_COLUMNS, TargetRow, measure_targets, read_targets
 
@@ -41,7 +40,7 @@ def measure_table(
     Args:
         inputs: directories, patterns and files; the targets lie in these images.
         table: CSV of targets; see ``read_targets``.
-        output: a table, or the outlines and lines with their sizes as GeoJSON or GeoPackage.
+        output: a table, or the outlines and lines with their sizes as GeoJSON.
         engine: its models and options.
         tell: receives the number of measured images and of all images.
         overwrite: replace an existing file.
@@ -64,17 +63,17 @@ def measure_table(
         tell(number, len(wanted))
         rows += measure_targets(image, targets, detector, segmenter, options)
     tell(len(wanted), len(wanted))
-    if output.suffix.lower() in VECTOR_FORMATS:
+    if output.suffix.lower() == SUFFIX:
         placed = [(feature, row.ground) for row in rows if (feature := row.feature()) is not None]
-        write_targets(output, placed, TARGET_COLUMNS)
+        write_features(output, placed)
     else:
         write_table(output, rows, TARGET_COLUMNS)
     _summarise(output, rows)
 
 
 def _check_output(path: Path, *, overwrite: bool) -> None:
-    if path.suffix.lower() in VECTOR_FORMATS:
-        check_vector_path(path, lines=True)
+    if path.suffix.lower() == SUFFIX:
+        check_geojson_path(path)
     else:
         check_table_path(path)
     if path.exists() and not overwrite:

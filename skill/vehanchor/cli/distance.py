@@ -24,7 +24,7 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import VehAnchorError
-from vehanchor.export.formats import check_vector_path, vectors_help
+from vehanchor.export.geojson import check_geojson_path
 from vehanchor.storage.atomic import check_apart
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def _distance(
         Path | None,
         typer.Option(
             metavar="OUT.geojson",
-            help=f"Write the line with its length as {vectors_help(lines=True)}; on the ground if georeferenced.",
+            help="Write the line with its length as GeoJSON: degrees if georeferenced, else pixels.",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
@@ -96,7 +96,7 @@ distance.command("distance", cls=SpacedCommand)(_distance)
 def _check_outputs(image: str, line: Path | None, overlay: Path | None) -> None:
     """Check, before the work, that the files can be written and do not replace the image."""
     if line is not None:
-        check_vector_path(line, lines=True)
+        check_geojson_path(line)
     if overlay is not None:
         from vehanchor.pictures.scale import check_picture_path
 
@@ -105,7 +105,7 @@ def _check_outputs(image: str, line: Path | None, overlay: Path | None) -> None:
 
 def _write_files(analysis: DistanceAnalysis, line: Path | None, overlay: Path | None) -> None:
     if line is not None:
-        from vehanchor.export.vectors import write_measured
+        from vehanchor.export.geojson import write_measured
 
         write_measured(line, analysis)
     if overlay is not None:

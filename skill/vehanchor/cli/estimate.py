@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
 
 import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
+from vehanchor.cli.metric_outputs import refusal, write_metric_outputs
 from vehanchor.cli.terminal import (
     BAD_INPUT,
+    NOT_OK,
     STATUS_TEXTS,
     Strict,
     exit_on_error,
@@ -28,7 +29,7 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
-from vehanchor.export.formats import check_vector_path, vectors_help
+from vehanchor.export.geojson import check_geojson_path
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.records.advice import advice_for
 from vehanchor.records.digits import significant
@@ -44,6 +45,44 @@ _STEM = "{stem}"
 _SHORT_SHA = 12
 
 
+OverlayFile: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        metavar="OUT.png",
+        help="Write the image with vehicles and scale bar. '{stem}' in the name stands for the image's name without "
+        "suffix; it is required for several images.",
+    ),
+]
+PlotFile: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        metavar="OUT.png", help="Write a plot of lengths, mode and interval (extra 'plots'); '{stem}' as above."
+    ),
+]
+BoxesFile: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        metavar="OUT.geojson",
+        help="Write the vehicles as GeoJSON: degrees if georeferenced, else pixels; '{stem}' as above.",
+    ),
+]
+ScaleBarFile: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        metavar="OUT.png",
+        help="Write the photograph with a scale bar alone; without a single usable scale nothing, and exit status "
+        f"{NOT_OK}.",
+    ),
+]
+GeotiffFile: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        metavar="OUT.tif",
+        help="Write the photograph in full size as a GeoTIFF in local metres, as --scale-bar; needs the extra 'geo'.",
+    ),
+]
+
+
 @scale_command()
 def estimate(
     images: Annotated[
@@ -53,27 +92,11 @@ def estimate(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object per image and line, and nothing else.")
     ] = False,
-    overlay: Annotated[
-        str | None,
-        typer.Option(
-            metavar="OUT.png",
-            help="Write the image with vehicles and scale bar. '{stem}' in the name stands for the image's name "
-            "without suffix; it is required for several images.",
-        ),
-    ] = None,
-    plot: Annotated[
-        str | None,
-        typer.Option(
-            metavar="OUT.png", help="Write a plot of lengths, mode and interval (extra 'plots'); '{stem}' as above."
-        ),
-    ] = None,
-    boxes: Annotated[
-        str | None,
-        typer.Option(
-            metavar="OUT.geojson",
-            help=f"Write the vehicles as {vectors_help()}; on the ground if georeferenced; '{{stem}}' as above.",
-        ),
-    ] = None,
+    overlay: OverlayFile = None,
+    plot: PlotFile = None,
+    boxes: BoxesFile = None,
+    scale_bar: ScaleBarFile = None,
+    geotiff: GeotiffFile = None,
     strict: Strict = False,
     *,
     chosen: ParsedOptions,
@@ -84,7 +107,7 @@ def estimate(
             _refuse_folders(images)
             if len(images) > 1:
                 chosen.options().by_hand.check_single()
-            outputs = _outputs(images, overlay, plot, boxes)
+            outputs = _outputs(images, _Patterns(overlay, plot, boxes, scale_bar, geotiff))
             engine = chosen.engine()
             engine.load()
         except VehAnchorError as error:
@@ -92,13 +115,13 @@ def estimate(
                 for source in images:
                     print_json(failure(source, error))
             raise
-        rows, n_failed = _estimate_all(images, engine, outputs, as_json=as_json)
+        rows, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
         if rows and not as_json:
             print_table(_summary_table(rows) if len(images) > 1 else _estimate_table(*rows[0]))
             for source, record in rows:
                 print_warnings(record, source if len(images) > 1 else "")
-        if n_failed:
-            raise typer.Exit(BAD_INPUT)
+        if n_failed or n_refused:
+            raise typer.Exit(BAD_INPUT if n_failed else NOT_OK)
         exit_strictly(strict, (record.status for _, record in rows))
 
 
@@ -112,10 +135,10 @@ def _refuse_folders(images: Sequence[str]) -> None:
 
 def _estimate_all(
     images: Sequence[str], engine: Engine, outputs: Sequence[_Outputs], *, as_json: bool
-) -> tuple[list[tuple[str, GsdEstimate]], int]:
-    """Estimate all images; return the records and the number of reported errors."""
+) -> tuple[list[tuple[str, GsdEstimate]], int, int]:
+    """Estimate all images; return the records, the number of errors, and of images without metric outputs."""
     rows: list[tuple[str, GsdEstimate]] = []
-    n_failed = 0
+    n_failed = n_refused = 0
     with tile_progress(len(images), lines_on_terminal=as_json and sys.stdout.isatty()) as step:
         for number, source in enumerate(images):
             try:
@@ -130,44 +153,64 @@ def _estimate_all(
                 print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
             rows.append((source, analysis.estimate))
             try:
-                _write_outputs(analysis, outputs[number])
+                n_refused += not _write_outputs(analysis, source, outputs[number])
             except VehAnchorError as error:
                 n_failed += 1
                 report(error, source if len(images) > 1 else "")
-    return rows, n_failed
+    return rows, n_failed, n_refused
 
 
-@dataclass(frozen=True)
-class _Outputs:
-    """Output files of one image."""
+class _Patterns(NamedTuple):
+    """Names of output files, with ``{stem}`` for several images; by option."""
+
+    overlay: str | None
+    plot: str | None
+    boxes: str | None
+    scale_bar: str | None
+    geotiff: str | None
+
+
+class _Outputs(NamedTuple):
+    """Output files of one image, by option."""
 
     overlay: Path | None
     plot: Path | None
     boxes: Path | None
+    scale_bar: Path | None
+    geotiff: Path | None
 
 
-def _outputs(images: Sequence[str], overlay: str | None, plot: str | None, boxes: str | None) -> list[_Outputs]:
+def _outputs(images: Sequence[str], patterns: _Patterns) -> list[_Outputs]:
     """Choose the output files of each image, and check folder, suffix and conflicts before the work."""
-    if plot is not None:
+    if patterns.plot is not None:
         from vehanchor.pictures.plot import require_plots
 
         require_plots()
-    overlays, plots = _names(images, "--overlay", overlay), _names(images, "--plot", plot)
-    tables = _names(images, "--boxes", boxes)
-    chosen = [path for path in (*overlays, *plots, *tables) if path is not None]
-    if chosen:
-        from vehanchor.pictures.scale import check_picture_path
-
-        inputs = {Path(source).resolve() for source in images}
-        seen: set[Path] = set()
-        for path in chosen:
-            resolved = (check_vector_path if path in tables else check_picture_path)(path).resolve()
+    named = [_names(images, f"--{name.replace('_', '-')}", each) for name, each in patterns._asdict().items()]
+    inputs = {Path(source).resolve() for source in images}
+    seen: set[Path] = set()
+    for name, paths in zip(_Outputs._fields, named, strict=True):
+        for path in filter(None, paths):
+            resolved = _checked(name, path).resolve()
             if resolved in inputs:
                 raise InvalidParameterError(f"{str(path)!r} is one of the images: writing there would destroy it")
             if resolved in seen:
                 raise InvalidParameterError(f"two files would both be written to {str(path)!r}: choose other names")
             seen.add(resolved)
-    return [_Outputs(*paths) for paths in zip(overlays, plots, tables, strict=True)]
+    return [_Outputs(*paths) for paths in zip(*named, strict=True)]
+
+
+def _checked(name: str, path: Path) -> Path:
+    """Check folder and suffix of an output file."""
+    if name == "boxes":
+        return check_geojson_path(path)
+    if name == "geotiff":
+        from vehanchor.export.geotiff import check_copy_path
+
+        return check_copy_path(path)
+    from vehanchor.pictures.scale import check_picture_path
+
+    return check_picture_path(path)
 
 
 def _names(images: Sequence[str], option: str, pattern: str | None) -> list[Path | None]:
@@ -181,7 +224,8 @@ def _names(images: Sequence[str], option: str, pattern: str | None) -> list[Path
     return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
 
 
-def _write_outputs(analysis: ScaleAnalysis, outputs: _Outputs) -> None:
+def _write_outputs(analysis: ScaleAnalysis, source: str, outputs: _Outputs) -> bool:
+    """Write the files of one image; return False if it has no scale for the metric ones."""
     if outputs.overlay is not None:
         from vehanchor.pictures.scale import write_picture
 
@@ -191,9 +235,17 @@ def _write_outputs(analysis: ScaleAnalysis, outputs: _Outputs) -> None:
 
         write_plot(outputs.plot, analysis.plot())
     if outputs.boxes is not None:
-        from vehanchor.export.vectors import write_boxes
+        from vehanchor.export.geojson import write_boxes
 
         write_boxes(outputs.boxes, analysis)
+    if outputs.scale_bar is None and outputs.geotiff is None:
+        return True
+    why = refusal(analysis.estimate)
+    if why is None:
+        write_metric_outputs(analysis, outputs.scale_bar, outputs.geotiff)
+    else:
+        print(printable(f"{source}: no scale bar and no GeoTIFF: {why}"), file=sys.stderr)
+    return why is None
 
 
 def _estimate_table(source: str, record: GsdEstimate) -> Table:

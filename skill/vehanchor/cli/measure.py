@@ -25,7 +25,7 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import InvalidParameterError, OutputError, VehAnchorError
-from vehanchor.export.formats import check_vector_path, vectors_help
+from vehanchor.export.geojson import check_geojson_path
 from vehanchor.options.models import SEGMENTER
 from vehanchor.records.digits import significant
 
@@ -50,7 +50,7 @@ OutlineFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="OUT.geojson",
-        help=f"Write the outline with its area as {vectors_help()}; on the ground if georeferenced.",
+        help="Write the outline with its area as GeoJSON: degrees if georeferenced, else pixels.",
     ),
 ]
 
@@ -126,7 +126,7 @@ def _outputs(
 ) -> tuple[Path | None, Path | None]:
     """Choose the output files, and check folder, suffix and conflicts before the work."""
     if outline is not None:
-        check_vector_path(outline)
+        check_geojson_path(outline)
     chosen = [None if name is None else Path(name) for name in (overlay, mask)]
     if any(chosen):
         from vehanchor.pictures.scale import check_picture_path
@@ -152,7 +152,7 @@ def _write_files(
     outline: Path | None,
 ) -> None:
     if outline is not None:
-        from vehanchor.export.vectors import write_measured
+        from vehanchor.export.geojson import write_measured
 
         write_measured(outline, analysis)
     if overlay is None and mask is None:

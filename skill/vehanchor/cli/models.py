@@ -1,4 +1,4 @@
-"""``vehanchor models list | info``: bundled models and model files of the user."""
+"""``vehanchor models list | info``: bundled models and model files of the user; ``--sizes``: things of known size."""
 
 from __future__ import annotations
 
@@ -9,16 +9,32 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.cli_options import DetectorChoice
 from vehanchor.cli.terminal import exit_on_error, facts_table, failure, print_json, print_table, printable
 from vehanchor.errors import ModelError, VehAnchorError
+from vehanchor.options.models import CLASSES
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
 
 _SHORT_SHA = 12
 
-models = typer.Typer(help="Show bundled models and your own model files.", no_args_is_help=True)
+models = typer.Typer(no_args_is_help=True, add_completion=False)
+
+
+@models.callback(invoke_without_command=True)
+def _show(
+    sizes: Annotated[
+        bool, typer.Option("--sizes", help="List the things of known size for --known-length, then exit.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="With --sizes: one JSON object per thing and line.")] = False,
+) -> None:
+    """Show bundled models and your own model files, and the things of known size."""
+    if sizes:
+        from vehanchor.cli.sizes import print_sizes
+
+        with exit_on_error():
+            print_sizes(as_json=as_json)
+        raise typer.Exit
 
 
 @models.command("list")
@@ -86,8 +102,7 @@ def show_model(
         try:
             from vehanchor.engine import Engine
 
-            choice = DetectorChoice(detector=file, classes=classes)
-            engine = Engine(choice.detector, classes=choice.names_and_indices)
+            engine = Engine(file, classes=CLASSES.from_texts(classes or []))
             model = engine.detector
         except VehAnchorError as error:
             if as_json:

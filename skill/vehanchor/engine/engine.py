@@ -5,7 +5,7 @@
     >>> engine.estimate("photo.jpg").gsd_m_per_px  # doctest: +SKIP
     0.152
 
-``vehanchor.engine.verbs`` has the same methods as functions. The methods for flights import their modules themselves,
+``vehanchor`` has the same methods as functions. The methods for flights import their modules themselves,
 so that a single estimate starts without them and without ``scipy``.
 """
 
@@ -13,46 +13,34 @@ from __future__ import annotations
 
 import copy
 import os
-import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
+from typing import TYPE_CHECKING, Any, overload
 
+from vehanchor.analysis.image_list import estimate_each
 from vehanchor.analysis.pipeline import analyse_image, checked_detector
 from vehanchor.courts.proposals import load_court_network
-from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
-from vehanchor.errors import InvalidParameterError
+from vehanchor.engine.model_sources import DetectorSource, OnDemand, SegmenterSource, open_detector, open_segmenter
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.measure.resolved_scale import given_scale
-from vehanchor.models.runtime import Runtime, RuntimeKeywords
-from vehanchor.models.zoo import resolve_model, resolve_segmenter
+from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.registry import check_rulers
 from vehanchor.segmentation.prompt import read_prompt
-from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
+from vehanchor.segmentation.segmenter import Segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from typing import Unpack
 
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.engine.keywords import (
-        AreaKeywords,
-        DetectorSource,
-        EstimateKeywords,
-        FlightKeywords,
-        LiveKeywords,
-        MeasureKeywords,
-        RescaleKeywords,
-        SegmenterSource,
-    )
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
@@ -63,23 +51,30 @@ if TYPE_CHECKING:
         DistanceMeasurement,
         FlightEstimate,
         GsdEstimate,
+        KnownScale,
         LiveScale,
         ModelScale,
     )
+    from vehanchor.segmentation.prompt import Box, Point
 
-T = TypeVar("T")
-_OWN_KEYWORDS = frozenset({"detector", "segmenter", *RuntimeKeywords.__annotations__})
+_OWN_KEYWORDS = frozenset({"detector", "segmenter", *(each.name for each in fields(Runtime))})
+
+
+def _ignore(_sentence: str) -> None:
+    pass
 
 
 class Engine:
     """Loaded models with default options and a runtime; safe for several threads.
 
-    Each model is loaded when it is first needed, and kept. All methods take the same keywords: they override the
-    engine's own choices for one call. Records do not depend on the runtime.
+    Each model is loaded when it is first needed, and kept. All methods take the same keywords for one call: the fields
+    of the option groups in ``vehanchor.options``, those of ``Runtime``, and ``detector`` and ``segmenter``. An unknown
+    keyword is an ``InvalidParameterError`` that lists the options. Records do not depend on the runtime.
 
     Args:
-        detector: as in ``EstimateKeywords``; None for the bundled one.
-        segmenter: as in ``AreaKeywords``; None for the bundled one.
+        detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``, which keeps
+            its own threads, providers and precision; None for the bundled one.
+        segmenter: paths of encoder and decoder, or a loaded ``Segmenter``; None for the bundled one.
         classes: the detector's classes, by name or index, that count as vehicles; None for the model's own.
         options: defaults of the method; keywords of a call change single fields.
         runtime: threads, providers and precision of the models; None for the CPU and all cores.
@@ -100,8 +95,8 @@ class Engine:
     ) -> None:
         self.options, self.runtime = options or ScaleOptions(), runtime or Runtime()
         self._sources = detector, segmenter, classes
-        self._detector = _OnDemand(partial(_open_detector, detector, classes, self.runtime.idle))
-        self._segmenter = _OnDemand(partial(_open_segmenter, segmenter, self.runtime.idle))
+        self._detector = OnDemand(partial(open_detector, detector, classes, self.runtime.idle))
+        self._segmenter = OnDemand(partial(open_segmenter, segmenter, self.runtime.idle))
 
     @property
     def detector(self) -> Detector:
@@ -154,26 +149,24 @@ class Engine:
         other._sources = detector or old_detector, segmenter or old_segmenter, classes
         idle, reopened = other.runtime.idle, other.runtime != self.runtime
         if reopened or detector is not None:
-            other._detector = _OnDemand(partial(_open_detector, other._sources[0], classes, idle))
+            other._detector = OnDemand(partial(open_detector, other._sources[0], classes, idle))
         if reopened or segmenter is not None:
-            other._segmenter = _OnDemand(partial(_open_segmenter, other._sources[1], idle))
+            other._segmenter = OnDemand(partial(open_segmenter, other._sources[1], idle))
         return other
 
     @overload
-    def estimate(
-        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
-    ) -> GsdEstimate: ...
+    def estimate(self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any) -> GsdEstimate: ...
 
     @overload
     def estimate(
         self,
         image: list[Any] | tuple[Any, ...],
         options: ScaleOptions | None = None,
-        **keywords: Unpack[EstimateKeywords],
+        **keywords: Any,
     ) -> list[GsdEstimate]: ...
 
     def estimate(
-        self, image: Any, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
+        self, image: Any, options: ScaleOptions | None = None, **keywords: Any
     ) -> GsdEstimate | list[GsdEstimate]:
         """Estimate the ground sampling distance of an aerial image from the cars and the other rulers in it.
 
@@ -182,35 +175,32 @@ class Engine:
                 H x W; uint8, uint16 or float). A list of them gives a list; ``vehanchor.find_images`` makes one of
                 folders and patterns.
             options: options of the method in groups; None for the engine's.
-            **keywords: single options, fields of the runtime, another detector; see ``EstimateKeywords``.
+            **keywords: single options, fields of the runtime, another detector; see ``Engine``.
 
         Returns:
             The record, or a list of records; ``gsd_m_per_px`` is None if no ruler finds anything.
 
         Raises:
             ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
+            ImageListError: images of a list cannot be used; ``results`` holds the records of the others.
             ModelError: a model cannot be used.
             InvalidParameterError: an option is invalid.
             FrameError: the frame has another aspect ratio than the image.
             CalibrationError: the calibration cannot be read, or belongs to another detector.
             CancelledError: the call was cancelled (``concurrent.futures``).
         """
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         detector = checked_detector(engine.detector, chosen)
         if isinstance(image, list | tuple):
-            return [analyse_image(each, detector, chosen).estimate for each in image]
+            return estimate_each(image, detector, chosen)
         return analyse_image(image, detector, chosen).estimate
 
-    def analyse_scale(
-        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
-    ) -> ScaleAnalysis:
+    def analyse_scale(self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any) -> ScaleAnalysis:
         """Estimate the scale of one image; return the record with its detections and evidence."""
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         return analyse_image(image, checked_detector(engine.detector, chosen), chosen)
 
-    def measure_area(
-        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[AreaKeywords]
-    ) -> AreaMeasurement:
+    def measure_area(self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any) -> AreaMeasurement:
         """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
 
         Boxes and points are in pixels of the image, or of the copy that a frame names; the first pixel spans 0 to 1.
@@ -219,7 +209,7 @@ class Engine:
         Args:
             image: as in ``estimate``.
             options: as in ``estimate``.
-            **keywords: box or points, scale, segmenter; see ``AreaKeywords``.
+            **keywords: as in ``analyse_area``: exactly one of ``box`` and ``points``; a known scale.
 
         Returns:
             The record; ``area_m2`` is None if there is no scale.
@@ -232,17 +222,35 @@ class Engine:
         return self.analyse_area(image, options, **keywords).measurement
 
     def analyse_area(
-        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[AreaKeywords]
+        self,
+        image: ImageSource,
+        options: ScaleOptions | None = None,
+        *,
+        box: Box | None = None,
+        points: Sequence[Point] | None = None,
+        gsd_m_per_px: float | None = None,
+        scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
+        object_height_m: float | None = None,
+        **keywords: Any,
     ) -> AreaAnalysis:
-        """Measure as ``measure_area``; return the record with mask, prompt and analysis of the scale."""
-        box, points = keywords.pop("box", None), keywords.pop("points", None)
-        height = keywords.pop("object_height_m", None)
-        known = keywords.pop("gsd_m_per_px", None), keywords.pop("scale", None)
-        engine, chosen = self._call(options, keywords)
+        """Measure as ``measure_area``; return the record with mask, prompt and analysis of the scale.
+
+        Args:
+            image: as in ``estimate``.
+            options: as in ``estimate``.
+            box: x1, y1, x2, y2, a geometry of shapely, or supervision's ``Detections`` of one object.
+            points: x, y and, optionally, whether the point lies on the object (the default) or beside it.
+            gsd_m_per_px: known scale, metres per pixel of the full image; the detector does not run.
+            scale: an earlier estimate of this image, or its ``scale``; the detector does not run, and the estimate's
+                interval and confidence hold.
+            object_height_m: height of the object above the ground, as of a roof; None for 0.
+            **keywords: see ``Engine``.
+        """
+        engine, chosen = self.for_call(options, keywords)
         prompt, segmenter = read_prompt(box, points), engine.segmenter
-        scale = engine._scale_input(known, chosen)
+        known = engine._scale_input(gsd_m_per_px, scale, chosen)
         with _opened(image, chosen) as raster:
-            (found,) = analyse_objects(raster, [prompt], segmenter, scale, chosen, object_height_m=height)
+            (found,) = analyse_objects(raster, [prompt], segmenter, known, chosen, object_height_m=object_height_m)
         return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
 
     def measure_distance(
@@ -250,7 +258,7 @@ class Engine:
         image: ImageSource,
         path: Sequence[Place],
         options: ScaleOptions | None = None,
-        **keywords: Unpack[MeasureKeywords],
+        **keywords: Any,
     ) -> DistanceMeasurement:
         """Measure the length of a line on the ground, ``D = P * GSD``.
 
@@ -259,7 +267,7 @@ class Engine:
             path: x, y of two or more points in order, joined by straight lines; or a line of shapely. Coordinates as
                 in ``measure_area``.
             options: as in ``estimate``.
-            **keywords: the scale, if it is known; see ``MeasureKeywords``.
+            **keywords: as in ``analyse_distance``: the scale, if it is known.
 
         Returns:
             The record; ``distance_m`` is None if there is no scale.
@@ -276,22 +284,30 @@ class Engine:
         image: ImageSource,
         path: Sequence[Place],
         options: ScaleOptions | None = None,
-        **keywords: Unpack[MeasureKeywords],
+        *,
+        gsd_m_per_px: float | None = None,
+        scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
+        object_height_m: float | None = None,
+        **keywords: Any,
     ) -> DistanceAnalysis:
-        """Measure as ``measure_distance``; return the record with the analysis of the scale."""
-        height = keywords.pop("object_height_m", None)
-        known = keywords.pop("gsd_m_per_px", None), keywords.pop("scale", None)
-        engine, chosen = self._call(options, keywords)
-        places, scale = read_path(path), engine._scale_input(known, chosen)
+        """Measure as ``measure_distance``; return the record with the analysis of the scale.
+
+        The keywords are those of ``analyse_area`` without ``box`` and ``points``.
+        """
+        engine, chosen = self.for_call(options, keywords)
+        places, known = read_path(path), engine._scale_input(gsd_m_per_px, scale, chosen)
         with _opened(image, chosen) as raster:
-            (found,) = analyse_paths(raster, [places], scale, chosen, object_height_m=height)
+            (found,) = analyse_paths(raster, [places], known, chosen, object_height_m=object_height_m)
         return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
 
     def flight(
         self,
         images: Iterable[ImageSource | InputPhotograph],
         options: ScaleOptions | None = None,
-        **keywords: Unpack[FlightKeywords],
+        *,
+        same_scale: bool = False,
+        journal: str | os.PathLike[str] | None = None,
+        **keywords: Any,
     ) -> FlightEstimate:
         """Estimate the scales of the photographs of one flight from their common evidence.
 
@@ -301,7 +317,10 @@ class Engine:
             images: the photographs, in the order in which they were taken, each as in ``estimate``. An
                 ``InputPhotograph`` names one; the default name is its path or its number.
             options: as in ``estimate``, without a frame and lines of known length, which belong to one photograph.
-            **keywords: see ``FlightKeywords``.
+            same_scale: all photographs have one scale, as in a survey at one height: pool their evidence.
+            journal: file with the result of each photograph, from which the same call resumes after an interruption;
+                removed at the end. It covers photographs given as paths, and frames of ``sample_video``.
+            **keywords: see ``Engine``.
 
         Returns:
             The record; a photograph without evidence and without links to others has no scale.
@@ -314,22 +333,28 @@ class Engine:
         from vehanchor.flight.inputs import check_many
 
         check_many(images)  # before a model is loaded
-        same_scale, journal = keywords.pop("same_scale", False), keywords.pop("journal", None)
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         return analyse_flight(images, engine.detector, chosen, same_scale=same_scale, journal=journal)
 
     def rescale(
         self,
         model: str | os.PathLike[str],
         options: ScaleOptions | None = None,
-        **keywords: Unpack[RescaleKeywords],
+        *,
+        images: str | os.PathLike[str] | None = None,
+        known_lengths_table: str | os.PathLike[str] | None = None,
+        journal: str | os.PathLike[str] | None = None,
+        **keywords: Any,
     ) -> ModelScale:
         """Estimate the factor that gives a reconstruction its size in metres.
 
         Args:
             model: folder of a project of OpenDroneMap, OpenSfM or COLMAP, or a ``reconstruction.json``.
             options: as in ``estimate``. Metadata of the photographs is not used.
-            **keywords: see ``RescaleKeywords``.
+            images: folder of the photographs; None looks near the model's files.
+            known_lengths_table: CSV of lines of known length in the photographs; see ``read_known_lengths``.
+            journal: as in ``flight``.
+            **keywords: see ``Engine``.
 
         Returns:
             The record; ``factor`` is None if nothing of known size is found.
@@ -342,18 +367,21 @@ class Engine:
         from vehanchor.flight.reconstruction.estimate import rescale
         from vehanchor.flight.reconstruction.files import images_of, read_model
 
-        images, lines = keywords.pop("images", None), keywords.pop("known_lengths_table", None)
-        journal = keywords.pop("journal", None)
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         read = read_model(model)
         folder = images_of(read) if images is None else Path(images)
-        return rescale(read, folder, engine.detector, chosen, lines, journal)
+        return rescale(read, folder, engine.detector, chosen, known_lengths_table, journal)
 
     def live(
         self,
         source: str | os.PathLike[str] | int,
         options: ScaleOptions | None = None,
-        **keywords: Unpack[LiveKeywords],
+        *,
+        every_s: float = 0.2,
+        hold_s: float = 10.0,
+        idle_s: float | None = None,
+        tell: Callable[[str], None] = _ignore,
+        **keywords: Any,
     ) -> Iterator[LiveScale]:
         """Estimate the scale of each frame of a running camera, advisory.
 
@@ -362,7 +390,11 @@ class Engine:
         Args:
             source: folder that fills, video file, or number of a camera.
             options: as in ``estimate``. The rulers are vehicles and the scene-scale prior.
-            **keywords: see ``LiveKeywords``.
+            every_s: for a video, seconds between frames.
+            hold_s: seconds without vehicles after which there is no scale.
+            idle_s: seconds without a new frame that end a folder or a camera; None for never.
+            tell: receives a sentence on each frame that cannot be read, and on each loss and return of the camera.
+            **keywords: see ``Engine``.
 
         Returns:
             An iterator of one record for each frame, from all frames so far.
@@ -375,15 +407,17 @@ class Engine:
         from vehanchor.flight.live.estimator import live_scales
         from vehanchor.flight.live.frames import open_frames
 
-        every, hold, idle = keywords.pop("every_s", 0.2), keywords.pop("hold_s", 10.0), keywords.pop("idle_s", None)
-        tell = keywords.pop("tell", _ignore)
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         name = str(source) if isinstance(source, int) else os.fspath(source)
-        frames = open_frames(name, chosen.reading, every_s=every, idle_s=idle, tell=tell)
-        return live_scales(frames, engine.detector, chosen, hold_s=hold)
+        frames = open_frames(name, chosen.reading, every_s=every_s, idle_s=idle_s, tell=tell)
+        return live_scales(frames, engine.detector, chosen, hold_s=hold_s)
 
-    def _call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
-        """Apply the keywords of a call to the engine and its options."""
+    def for_call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
+        """Apply the keywords of a call to the engine and its options.
+
+        Raises:
+            InvalidParameterError: a keyword is unknown or invalid.
+        """
         own: dict[str, Any] = {name: keywords[name] for name in keywords if name in _OWN_KEYWORDS}
         models: dict[str, Any] = {name: own.pop(name) for name in ("detector", "segmenter") if name in own}
         engine = self.replace(**models, runtime=self.runtime.with_keywords(own)) if own or models else self
@@ -392,47 +426,15 @@ class Engine:
         check_rulers(chosen.rulers)
         return engine, chosen
 
-    def _scale_input(self, known: tuple[Any, Any], options: ScaleOptions) -> ScaleInput:
+    def _scale_input(
+        self,
+        gsd_m_per_px: float | None,
+        scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
+        options: ScaleOptions,
+    ) -> ScaleInput:
         """Take the caller's known scale, else the detector."""
-        given = given_scale(*known, options)
+        given = given_scale(gsd_m_per_px, scale, options)
         return checked_detector(self.detector, options) if given is None else given
-
-
-def _ignore(_sentence: str) -> None:
-    pass
-
-
-class _OnDemand(Generic[T]):
-    """Model that one thread loads on first use."""
-
-    def __init__(self, load: Callable[[], T]) -> None:
-        self._load, self._lock, self._model = load, threading.Lock(), None
-
-    _model: T | None
-
-    def get(self) -> T:
-        with self._lock:
-            if self._model is None:
-                self._model = self._load()
-            return self._model
-
-
-def _open_detector(source: DetectorSource | None, classes: Sequence[str | int] | None, runtime: Runtime) -> Detector:
-    if isinstance(source, Detector):
-        return source
-    path = resolve_model(None if source is None else str(source), runtime.precision)
-    return Detector(path, classes=classes, runtime=runtime) if classes else load_detector(path, runtime)
-
-
-def _open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmenter:
-    if isinstance(source, Segmenter):
-        return source
-    files = None
-    if source is not None:
-        if isinstance(source, str) or len(source) != 2:
-            raise InvalidParameterError(f"segmenter is {source!r}: give two paths, of its encoder and its decoder")
-        files = Path(source[0]), Path(source[1])
-    return load_segmenter(*resolve_segmenter(files), runtime)
 
 
 @contextmanager

@@ -1,5 +1,6 @@
-"""GeoJSON files: degrees of WGS 84, as the format requires, or pixels without a georeference.
+"""GeoJSON files of boxes, outlines and lines.
 
+Coordinates are degrees of WGS 84 for a georeferenced image, as the format requires, else pixels of the image, y down.
 RFC 7946 knows degrees only. Files in pixels have the member ``crs`` of the earlier standard, which GDAL and geopandas
 read: without it they would take the pixels for degrees.
 """
@@ -7,37 +8,95 @@ read: without it they would take the pixels for degrees.
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from vehanchor.export.layer import PIXELS_WKT, moved, on_ground
+from vehanchor.errors import OutputError
+from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
-    from numpy.typing import NDArray
+    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.imagery.metadata.georeference import Ground
 
-    from vehanchor.export.layer import Layer
-
-
-def write_geojson(path: Path, layers: Sequence[Layer]) -> None:
-    """Write layers as one collection of features."""
-    features = [feature for layer in layers for feature in _placed(layer)]
-    in_pixels = all(layer.ground is None for layer in layers)
-    system = {"crs": {"type": "name", "properties": {"name": PIXELS_WKT}}} if in_pixels else {}
-    path.write_text(json.dumps({"type": "FeatureCollection", **system, "features": features}), encoding="utf-8")
+SUFFIX = ".geojson"
+PIXELS_WKT = (
+    'LOCAL_CS["Pixels of the image, y down",LOCAL_DATUM["Image",0],UNIT["pixel",1],AXIS["x",EAST],AXIS["y",SOUTH]]'
+)
+"""Reference system of an image without coordinates: GDAL and geopandas read the unit as pixels, not metres."""
 
 
-def _placed(layer: Layer) -> list[dict[str, Any]]:
-    """Convert the features of a georeferenced image to degrees."""
-    ground = layer.ground
-    if ground is None:
-        return layer.features
+def check_geojson_path(path: str | Path) -> Path:
+    """Check, before the work, that a file can be written to a path.
+
+    Raises:
+        OutputError: the suffix is another one, or the folder does not exist.
+    """
+    target = Path(path)
+    if target.suffix.lower() != SUFFIX:
+        raise OutputError(
+            f"cannot write {str(path)!r}: use the suffix {SUFFIX}; ogr2ogr and geopandas convert it to other formats"
+        )
+    if not target.parent.is_dir() or target.is_dir():
+        raise OutputError(f"cannot write {str(path)!r}: name a file in a folder that exists")
+    return target
+
+
+def write_boxes(path: str | Path, analysis: ScaleAnalysis) -> Path:
+    """Write the vehicles of an analysis; return the path.
+
+    Raises:
+        OutputError: as ``check_geojson_path``, or the file cannot be written.
+    """
+    return write_features(path, [(each, analysis.ground) for each in analysis.__geo_interface__["features"]])
+
+
+def write_measured(path: str | Path, analysis: AreaAnalysis | DistanceAnalysis) -> Path:
+    """Write the measured outline or line with its size; return the path.
+
+    Raises:
+        OutputError: as ``check_geojson_path``, or the file cannot be written.
+    """
+    feature = analysis.__geo_interface__
+    return write_features(path, [(feature, analysis.ground)] if feature["geometry"]["coordinates"] else [])
+
+
+def write_features(path: str | Path, placed: Sequence[tuple[dict[str, Any], Ground | None]]) -> Path:
+    """Write features of one or many images; return the path.
+
+    Args:
+        path: path of the file.
+        placed: features in pixels, each with the position of its image on the ground; None without a georeference.
+
+    Raises:
+        OutputError: as ``check_geojson_path``, or the file cannot be written; or only some images are georeferenced.
+    """
+    target = check_geojson_path(path)
+    if len({ground is None for _, ground in placed}) > 1:
+        raise OutputError("some images are georeferenced and others are not: write one file for each kind")
+    collection: dict[str, Any] = {"type": "FeatureCollection"}
+    if all(ground is None for _, ground in placed):
+        collection["crs"] = {"type": "name", "properties": {"name": PIXELS_WKT}}
+    collection["features"] = [feature if ground is None else _in_degrees(feature, ground) for feature, ground in placed]
+    with whole_file(target) as partial:
+        partial.write_text(json.dumps(collection), encoding="utf-8")
+    return target
+
+
+def _in_degrees(feature: dict[str, Any], ground: Ground) -> dict[str, Any]:
+    """Convert a feature of a georeferenced image to degrees."""
     from rasterio.warp import transform
 
-    def degrees(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.column_stack(transform(ground.crs, "EPSG:4326", *on_ground(points, ground).T.tolist()))
+    a, b, c, d, e, f = ground.transform[:6]
 
-    return [{**feature, "geometry": moved(feature["geometry"], degrees)} for feature in layer.features]
+    def moved(part: Any) -> list[Any]:
+        if not isinstance(part[0][0], int | float):
+            return [moved(each) for each in part]
+        eastings, northings = [a * x + b * y + c for x, y in part], [d * x + e * y + f for x, y in part]
+        longitudes, latitudes = transform(ground.crs, "EPSG:4326", eastings, northings)
+        return list(map(list, zip(longitudes, latitudes, strict=True)))
+
+    geometry = feature["geometry"]
+    return {**feature, "geometry": {**geometry, "coordinates": moved(geometry["coordinates"])}}

@@ -56,7 +56,7 @@ def analyse_flight(
         options: of the method.
         same_scale: pool the evidence of all photographs.
         journal: file that keeps the result of each photograph.
-        lines: lines of known length by path or address of the photograph; see ``read_known_lengths``.
+        lines: lines of known length by path of the photograph; see ``read_known_lengths``.
 
     Raises:
         VehAnchorError: as ``Engine.flight``.

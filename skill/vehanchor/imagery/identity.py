@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError
 from vehanchor.imagery.raster import Window
-from vehanchor.imagery.sources.addresses import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +31,7 @@ class Source(NamedTuple):
     """The state of a file: its key in a journal changes if the file is replaced.
 
     Attributes:
-        path: absolute, links followed; or an address, of which nothing else is known.
+        path: absolute, links followed.
         size: bytes; -1 where there is no such file.
         mtime_ns: time of its last change.
     """
@@ -44,8 +43,6 @@ class Source(NamedTuple):
     @classmethod
     def of(cls, file: str | os.PathLike[str]) -> Source:
         """Read the state of the file of that name."""
-        if is_address(os.fspath(file)):
-            return cls(os.fspath(file), -1, 0)
         path = Path(file).resolve()
         try:
             facts = path.stat()
@@ -57,8 +54,8 @@ class Source(NamedTuple):
 def image_id(raster: Raster) -> str:
     """Hash size and content to 16 hexadecimal digits.
 
-    Of a file of more than 512 MiB that is read by windows, 512 evenly spaced blocks of 1 MiB count; of one on a web
-    server its size; of the caller's rasterio dataset the windows alone.
+    Of a file of more than 512 MiB that is read by windows, 512 evenly spaced blocks of 1 MiB count; of the caller's
+    rasterio dataset the windows alone.
     """
     if raster.known_id:
         return raster.known_id
@@ -88,8 +85,8 @@ def begin_image_id(raster: Raster) -> Callable[[], str]:
     return waiting.result
 
 
-def _update_with_file(digest: hashlib._Hash, encoded: str | bytes | int | None) -> None:
-    """Hash an encoded image: its path, its bytes, or its size alone."""
+def _update_with_file(digest: hashlib._Hash, encoded: str | bytes | None) -> None:
+    """Hash an encoded image: the file at its path, or its bytes."""
     if isinstance(encoded, str):
         try:
             with Path(encoded).open("rb") as file:
@@ -104,8 +101,6 @@ def _update_with_file(digest: hashlib._Hash, encoded: str | bytes | int | None) 
         digest.update(str(len(encoded)).encode())
         for start in _blocks(len(encoded)):
             digest.update(encoded[start : start + _BLOCK_BYTES])
-    elif encoded is not None:
-        digest.update(str(encoded).encode())
 
 
 def _blocks(size: int) -> range:

@@ -6,8 +6,6 @@ import os
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.sources.addresses import is_address
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -16,10 +14,8 @@ def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:
     """Split image names into their common folder and the names relative to it.
 
     Returns:
-        The folder and the names; the folder is empty if the images share none or if a name is an address.
+        The folder and the names; the folder is empty if the images share none.
     """
-    if any(map(is_address, names)):
-        return "", list(names)
     try:
         folder = os.path.commonpath([PurePath(name).parent for name in names])
     except ValueError:  # some are absolute and some not

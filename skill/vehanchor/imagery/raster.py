@@ -62,20 +62,20 @@ class Raster(ABC):
     Attributes:
         width_px: width of the oriented frame.
         height_px: height of the oriented frame.
-        source: the given path or address, or "bytes", "file", "array", "image", "DataArray", "dataset".
+        source: the given path, or "bytes", "file", "array", "image", "dataset".
         georeference_gsd_m_per_px: GSD by the file's georeference; None without one.
         warnings: notices for the user.
         camera: camera metadata of the file; None if it has none or the source is no file.
         ground: georeference of the image; None without one.
         in_memory: whether all pixels are decoded.
-        encoded: path or bytes of the file that is read by windows, or its size on a web server; None if unknown.
+        encoded: path or bytes of the file that is read by windows; None if unknown.
         known_id: result of ``vehanchor.imagery.identity.image_id``; empty before.
     """
 
     camera: CameraMetadata | None = None
     ground: Ground | None = None
     in_memory = False
-    encoded: str | bytes | int | None = None
+    encoded: str | bytes | None = None
     known_id = ""
 
     def __init__(

@@ -30,13 +30,13 @@ _NEEDED, _OPTIONAL = ("file", "x1", "y1"), ("x2", "y2", "kind", "name")
 _KINDS: tuple[Kind, ...] = ("box", "point", "line")
 _SIZES = (
     *("area_m2", "area_ci95_low_m2", "area_ci95_high_m2", "length_m", "width_m", "perimeter_m"),
-    *("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "gsd_m_per_px", "confidence"),
+    *("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "gsd_m_per_px"),
 )
 TARGET_COLUMNS: dict[str, type] = {
     **dict.fromkeys(("file", "name", "kind"), str),
     **dict.fromkeys(("x1", "y1", "x2", "y2"), float),
     "status": str,
-    **dict.fromkeys(_SIZES, float),
+    **dict.fromkeys((*_SIZES, "scale_confidence", "mask_score"), float),
     **dict.fromkeys(("warnings", "error_code", "error"), str),
 }
 """Columns of the table of results and the types of their values, in order."""
@@ -80,7 +80,8 @@ class TargetRow(NamedTuple):
         values = dict.fromkeys(TARGET_COLUMNS) | dict(zip(("x1", "y1", "x2", "y2"), given, strict=True))
         values |= {"file": self.target.file, "name": self.target.name, "kind": self.target.kind}
         if self.record is not None:
-            values |= {name: getattr(self.record, name, None) for name in ("status", *_SIZES)}
+            values |= {name: getattr(self.record, name, None) for name in ("status", *_SIZES, "mask_score")}
+            values["scale_confidence"] = self.record.confidence
             values["warnings"] = " ".join(each.code for each in self.record.warnings)
         if self.error is not None:
             values |= {"error_code": self.error.code, "error": str(self.error)}
@@ -102,10 +103,10 @@ def read_targets(path: str | os.PathLike[str]) -> dict[str, tuple[Target, ...]]:
     The kind is ``box``, ``line`` or ``point``; an empty one is a point without ``x2``, else a box.
 
     Args:
-        path: path of the table. Files are relative to the table, or addresses.
+        path: path of the table. Files are relative to the table.
 
     Returns:
-        The targets of each image, by its absolute path or address.
+        The targets of each image, by its absolute path.
 
     Raises:
         PromptError: the table cannot be read, or a row is invalid; the message names the row.
@@ -119,7 +120,7 @@ def measure_targets(
     """Measure all targets of an image with one search.
 
     Args:
-        image: path or address.
+        image: its path.
         targets: of this image.
         detector: finds the vehicles.
         segmenter: finds the objects.

@@ -10,18 +10,16 @@ import numbers
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.models import PRECISION_WORDS
-from vehanchor.options.option import set_frozen
+from vehanchor.options.models import PRECISION, PRECISION_WORDS, PROVIDERS, THREADS, Precision
+from vehanchor.options.option import metadata_of, set_frozen
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     import onnxruntime
-
-    from vehanchor.options.models import Precision
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
@@ -64,16 +62,6 @@ class Cancellation:
             return self._options
 
 
-class RuntimeKeywords(TypedDict, total=False):
-    """The fields of ``Runtime`` under the names that the verbs take as keywords."""
-
-    threads: int | None
-    providers: Sequence[str] | None
-    precision: Precision
-    progress: Progress | None
-    cancellation: Cancellation | None
-
-
 @dataclass(frozen=True)
 class Runtime:
     """Settings for opening models (the first three fields) and for one call (the last two).
@@ -94,9 +82,9 @@ class Runtime:
         InvalidParameterError: ``threads``, ``providers`` or ``precision`` is invalid.
     """
 
-    threads: int | None = None
-    providers: Sequence[str] = DEFAULT_PROVIDERS
-    precision: Precision = "float32"
+    threads: int | None = field(default=None, metadata=metadata_of(THREADS))
+    providers: Sequence[str] = field(default=DEFAULT_PROVIDERS, metadata=metadata_of(PROVIDERS))
+    precision: Precision = field(default="float32", metadata=metadata_of(PRECISION))
     progress: Progress | None = field(default=None, compare=False)
     cancellation: Cancellation | None = field(default=None, compare=False)
 
@@ -115,7 +103,7 @@ class Runtime:
         return replace(self, progress=call.progress, cancellation=call.cancellation)
 
     def with_keywords(self, keywords: Mapping[str, Any]) -> Runtime:
-        """The same runtime with other fields (``RuntimeKeywords``); None leaves a field as it is."""
+        """The same runtime with other fields; None leaves a field as it is."""
         changes = {name: value for name, value in keywords.items() if value is not None}
         return replace(self, **changes) if changes else self
 

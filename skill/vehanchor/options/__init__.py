@@ -5,7 +5,6 @@ from __future__ import annotations
 from vehanchor.options.by_hand import AddedVehicle, ByHand
 from vehanchor.options.frame import Coordinates, Frame
 from vehanchor.options.image_limits import DECODED_BYTES_PER_PIXEL, ImageLimits
-from vehanchor.options.keywords import OptionKeywords
 from vehanchor.options.lengths import Lengths
 from vehanchor.options.reading import Reading
 from vehanchor.options.reference import Reference
@@ -24,7 +23,6 @@ __all__ = [
     "ImageLimits",
     "KnownLength",
     "Lengths",
-    "OptionKeywords",
     "Reading",
     "Reference",
     "Rulers",

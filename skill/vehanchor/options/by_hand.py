@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.option import Limits, option, set_frozen
@@ -58,14 +58,30 @@ class ByHand:
         InvalidParameterError: a number or an axis is invalid, or a vehicle is confirmed and dropped.
     """
 
+    panel: ClassVar[str] = "Vehicles by hand"
+
     confirm: tuple[int, ...] = field(
-        default=(), metadata=option("Overlay boxes that are cars, as 1-20,23.", metavar="N,N-N")
+        default=(),
+        metadata=option(
+            "Overlay boxes that are cars, as 1-20,23.",
+            metavar="N,N-N",
+            read=lambda text: vehicle_numbers("confirm", text),
+        ),
     )
     drop: tuple[int, ...] = field(
-        default=(), metadata=option("Overlay boxes that are no cars, as 3,7.", metavar="N,N-N")
+        default=(),
+        metadata=option(
+            "Overlay boxes that are no cars, as 3,7.", metavar="N,N-N", read=lambda text: vehicle_numbers("drop", text)
+        ),
     )
     add: tuple[AddedVehicle, ...] = field(
-        default=(), metadata=option("Cars not found: both ends of the long axis.", metavar="X1 Y1 X2 Y2")
+        default=(),
+        metadata=option(
+            "Cars not found: both ends of the long axis.",
+            metavar="X1 Y1 X2 Y2",
+            read=lambda text: axis_of_text(text),
+            repeated=True,
+        ),
     )
 
     def __post_init__(self) -> None:

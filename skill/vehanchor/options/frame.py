@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias, get_args
+from typing import ClassVar, Literal, TypeAlias, get_args
 
 from vehanchor.errors import FrameError, InvalidParameterError
 from vehanchor.options.option import Limits, Option, Words, check_fields, option
@@ -11,7 +11,7 @@ from vehanchor.options.option import Limits, Option, Words, check_fields, option
 Coordinates: TypeAlias = Literal["pixels", "fraction", "per_mille"]
 """Units of coordinates."""
 
-FRAME = Option("Size of your resized copy.", metavar="W H")
+FRAME = Option("Size of your resized copy.", metavar="W H", first=True)
 FRAME_SIDE = Limits(1, 1_000_000, whole=True)
 _SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}  # largest value along either side
 
@@ -29,6 +29,8 @@ class Frame:
     Raises:
         InvalidParameterError: only one side is given, or a side is not a whole number >= 1.
     """
+
+    panel: ClassVar[str] = "Reading the image"
 
     width_px: int | None = field(
         default=None, metadata=option("Its width, pixels.", FRAME_SIDE, keyword="frame_width_px", cli=False)

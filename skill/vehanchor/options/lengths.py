@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import get_args
+from typing import ClassVar, get_args
 
+from vehanchor.errors import InvalidParameterError
 from vehanchor.options.option import Limits, Words, check_fields, option
 from vehanchor.scale.defaults import OUTLIER_ALPHA, Aggregation
+
+
+def number_or_none(text: str) -> float | None:
+    """Read a number, or ``none`` (``off``) for no filter.
+
+    Raises:
+        InvalidParameterError: the text is neither.
+    """
+    if text.strip().lower() in ("none", "off"):
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidParameterError(f"--alpha is {text!r}: use a number >= 1, or 'none'") from None
 
 
 @dataclass(frozen=True)
@@ -22,6 +37,8 @@ class Lengths:
         InvalidParameterError: alpha is not a number >= 1, or the aggregation is unknown.
     """
 
+    panel: ClassVar[str] = "Lengths"
+
     aggregation: Aggregation | None = field(
         default=None,
         metadata=option(
@@ -32,7 +49,10 @@ class Lengths:
     alpha: float | None = field(
         default=OUTLIER_ALPHA,
         metadata=option(
-            "Drop vehicles longer than X times the median; 'none' keeps all.", Limits(least=1), metavar="X|none"
+            "Drop vehicles longer than X times the median; 'none' keeps all.",
+            Limits(least=1),
+            metavar="X|none",
+            read=number_or_none,
         ),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, get_args
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.option import Words, check_fields, option
@@ -55,6 +55,8 @@ class Method:
     Raises:
         InvalidParameterError: the preset is unknown.
     """
+
+    panel: ClassVar[str] = "Method"
 
     preset: Preset | None = field(
         default=None,

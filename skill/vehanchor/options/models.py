@@ -18,7 +18,11 @@ PRECISION = Option(
     PRECISION_WORDS,
 )
 CLASSES = Option(
-    "Class, by name or index, that counts as a vehicle; repeatable. Default: the model's.", metavar="NAME", flag="class"
+    "Class, by name or index, that counts as a vehicle; repeatable. Default: the model's.",
+    metavar="NAME",
+    flag="class",
+    read=lambda text: int(text) if text.isdecimal() else text,
+    repeated=True,
 )
 THREADS = Option("CPU threads per model; the result is the same with any number. Default: all cores.", metavar="N")
 PROVIDERS = Option(
@@ -26,6 +30,7 @@ PROVIDERS = Option(
     "repeatable. Default: cpu.",
     metavar="NAME",
     flag="provider",
+    repeated=True,
 )
 CALIBRATION = Option("Use the reference length measured by 'vehanchor calibrate'.", metavar="FILE")
 SEGMENTER = Option(

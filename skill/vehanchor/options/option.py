@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import numbers
+from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, NamedTuple
 
@@ -139,6 +140,9 @@ class Option(NamedTuple):
         flag: name on the command line; empty for the field's name without its unit.
         keyword: name as a keyword; empty for the field's name.
         cli: whether the command line offers it.
+        read: reads the value, or an item of it, from one text of the command line; None for what Typer reads.
+        repeated: whether the command line repeats it, once for each item.
+        first: whether ``--help`` shows it first, because it needs no knowledge of the method.
     """
 
     help: str
@@ -147,19 +151,25 @@ class Option(NamedTuple):
     flag: str = ""
     keyword: str = ""
     cli: bool = True
+    read: Callable[[str], Any] | None = None
+    repeated: bool = False
+    first: bool = False
+
+    def from_texts(self, given: Any) -> Any:
+        """Convert what the command line gave: one text, a list of texts, or a value that Typer has read."""
+        read = self.read or _unchanged
+        if self.repeated:
+            return [read(text) for text in given]
+        return read(given) if isinstance(given, str) else given
 
 
-def option(
-    help_text: str,
-    takes: Limits | Text | Words | Flag | None = None,
-    *,
-    metavar: str = "",
-    flag: str = "",
-    keyword: str = "",
-    cli: bool = True,
-) -> dict[str, Option]:
+def _unchanged(text: str) -> str:
+    return text
+
+
+def option(help_text: str, takes: Limits | Text | Words | Flag | None = None, **parts: Any) -> dict[str, Option]:
     """Make the metadata of a dataclass field from the parts of an ``Option``."""
-    return metadata_of(Option(help_text, takes, metavar, flag, keyword, cli))
+    return metadata_of(Option(help_text, takes, **parts))
 
 
 def metadata_of(declared: Option) -> dict[str, Option]:

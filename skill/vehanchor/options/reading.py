@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.image_limits import DECODED_BYTES_PER_PIXEL, ImageLimits
@@ -25,6 +26,8 @@ class Reading:
     Raises:
         InvalidParameterError: a number is invalid, or the bands are not three whole numbers >= 1.
     """
+
+    panel: ClassVar[str] = "Reading the image"
 
     bands: tuple[int, int, int] | None = field(
         default=None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.models import CALIBRATION
@@ -30,6 +30,8 @@ class Reference:
         CalibrationFileError: the calibration cannot be read.
     """
 
+    panel: ClassVar[str] = "Reference length"
+
     reference_length_m: float | None = field(
         default=None,
         metadata=option(
@@ -44,6 +46,7 @@ class Reference:
             f"Country (ISO code, as FR) or region, if known: {', '.join(REGIONS)}.",
             Text(),
             metavar="NAME",
+            first=True,
         ),
     )
     calibration: Calibration | None = field(default=None, metadata=metadata_of(CALIBRATION))

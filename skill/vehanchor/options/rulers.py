@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
 from vehanchor.options.given_scale import GSD_M_PER_PX
@@ -125,7 +125,7 @@ class KnownLength(NamedTuple):
         except ValueError:
             raise KnownLengthError(
                 f"the known length is {text!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, or X1 Y1 X2 Y2 and "
-                "a name of 'vehanchor rulers'"
+                "a name of 'vehanchor models --sizes'"
             ) from None
         return cls.of((x1, y1, x2, y2, *values))
 
@@ -142,6 +142,11 @@ def number_or_name(text: str) -> float | str:
         ValueError: the text is neither.
     """
     return text if text[:1].isalpha() and text.lower() not in ("nan", "inf", "infinity") else float(text)
+
+
+def names_of_text(text: str) -> tuple[str, ...]:
+    """Read names with commas."""
+    return tuple(name.strip() for name in text.split(","))
 
 
 @dataclass(frozen=True)
@@ -165,9 +170,11 @@ class Rulers:
         InvalidParameterError: a number is invalid, or the rulers are not a list of names.
     """
 
+    panel: ClassVar[str] = "Other rulers"
+
     rulers: tuple[str, ...] | None = field(
         default=None,
-        metadata=option("Rulers to use, with commas. Default: all.", metavar="NAMES"),
+        metadata=option("Rulers to use, with commas. Default: all.", metavar="NAMES", read=names_of_text),
     )
     metadata: bool = field(
         default=True,
@@ -179,6 +186,9 @@ class Rulers:
             "Lines: metres, or a name, as iso_container_20ft; basis measured: tape, plan, survey.",
             metavar="X1 Y1 X2 Y2 METRES[+-M] [measured]|NAME",
             flag="known-length",
+            read=KnownLength.from_text,
+            repeated=True,
+            first=True,
         ),
     )
     height_m: float | None = field(
@@ -187,6 +197,7 @@ class Rulers:
             "Camera height above ground, for a nadir view or a known tilt.",
             _HEIGHT_M,
             metavar="M",
+            first=True,
         ),
     )
     height_basis: Basis = field(

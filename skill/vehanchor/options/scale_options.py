@@ -82,7 +82,7 @@ class ScaleOptions:
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> ScaleOptions:
-        """Make options from keywords (``OptionKeywords``).
+        """Make options from keywords.
 
         Raises:
             InvalidParameterError: a value is invalid, or an option does not exist.
@@ -90,7 +90,7 @@ class ScaleOptions:
         return cls().with_keywords(keywords)
 
     def with_keywords(self, keywords: Mapping[str, Any]) -> ScaleOptions:
-        """Copy the options with other values of single fields (``OptionKeywords``).
+        """Copy the options with other values of single fields.
 
         Raises:
             InvalidParameterError: a value is invalid, or an option does not exist.
@@ -127,9 +127,10 @@ class DeclaredOption(NamedTuple):
 
 def declared_options() -> tuple[DeclaredOption, ...]:
     """List the options of all groups."""
-    groups = (Search, Lengths, Reference, Frame, Reading, Rulers, ByHand, Method)
     return tuple(
-        DeclaredOption(keyword_of(each), each, group, option_of(each)) for group in groups for each in fields(group)
+        DeclaredOption(keyword_of(each), each, type(group), option_of(each))
+        for group in _groups(ScaleOptions())
+        for each in fields(group)
     )
 
 
@@ -146,9 +147,8 @@ def declared_option(keyword: str) -> Option:
 
 
 def _defaults() -> dict[str, Any]:
-    groups = ScaleOptions()
-    return {
-        keyword_of(each): getattr(group, each.name)
-        for group in (getattr(groups, name.name) for name in fields(groups))
-        for each in fields(group)
-    }
+    return {keyword_of(each): getattr(group, each.name) for group in _groups(ScaleOptions()) for each in fields(group)}
+
+
+def _groups(options: ScaleOptions) -> list[Any]:
+    return [getattr(options, each.name) for each in fields(options)]

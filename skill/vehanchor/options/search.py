@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias, get_args
+from typing import ClassVar, Literal, TypeAlias, get_args
 
 from vehanchor.options.option import Flag, Limits, Words, check_fields, option
 from vehanchor.scale.defaults import NMS_IOU
@@ -37,6 +37,8 @@ class Search:
     Raises:
         InvalidParameterError: a number is invalid, or the effort is unknown.
     """
+
+    panel: ClassVar[str] = "Search"
 
     min_score: float | None = field(
         default=None,

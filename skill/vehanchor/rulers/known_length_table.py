@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
 
 KnownLengthTable: TypeAlias = "Mapping[str, tuple[KnownLength, ...]]"
-"""Lines by the absolute path or address of their image."""
+"""Lines by the absolute path of their image."""
 
 _COLUMNS = ("file", "x1", "y1", "x2", "y2", "metres")
 _OPTIONAL = ("basis", "tolerance_m", "what")
@@ -31,7 +31,7 @@ def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLen
     ``what`` are optional; an empty cell is the default.
 
     Args:
-        path: path of the table; an image may have several lines. Files are relative to the table, or addresses.
+        path: path of the table; an image may have several lines. Files are relative to the table.
 
     Returns:
         The lines of each image, in pixels of the image.

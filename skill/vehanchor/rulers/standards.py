@@ -122,8 +122,8 @@ def check_name(what: str | None) -> None:
     if name not in standards():
         nearest = get_close_matches(name.lower(), standards(), _NEAREST, _CUTOFF) or list(standards())[:_NEAREST]
         raise KnownLengthError(
-            f"there is no thing of known size {name!r}: the nearest are {', '.join(nearest)}; 'vehanchor rulers' lists "
-            f"all {len(standards())}"
+            f"there is no thing of known size {name!r}: the nearest are {', '.join(nearest)}; "
+            f"'vehanchor models --sizes' lists all {len(standards())}"
         )
     if slash and not (len(country) == 2 and country.isascii() and country.isupper()):
         raise KnownLengthError(f"the country in {what!r} is {country!r}: use two capital letters, as in {name}/DE")

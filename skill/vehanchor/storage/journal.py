@@ -1,21 +1,20 @@
 """Journal of a long run: results on disk, from which an interrupted run resumes.
 
-A journal is an append-only file of JSON lines. A line of settings states what results depend on besides their source
-(version, model, options). Each result is a line ``{"settings": ..., "key": ..., "value": ..., "sum": ...}``, so that
-several settings can share a file; the sum of the value tells a damaged line. A last line cut off by a crash is
-dropped. The file is never opened through a link. A key has the state of the source when the work
-began (``vehanchor.imagery.identity.Source``), so that results of a replaced file are not found.
+A journal is an SQLite file with one table: a row is the result of one source under one set of settings. Settings are
+what results depend on besides their source (version, model, options); a row has their hash, and the row with the empty
+key has the settings themselves. A key has the state of the source when the work began
+(``vehanchor.imagery.identity.Source``), so that results of a replaced file are not found. Each result is committed
+alone: a killed run loses none. The file is never opened through a link.
 """
 
 from __future__ import annotations
 
-import errno
 import hashlib
-import io
 import json
-import os
+import sqlite3
 import threading
-from contextlib import contextmanager, suppress
+import weakref
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeAlias, TypeVar
 
@@ -25,26 +24,30 @@ from vehanchor.errors import InvalidParameterError, OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
-    from typing import IO
 
 Key: TypeAlias = tuple[str | int, ...]
 Value = TypeVar("Value")
-_START = b'{"settings": '
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
-_VERSION = 3
-"""Version of the lines; another version counts as other settings."""
+_VERSION = 4
+"""Version of the table; another version counts as other settings."""
+_APPLICATION_ID = 0x56416A6C  # marks our files; other programs' databases are left alone
+_TABLE = (
+    "CREATE TABLE IF NOT EXISTS results "
+    "(settings TEXT, key TEXT, value TEXT NOT NULL, PRIMARY KEY (settings, key)) WITHOUT ROWID"
+)
+_WAIT_S = 30.0  # for another process that writes to a shared file
+_FACTS = ""  # the key of the settings
 
 
 class Journal(Generic[Value]):
-    """Results by key; safe for several threads.
+    """Results by key; safe for several threads and, unless ``sole``, for several processes.
 
     Args:
         path: path of the file, created with its folder; None keeps results in memory only.
         settings: JSON values or records that all results depend on; results of other settings are ignored.
         dump: converts a result to JSON values.
         load: converts JSON values to a result.
-        sole: refuse a file with results of other settings, and lock the file against other runs until ``close``
-            (not on Windows).
+        sole: refuse a file with results of other settings, and lock the file against other runs until ``close``.
         anew: discard earlier results.
         remedy: advice to the user for an unusable file.
 
@@ -66,23 +69,18 @@ class Journal(Generic[Value]):
     ) -> None:
         self.path = path
         self._facts: dict[str, Any] = json.loads(json.dumps({"journal_version": _VERSION, **settings}, default=_plain))
-        self._settings = hashlib.sha256(json.dumps(self._facts, sort_keys=True).encode()).hexdigest()[:16]
-        self._dump, self._load, self._sole, self._remedy = dump, load, sole, remedy
-        self._offsets: dict[Key, int] = {}
-        self._declared = False  # whether the file has the line of our settings
-        self._memory = io.BytesIO()
+        self._settings = hashlib.sha256(json.dumps(self._facts, sort_keys=True).encode()).hexdigest()
+        self._dump, self._load, self._remedy = dump, load, remedy
         self._lock = threading.Lock()
-        self._held: IO[bytes] | None = None
-        if path is not None:
+        with self._errors_told():
             try:
-                if sole:
-                    self._hold(path)
-                if anew:
-                    self._start_again()
-                self._read(path)
-            except BaseException:
-                self.close()
-                raise
+                self._file = self._open(sole=sole, anew=anew)
+            except sqlite3.DatabaseError as error:
+                if not anew or path is None or getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_NOTADB:
+                    raise
+                path.unlink()
+                self._file = self._open(sole=sole, anew=anew)
+        weakref.finalize(self, self._file.close)
 
     def __enter__(self) -> Self:
         return self
@@ -92,97 +90,81 @@ class Journal(Generic[Value]):
 
     def close(self) -> None:
         """Let other runs use the file."""
-        if self._held is not None:
-            self._held.close()
-            self._held = None
+        self._file.close()
 
-    def _hold(self, path: Path) -> None:
-        """Lock the file until it closes.
-
-        Raises:
-            OutputError: another run holds it.
-        """
+    def _open(self, *, sole: bool, anew: bool) -> sqlite3.Connection:
+        if self.path is not None:
+            if self.path.is_symlink():
+                raise OutputError(f"{str(self.path)!r} is a link: remove it, or name another output")
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        wait_s = 0.0 if sole else _WAIT_S
+        file = sqlite3.connect(self.path or ":memory:", wait_s, isolation_level=None, check_same_thread=False)
         try:
-            import fcntl
-        except ImportError:  # Windows
-            return
-        while True:
-            with self._opened("ab") as file:
-                held = os.fdopen(os.dup(file.fileno()), "rb")
-            try:
-                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                held.close()
-                if error.errno not in (errno.EAGAIN, errno.EACCES):
-                    return  # a file system without locks
-                raise OutputError(
-                    f"another run is using {str(path)!r}: wait until it has ended, or name another output"
-                ) from None
-            with suppress(OSError):
-                if os.path.samestat(os.fstat(held.fileno()), os.lstat(path)):
-                    self._held = held
-                    return
-            held.close()  # another run has just ended and removed the file
+            file.execute("PRAGMA synchronous = NORMAL")
+            if sole:
+                file.execute("PRAGMA locking_mode = EXCLUSIVE")  # the lock of the next transaction stays
+            file.execute("BEGIN EXCLUSIVE")
+            self._begin(file, sole=sole, anew=anew)
+            file.execute("COMMIT")
+        except BaseException:
+            file.close()
+            raise
+        return file
 
-    def _start_again(self) -> None:
-        with self._opened("ab") as file:
-            file.truncate(0)
-
-    def _read(self, path: Path) -> None:
-        """Index the results of these settings; drop an incomplete last line."""
-        with self._opened("a+b") as file:
-            file.seek(0)
-            end = 0
-            for number, line in enumerate(file, start=1):
-                if not line.endswith(b"\n") and (line.startswith(_START) or _START.startswith(line)):
-                    file.truncate(end)
-                    break
-                try:
-                    self._take(json.loads(line), end)
-                except _UNREADABLE:
-                    raise InvalidParameterError(
-                        f"{str(path)!r}, line {number}, is not a line of a journal, or is damaged: {self._remedy}"
-                    ) from None
-                except _OtherSettingsError as other:
-                    raise InvalidParameterError(
-                        f"{str(path)!r} has results of an unfinished run with {other}: finish that run with its "
-                        f"options, or {self._remedy}"
-                    ) from None
-                end += len(line)
-
-    def _take(self, record: dict[str, Any], offset: int) -> None:
-        ours = record["settings"] == self._settings
-        if "facts" not in record:
-            key = tuple(record["key"])
-            if ours:
-                if record["sum"] != _sum(record["value"]):
-                    raise ValueError
-                self._offsets[key] = offset
-        elif ours:
-            self._declared = True
-        elif self._sole:
-            raise _OtherSettingsError(_difference(record["facts"], self._facts))
+    def _begin(self, file: sqlite3.Connection, *, sole: bool, anew: bool) -> None:
+        """Prepare the table; check that the file is ours, and its settings."""
+        ((mark,),) = file.execute("PRAGMA application_id")
+        ((n_tables,),) = file.execute("SELECT count(*) FROM sqlite_master")
+        if n_tables and mark != _APPLICATION_ID:
+            raise sqlite3.DatabaseError("it belongs to another program")
+        file.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
+        file.execute(_TABLE)
+        if anew:
+            file.execute("DELETE FROM results")
+        others = file.execute(
+            "SELECT value FROM results WHERE key = ? AND settings IN "
+            "(SELECT settings FROM results WHERE key <> ? AND settings <> ?)",
+            (_FACTS, _FACTS, self._settings),
+        ).fetchone()
+        if sole and others is not None:
+            other = _difference(json.loads(others[0]), self._facts)
+            raise InvalidParameterError(
+                f"{str(self.path)!r} has results of an unfinished run with {other}: finish that run with its options, "
+                f"or {self._remedy}"
+            )
+        row = (self._settings, _FACTS, json.dumps(self._facts))
+        file.execute("INSERT OR IGNORE INTO results VALUES (?, ?, ?)", row)
 
     @contextmanager
-    def _opened(self, mode: str) -> Iterator[IO[bytes]]:
-        if self.path is None:
-            yield self._memory
-            return
+    def _errors_told(self) -> Iterator[None]:
+        """Convert errors of SQLite and of the system."""
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            buffering = 0 if mode == "ab" else -1  # lines at once
-            with open(self.path, mode, buffering, opener=_open_no_link) as file:
-                yield file
+            yield
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode & 0xFF in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+                raise OutputError(
+                    f"another run is using {str(self.path)!r}: wait until it has ended, or name another output"
+                ) from None
+            raise OutputError(f"cannot keep results in {str(self.path)!r}: {error}") from None
         except OSError as error:
-            if error.errno == errno.ELOOP:
-                raise OutputError(f"{str(self.path)!r} is a link: remove it, or name another output") from None
             raise OutputError(f"cannot keep results in {str(self.path)!r}: {error.strerror or error}") from None
+        except sqlite3.DatabaseError as error:
+            raise InvalidParameterError(
+                f"{str(self.path)!r} is not a journal, or is damaged ({error}): {self._remedy}"
+            ) from None
 
-    def __contains__(self, key: Key | None) -> bool:
-        return key in self._offsets
+    def _found(self, query: str, *values: str) -> Any:
+        """Get the first column of the first row; None without a row."""
+        with self._lock, self._errors_told():
+            row = self._file.execute(f"SELECT {query}", (self._settings, *values)).fetchone()
+        return None if row is None else row[0]
+
+    def __contains__(self, key: Key) -> bool:
+        return self._found("1 FROM results WHERE settings = ? AND key = ?", json.dumps(key)) is not None
 
     def __len__(self) -> int:
-        return len(self._offsets)
+        n_results: int = self._found("count(*) FROM results WHERE settings = ? AND key <> ?", _FACTS)
+        return n_results
 
     def add(self, key: Key, value: Value) -> None:
         """Add a result; it survives a crash of this process.
@@ -190,67 +172,48 @@ class Journal(Generic[Value]):
         Raises:
             OutputError: the file cannot be written.
         """
-        dumped = self._dump(value)
-        record = {"settings": self._settings, "key": key, "value": dumped, "sum": _sum(dumped)}
-        line = json.dumps(record, allow_nan=False).encode() + b"\n"
-        with self._lock, self._opened("ab") as file:
-            first = b"" if self._declared else self._declaration()
-            start = file.seek(0, os.SEEK_END)
-            if file.write(first + line) != len(first + line):
-                with suppress(OSError):
-                    file.truncate(start)  # or the next line would follow an incomplete one
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            self._offsets[key] = file.tell() - len(line)  # another process may append, too
-            self._declared = True
-
-    def _declaration(self) -> bytes:
-        return json.dumps({"settings": self._settings, "facts": self._facts}).encode() + b"\n"
+        row = (self._settings, json.dumps(key), json.dumps(self._dump(value), allow_nan=False))
+        with self._lock, self._errors_told():
+            self._file.execute("INSERT OR REPLACE INTO results VALUES (?, ?, ?)", row)
 
     def get(self, key: Key) -> Value | None:
         """Get the result of a key; None if it is unknown.
 
         Raises:
             OutputError: the file can no longer be read.
-            InvalidParameterError: a result has another version.
+            InvalidParameterError: the result is damaged, or has another version.
         """
-        return next(self.values([key])) if key in self._offsets else None
+        found = self._found("value FROM results WHERE settings = ? AND key = ?", json.dumps(key))
+        return None if found is None else self._value(key, found)
+
+    def _value(self, key: Key, text: str) -> Value:
+        try:
+            return self._load(json.loads(text))
+        except _UNREADABLE as error:
+            raise InvalidParameterError(
+                f"{str(self.path)!r} has an unreadable result of {key} ({error}): {self._remedy}"
+            ) from None
 
     def values(self, keys: Iterable[Key]) -> Iterator[Value]:
         """Read the results of known keys one by one, in the order of the keys.
 
         Raises:
+            KeyError: a key is unknown.
             OutputError: the file can no longer be read.
-            InvalidParameterError: a result has another version.
+            InvalidParameterError: a result is damaged, or has another version.
         """
         for key in keys:
-            with self._lock, self._opened("rb") as file:
-                file.seek(self._offsets[key])
-                line = file.readline()
-            try:
-                yield self._load(json.loads(line)["value"])
-            except _UNREADABLE as error:
-                raise InvalidParameterError(
-                    f"{str(self.path)!r} has an unreadable result of {key} ({error}): {self._remedy}"
-                ) from None
+            found = self._found("value FROM results WHERE settings = ? AND key = ?", json.dumps(key))
+            if found is None:
+                raise KeyError(key)
+            yield self._value(key, found)
 
     def remove(self) -> None:
         """Delete the file: the run is complete."""
-        if self.path is not None:
-            self.path.unlink(missing_ok=True)
         self.close()
-
-
-def _open_no_link(name: str, flags: int) -> int:
-    return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
-
-
-def _sum(value: Any) -> str:
-    """Hash a JSON value; floats, texts and the order of keys survive a file."""
-    return hashlib.sha256(json.dumps(value, allow_nan=False).encode()).hexdigest()[:16]
-
-
-class _OtherSettingsError(Exception):
-    """Difference in the settings of a journal; the message names it."""
+        if self.path is not None:
+            for name in (self.path.name, f"{self.path.name}-journal"):  # the second is SQLite's own
+                self.path.with_name(name).unlink(missing_ok=True)
 
 
 def _plain(record: Any) -> Any:

@@ -165,7 +165,7 @@ def _measure(request: AreaRequest, chosen: ParsedOptions, folder: Path, workers:
             segmenter,
             options,
             logs=request.out,
-            classes=chosen.detector.names_and_indices,
+            classes=chosen.detector.classes,
             limit=request.limit,
             workers=workers,
             progress=lambda what: step(0, what),

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.gsd import ScaleBenchmark
 
 _OUT = Path("vehanchor-evaluation")
-_CACHE_NAME = "detections.jsonl"
+_CACHE_NAME = "detections.sqlite"
 
 evaluate = typer.Typer(
     help="Accuracy on images of known truth: the paper's tables and figures on your data.",

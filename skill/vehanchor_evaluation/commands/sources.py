@@ -144,7 +144,7 @@ class KnownScaleRequest:
                     data,
                     detector,
                     options,
-                    classes=chosen.detector.names_and_indices,
+                    classes=chosen.detector.classes,
                     cache=cache,
                     workers=self.workers,
                     progress=tell,

@@ -16,8 +16,10 @@ from typer.testing import CliRunner
 
 import vehanchor
 from tests.models import blank_image, paint_vehicles, write_detector
-from vehanchor import AreaAnalysis, Detector, analyse_area, analyse_distance, analyse_scale
+from vehanchor import analyse_area, analyse_distance, analyse_scale
+from vehanchor.analysis.measured import AreaAnalysis
 from vehanchor.cli.app import app
+from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, MissingExtraError
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.measured import MEASURED_RGB
@@ -50,7 +52,7 @@ def test_the_overlay_and_the_plot_are_those_of_the_command(cars: np.ndarray, det
 
 
 def test_an_image_is_read_again_as_it_was_read(cars: np.ndarray, detector: Detector) -> None:
-    from vehanchor import Reading
+    from vehanchor.options import Reading, ScaleOptions
 
     swapped = np.ascontiguousarray(cars[:, :, ::-1])
     analysis = analyse_scale(swapped, ScaleOptions(reading=Reading(bgr=True)), detector=detector)

@@ -9,8 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +20,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
+from vehanchor import estimate_gsd
 from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch, worker
 from vehanchor.batch.engines.local import local_workers
@@ -34,7 +33,6 @@ from vehanchor.detection import scene_scale as scene
 from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.networks import networks_sha256
-from vehanchor.engine.verbs import estimate_gsd
 from vehanchor.errors import (
     ImageNotFoundError,
     InvalidParameterError,
@@ -122,6 +120,20 @@ def test_a_file_named_with_a_patterns_characters_is_that_file(folder: Path, tmp_
     odd = tmp_path / "photo[1].png"
     odd.write_bytes((folder / "cars.png").read_bytes())
     assert find_images([str(odd)]) == [str(odd)]
+
+
+def test_folders_behind_links_are_searched_once(folder: Path, tmp_path: Path) -> None:
+    data, top = (folder / "cars.png").read_bytes(), tmp_path / "top"
+    for name in ("elsewhere", "top/real"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "cars.png").write_bytes(data)
+    (top / "link").symlink_to(tmp_path / "elsewhere")
+    (top / "a second name").symlink_to(top / "real")
+    (top / "real/round").symlink_to(top)
+    (tmp_path / "only links").mkdir()
+    (tmp_path / "only links/2026").symlink_to(tmp_path / "elsewhere")
+    assert find_images([str(top)]) == [str(top / "link/cars.png"), str(top / "real/cars.png")]
+    assert find_images(tmp_path / "only links") == [str(tmp_path / "only links/2026/cars.png")]
 
 
 @pytest.mark.parametrize("nothing", [[], ["*.tiff"], ["empty folder"]])
@@ -339,15 +351,6 @@ def test_an_interrupted_run_goes_on_and_ends_as_one_that_was_not(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["at once.jsonl", "table.jsonl"]
 
 
-def test_a_line_cut_off_by_a_crash_is_made_anew(analysed: list[str], detector: Path, table: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        run_batch(["."], table, detector=detector, workers=1)
-    journal = journal_path(table)
-    journal.write_bytes(journal.read_bytes()[:-20])
-    assert run_batch(["."], table, detector=detector, workers=1).n_resumed == 1
-    assert [row["file"] for row in _rows(table)] == FILES
-
-
 def test_other_images_than_before_change_only_what_is_missing(analysed: list[str], detector: Path, table: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_batch(["."], table, detector=detector, workers=1)
@@ -483,7 +486,7 @@ def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
     )
     journal = tmp_path / "t.csv.journal"
     deadline = time.monotonic() + 120
-    while not (journal.exists() and journal.read_bytes().count(b"\n") > 3):
+    while not (journal.exists() and journal.stat().st_size > 40_000):
         assert time.monotonic() < deadline
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all of them
@@ -665,24 +668,6 @@ def test_lines_of_one_image_scale_all_where_all_are_of_one_scale(folder: Path, d
     lines.write_text("file,x1,y1,x2,y2,metres\nfull.png,100,50,500,50,48\n")
     refused = _batch(*common, lines, "-o", table, "--overwrite")
     assert (refused.exit_code, "not one of the images" in refused.stderr) == (2, True)
-
-
-def test_images_may_be_addresses(folder: Path, detector: Path, table: Path) -> None:
-    handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
-    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
-        base = f"http://127.0.0.1:{server.server_port}"
-        lines = table.with_name("lines.csv")
-        lines.write_text(f"file,x1,y1,x2,y2,metres\n{base}/empty.png,100,50,500,50,48\n")
-        inputs = (f"{base}/cars.png", f"{base}/empty.png", f"{base}/none.png?size=1")
-        result = _batch(*inputs, "cars.png", "-o", table, "--detector", detector, "--known-lengths", lines)
-        server.shutdown()
-    assert result.exit_code == 0, result.output
-    there, empty, none, here = _rows(table)
-    assert there["file"] == f"{base}/cars.png"
-    assert {**there, "file": "cars.png"} == here
-    assert empty["leading_ruler"] == "known_length"
-    assert (none["error_code"], "404" in none["error"]) == ("image_not_found", True)
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner, Result
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
-from vehanchor import engine, records
+from vehanchor import analyse_scale, engine, records
 from vehanchor.cli import app as cli
-from vehanchor.engine import verbs
 from vehanchor.errors import VehAnchorError
 from vehanchor.models import zoo as model_zoo
 
@@ -111,7 +110,7 @@ def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
     assert result.stderr == ""
     (line,) = _lines(result)
     assert line.pop("source") == "cars.png"
-    expected = verbs.analyse_scale(folder / "cars.png", detector=folder / "detector.onnx").estimate
+    expected = analyse_scale(folder / "cars.png", detector=folder / "detector.onnx").estimate
     assert line == expected.model_dump(mode="json")  # which also holds the defaults of the options to the library's
     assert records.GsdEstimate.model_validate_json(json.dumps(line)) == expected
     assert line["gsd_m_per_px"] == pytest.approx(5.045 / LENGTH_PX, rel=0.05)

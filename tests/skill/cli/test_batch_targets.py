@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import sqlite3
 from pathlib import Path
 
 import cv2
@@ -63,23 +62,21 @@ def test_each_target_has_a_row_with_metres_or_an_error(place: Path, tmp_path: Pa
     assert [each["status"] for each in (pool, middle, road, outside, bare)] == [
         *("ok", "low_confidence", "ok", "", "no_scale")
     ]
+    assert "confidence" not in middle, "the scale's confidence is not that of the measurement"
+    assert float(middle["scale_confidence"]) == float(road["scale_confidence"]) > 0.5
+    assert 0 <= float(middle["mask_score"]) <= 1
+    assert road["mask_score"] == ""
     assert (pool["name"], outside["error_code"]) == ("'=pool", "invalid_prompt"), "no formula for a spreadsheet"
     again = _batch(place, tmp_path / "out.csv")
     assert (again.exit_code, "--overwrite" in again.stderr) == (2, True)
 
 
 def test_outlines_and_lines_go_to_maps_in_pixels(place: Path, tmp_path: Path) -> None:
-    for name in ("out.gpkg", "out.geojson"):
-        assert _batch(place, tmp_path / name).exit_code == 0
-    with sqlite3.connect(tmp_path / "out.gpkg") as file:
-        outlines = file.execute("SELECT file, name, status, area_m2 FROM outlines").fetchall()
-        lines = file.execute("SELECT name, distance_m FROM lines").fetchall()
-        systems = dict(file.execute("SELECT table_name, srs_id FROM gpkg_contents"))
-    assert outlines[0][:3] == ("photos/cars.png", "=pool", "ok")
-    assert [name for name, _ in lines] == ["road"]
-    assert systems == {"outlines": 100_000, "lines": 100_000}
+    assert _batch(place, tmp_path / "out.geojson").exit_code == 0
     collection = json.loads((tmp_path / "out.geojson").read_text())
-    assert len(collection["features"]) == len(outlines) + len(lines)
+    facts = [each["properties"] for each in collection["features"]]
+    assert [each["name"] for each in facts if each["distance_m"]] == ["road"]
+    assert {(each["file"], each["name"], each["status"]) for each in facts} > {("photos/cars.png", "=pool", "ok")}
     assert "pixel" in collection["crs"]["properties"]["name"]
 
 
@@ -95,13 +92,14 @@ def test_targets_of_georeferenced_and_plain_images_go_to_different_files(place: 
     (tmp_path / "painted.onnx").symlink_to(place / "painted.onnx")
     (tmp_path / "one.csv").write_text(_HEADER + "photos/a.tif,line,0,0,100,0,\n")
     (tmp_path / "two.csv").write_text(_HEADER + "photos/a.tif,line,0,0,100,0,\nphotos/plain.png,line,0,0,100,0,\n")
-    assert _batch(tmp_path, tmp_path / "one.gpkg", table="one.csv").exit_code == 0
-    with sqlite3.connect(tmp_path / "one.gpkg") as database:
-        extent = database.execute("SELECT min_x, max_x, srs_id FROM gpkg_contents").fetchone()
-    assert extent == (500_000, pytest.approx(500_015), 32633)
-    both = _batch(tmp_path, tmp_path / "two.gpkg", table="two.csv")
+    assert _batch(tmp_path, tmp_path / "one.geojson", table="one.csv").exit_code == 0
+    (line,) = json.loads((tmp_path / "one.geojson").read_text())["features"]
+    (west, north), (east, _) = line["geometry"]["coordinates"]
+    assert (west, north) == pytest.approx((15, 45.15), abs=0.01), "degrees"
+    assert east > west
+    both = _batch(tmp_path, tmp_path / "two.geojson", table="two.csv")
     assert (both.exit_code, "some images are georeferenced" in both.stderr) == (2, True)
-    assert not (tmp_path / "two.gpkg").exists()
+    assert not (tmp_path / "two.geojson").exists()
 
 
 @pytest.mark.parametrize(
@@ -126,5 +124,5 @@ def test_a_table_that_is_wrong_is_refused_before_the_work(place: Path, tmp_path:
 def test_it_excludes_what_it_does_not_do(place: Path, tmp_path: Path) -> None:
     result = _batch(place, tmp_path / "out.csv", "--same-scale")
     assert (result.exit_code, "--measure excludes" in result.stderr) == (2, True)
-    alone = CliRunner().invoke(app, ["batch", str(place / "photos"), "-o", str(tmp_path / "out.gpkg")])
-    assert (alone.exit_code, "hold the targets of --measure" in alone.stderr) == (2, True)
+    alone = CliRunner().invoke(app, ["batch", str(place / "photos"), "-o", str(tmp_path / "out.geojson")])
+    assert (alone.exit_code, "holds the targets of --measure" in alone.stderr) == (2, True)

@@ -12,9 +12,8 @@ from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
 from tests.sam_models import write_sam
-from vehanchor import records
+from vehanchor import measure_area, records
 from vehanchor.cli import app as cli
-from vehanchor.engine.verbs import measure_area
 from vehanchor.models import zoo as model_zoo
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
+from vehanchor import analyse_scale
 from vehanchor.detection.appearance import MAX_CHIPS, FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.fleet import FleetNetwork
 from vehanchor.detection.search import search
-from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime

@@ -14,7 +14,6 @@ from vehanchor.imagery.names import under_one_folder
         (["flight/a.jpg", "flight/b.jpg"], "flight", ["a.jpg", "b.jpg"]),
         (["/a/b.jpg", "c.jpg"], "", ["/a/b.jpg", "c.jpg"]),
         (["#1", "frame at 3 s"], "", ["#1", "frame at 3 s"]),
-        (["https://a/b.jpg", "https://a/c.jpg"], "", ["https://a/b.jpg", "https://a/c.jpg"]),
     ],
 )
 def test_names_are_told_without_the_folder_that_all_lie_in(names: list[str], folder: str, short: list[str]) -> None:

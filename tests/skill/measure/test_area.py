@@ -9,12 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-import vehanchor
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import EMPTY, write_sam
-from vehanchor.analysis.measured import AreaAnalysis
+from vehanchor import analyse_area, estimate_gsd, measure_area
 from vehanchor.detection.detector import Detector
-from vehanchor.engine.verbs import analyse_area, estimate_gsd, measure_area
 from vehanchor.errors import FrameError, ImageDecodeError, InvalidParameterError, ModelNotFoundError, PromptError
 from vehanchor.models import zoo as model_zoo
 from vehanchor.options import ScaleOptions
@@ -263,7 +261,7 @@ def test_prompts_are_read_in_the_frame_and_answered_in_the_image(segmenter: Segm
     full = measure_area(image, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
     options: dict[str, Any] = {"frame_width_px": 400, "frame_height_px": 300, "segmenter": segmenter}
     half = tuple(side / 2 for side in BOX)
-    record = measure_area(image, box=half, gsd_m_per_px=GSD, **options)  # type: ignore[arg-type]
+    record = measure_area(image, box=half, gsd_m_per_px=GSD, **options)
     assert record.area_m2 == full.area_m2
     assert record.bounding_box == full.bounding_box
     assert record.frame is not None
@@ -271,7 +269,7 @@ def test_prompts_are_read_in_the_frame_and_answered_in_the_image(segmenter: Segm
     assert record.frame.gsd_m_per_px == pytest.approx(2 * GSD)
     assert _corners(record.frame.bounding_box) == tuple(side / 2 for side in POOL)
     with pytest.raises(FrameError, match="300"):
-        measure_area(image, box=half, gsd_m_per_px=GSD, **(options | {"frame_height_px": 400}))  # type: ignore[arg-type]
+        measure_area(image, box=half, gsd_m_per_px=GSD, **(options | {"frame_height_px": 400}))
     with pytest.raises(PromptError, match="400 x 300 px frame"):
         measure_area(image, points=[(420, 100)], gsd_m_per_px=GSD, **options)
 
@@ -385,12 +383,6 @@ def test_every_field_of_the_record_is_described() -> None:
     for definition in (schema, *schema["$defs"].values()):
         for name, field in definition.get("properties", {}).items():
             assert field.get("description"), name
-
-
-def test_the_public_functions_are_those_of_the_package() -> None:
-    assert vehanchor.measure_area is measure_area
-    assert vehanchor.analyse_area is analyse_area
-    assert vehanchor.AreaAnalysis is AreaAnalysis
 
 
 @pytest.mark.parametrize("prompt", [{"box": BOX}, {"points": [(444, 330), (100, 500, False)]}])

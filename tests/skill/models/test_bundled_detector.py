@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.conftest import ROOT
+from vehanchor import estimate_gsd
 from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.engine.verbs import estimate_gsd
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import (
     DEFAULT_DETECTOR,

@@ -10,21 +10,10 @@ import pytest
 import vehanchor
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options import ByHand, Frame, Lengths, OptionKeywords, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.options import ByHand, Lengths, Reference, Rulers, ScaleOptions, Search
 from vehanchor.options.method import Method
 
 _IMAGE = np.zeros((64, 64, 3), np.uint8)
-
-
-def test_the_verbs_keywords_are_the_groups_fields() -> None:
-    names = [
-        field.name
-        for group in (Search, Lengths, Reference, Reading, Rulers, ByHand, Method)
-        for field in dataclasses.fields(group)
-    ]
-    names += ["frame_width_px", "frame_height_px", "coordinates"]
-    assert len(dataclasses.fields(Frame)) == 3
-    assert sorted(OptionKeywords.__annotations__) == sorted(names)
 
 
 @pytest.mark.parametrize(

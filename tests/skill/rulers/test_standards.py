@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
 from typer.testing import CliRunner
 
 from tests.analyses import log_sd
 from tests.skill.rulers.test_answers import record_of
 from tests.skill.rulers.test_known_length import _view
-from vehanchor.cli.rulers import rulers
+from vehanchor.cli.app import app
 from vehanchor.errors import KnownLengthError
 from vehanchor.options import KnownLength
 from vehanchor.options.rulers import Rulers
@@ -155,16 +154,12 @@ def test_a_table_takes_names(tmp_path: Any) -> None:
         read_known_lengths(table)
 
 
-def test_the_command_prints_the_catalogue() -> None:
-    app = typer.Typer()
-    app.command()(rulers)
-    listed = CliRunner().invoke(app, [], env={"COLUMNS": "100"}).stdout
-    assert all(name in listed for name in standards())
-    one = CliRunner().invoke(app, ["railway_gauge"], env={"COLUMNS": "100"}).stdout
-    assert "1.668 m +- 1 %: ES, PT" in one
-    rows = [json.loads(line) for line in CliRunner().invoke(app, ["--json"]).stdout.splitlines()]
+def test_the_command_lists_every_thing_with_its_lengths_and_source() -> None:
+    shown = CliRunner().invoke(app, ["models", "--sizes"], env={"COLUMNS": "100"}).stdout
+    assert all(name in shown for name in standards())
+    rows = [json.loads(line) for line in CliRunner().invoke(app, ["models", "--sizes", "--json"]).stdout.splitlines()]
     assert [row["name"] for row in rows] == list(standards())
-    assert CliRunner().invoke(app, ["pool"]).exit_code == 2
+    assert all(row["variants"][0]["metres"] > 0 and row["source"] for row in rows)
 
 
 def test_the_cars_choose_among_the_lengths_of_a_mixture() -> None:

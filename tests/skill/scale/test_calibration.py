@@ -13,11 +13,13 @@ from scipy.stats import gaussian_kde
 from typer.testing import CliRunner
 
 import vehanchor
+from tests.journals import n_results
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.skill.courts.drawing import draw_court
 from tests.skill.imagery.metadata_bytes import exif, jpeg, xmp
 from vehanchor.cli import app as cli
 from vehanchor.courts.template import TENNIS
+from vehanchor.detection.detector import Detector
 from vehanchor.errors import (
     CalibrationFileError,
     CalibrationMismatchError,
@@ -259,7 +261,7 @@ def calibration(folder: Path) -> Path:
 
 def test_calibrating_with_the_detector_makes_its_estimates_true(folder: Path, calibration: Path) -> None:
     record = load_calibration(calibration)
-    detector = vehanchor.Detector(folder / "detector.onnx")
+    detector = Detector(folder / "detector.onnx")
     assert (record.source, record.detector_sha256) == ("detections", detector.card.sha256)
     before = vehanchor.estimate_gsd(folder / "cars.png", detector=detector)
     after = vehanchor.estimate_gsd(folder / "cars.png", detector=detector, calibration=calibration)
@@ -468,11 +470,11 @@ def test_a_bad_file_is_told_and_left_out(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "b.txt").write_bytes(b"\xff\xfe")
     (tmp_path / "table.csv").write_text("file,gsd_m_per_px\n" + "".join(f"{name}.png,{GSD}\n" for name in "abc"))
     common = ["calibrate", "--table", tmp_path / "table.csv", "--out", tmp_path / "c.json"]
-    result = _run(*common, "--detector", folder / "detector.onnx", "--cache", tmp_path / "log.jsonl")
+    result = _run(*common, "--detector", folder / "detector.onnx", "--cache", tmp_path / "log.sqlite")
     assert result.exit_code == 0, result.stderr
     assert "warning[image_undecodable]" in result.stderr
     assert load_calibration(tmp_path / "c.json").n_vehicles == 264
-    assert (tmp_path / "log.jsonl").read_text().count('"key"') == 2
+    assert n_results(tmp_path / "log.sqlite") == 2
     result = _run(*common, "--from", "labels")
     assert result.exit_code == 2
     assert "warning[unreadable_labels]" in result.stderr

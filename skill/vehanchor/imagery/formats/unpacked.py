@@ -15,7 +15,7 @@ import numpy as np
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.sources.arrays import ArrayRaster
-from vehanchor.imagery.sources.rasterio_file import gdal_environment, open_rasterio
+from vehanchor.imagery.sources.rasterio_file import gdal_environment, import_rasterio, open_rasterio
 
 if TYPE_CHECKING:
     from vehanchor.imagery.bands import BandChoice
@@ -47,6 +47,7 @@ def open_large_jpeg(
     """
     if not header.complete:
         raise ImageDecodeError(f"the JPEG ({source}) is truncated: its end mark is missing")
+    import_rasterio(source, header)  # before its own environment
     # libjpeg only warns of damage; GDAL must treat it as an error.
     with ExitStack() as stack, gdal_environment(source, GDAL_ERROR_ON_LIBJPEG_WARNING="YES"):
         dataset = open_rasterio(file, source, header, limits, stack)

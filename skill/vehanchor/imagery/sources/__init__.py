@@ -1,1 +1,1 @@
-"""Image sources: paths, arrays, datasets, addresses."""
+"""Image sources: paths, arrays, datasets."""

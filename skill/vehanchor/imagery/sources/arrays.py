@@ -29,7 +29,6 @@ class ArrayRaster(Raster):
         bands: bands to use as red, green and blue.
         bgr: whether the first three bands are blue, green and red.
         orientation: EXIF orientation to apply.
-        georeference_gsd_m_per_px: GSD by its coordinates; None without any.
 
     Raises:
         InvalidParameterError: ``bands`` names a missing band.
@@ -46,7 +45,6 @@ class ArrayRaster(Raster):
         *,
         bgr: bool = False,
         orientation: int = 1,
-        georeference_gsd_m_per_px: float | None = None,
     ) -> None:
         pixels = _check_array(pixels)
         height, width, n_bands = pixels.shape
@@ -56,7 +54,6 @@ class ArrayRaster(Raster):
             width,
             height,
             orientation=orientation,
-            georeference_gsd_m_per_px=georeference_gsd_m_per_px,
             notes=notes,
         )
         stored = (2, 1, 0, 3) if bgr and n_bands >= 3 else tuple(range(n_bands))

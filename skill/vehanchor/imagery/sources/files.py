@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
-from vehanchor.imagery.sources.addresses import is_address
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset(chain.from_iterable(IMAGE_FORMATS.values()))
@@ -26,9 +25,9 @@ def find_images(
     """List every image once, in an order that depends on the names alone.
 
     Args:
-        inputs: one or several: directories (searched recursively, by suffix), patterns (``photos/*.jpg``, also
-            ``**``), files, and http(s) addresses, which are not checked here. A missing file with an image suffix
-            stays in the list if other images exist: it becomes a row with an error.
+        inputs: one or several: directories (searched by suffix, recursively, also behind links), patterns
+            (``photos/*.jpg``, also ``**``), and files. A missing file with an image suffix stays in the list if other
+            images exist: it becomes a row with an error.
         leave_out: files that match a pattern but are not images, such as the table to write.
 
     Returns:
@@ -49,7 +48,7 @@ def find_images(
         found.update(dict.fromkeys(images))
     if not found:
         raise ImageNotFoundError("no image given: name files, directories or patterns")
-    if not any(is_address(image) or Path(image).exists() for image in found):
+    if not any(Path(image).exists() for image in found):
         raise ImageNotFoundError(f"there is no file {next(iter(found))!r}, nor any other of the {len(found)} named")
     return list(found)
 
@@ -68,16 +67,32 @@ def _is_left_out(image: str, excluded: Mapping[str, Path]) -> bool:
 
 
 def where_it_is(image: str | os.PathLike[str]) -> str:
-    """Give the unique name of an image: its absolute path without links, or its address."""
-    return str(image) if is_address(str(image)) else str(Path(image).resolve())
+    """Give the unique name of an image: its absolute path without links."""
+    return str(Path(image).resolve())
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """List the files in a folder and, after them, in folders behind links; each folder once."""
+    known: set[tuple[int, int]] = set()
+    waiting = [folder]
+    while waiting:
+        links: list[Path] = []
+        for top in waiting:
+            for here, folders, files in os.walk(top):
+                state = Path(here).stat()
+                if (state.st_dev, state.st_ino) in known:
+                    folders.clear()
+                    continue
+                known.add((state.st_dev, state.st_ino))
+                links += [path for each in sorted(folders) if (path := Path(here, each)).is_symlink()]
+                yield from (Path(here, each) for each in files)
+        waiting = links
 
 
 def _images(name: str) -> list[str]:
-    if is_address(name):
-        return [name]
     path = Path(name)
     if path.is_dir():
-        return sorted(str(file) for file in path.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file())
+        return sorted(str(file) for file in _files(path) if file.suffix.lower() in SUFFIXES and file.is_file())
     if not path.exists() and glob.has_magic(name):
         matches = glob.glob(name, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
         return sorted(file for file in matches if Path(file).is_file())

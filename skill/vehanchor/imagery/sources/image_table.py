@@ -6,7 +6,6 @@ import csv
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from vehanchor.imagery.sources.addresses import is_address
 from vehanchor.imagery.sources.files import where_it_is
 
 if TYPE_CHECKING:
@@ -33,7 +32,7 @@ def read_image_table(
     """Read a CSV with a row per thing in an image, which its column ``file`` names.
 
     Args:
-        path: path of the table. Files are relative to the table, or addresses.
+        path: path of the table. Files are relative to the table.
         content: what the rows are, for messages.
         needed: columns without which the table is refused.
         read_row: reads a row; its ``ValueError`` gets the number of the line.
@@ -41,7 +40,7 @@ def read_image_table(
         optional: further columns that a message shows.
 
     Returns:
-        The rows of each image, by its absolute path or address, in order.
+        The rows of each image, by its absolute path, in order.
 
     Raises:
         InvalidParameterError: of the class ``error``: the table cannot be read, has no row, or a row is invalid.
@@ -65,7 +64,7 @@ def read_image_table(
                     read = read_row(row)
                 except ValueError as problem:
                     raise error(f"{str(table)!r}, line {reader.line_num}: {problem}") from None
-                image = where_it_is(file if is_address(file) else table.parent / file)
+                image = where_it_is(table.parent / file)
                 found[image] = (*found.get(image, ()), read)
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise error(f"cannot read the {content} in {str(table)!r}: {problem}") from None

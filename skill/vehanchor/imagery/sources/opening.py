@@ -24,9 +24,7 @@ from vehanchor.imagery.formats.unpacked import open_large_jpeg
 from vehanchor.imagery.limits import check_bytes, read_checked_header
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
-from vehanchor.imagery.sources.addresses import RemoteFile, is_address
 from vehanchor.imagery.sources.arrays import ArrayRaster
-from vehanchor.imagery.sources.data_arrays import DataArray, data_array_gsd_m_per_px, data_array_pixels, is_data_array
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
 from vehanchor.options import ImageLimits
@@ -37,19 +35,10 @@ if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
 
 ImageSource: TypeAlias = (
-    str
-    | os.PathLike[str]
-    | bytes
-    | bytearray
-    | memoryview
-    | BinaryIO
-    | NDArray[Any]
-    | Dataset
-    | PillowImage
-    | DataArray
+    str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO | NDArray[Any] | Dataset | PillowImage
 )
-"""A path or http(s) address, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] in
-RGB order, an open rasterio dataset, a Pillow image, or an xarray DataArray."""
+"""A path, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] in RGB order, an open
+rasterio dataset, or a Pillow image."""
 
 _MIB = 1 << 20
 _JPEG = b"\xff\xd8\xff"
@@ -75,9 +64,7 @@ def open_raster(
             * an encoded image: bytes, or a binary file object, which is read from its current position,
             * an array [h, w] or [h, w, bands] of uint8, uint16 or floats, RGB; it is neither copied nor changed,
             * an open rasterio dataset, which stays open,
-            * a Pillow image, whose EXIF orientation is applied,
-            * an xarray ``DataArray``,
-            * an http(s) address; TIFF and JPEG 2000 are read by windows, other formats are downloaded.
+            * a Pillow image, whose EXIF orientation is applied.
         bands: bands to use as red, green and blue, counted from 1.
         limits: limits to apply; None for the defaults.
         bgr: whether an array's first three bands are blue, green and red, as in OpenCV; ignored for files.
@@ -96,41 +83,25 @@ def open_raster(
     if isinstance(image, np.ndarray):
         return ArrayRaster(image, "array", bands, bgr=bgr)
     if isinstance(image, str | os.PathLike):
-        name = os.fspath(image)
-        return _open_address(name, bands, limits) if is_address(name) else _open_path(name, bands, limits)
+        return _open_path(os.fspath(image), bands, limits)
     if isinstance(image, bytes | bytearray | memoryview):
         check_bytes(memoryview(image).nbytes, limits)
         return _open_bytes(bytes(image), "bytes", bands, limits)
     if is_pillow(image):
         return ArrayRaster(pillow_pixels(image, limits), "image", bands)
-    if is_data_array(image):
-        pixels, gsd = data_array_pixels(image, limits), data_array_gsd_m_per_px(image)
-        return ArrayRaster(pixels, "DataArray", bands, georeference_gsd_m_per_px=gsd)
     if is_dataset(image):
         return open_dataset(image, bands, limits)
     if hasattr(image, "read"):
         return _open_bytes(_read_stream(cast("BinaryIO", image), limits), "file", bands, limits)
     raise InvalidParameterError(
-        "image must be a path, an address, bytes, a binary file, a numpy array, a Pillow image, a DataArray or a "
-        f"rasterio dataset, got {type(image).__name__}"
+        "image must be a path, bytes, a binary file, a numpy array, a Pillow image or a rasterio dataset, got "
+        f"{type(image).__name__}"
     )
 
 
 def can_be_read_again(image: ImageSource) -> bool:
     """Test whether an image can be opened a second time; a stream cannot."""
     return is_dataset(image) or is_pillow(image) or not hasattr(image, "read")
-
-
-def _open_address(address: str, bands: BandChoice, limits: ImageLimits) -> Raster:
-    file = RemoteFile(address, limits)
-    start = file.read_at(0, 32)
-    if not file.has_ranges or not (is_tiff(start) or is_jpeg2000(start)):
-        return _open_bytes(file.fetch(), address, bands, limits)
-    header = read_checked_header(file.read_at, limits)
-    raster = open_file(file, address, header, bands, limits)
-    raster.encoded = file.size
-    raster.camera = read_camera(file.read_at)
-    return raster
 
 
 def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
@@ -204,7 +175,8 @@ def _open_regular(path: str) -> BinaryIO:
         descriptor = os.open(path, flags)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise ImageNotFoundError(f"cannot open the image {path!r}: {reason}") from error
+        remedy = "; download it, or pass rasterio.open(...) of it" if "://" in path else ""
+        raise ImageNotFoundError(f"cannot open the image {path!r}: {reason}{remedy}") from error
     mode = os.fstat(descriptor).st_mode
     if stat.S_ISREG(mode):
         return os.fdopen(descriptor, "rb")

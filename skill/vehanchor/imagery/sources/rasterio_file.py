@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
-import uuid
 import warnings
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import cv2
@@ -25,11 +23,10 @@ from vehanchor.imagery.bands import check_dtype, choose_bands, merge_bands
 from vehanchor.imagery.limits import check_block, check_windowed_size
 from vehanchor.imagery.metadata.georeference import Ground, dataset_gsd_m_per_px
 from vehanchor.imagery.raster import Raster, StoredPixels, Window, stored_window
-from vehanchor.imagery.sources.addresses import RemoteFile, RemoteStream
 from vehanchor.imagery.stretch import SAMPLE_PX
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -42,7 +39,6 @@ _SAMPLE_GRID = 8  # windows per side: 64 windows of 128 px make SAMPLE_PX
 _SUPPORTED_PHOTOMETRIC = (1, 2, 3, 6)  # grey from black, RGB, palette, YCbCr
 _DRIVERS = {"TIFF": "GTiff", "JPEG 2000": "JP2OpenJPEG", "JPEG": "JPEG"}
 _OPENJPEG_SAMPLE_BYTES = 4
-_REMOTE_NAME = "image"
 _INKS = frozenset({"cyan", "magenta", "yellow", "black"})
 
 
@@ -93,12 +89,12 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
 
 
 def open_file(
-    file: str | bytes | RemoteFile, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits
+    file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits
 ) -> DatasetRaster:
     """Open a TIFF or JPEG 2000 by absolute path or from memory; sidecar files are ignored.
 
     Args:
-        file: its path, its bytes or a file on a web server.
+        file: its path or its bytes.
         source: name of the image in messages.
         header: its header.
         bands: bands to use as red, green and blue.
@@ -130,13 +126,11 @@ def open_file(
     return raster
 
 
-def open_rasterio(
-    file: str | bytes | RemoteFile, source: str, header: ImageHeader, limits: ImageLimits, stack: ExitStack
-) -> Any:
+def open_rasterio(file: str | bytes, source: str, header: ImageHeader, limits: ImageLimits, stack: ExitStack) -> Any:
     """Open a file with its format's driver, ignoring sidecar files.
 
     Args:
-        file: its path, its bytes or a file on a web server.
+        file: its path or its bytes.
         source: name of the image in messages.
         header: its header.
         limits: limits to apply to its blocks.
@@ -150,7 +144,7 @@ def open_rasterio(
         ImageDecodeError: the image is damaged.
         ImageTooLargeError: a block has too many pixels.
     """
-    rasterio = _import_rasterio(source, header)
+    rasterio = import_rasterio(source, header)
     # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could name any other file.
     with (
         gdal_environment(source, GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_PAM_ENABLED="NO"),
@@ -161,9 +155,6 @@ def open_rasterio(
             file = stack.enter_context(rasterio.MemoryFile(file)).name
         driver = _DRIVERS[header.format]
         where: dict[str, Any] = {} if driver == "JPEG" else {"GEOREF_SOURCES": "INTERNAL"}
-        if isinstance(file, RemoteFile):
-            name = f"{uuid.uuid4().hex}/{_REMOTE_NAME}"  # rasterio keeps openers by name
-            where["opener"], file = _opener(file), name
         dataset = stack.enter_context(rasterio.open(file, driver=driver, sharing=False, **where))
         if (dataset.width, dataset.height) != (header.width_px, header.height_px):
             raise ImageDecodeError(f"the {header.format} ({source}) declares two different sizes: damaged")
@@ -171,28 +162,24 @@ def open_rasterio(
     return dataset
 
 
-def _opener(file: RemoteFile) -> Callable[..., RemoteStream]:
-    """Make rasterio's opener of one remote file; GDAL may open no other through it."""
+def import_rasterio(source: str, header: ImageHeader) -> Any:
+    """Import rasterio for a file that OpenCV does not decode.
 
-    def opened(name: str, mode: str = "rb") -> RemoteStream:
-        if Path(name).name != _REMOTE_NAME or mode != "rb":  # a sidecar file
-            raise FileNotFoundError(name)
-        return RemoteStream(file)
-
-    return opened
-
-
-def _import_rasterio(source: str, header: ImageHeader) -> Any:
+    Raises:
+        MissingExtraError: it is not installed; the message says why this file needs it.
+    """
     try:
         import rasterio
         import rasterio.enums
         import rasterio.errors
     except ImportError as error:
         why = "is georeferenced, too large or unsupported by OpenCV" if header.tiff else "is too large to decode whole"
+        least = math.ceil(header.width_px * header.height_px / 1e6)
+        other = f", or decode it whole with --max-megapixels {least}" if header.format == "JPEG" else ""
         if header.format == "JPEG 2000":
             why = "has a format that OpenCV does not decode safely"
         raise MissingExtraError(
-            f"the {header.format} ({source}) {why}; reading it needs rasterio: pip install 'vehanchor[geo]'"
+            f"the {header.format} ({source}) {why}; reading it needs rasterio: pip install 'vehanchor[geo]'{other}"
         ) from error
     return rasterio
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 import tempfile
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from PIL import Image
 
 import vehanchor
 from tests.skill.imagery.files import pillow
-from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.errors import ImageDecodeError, ImageTooLargeError, MissingExtraError
 from vehanchor.imagery.formats.unpacked import _STRIP_ROWS
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
@@ -55,6 +56,16 @@ def test_it_is_turned_upright_and_measured_as_any_other(photo: np.ndarray) -> No
         assert np.abs(whole.read().astype(int) - windowed.read()).max() <= 3
     line = vehanchor.measure_distance(turned, [(0, 0), (600, 0)], gsd_m_per_px=0.1, limits=SMALL)
     assert line.distance_m == pytest.approx(60)
+
+
+def test_without_rasterio_it_says_what_to_install_or_how_to_decode_it_whole(
+    photo: np.ndarray, jpeg: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with pytest.raises(MissingExtraError, match=r"vehanchor\[geo\]', or decode it whole with --max-megapixels 1$"):
+        open_raster(jpeg, limits=SMALL)
+    line = vehanchor.measure_distance(jpeg, [(0, 0), (400, 0)], gsd_m_per_px=0.1, limits=SMALL, max_megapixels=1)
+    assert line.distance_m == pytest.approx(40)
 
 
 def test_it_leaves_nothing_behind(jpeg: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,6 +70,7 @@ def bad_paths(tmp_path: Path) -> dict[str, str]:
         "nul": "a\0b.png",
         "long": "a" * 5000,
         "vsi": "/vsicurl/https://example.com/a.tif",
+        "address": "https://example.com/a.tif",
     }
 
 
@@ -85,6 +86,7 @@ def bad_paths(tmp_path: Path) -> dict[str, str]:
         ("nul", "null"),
         ("long", "too long"),
         ("vsi", "No such file"),
+        ("address", r"No such file.*; download it, or pass rasterio\.open"),
     ],
 )
 def test_what_is_no_file_is_not_found(bad_paths: dict[str, str], name: str, message: str) -> None:
