@@ -23,6 +23,7 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from research.results.record import add_record_option, recording, values_table
+from research.training.detector.precision import MatchedDetections, average_precision, length_errors, match_detections
 from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
@@ -33,7 +34,6 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor.rulers.evidence import View
-from vehanchor_evaluation.detections import MatchedDetections, average_precision, length_errors, match_detections
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
 from vehanchor_evaluation.table import read_table

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from vehanchor_evaluation.stated_area import read_area
+from research.paper.stated_area import read_area
 
 
 @pytest.mark.parametrize(

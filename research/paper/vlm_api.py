@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from vehanchor_evaluation.agent_tools import ToolCaller
+    from research.paper.tools import ToolCaller
 
 Provider: TypeAlias = Literal["anthropic", "openai", "openai-compatible"]
 PROVIDERS: tuple[Provider, ...] = ("anthropic", "openai", "openai-compatible")

@@ -1,4 +1,4 @@
-"""Options for a language model's service: address, key, limits."""
+"""Commands and their options for a language model's service: address, key, limits."""
 
 from __future__ import annotations
 
@@ -6,18 +6,45 @@ import sys
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from research.paper.vlm_api import Budget, open_api, reply_journal
+from vehanchor.cli.terminal import exit_on_error
 from vehanchor.errors import InvalidParameterError
+from vehanchor_evaluation.commands.request import fields_of, with_signature
 
 if TYPE_CHECKING:
-    from vehanchor_evaluation.vlm_api import ModelApi
+    from collections.abc import Callable
+
+    from research.paper.vlm_api import ModelApi
+
+Request = TypeVar("Request")
 
 STOPPED = 3  # exit status of a run that ended early; its results are written or printed
 _LIMITS = "Limits and service"
 MODEL_PANEL = "A real model"
+
+
+def plain_command(request: type[Request]) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
+    """Create a command with the fields of a dataclass as options.
+
+    Args:
+        request: the dataclass; its fields are annotated for Typer.
+
+    Returns:
+        A decorator for a function of the dataclass; the result is for Typer and prints errors to stderr.
+    """
+
+    def decorate(command: Callable[[Request], None]) -> Callable[..., None]:
+        def run(**typed: Any) -> None:
+            with exit_on_error():
+                command(request(**typed))
+
+        return with_signature(run, command, fields_of(request))
+
+    return decorate
 
 
 class ProviderName(StrEnum):
@@ -81,8 +108,6 @@ class ServiceRequest:
             MissingExtraError: the provider's client is not installed.
             InvalidParameterError: the environment has no key, or the address of a compatible service is missing.
         """
-        from vehanchor_evaluation.vlm_api import Budget, open_api, reply_journal
-
         return open_api(
             provider.value,
             model,
@@ -112,6 +137,9 @@ class PlannerRequest(ServiceRequest):
             help="Folder of stored replies, a transcript: they are never requested again.",
             rich_help_panel=MODEL_PANEL,
         ),
+    ] = None
+    record: Annotated[
+        str | None, typer.Option(metavar="SUFFIX", help="Write the table into research/results; '' for no suffix.")
     ] = None
 
     def check_model(self) -> None:

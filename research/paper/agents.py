@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from research.paper.asked_model import SYSTEM, encoded_picture, read_answer
+from research.paper.question_set import Answered, Direction, TaskKind, checked_file, image_size
+from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
 from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.asked_model import SYSTEM, encoded_picture, read_answer
-from vehanchor_evaluation.question_set import Answered, Direction, TaskKind, checked_file, image_size
-from vehanchor_evaluation.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from vehanchor_evaluation.agent_tools import ToolCaller
-    from vehanchor_evaluation.question_set import Reply, Task
-    from vehanchor_evaluation.vlm_api import ModelApi
+    from research.paper.question_set import Reply, Task
+    from research.paper.tools import ToolCaller
+    from research.paper.vlm_api import ModelApi
 
 _MAX_TURNS = 10
 _LAST_LINES: dict[TaskKind, str] = {

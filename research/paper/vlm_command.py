@@ -1,4 +1,4 @@
-"""Command ``vehanchor evaluate vlm``: the error of areas that a vision-language model states."""
+"""Command ``python -m research.paper vlm``: the error of areas that a vision-language model states."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from research.paper.service import ProviderName, ServiceRequest, exit_if_stopped, plain_command
+from research.paper.tools import open_tools
+from research.paper.vlm import Query, run_vlm_trials
+from research.paper.vlm_report import report_stem, vlm_report
 from vehanchor.cli.terminal import tile_progress
-from vehanchor_evaluation.commands.request import plain_command
-from vehanchor_evaluation.commands.service import ProviderName, ServiceRequest, exit_if_stopped
+from vehanchor_evaluation.area_report import area_markdown, write_area_report
+from vehanchor_evaluation.areas import read_areas
 from vehanchor_evaluation.commands.sources import print_issues
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from contextlib import AbstractContextManager
 
-    from vehanchor_evaluation.agent_tools import ToolCaller
-    from vehanchor_evaluation.rs_gsd import BenchmarkEntry
+    from research.paper.tools import InProcessTools
+    from vehanchor_evaluation.areas import AreaEntry
 
 _TOOLS = "Tools of --agent"
 
@@ -28,7 +31,7 @@ _TOOLS = "Tools of --agent"
 class VlmRequest(ServiceRequest):
     """Options of the command, one per field."""
 
-    benchmark: Annotated[Path, typer.Option(metavar="DIR", help="A benchmark from 'evaluate area'.")]
+    segments: Annotated[Path, typer.Option(metavar="DIR", help="A folder as for 'vehanchor evaluate area'.")]
     provider: Annotated[ProviderName, typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...")]
     model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.")]
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of results and replies; a run resumes there.")]
@@ -52,13 +55,11 @@ class VlmRequest(ServiceRequest):
         typer.Option(metavar="ENCODER DECODER", help="Default: the bundled one.", rich_help_panel=_TOOLS),
     ] = None
 
-    def open_tools(self, entries: Sequence[BenchmarkEntry]) -> AbstractContextManager[ToolCaller]:
+    def tools(self, entries: Sequence[AreaEntry]) -> InProcessTools:
         """Open the tools of an agent, which read only the images of the benchmark."""
-        from vehanchor_evaluation.agent_tools import open_agent_tools
-
         files = None if self.segmenter is None else (Path(self.segmenter[0]), Path(self.segmenter[1]))
-        roots = sorted({Path(entry.image).parent for entry in entries})
-        return open_agent_tools(roots, detector=self.detector, segmenter=files)
+        roots = sorted({entry.image.parent for entry in entries})
+        return open_tools(roots, detector=self.detector, segmenter=files)
 
 
 @plain_command(VlmRequest)
@@ -68,21 +69,16 @@ def vlm(request: VlmRequest) -> None:
     Replies are stored and never requested again. Limits end a run cleanly (exit status 3); the same command resumes.
     Keys come from the environment and are never written.
     """
-    from vehanchor_evaluation.area_report import area_markdown, write_area_report
-    from vehanchor_evaluation.rs_gsd import load_benchmark
-    from vehanchor_evaluation.vlm import Query, run_vlm_trials
-    from vehanchor_evaluation.vlm_report import report_stem, vlm_report
-
-    built, sha256 = load_benchmark(request.benchmark)
-    entries, api = built.entries[: request.limit], request.open_api(request.provider, request.model, request.out)
+    data = read_areas(request.segments)
+    entries, api = data.entries[: request.limit], request.open_api(request.provider, request.model, request.out)
     query = Query(hint=request.hint, agent=request.agent, max_side_px=request.max_side, max_turns=request.max_turns)
     with ExitStack() as stack:
-        tools = stack.enter_context(request.open_tools(entries)) if request.agent else None
+        tools = stack.enter_context(request.tools(entries)) if request.agent else None
         step = stack.enter_context(tile_progress(1, lines_on_terminal=False))
         progress = step(0, f"{len(entries)} questions")
         run = run_vlm_trials(entries, api, query, tools=tools, workers=request.workers, progress=progress)
     print_issues(run.issues)
-    report = vlm_report(built, sha256, api, query, run, len(entries))
+    report = vlm_report(data, api, query, run, len(entries))
     write_area_report(request.out, report_stem(query), report, run.trials, run.issues)
     print(area_markdown(report), end="")
     exit_if_stopped(run.stopped)

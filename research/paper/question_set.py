@@ -12,8 +12,8 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass
-from importlib.resources import files
 from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from pydantic import BaseModel, ConfigDict
@@ -21,12 +21,12 @@ from pydantic import BaseModel, ConfigDict
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
+from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from pathlib import Path
 
-    from vehanchor_evaluation.agent_tools import ToolCaller
+    from research.paper.tools import ToolCaller
 
 Deed: TypeAlias = Literal["acted rightly", "acted wrongly", "abstained rightly", "abstained needlessly"]
 TaskKind: TypeAlias = Literal["distance", "fit", "direction"]
@@ -171,8 +171,25 @@ class Answered:
 
 def question_set() -> tuple[SetQuestion, ...]:
     """Read the questions."""
-    text = files("vehanchor_evaluation").joinpath("question_set.json").read_text(encoding="utf-8")
+    text = Path(__file__).with_suffix(".json").read_text(encoding="utf-8")
     return tuple(SetQuestion.model_validate(each) for each in json.loads(text))
+
+
+def picture_of(question: SetQuestion, data: Path, rendered: Path) -> Path:
+    """Name the photograph of a question, or render its scene unless it is there.
+
+    Args:
+        question: the question.
+        data: folder of the photographs.
+        rendered: folder of the rendered pictures; created if it does not exist.
+    """
+    if question.scene is None:
+        return data / question.file
+    path = rendered / question.file
+    if not path.is_file():
+        rendered.mkdir(parents=True, exist_ok=True)
+        render_scene(**question.scene.model_dump()).write(path)
+    return path
 
 
 def checked_file(question: SetQuestion, path: Path) -> Path:

@@ -1,11 +1,11 @@
-"""The server's tools within this process, without a transport."""
+"""Tools for a language model: those of the server, within this process and without a transport."""
 
 from __future__ import annotations
 
 import json
 import logging
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from anyio.from_thread import start_blocking_portal
 from mcp import Client
@@ -25,6 +25,21 @@ if TYPE_CHECKING:
     from mcp.types import CallToolResult
 
 _DRAWING_FIELDS = ("outline",)  # hundreds of numbers without use to a model
+
+
+class ToolCaller(Protocol):
+    """Tools for a model.
+
+    Attributes:
+        anthropic_tools: tool definitions for the Messages API.
+        openai_tools: tool definitions for the Chat Completions API.
+    """
+
+    anthropic_tools: list[dict[str, Any]]
+    openai_tools: list[dict[str, Any]]
+
+    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
+        """Execute a tool call; return the text for the model and whether it is an error."""
 
 
 class InProcessTools:
@@ -76,7 +91,7 @@ class InProcessTools:
 def open_tools(
     roots: Sequence[Path], *, detector: str | None = None, segmenter: tuple[Path, Path] | None = None
 ) -> InProcessTools:
-    """Open the tools for a model: the entry point of ``vehanchor evaluate vlm --agent``.
+    """Open the tools for a model.
 
     Args:
         roots: directories of images.

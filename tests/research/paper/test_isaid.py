@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from research.paper import isaid
+from research.paper.isaid import InstanceMask, decode_segmentation
 from tests.isaid_data import write_coco, write_dota_image, write_isaid_pictures
 from vehanchor.errors import ImageError, InvalidParameterError
-from vehanchor_evaluation import isaid, segments
 from vehanchor_evaluation.dota import survey_dota
-from vehanchor_evaluation.instance_masks import InstanceMask, decode_segmentation, split_instances
 from vehanchor_scenes import Scene, render_scene
 
 CATEGORIES = {"swimming-pool": "swimming-pool", "sports-court": "tennis-court", "field": "soccer-ball-field"}
@@ -133,20 +133,7 @@ def test_a_folder_without_annotations_is_refused(tmp_path: Path, text: str) -> N
         isaid.find_annotated_images(tmp_path / "isaid", survey_dota(tmp_path / "dota"))
 
 
-# --- Numbers, polygons, run lengths ----------------------------------------------------------------------------------
-
-
-def test_instances_are_split_by_their_numbers_whatever_those_are() -> None:
-    ids = np.zeros((6, 9), np.int32)
-    ids[1:3, 2:5] = 16_777_215
-    ids[4, 7] = 3
-    ids[5, 8] = 3
-    found = list(split_instances(ids))
-    assert [(number, left, top, mask.tolist()) for number, left, top, mask in found] == [
-        (3, 7, 4, [[True, False], [False, True]]),
-        (16_777_215, 2, 1, [[True] * 3] * 2),
-    ]
-    assert list(split_instances(np.zeros((3, 3), np.uint16))) == []
+# --- Polygons, run lengths -------------------------------------------------------------------------------------------
 
 
 def test_pieces_of_an_object_that_overlap_are_one_area() -> None:
@@ -178,64 +165,3 @@ def test_run_lengths_go_down_the_columns(counts: object) -> None:
 def test_a_segmentation_of_another_kind_is_refused(segmentation: object) -> None:
     with pytest.raises(ValueError, match=r"."):
         decode_segmentation(segmentation, 20, 20)
-
-
-# --- Folders of numbered masks ---------------------------------------------------------------------------------------
-
-
-def write_index(folder: Path, *rows: str) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "index.csv").write_text("\n".join(["image,mask,category,split,gsd_m_per_px", *rows]) + "\n")
-
-
-def test_an_index_gives_its_split_and_reports_bad_rows(tmp_path: Path) -> None:
-    write_index(
-        tmp_path,
-        "a.jpg,a.png,swimming-pool,val,0.2",
-        "a.jpg,b.png,building,val,0.2",
-        "c.jpg,c.png,building,train,0.2",
-        "d.jpg,d.png,building,val,wide",
-        "e.jpg,,building,val,0.2",
-        "f.jpg,a.png,building,val,0.2",
-    )
-    images, issues = segments.find_annotated_images(tmp_path, "val")
-    assert [(image.name, image.path) for image in images] == [
-        ("a-swimming-pool", tmp_path / "a.jpg"),
-        ("a-building", tmp_path / "a.jpg"),
-    ]
-    assert [(issue.reason, issue.message.split(":")[0]) for issue in issues] == [
-        ("malformed_row", "line 5"),
-        ("malformed_row", "line 6"),
-        ("duplicate_name", "line 7"),
-    ]
-    assert len(segments.find_annotated_images(tmp_path)[0]) == 3
-
-
-def test_numbered_masks_of_16_bit_are_read_as_they_are(tmp_path: Path) -> None:
-    ids = np.zeros((20, 30), np.uint16)
-    ids[2:5, 3:9] = 1000
-    ids[10:12, 3:9] = 1001
-    cv2.imwrite(str(tmp_path / "m.png"), ids)
-    found = segments.read_numbered_masks(tmp_path / "m.png", "building")
-    assert [(mask.instance, mask.category, mask.box) for mask in found] == [
-        (1000, "building", (3, 2, 9, 5)),
-        (1001, "building", (3, 10, 9, 12)),
-    ]
-    cv2.imwrite(str(tmp_path / "c.png"), np.zeros((20, 30, 3), np.uint8))
-    with pytest.raises(ImageError, match="one band"):
-        segments.read_numbered_masks(tmp_path / "c.png", "building")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (None, "give a folder with an index"),
-        ("image,mask\n", "no column category, gsd_m_per_px"),
-        ("image,mask,category,split,gsd_m_per_px\na,b,c,train,1\n", "no rows of split 'val': it has train"),
-    ],
-)
-def test_an_index_that_cannot_be_used_says_what_it_lacks(tmp_path: Path, text: str | None, message: str) -> None:
-    if text is not None:
-        (tmp_path / "index.csv").write_text(text)
-    with pytest.raises(InvalidParameterError, match=message):
-        segments.find_annotated_images(tmp_path, "val")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vehanchor_evaluation.detections import average_precision, length_errors, match_detections
+from research.training.detector.precision import average_precision, length_errors, match_detections
 
 _LABELS = np.array([[50.0, 50, 30, 12, 0.3], [150, 50, 30, 12, 1.2], [250, 50, 40, 16, 0]])
 _NONE = np.zeros((0, 5))

@@ -6,16 +6,16 @@ from collections import Counter
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from research.paper.vlm import summarise_vlm
 from vehanchor_evaluation.area_report import area_report
-from vehanchor_evaluation.vlm import summarise_vlm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from research.paper.vlm import Query, VlmRun, VlmTrial
+    from research.paper.vlm_api import ModelApi
     from vehanchor_evaluation.area_report import AreaReport
-    from vehanchor_evaluation.rs_gsd import Benchmark
-    from vehanchor_evaluation.vlm import Query, VlmRun, VlmTrial
-    from vehanchor_evaluation.vlm_api import ModelApi
+    from vehanchor_evaluation.areas import AreaSet
 
 
 def report_stem(query: Query) -> str:
@@ -23,14 +23,11 @@ def report_stem(query: Query) -> str:
     return "_".join(["vlm", *_settings(query)])
 
 
-def vlm_report(
-    benchmark: Benchmark, sha256: str, api: ModelApi, query: Query, run: VlmRun, n_entries: int
-) -> AreaReport:
+def vlm_report(data: AreaSet, api: ModelApi, query: Query, run: VlmRun, n_entries: int) -> AreaReport:
     """Create a report.
 
     Args:
-        benchmark: benchmark of the questions.
-        sha256: SHA-256 of its file.
+        data: objects of the questions.
         api: the model.
         query: form of the question.
         run: the answers.
@@ -51,7 +48,7 @@ def vlm_report(
         "stopped": run.stopped,
     }
     row = summarise_vlm(" + ".join([api.model, *_settings(query)]), run.trials)
-    return area_report(benchmark, sha256, settings, [row], facts, run.issues)
+    return area_report(data, settings, [row], facts, run.issues)
 
 
 def _settings(query: Query) -> list[str]:

@@ -1,6 +1,6 @@
 """Planner questions about images (how far, how large, does it fit), answered with and without tools.
 
-The images are scenes from ``vehanchor scene``, or photographs of known scale. The planner is a script, so the results
+The images are rendered scenes, or photographs of known scale. The planner is a script, so the results
 depend only on the tools' answers and their cost; ``asked_model`` uses a real model. If a scale is not usable, the
 planner can ask a person, who has measured one line on the ground. Without tools it assumes a usual pixel size.
 """
@@ -20,12 +20,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
+from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from vehanchor_evaluation.agent_tools import ToolCaller
+    from research.paper.tools import ToolCaller
     from vehanchor_evaluation.known_scale import KnownScaleImage
+    from vehanchor_scenes import Layout
 
 Kind: TypeAlias = Literal["distance", "area", "fit"]
 Verdict: TypeAlias = Literal["right", "wrong", "no answer"]
@@ -41,6 +43,22 @@ _FALLBACK = 0.5
 
 STRETCH = ((0.4, 0.6), (0.6, 0.6))
 """Ends of the line that a person has measured, as fractions of the sides."""
+
+_SCENES: tuple[tuple[float, Layout], ...] = (
+    (0.07, "parking"),
+    (0.1, "urban"),
+    (0.12, "sports"),
+    (0.15, "urban"),
+    (0.09, "parking"),
+    (0.18, "urban"),
+    (0.12, "countryside"),
+    (0.2, "parking"),
+    (0.1, "sports"),
+    (0.14, "urban"),
+    (0.11, "parking"),
+    (0.16, "sports"),
+)
+_FIRST_SEED = 100
 
 
 @dataclass(frozen=True)
@@ -102,6 +120,16 @@ class PlannerScore(BaseModel):
     tokens_per_right: float | None
 
 
+def render_questions(folder: Path) -> None:
+    """Render twelve scenes with their truth into a folder that is missing or empty."""
+    if folder.is_dir() and any(folder.iterdir()):
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, (gsd, layout) in enumerate(_SCENES):
+        scene = render_scene(gsd, width_px=1024, height_px=800, seed=_FIRST_SEED + number, layout=layout)
+        scene.write(folder / f"s{number:02}.png")
+
+
 def read_questions(folder: Path, limit: int) -> list[Question]:
     """Create questions about scenes: two distances, fits, and an area if possible; the same scenes give the same ones.
 
@@ -126,7 +154,7 @@ def read_questions(folder: Path, limit: int) -> list[Question]:
             questions += [replace(question, stretch_m=stretch_m) for question in about]
     if not questions:
         raise InvalidParameterError(
-            f"{str(folder)!r} has no scene: create some with 'vehanchor scene {folder}/a.png ...'"
+            f"{str(folder)!r} has no scene: create some with 'python -m research.scenes {folder}/a.png ...'"
         )
     return questions[:limit]
 

@@ -10,10 +10,7 @@ from typing import Any
 
 import pytest
 
-from vehanchor.errors import InvalidParameterError
-from vehanchor.options import KnownLength
-from vehanchor.rulers.standards import check_name
-from vehanchor_evaluation.question_set import (
+from research.paper.question_set import (
     TASKS,
     Direction,
     SetQuestion,
@@ -24,6 +21,9 @@ from vehanchor_evaluation.question_set import (
     question_set,
     task_of,
 )
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options import KnownLength
+from vehanchor.rulers.standards import check_name
 
 RENDERED = [each for each in question_set() if each.scene is not None]
 

@@ -10,10 +10,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from tests.model_service import Answer, Asked, ModelService, UseTool, model_service
-from vehanchor.cli.app import app
-from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.agents import (
+from research.paper.__main__ import app
+from research.paper.agents import (
     AgentRun,
     Redescribed,
     agent_score,
@@ -21,9 +19,11 @@ from vehanchor_evaluation.agents import (
     read_descriptions,
     read_reply,
 )
-from vehanchor_evaluation.question_set import Direction, Task, question_set, task_of
-from vehanchor_evaluation.vlm_api import Budget, open_api, reply_journal
-from vehanchor_scenes import render_scene
+from research.paper.question_set import Direction, Task, picture_of, question_set, task_of
+from research.paper.vlm_api import Budget, open_api, reply_journal
+from research.results.record import tables_of
+from tests.model_service import Answer, Asked, ModelService, UseTool, model_service
+from vehanchor.errors import InvalidParameterError
 
 RENDERED = [each for each in question_set() if each.scene is not None]
 
@@ -33,11 +33,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first two rendered pictures."""
     folder = tmp_path_factory.mktemp("pictures")
     for each in RENDERED[:2]:
-        told = each.scene
-        assert told is not None
-        render_scene(
-            told.gsd_m_per_px, width_px=told.width_px, height_px=told.height_px, seed=told.seed, layout=told.layout
-        ).write(folder / each.file)
+        picture_of(each, folder, folder)
     return folder
 
 
@@ -199,11 +195,10 @@ def test_the_command_compares_two_versions_of_the_descriptions(
     descriptions.write_text(json.dumps({"measure_distance": "Other words."}))
     with model_service(ModelService(answer=lambda _: "ANSWER=unknown")) as service:
         tasks = ["--task", "distance", "--task", "direction"]
-        options = ["--provider", "openai-compatible", "--model", "m", "--base-url", f"{service.url}/v1", "--json"]
+        options = ["--provider", "openai-compatible", "--model", "m", "--base-url", f"{service.url}/v1"]
         done = CliRunner().invoke(
             app,
             [
-                "evaluate",
                 "agents",
                 str(pictures),
                 "--limit",
@@ -215,18 +210,18 @@ def test_the_command_compares_two_versions_of_the_descriptions(
             ],
         )
     assert done.exit_code == 0, done.output
-    rows = [json.loads(line) for line in done.stdout.splitlines()]
-    planners = ["script, with what it recognises", "script, without", "m", "m, b.json"]
-    assert [row["name"] for row in rows] == [name for name in planners for _ in range(2)]
-    assert [row["task"] for row in rows] == 4 * ["distance", "direction"]
-    assert all(row["acted_wrongly"] == 0 for row in rows)
+    (table,) = tables_of(done.stdout)
+    planners = ["with what it recognises", "without", "m", "m, b.json"]
+    assert [row[0] for row in table.rows] == [name for name in planners for _ in range(2)]
+    assert [row[1] for row in table.rows] == 4 * ["distance", "direction"]
+    assert all(row[table.columns.index("acted wrongly")] == 0 for row in table.rows)
     offered = [[tool["function"] for tool in payload["tools"]] for _, _, payload in service.requests]
     seen = [next(each["description"] for each in tools if each["name"] == "measure_distance") for tools in offered]
     assert len(seen) == 4
     assert seen[0] == seen[1] != seen[2] == seen[3] == "Other words."
 
 
-def test_a_folder_without_the_pictures_names_the_command_that_renders_them(tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, ["evaluate", "agents", str(tmp_path)])
-    assert done.exit_code == 2
-    assert "vehanchor scene" in done.stderr
+def test_missing_pictures_are_rendered(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["agents", str(tmp_path / "new"), "--limit", "1", "--task", "fit"])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "new" / RENDERED[0].file).is_file()

@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from research.paper.__main__ import app
+from research.paper.asked_model import ask_model, read_answer
+from research.paper.questions import ask_blindly, ask_with_tools, questions_of_photographs, read_questions, score
+from research.paper.vlm_api import Budget, ModelApi, open_api, reply_journal
 from tests.model_service import Answer, Asked, ModelService, UseTool, model_service
-from vehanchor.cli.app import app
 from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.asked_model import ask_model, read_answer
-from vehanchor_evaluation.questions import ask_blindly, ask_with_tools, read_questions, score
-from vehanchor_evaluation.vlm_api import Budget, ModelApi, open_api, reply_journal
+from vehanchor_evaluation.survey import survey_known_scale
 from vehanchor_scenes import render_scene
 
 GSD = 0.12
@@ -119,7 +120,7 @@ def test_without_tools_the_scale_is_guessed(folder: Path) -> None:
 
 
 def test_a_folder_without_scenes_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidParameterError, match="vehanchor scene"):
+    with pytest.raises(InvalidParameterError, match=r"research\.scenes"):
         read_questions(tmp_path, 40)
 
 
@@ -187,8 +188,6 @@ def test_a_models_last_line_is_its_answer(reply: str, answer: Any) -> None:
 
 
 def test_photographs_of_known_scale_are_asked_about_by_their_table(folder: Path, tmp_path: Path) -> None:
-    from vehanchor_evaluation.questions import questions_of_photographs
-    from vehanchor_evaluation.survey import survey_known_scale
 
     table = tmp_path / "table.csv"
     table.write_text(f"file,gsd_m_per_px,split\n{folder / 'scene.png'},{GSD},val\n{folder / 'scene.png'},{GSD},val\n")
@@ -203,6 +202,6 @@ def test_photographs_of_known_scale_are_asked_about_by_their_table(folder: Path,
     [([], "give the images as a FOLDER"), (["x", "--provider", "openai"], "needs --provider and --model")],
 )
 def test_what_is_asked_by_half_is_refused(words: list[str], told: str) -> None:
-    result = CliRunner().invoke(app, ["evaluate", "questions", *words])
+    result = CliRunner().invoke(app, ["questions", *words])
     assert result.exit_code == 2
     assert told in result.stderr

@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,14 +17,14 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from research.paper.stated_area import read_area
+from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.scale import read_reduced
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
 from vehanchor_evaluation.known_scale import FileIssue
-from vehanchor_evaluation.stated_area import read_area
-from vehanchor_evaluation.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,9 +32,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor_evaluation.agent_tools import ToolCaller
-    from vehanchor_evaluation.rs_gsd import BenchmarkEntry
-    from vehanchor_evaluation.vlm_api import ModelApi
+    from research.paper.tools import ToolCaller
+    from research.paper.vlm_api import ModelApi
+    from vehanchor_evaluation.areas import AreaEntry
 
 SYSTEM = "You are a remote sensing image analysis expert."
 QUESTION = (
@@ -145,7 +144,7 @@ def draw_question(image: NDArray[np.uint8], scale: float, box: Sequence[float], 
 
 
 def run_vlm_trials(
-    entries: Sequence[BenchmarkEntry],
+    entries: Sequence[AreaEntry],
     api: ModelApi,
     query: Query,
     *,
@@ -188,7 +187,7 @@ class _Collector:
         self.issues: list[FileIssue] = []
         self.stopped: str | None = None
 
-    def work(self, entry: BenchmarkEntry) -> VlmTrial | None:
+    def work(self, entry: AreaEntry) -> VlmTrial | None:
         """Ask about an entry; None after the end of the run."""
         if self._ended.is_set():
             return None
@@ -198,7 +197,7 @@ class _Collector:
             self._ended.set()
             raise
 
-    def take(self, entry: BenchmarkEntry, answer: Future[VlmTrial | None]) -> None:
+    def take(self, entry: AreaEntry, answer: Future[VlmTrial | None]) -> None:
         """Keep an answer, even one in flight when the run ended, or record why it is missing."""
         try:
             trial = answer.result()
@@ -207,12 +206,12 @@ class _Collector:
         except RequestFailedError as error:
             if self.stopped:
                 return
-            self.issues.append(FileIssue(Path(entry.image), "request_failed", f"{entry.name}: {error}"))
+            self.issues.append(FileIssue(entry.image, "request_failed", f"{entry.name}: {error}"))
             self._failures += 1
             if self._failures >= _FAILURES_IN_A_ROW:
                 self._stop(f"{self._failures} requests in a row failed, the last: {error}")
         except VehAnchorError as error:
-            self.issues.append(FileIssue(Path(entry.image), error.code, f"{entry.name}: {error}"))
+            self.issues.append(FileIssue(entry.image, error.code, f"{entry.name}: {error}"))
         else:
             self._failures = 0
             if trial is not None:
@@ -223,7 +222,7 @@ class _Collector:
         self._ended.set()
 
 
-def _ask(entry: BenchmarkEntry, api: ModelApi, query: Query, tools: ToolCaller | None) -> VlmTrial:
+def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None) -> VlmTrial:
     with open_raster(entry.image) as raster:
         seen = read_reduced(raster)
         question = draw_question(seen, seen.shape[1] / raster.width_px, entry.corners, query.max_side_px)
@@ -254,7 +253,7 @@ def _ask(entry: BenchmarkEntry, api: ModelApi, query: Query, tools: ToolCaller |
         problem = "too_many_turns"
     return VlmTrial(
         entry=entry.name,
-        image=entry.image,
+        image=str(entry.image),
         category=entry.category,
         true_area_m2=entry.area_m2,
         stated_area_m2=stated.area_m2,

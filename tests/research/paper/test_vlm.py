@@ -4,8 +4,8 @@ import csv
 import json
 import logging
 import re
+import shutil
 import time
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +15,15 @@ import pytest
 from typer.testing import CliRunner
 
 import vehanchor
+from research.paper.__main__ import app
+from research.paper.vlm import HINT, QUESTION, SYSTEM, draw_question
+from research.paper.vlm_api import Budget, BudgetSpentError, open_api, reply_journal
+from tests.conftest import ROOT
 from tests.model_service import Asked, ModelService, Refusal, UseTool, model_service, red_rectangle
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import write_sam
-from vehanchor.cli import app as cli
 from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.rs_gsd import Recipe, build_benchmark, load_benchmark
-from vehanchor_evaluation.vlm import HINT, QUESTION, SYSTEM, draw_question
-from vehanchor_evaluation.vlm_api import Budget, BudgetSpentError, open_api, reply_journal
+from vehanchor_evaluation.areas import read_areas
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,7 +38,7 @@ BOXES = [(120, 200, 216, 296), (360, 200, 456, 296), (120, 336, 216, 432)]
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A benchmark of three squares among cars, and models."""
+    """Three squares among cars, and models."""
     folder = tmp_path_factory.mktemp("vlm")
     image, ids = blank_image(640, 480), np.zeros((480, 640), np.uint8)
     for number, (x1, y1, x2, y2) in enumerate(BOXES, start=1):
@@ -48,7 +49,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cv2.imwrite(str(folder / "images" / "a.png"), image[:, :, ::-1])
     cv2.imwrite(str(folder / "a.png"), ids)
     (folder / "index.csv").write_text(f"image,mask,category,gsd_m_per_px\nimages/a.png,a.png,swimming-pool,{GSD}\n")
-    build_benchmark(Recipe(segments=str(folder)), folder / "benchmark")
     write_detector(folder / "detector.onnx")
     write_sam(folder)
     return folder
@@ -66,16 +66,16 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModelService]:
 
 @pytest.fixture
 def run(data: Path, service: ModelService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``vehanchor evaluate vlm`` against the service, into ``out`` of an empty working folder."""
+    """Runs ``python -m research.paper vlm`` against the service, into ``out`` of an empty working folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
 
     def invoke(*arguments: object, provider: str = "anthropic", url: str | None = None) -> Result:
         base = (url or service.url) + ("" if provider == "anthropic" else "/v1")
-        words = ["--benchmark", data / "benchmark", "--provider", provider, "--model", "m", "--base-url", base]
+        words = ["--segments", data, "--provider", provider, "--model", "m", "--base-url", base]
         words += ["--out", "out", *arguments]
-        return CliRunner().invoke(cli.app, ["evaluate", "vlm", *(str(word) for word in words)])
+        return CliRunner().invoke(app, ["vlm", *(str(word) for word in words)])
 
     return invoke
 
@@ -216,11 +216,13 @@ def test_a_refused_key_or_model_ends_the_run(run: Any, service: ModelService, pr
 
 
 def test_a_service_that_is_down_ends_the_run(run: Any, data: Path, tmp_path: Path, service: ModelService) -> None:
-    text = json.loads((data / "benchmark" / "benchmark.json").read_text())
-    text["entries"] = [{**text["entries"][0], "name": f"e{k}"} for k in range(12)]
     (tmp_path / "long").mkdir()
-    (tmp_path / "long" / "benchmark.json").write_text(json.dumps(text))
-    result = run("--retries", 0, "--benchmark", tmp_path / "long", url="http://127.0.0.1:9")
+    rows = ["image,mask,category,gsd_m_per_px"]
+    for k in range(4):
+        shutil.copy(data / "a.png", tmp_path / "long" / f"{k}.png")
+        rows.append(f"{data / 'images' / 'a.png'},{k}.png,pool,{GSD}")
+    (tmp_path / "long" / "index.csv").write_text("\n".join(rows))
+    result = run("--retries", 0, "--segments", tmp_path / "long", url="http://127.0.0.1:9")
     assert result.exit_code == 3
     assert "5 requests in a row failed" in result.stderr
 
@@ -283,7 +285,7 @@ def test_several_workers_ask_the_same(run: Any, data: Path, service: ModelServic
     service.answer = by_eye
     assert run("--workers", 3).exit_code == 0
     assert len(rows_of()) == 3
-    assert list(rows_of()) == [entry.name for entry in load_benchmark(data / "benchmark")[0].entries]
+    assert list(rows_of()) == [entry.name for entry in read_areas(data).entries]
 
 
 @pytest.mark.parametrize("provider", PROVIDERS)
@@ -408,13 +410,13 @@ def test_an_agent_states_what_the_tools_measure(
         "measure_distance",
         "view_image",
     }
-    schemas = json.loads(Path(__file__).parents[2].joinpath("schemas", "anthropic.json").read_text())
+    schemas = json.loads((ROOT / "schemas" / "anthropic.json").read_text())
     if provider == "anthropic":
         asked = service.requests[0][2]["tools"]  # its server has a root, so that images are paths
         assert _arguments(asked) == _arguments(schemas)
     rows = rows_of("vlm_tools")
     assert len(rows) == 3, result.stderr
-    for entry in load_benchmark(data / "benchmark")[0].entries:
+    for entry in read_areas(data).entries:
         row = rows[entry.name]
         measured = vehanchor.measure_area(
             entry.image,
@@ -458,16 +460,3 @@ def test_what_a_tool_refuses_is_told_to_the_model(run: Any, data: Path, service:
     assert len(results) == 3
     assert "/etc/passwd" in results[0] or "not" in results[0]
     assert all(results)
-
-
-@pytest.mark.parametrize(
-    "declared", [[], [EntryPoint("tools", "no_such_package.tools:open_tools", "vehanchor.agent_tools")]]
-)
-def test_an_agent_without_tools_to_give_it_is_told_so(
-    run: Any, service: ModelService, monkeypatch: pytest.MonkeyPatch, declared: list[EntryPoint]
-) -> None:
-    monkeypatch.setattr("vehanchor_evaluation.agent_tools.entry_points", lambda group: declared)
-    result = run("--agent", "--limit", 1)
-    assert result.exit_code == 2
-    assert "error[missing_extra]: --agent needs tools for models" in result.stderr
-    assert not service.requests

@@ -1,4 +1,4 @@
-"""Command ``vehanchor evaluate questions``: how far, how large, does it fit, with and without tools."""
+"""Command ``python -m research.paper questions``: how far, how large, does it fit, with and without tools."""
 
 from __future__ import annotations
 
@@ -8,18 +8,27 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from research.paper.asked_model import ask_model
+from research.paper.questions import (
+    ask_blindly,
+    ask_with_tools,
+    questions_of_photographs,
+    read_questions,
+    render_questions,
+    score,
+)
+from research.paper.service import PlannerRequest, exit_if_stopped, plain_command
+from research.paper.tools import open_tools
+from research.results.record import header, recording
 from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.commands.request import plain_command
-from vehanchor_evaluation.commands.service import PlannerRequest, exit_if_stopped
+from vehanchor_evaluation.survey import survey_known_scale
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rich.table import Table
-
-    from vehanchor_evaluation.agent_tools import ToolCaller
-    from vehanchor_evaluation.asked_model import ModelAnswers
-    from vehanchor_evaluation.questions import Outcome, PlannerScore, Question
+    from research.paper.asked_model import ModelAnswers
+    from research.paper.questions import Outcome, PlannerScore, Question
+    from research.paper.tools import ToolCaller
 
 _PHOTOGRAPHS = "Photographs instead of scenes"
 
@@ -29,15 +38,15 @@ class QuestionsRequest(PlannerRequest):
     """Options of the command, one per field."""
 
     folder: Annotated[
-        Path | None, typer.Argument(metavar="FOLDER", help="Scenes with ground truth from 'vehanchor scene'.")
+        Path | None,
+        typer.Argument(metavar="FOLDER", help="Scenes with ground truth; twelve are rendered into an empty folder."),
     ] = None
     limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of questions.")] = 40
-    as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON per planner.")] = False
     table: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="CSV with the columns file,gsd_m_per_px, as for 'evaluate gsd'; no questions about areas.",
+            help="CSV with the columns file,gsd_m_per_px, as for 'vehanchor evaluate gsd'; no questions about areas.",
             rich_help_panel=_PHOTOGRAPHS,
         ),
     ] = None
@@ -56,20 +65,16 @@ class QuestionsRequest(PlannerRequest):
         Raises:
             InvalidParameterError: there is not exactly one source, or it has no images.
         """
-        from vehanchor_evaluation.questions import questions_of_photographs, read_questions
-        from vehanchor_evaluation.survey import survey_known_scale
-
         if (self.folder is None) == (self.table is None):
             raise InvalidParameterError("give the images as a FOLDER of scenes or with --table FILE")
         if self.folder is not None:
+            render_questions(self.folder)
             return read_questions(self.folder, self.limit)
         data = survey_known_scale(table=self.table, set_name=self.set_name, split=self.split)
         return questions_of_photographs(data.images, self.limit)
 
     def ask_model(self, asked: Sequence[Question], tools: ToolCaller) -> dict[str, ModelAnswers]:
         """Ask the real model, by row of the table; empty without a model."""
-        from vehanchor_evaluation.asked_model import ask_model
-
         api = self.model_api()
         if api is None:
             return {}
@@ -85,45 +90,32 @@ def questions(request: QuestionsRequest) -> None:
 
     With --provider and --model, a real model also answers, with and without tools. Its key comes from the environment.
     """
-    from vehanchor.cli.terminal import print_json, print_table
-    from vehanchor_evaluation.agent_tools import open_agent_tools
-    from vehanchor_evaluation.questions import ask_blindly, ask_with_tools, score
-
     request.check_model()
     asked = request.questions()
-    roots = sorted({question.image.resolve().parent for question in asked})
-    with open_agent_tools(roots) as tools:
+    with open_tools(sorted({question.image.resolve().parent for question in asked})) as tools:
         outcomes = {
-            "with tools": ask_with_tools(asked, tools),
-            "with tools and a measured line": ask_with_tools(asked, tools, with_person=True),
-            "usual pixel size": ask_blindly(asked),
+            "a script with the tools": ask_with_tools(asked, tools),
+            "the same, which asks a person for one measured stretch": ask_with_tools(asked, tools, with_person=True),
+            "a script that takes a pixel for 0.15 m": ask_blindly(asked),
         }
         by_model = request.ask_model(asked, tools)
     outcomes |= {name: answers.outcomes for name, answers in by_model.items()}
-    rows = [score(name, each) for name, each in outcomes.items()]
-    if request.as_json:
-        for row in rows:
-            print_json(row.model_dump(mode="json"))
-    else:
-        print_table(_table(rows))
-        for name in ("with tools", "with tools and a measured line"):
-            _print_wrong(name, outcomes[name])
+    with recording("agents", ["photographs" if request.folder is None else "rendered"], request.record):
+        print(header("planner", "questions", "right", "wrong", "no answer", "acted on a low confidence", *_COSTS))
+        for name, each in outcomes.items():
+            print(_line(score(name, each)))
+    for name, each in outcomes.items():
+        _print_wrong(name, each)
     exit_if_stopped(next((answers.stopped for answers in by_model.values() if answers.stopped), None))
 
 
-def _table(rows: Sequence[PlannerScore]) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
+_COSTS = ("calls a right answer", "tokens a right answer")
 
-    table = Table("planner", box=box.SIMPLE_HEAD)
-    for heading in ("questions", "right", "wrong", "no answer", "on low", "calls a right one", "tokens a right one"):
-        table.add_column(heading, justify="right")
-    for row in rows:
-        cost = [f"{value:.1f}" if value else "-" for value in (row.calls_per_right, row.tokens_per_right)]
-        counts = (row.questions, row.right, row.wrong, row.no_answer, row.acted_on_low)
-        table.add_row(Text(row.name), *map(str, counts), *cost)
-    return table
+
+def _line(row: PlannerScore) -> str:
+    cost = [f"{value:.1f}" if value else "-" for value in (row.calls_per_right, row.tokens_per_right)]
+    counts = (row.questions, row.right, row.wrong, row.no_answer, row.acted_on_low)
+    return f"| {' | '.join([row.name, *map(str, counts), *cost])} |"
 
 
 def _print_wrong(planner: str, outcomes: Sequence[Outcome]) -> None:

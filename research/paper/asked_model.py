@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
+from research.paper.questions import Outcome, judge_answer
+from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.scale import read_reduced
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
-from vehanchor_evaluation.questions import Outcome, judge_answer
-from vehanchor_evaluation.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from vehanchor_evaluation.agent_tools import ToolCaller
-    from vehanchor_evaluation.questions import Question
-    from vehanchor_evaluation.vlm_api import ModelApi
+    from research.paper.questions import Question
+    from research.paper.tools import ToolCaller
+    from research.paper.vlm_api import ModelApi
 
 SYSTEM = (
     "You answer questions about overhead images. If there is no answer that one could act on, say so instead of "
