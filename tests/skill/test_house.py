@@ -19,14 +19,12 @@ ROOT_MODULES, ARROWS, FLOORS = 3, 125, 13  # of vehanchor, at most: a new import
 FOLDERS = (ROOT / "skill", ROOT / "server")
 COMMANDS = (
     "vehanchor.cli",
-    "vehanchor_doctor.command",
     "vehanchor_evaluation.commands",
     "vehanchor_scenes.command",
     "vehanchor_server.command",
 )
 FORBIDDEN = {  # what the modules of a package never import, not even inside a function
     "vehanchor": (
-        "vehanchor_doctor",
         "vehanchor_scenes",
         "vehanchor_evaluation",
         "vehanchor_server",

@@ -32,7 +32,7 @@ _PANELS = {
         ("estimate", "distance", "measure", "batch", "flight", "live", "rescale", "scalebar", "view"), "Measure"
     ),
     **dict.fromkeys(("serve", "schemas", "skill"), "For agents"),
-    **dict.fromkeys(("doctor", "models", "rulers"), "This installation"),
+    **dict.fromkeys(("models", "rulers"), "This installation"),
 }
 _OTHER_PANEL = "Calibrate and evaluate"
 _FIRST = (
@@ -45,7 +45,6 @@ _FIRST = (
     "rescale",
     "scalebar",
     "view",
-    "doctor",
     "models",
     "rulers",
     "serve",

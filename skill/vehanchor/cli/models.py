@@ -1,4 +1,4 @@
-"""``vehanchor models list | info``: bundled models and model files of the user."""
+"""``vehanchor models list | info | --check``: bundled models, model files of the user, a check of the installation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.cli_options import DetectorChoice
-from vehanchor.cli.terminal import exit_on_error, facts_table, failure, print_json, print_table, printable
+from vehanchor.cli.terminal import FAILED, exit_on_error, facts_table, failure, print_json, print_table, printable
 from vehanchor.errors import ModelError, VehAnchorError
 
 if TYPE_CHECKING:
@@ -18,7 +18,35 @@ if TYPE_CHECKING:
 
 _SHORT_SHA = 12
 
-models = typer.Typer(help="Show bundled models and your own model files.", no_args_is_help=True)
+models = typer.Typer(no_args_is_help=True, invoke_without_command=True)
+
+
+@models.callback()
+def check_models(
+    context: typer.Context,
+    check: Annotated[
+        bool, typer.Option("--check", help="List installed versions, and measure a bundled picture of known scale.")
+    ] = False,
+    provider: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Where --check runs models, as for `estimate`; repeatable. Default: cpu."),
+    ] = None,
+) -> None:
+    """Show bundled models and your own model files, and check the installation."""
+    if not check:
+        if context.invoked_subcommand is None:
+            print(context.get_help())
+        return
+    with exit_on_error():
+        from vehanchor.cli.installation import check_picture, installed
+        from vehanchor.engine import Engine
+        from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
+
+        print_table(facts_table("installed", installed()))
+        found = check_picture(Engine(runtime=Runtime(providers=provider or DEFAULT_PROVIDERS)))
+        print_table(facts_table("a picture of known scale", found.facts()))
+        if not found.passed:
+            raise typer.Exit(FAILED)
 
 
 @models.command("list")

@@ -102,7 +102,7 @@ def test_help_shows_commands_in_panels() -> None:
     code, out, _ = run("--help")
     assert code == 0
     panels = ["Measure", "For agents", "This installation", "Calibrate and evaluate"]
-    for panel, command in zip(panels, ("distance", "skill", "doctor", "calibrate"), strict=True):
+    for panel, command in zip(panels, ("distance", "skill", "models", "calibrate"), strict=True):
         assert out.index(panel) < out.index(command, out.index(panel))
 
 
