@@ -31,10 +31,10 @@ from typing import Any, NamedTuple, get_args
 import cv2
 
 from research.results.record import add_record_option, recording
+from research.scenes import Layout, render_scene
 from vehanchor.batch import run_batch
 from vehanchor.batch.run import BatchEngine
 from vehanchor.models.runtime import Runtime
-from vehanchor_scenes import Layout, render_scene
 
 SIDE_PX = 1024
 N_SCENES = 4  # rendered; the rest are further names of the same files

@@ -31,13 +31,13 @@ import numpy as np
 import onnxruntime
 
 from research.results.record import add_record_option, header, recording
+from research.scenes import render_scene
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
-from vehanchor_scenes import render_scene
 
 ENVIRONMENT = Path("~/.cache/vehanchor/peers").expanduser()
 _PACKAGES = ("ultralytics==8.4.190", "sahi==0.12.8", "supervision==0.31.2", "onnx", "torch", "torchvision")

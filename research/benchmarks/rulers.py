@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
+from research.scenes import render_scene
 from vehanchor.detection.detector import Detector
 from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import ImageError
@@ -29,7 +30,6 @@ from vehanchor.rulers.decision import fuse_rulers, shares
 from vehanchor.rulers.evidence import Evidence
 from vehanchor.rulers.lognormal import lognormal_evidence
 from vehanchor_evaluation.table import read_table
-from vehanchor_scenes import render_scene
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared/data"
 DRAWS = 3  # for each image

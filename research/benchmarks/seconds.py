@@ -26,16 +26,16 @@ from research.benchmarks.peers import ENVIRONMENT
 from research.benchmarks.photographs import Recipe, pair
 from research.benchmarks.speed import bare_seconds, command_time, input_tiles, large_scene
 from research.results.record import add_record_option, header, recording, tables_of
+from research.scenes import render_scene
 from vehanchor.engine import Engine
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
-from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from research.results.record import Cell, Table
-    from vehanchor_scenes import Layout
+    from research.scenes import Layout
 
 _SIZE_PX = (4000, 3000)
 _SCENES: tuple[tuple[Layout, float], ...] = (("urban", 0.04), ("urban", 0.15), ("countryside", 0.1), ("sports", 0.08))

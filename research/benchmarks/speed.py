@@ -22,6 +22,7 @@ import numpy as np
 import onnxruntime
 
 from research.results.record import add_record_option, recording
+from research.scenes import render_scene
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
@@ -30,7 +31,6 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions, Search
-from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

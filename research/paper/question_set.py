@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from pydantic import BaseModel, ConfigDict
 
+from research.scenes import render_scene
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
-from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -41,7 +41,7 @@ _BEARING_TOLERANCE_DEG = 5.0
 
 
 class SceneOf(BaseModel):
-    """Arguments of ``vehanchor_scenes.render_scene``."""
+    """Arguments of ``research.scenes.render_scene``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

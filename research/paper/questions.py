@@ -17,17 +17,17 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from research.scenes import render_scene
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
-from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from research.paper.tools import ToolCaller
+    from research.scenes import Layout
     from vehanchor_evaluation.known_scale import KnownScaleImage
-    from vehanchor_scenes import Layout
 
 Kind: TypeAlias = Literal["distance", "area", "fit"]
 Verdict: TypeAlias = Literal["right", "wrong", "no answer"]

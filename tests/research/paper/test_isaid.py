@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from research.paper import isaid
 from research.paper.isaid import InstanceMask, decode_segmentation
+from research.scenes import Scene, render_scene
 from tests.isaid_data import write_coco, write_dota_image, write_isaid_pictures
 from vehanchor.errors import ImageError, InvalidParameterError
 from vehanchor_evaluation.dota import survey_dota
-from vehanchor_scenes import Scene, render_scene
 
 CATEGORIES = {"swimming-pool": "swimming-pool", "sports-court": "tennis-court", "field": "soccer-ball-field"}
 Objects = list[tuple[str, NDArray[np.bool_]]]

@@ -12,13 +12,13 @@ from typer.testing import CliRunner
 
 from research.paper.__main__ import app
 from research.paper.rs_gsd import CATEGORIES, build_benchmark, quotas
+from research.scenes import render_scene
 from tests.isaid_data import write_dota_image, write_isaid_pictures
 from tests.models import blank_image
 from vehanchor.cli import app as cli
 from vehanchor.errors import InvalidParameterError
 from vehanchor.models.zoo import bundled_segmenter
 from vehanchor_evaluation.areas import read_areas
-from vehanchor_scenes import render_scene
 
 GSD = 0.158
 POOLS = {"P1": 2, "P2": 1, "P3": 1}

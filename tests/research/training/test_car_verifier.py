@@ -15,6 +15,8 @@ pytest.importorskip("onnxruntime")
 import onnxruntime
 import torch
 
+from research.scenes.fleet import Fleet
+from research.scenes.sprites import Sun
 from research.training.car_verifier.cases import Cases, fitted_upright
 from research.training.car_verifier.lookalikes import LOOKALIKES
 from research.training.car_verifier.measure import Verified, corrected, curve, measured
@@ -28,8 +30,6 @@ from research.training.detector.data import TrainImage
 from research.training.warm_start import load_exported
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.car_verifier import CHIP_LENGTH_PX, CHIP_PX, VEHICLE_TYPES
-from vehanchor_scenes.fleet import Fleet
-from vehanchor_scenes.sprites import Sun
 
 pytestmark = pytest.mark.slow
 

@@ -10,6 +10,7 @@ import pytest
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
+from research.scenes import render_scene  # noqa: E402
 from research.training.detector.calibrate import LengthPairs, length_correction  # noqa: E402 - PyTorch may be missing
 from research.training.detector.data import (  # noqa: E402 - PyTorch may be missing
     CROP_PX,
@@ -32,7 +33,6 @@ from research.training.detector.network import STRIDE_PX, Prediction, VehicleNet
 from research.training.detector.relabel import Consensus, agree, corrections, restored, symmetric  # noqa: E402
 from research.training.warm_start import load_exported  # noqa: E402
 from vehanchor.detection.detector import Detector  # noqa: E402
-from vehanchor_scenes import render_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

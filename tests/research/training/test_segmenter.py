@@ -10,6 +10,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from research.scenes import render_scene  # noqa: E402
 from research.training.segmenter.calibrate import (  # noqa: E402
     area_bias,
     best_choice,
@@ -62,7 +63,6 @@ from vehanchor.models.session import open_session  # noqa: E402
 from vehanchor.segmentation.contracts import recognise_contract  # noqa: E402
 from vehanchor.segmentation.prompt import Prompt as UserPrompt  # noqa: E402
 from vehanchor.segmentation.segmenter import Segmenter as OnnxSegmenter  # noqa: E402
-from vehanchor_scenes import render_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from research.scenes import render_scene
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
@@ -16,7 +17,6 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.fusion import credible_interval
-from vehanchor_scenes import render_scene
 
 _CALIBRATION = SceneCalibration(np.log(0.01), 0.08, floor=0.02)
 

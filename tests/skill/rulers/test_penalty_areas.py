@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
+from research.scenes import Scene, render_scene
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.penalty_areas import PenaltyArea, find_penalty_areas
 from vehanchor.scale.lengths import Interval
-from vehanchor_scenes import Scene, render_scene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

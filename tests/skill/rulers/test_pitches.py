@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from research.scenes import render_scene
 from tests.analyses import made_card
 from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.detection.scene_scale import load_scene_scale
@@ -15,7 +16,6 @@ from vehanchor.options import ScaleOptions
 from vehanchor.rulers.evidence import View
 from vehanchor.rulers.penalty_areas import PenaltyArea
 from vehanchor.rulers.pitches import Pitches
-from vehanchor_scenes import render_scene
 
 
 def _area(gsd: float, coverage: float = 0.95) -> PenaltyArea:

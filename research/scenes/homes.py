@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from vehanchor_scenes.car_parks import bays
-from vehanchor_scenes.site import Site, flat_roof_rgb, jitter
-from vehanchor_scenes.world import Material, Rect
+from research.scenes.car_parks import bays
+from research.scenes.site import Site, flat_roof_rgb, jitter
+from research.scenes.world import Material, Rect
 
 
 def houses(site: Site, width: float, depth: float) -> None:

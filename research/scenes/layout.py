@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vehanchor_scenes.blocks import FILLERS
-from vehanchor_scenes.fleet import Fleet
-from vehanchor_scenes.site import Palette, Site
-from vehanchor_scenes.streets import Block, StreetPlan, build_street, divide
-from vehanchor_scenes.truth import Layout
-from vehanchor_scenes.world import Frame, Material, World
+from research.scenes.blocks import FILLERS
+from research.scenes.fleet import Fleet
+from research.scenes.site import Palette, Site
+from research.scenes.streets import Block, StreetPlan, build_street, divide
+from research.scenes.truth import Layout
+from research.scenes.world import Frame, Material, World
 
 
 @dataclass(frozen=True)

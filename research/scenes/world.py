@@ -9,8 +9,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vehanchor_scenes.fleet import VehicleModel
-from vehanchor_scenes.truth import Category, CourtKind
+from research.scenes.fleet import VehicleModel
+from research.scenes.truth import Category, CourtKind
 
 Rgb = tuple[int, int, int]
 Rect = tuple[float, float, float, float]

@@ -9,10 +9,10 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vehanchor_scenes.fleet import Fleet, VehicleModel
-from vehanchor_scenes.raster import polygon_area
-from vehanchor_scenes.truth import Category
-from vehanchor_scenes.world import (
+from research.scenes.fleet import Fleet, VehicleModel
+from research.scenes.raster import polygon_area
+from research.scenes.truth import Category
+from research.scenes.world import (
     Box,
     Frame,
     Material,

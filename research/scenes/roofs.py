@@ -8,9 +8,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor_scenes.sprites import Sun
-from vehanchor_scenes.tile import Tile
-from vehanchor_scenes.world import Rect, Rgb, Roof
+from research.scenes.sprites import Sun
+from research.scenes.tile import Tile
+from research.scenes.world import Rect, Rgb, Roof
 
 _F = NDArray[np.float32]
 _COURSE_M = 0.36  # one course of tiles

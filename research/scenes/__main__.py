@@ -1,30 +1,21 @@
-"""Command ``vehanchor scene``.
-
-OpenCV, which loads slowly, is imported when a scene is drawn: the help appears at once.
-"""
+"""Render a scene: ``python -m research.scenes OUT.png --gsd 0.15 [--seed 3]``."""
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast, get_args
 
 import typer
 
+from research.scenes import Layout, render_scene
 from vehanchor.cli.terminal import exit_on_error, printable
 from vehanchor.errors import OutputError
+from vehanchor.pictures.scale import check_picture_path
+
+app = typer.Typer(add_completion=False)
 
 
-class LayoutChoice(StrEnum):
-    """Layouts as a Typer choice; importing the renderer's ``Layout`` would load OpenCV."""
-
-    urban = "urban"
-    parking = "parking"
-    countryside = "countryside"
-    sports = "sports"
-    pitches = "pitches"
-
-
+@app.command()
 def scene(
     out: Annotated[
         Path, typer.Argument(metavar="OUT.png", help="Image to write, .png or .jpg; its ground truth goes next to it.")
@@ -39,13 +30,13 @@ def scene(
         ),
     ] = None,
     fleet: Annotated[float, typer.Option(metavar="M", help="Mean length of the cars, metres: 2 to 8.")] = 4.6,
-    layout: Annotated[LayoutChoice | None, typer.Option(help="Kind of place. Default: the seed decides.")] = None,
+    layout: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help=f"Kind of place: {', '.join(get_args(Layout))}. Default: the seed decides."),
+    ] = None,
 ) -> None:
     """Render an aerial scene of exactly known scale, with ground truth: GSD, oriented boxes (DOTA text), masks."""
     with exit_on_error():
-        from vehanchor.pictures.scale import check_picture_path
-        from vehanchor_scenes.render import render_scene
-
         check_picture_path(out)
         drawn = render_scene(
             gsd,
@@ -54,7 +45,7 @@ def scene(
             seed=seed,
             n_vehicles=vehicles,
             mean_vehicle_length_m=fleet,
-            layout=None if layout is None else layout.value,
+            layout=cast("Layout | None", layout),
         )
         try:
             written = drawn.write(out)
@@ -65,3 +56,7 @@ def scene(
         print(f"{size[0]} x {size[1]} px at {gsd:g} m/px, {n_small} small and {n_large} large vehicles:")
         for path in written:
             print(printable(f"  {path}"))
+
+
+if __name__ == "__main__":
+    app(prog_name="python -m research.scenes")

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import vehanchor_scenes as scene_package
+import research.scenes as scene_package
+from research.scenes import CATEGORIES, Layout, Scene, SceneVehicle, render_scene
+from research.scenes.fleet import Fleet, VehicleModel
+from research.scenes.layout import lay_out
+from research.scenes.painter import Painter
+from research.scenes.raster import clip_polygon, noise_texture, polygon_area, polygon_mask, sample_noise
+from research.scenes.sprites import Sun
+from research.scenes.world import Material, PlacedVehicle, Surface, World
 from vehanchor.errors import InvalidParameterError
-from vehanchor_scenes import CATEGORIES, Layout, Scene, SceneVehicle, render_scene
-from vehanchor_scenes.fleet import Fleet, VehicleModel
-from vehanchor_scenes.layout import lay_out
-from vehanchor_scenes.painter import Painter
-from vehanchor_scenes.raster import clip_polygon, noise_texture, polygon_area, polygon_mask, sample_noise
-from vehanchor_scenes.sprites import Sun
-from vehanchor_scenes.world import Material, PlacedVehicle, Surface, World
 
 LAYOUTS = get_args(Layout)
 
@@ -96,7 +96,7 @@ def test_another_seed_gives_another_scene() -> None:
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_a_larger_image_is_painted_in_tiles_without_a_seam(layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = render_scene(0.15, width_px=400, height_px=200, seed=5, layout=layout)
-    monkeypatch.setattr("vehanchor_scenes.render._TILE_PX", 128)
+    monkeypatch.setattr("research.scenes.render._TILE_PX", 128)
     tiled = render_scene(0.15, width_px=400, height_px=200, seed=5, layout=layout)
     difference = np.abs(whole.image.astype(int) - tiled.image)
     assert np.mean(difference > 12) < 0.002

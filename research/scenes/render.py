@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from research.scenes.fleet import Fleet
+from research.scenes.layout import lay_out
+from research.scenes.painter import Painter
+from research.scenes.raster import polygon_mask
+from research.scenes.sprites import Sun
+from research.scenes.truth import CATEGORIES, Category, FleetKind, Layout, Scene, SceneCourt, SceneObject, SceneVehicle
+from research.scenes.world import PlacedCourt, PlacedVehicle, Target, World
 from vehanchor.errors import InvalidParameterError
-from vehanchor_scenes.fleet import Fleet
-from vehanchor_scenes.layout import lay_out
-from vehanchor_scenes.painter import Painter
-from vehanchor_scenes.raster import polygon_mask
-from vehanchor_scenes.sprites import Sun
-from vehanchor_scenes.truth import CATEGORIES, Category, FleetKind, Layout, Scene, SceneCourt, SceneObject, SceneVehicle
-from vehanchor_scenes.world import PlacedCourt, PlacedVehicle, Target, World
 
 _TILE_PX = 1024
 _MIN_SIZE_PX, _MAX_SIZE_PX = 16, 16384

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vehanchor_scenes.site import Site, jitter
-from vehanchor_scenes.world import Material, Rect
+from research.scenes.site import Site, jitter
+from research.scenes.world import Material, Rect
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor_scenes.site import WHITE, Site, jitter
-from vehanchor_scenes.truth import CourtKind
-from vehanchor_scenes.world import Material, PlacedCourt, Rgb
+from research.scenes.site import WHITE, Site, jitter
+from research.scenes.truth import CourtKind
+from research.scenes.world import Material, PlacedCourt, Rgb
 
 _TENNIS_M = (23.77, 10.97)  # ITF, outside the lines
 _SINGLES_HALF_M, _SERVICE_M = 8.23 / 2, 6.40

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from research.scenes import render_scene
+from research.scenes.fleet import Fleet
+from research.scenes.loads import LOADS
+from research.scenes.sprites import Sun, vehicle_sprite
 from vehanchor.errors import InvalidParameterError
-from vehanchor_scenes import render_scene
-from vehanchor_scenes.fleet import Fleet
-from vehanchor_scenes.loads import LOADS
-from vehanchor_scenes.sprites import Sun, vehicle_sprite
 
 _LIGHT = Sun(1.0, 0.8).light()
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vehanchor_scenes.loads import LOADS
-from vehanchor_scenes.truth import FleetKind, VehicleKind
+from research.scenes.loads import LOADS
+from research.scenes.truth import FleetKind, VehicleKind
 
 # (mean length in m, standard deviation, share, bodies) before scaling to the requested mean. Mixture: mean 4.544 m,
 # standard deviation 8.7 % of it, mode 1.010 x the mean.

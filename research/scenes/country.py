@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from vehanchor_scenes.homes import garden, house
-from vehanchor_scenes.site import Site, jitter
-from vehanchor_scenes.world import Material, Rgb
+from research.scenes.homes import garden, house
+from research.scenes.site import Site, jitter
+from research.scenes.world import Material, Rgb
 
 
 def field(site: Site, width: float, depth: float) -> None:

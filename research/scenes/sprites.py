@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor_scenes.loads import add_load
+from research.scenes.loads import add_load
 
 CROWN_SPAN = 1.25
 VEHICLE_PAD = 0.03  # transparent margin on every side of a vehicle's sprite, as a share of the length

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor_scenes.fleet import VehicleModel
-from vehanchor_scenes.raster import noise_texture, sample_noise
-from vehanchor_scenes.roofs import paint_roof
-from vehanchor_scenes.shadows import roof_shadows, swept, tree_reach, vehicle_corners, vehicle_outline, vehicle_reach
-from vehanchor_scenes.sprites import CROWN_SPAN, VEHICLE_PAD, Sun, crown_sprite, vehicle_sprite
-from vehanchor_scenes.tile import SUBPIXEL_BITS, Tile
-from vehanchor_scenes.world import Box, Material, PlacedVehicle, Roof, Stain, Surface, Tree, World
+from research.scenes.fleet import VehicleModel
+from research.scenes.raster import noise_texture, sample_noise
+from research.scenes.roofs import paint_roof
+from research.scenes.shadows import roof_shadows, swept, tree_reach, vehicle_corners, vehicle_outline, vehicle_reach
+from research.scenes.sprites import CROWN_SPAN, VEHICLE_PAD, Sun, crown_sprite, vehicle_sprite
+from research.scenes.tile import SUBPIXEL_BITS, Tile
+from research.scenes.world import Box, Material, PlacedVehicle, Roof, Stain, Surface, Tree, World
 
 _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]

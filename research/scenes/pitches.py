@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor_scenes.site import jitter
-from vehanchor_scenes.sports import Paint
-from vehanchor_scenes.world import Material, PlacedCourt, Rgb
+from research.scenes.site import jitter
+from research.scenes.sports import Paint
+from research.scenes.world import Material, PlacedCourt, Rgb
 
 if TYPE_CHECKING:
-    from vehanchor_scenes.site import Site
-    from vehanchor_scenes.truth import CourtKind
+    from research.scenes.site import Site
+    from research.scenes.truth import CourtKind
 
 _TURF: tuple[Rgb, ...] = ((74, 108, 62), (92, 118, 72), (64, 98, 66), (122, 126, 88), (56, 104, 74))
 _PAINT: Rgb = (226, 228, 220)

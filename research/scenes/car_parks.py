@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from vehanchor_scenes.site import Site, flat_roof_rgb, jitter
-from vehanchor_scenes.world import Material, Rect, Rgb
+from research.scenes.site import Site, flat_roof_rgb, jitter
+from research.scenes.world import Material, Rect, Rgb
 
 
 def car_park(site: Site, width: float, depth: float) -> None:

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor_scenes.raster import clip_polygon
-from vehanchor_scenes.world import Rgb
+from research.scenes.raster import clip_polygon
+from research.scenes.world import Rgb
 
 _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]

@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vehanchor_scenes.car_parks import car_park, halls
-from vehanchor_scenes.country import farm, field, meadow, orchard, vineyard, wood
-from vehanchor_scenes.homes import flats, houses, town
-from vehanchor_scenes.pitches import pitch_ground
-from vehanchor_scenes.site import Site, jitter
-from vehanchor_scenes.sports import sports_ground
-from vehanchor_scenes.world import Material
+from research.scenes.car_parks import car_park, halls
+from research.scenes.country import farm, field, meadow, orchard, vineyard, wood
+from research.scenes.homes import flats, houses, town
+from research.scenes.pitches import pitch_ground
+from research.scenes.site import Site, jitter
+from research.scenes.sports import sports_ground
+from research.scenes.world import Material
 
 Filler = Callable[[Site, float, float], None]
 """Function that builds from (0, 0) to (width, depth) in the site's frame."""

@@ -1,35 +1,29 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import cv2
 import pytest
 from typer.testing import CliRunner
 
-from vehanchor.cli import app as cli
-from vehanchor_scenes import Layout
-from vehanchor_scenes.command import LayoutChoice
+from research.scenes.__main__ import app
 
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``vehanchor`` in an empty folder."""
+    """Runs ``python -m research.scenes`` in an empty folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
-    return lambda *arguments: CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+    return lambda *arguments: CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def test_scene_writes_an_image_and_its_truth(run: Any, tmp_path: Path) -> None:
     out = tmp_path / "scene.png"
-    result = run(
-        "scene", out, "--gsd", "0.2", "--size", "300", "200", "--seed", "3", "--layout", "parking", "--fleet", "5"
-    )
+    result = run(out, "--gsd", "0.2", "--size", "300", "200", "--seed", "3", "--layout", "parking", "--fleet", "5")
     assert result.exit_code == 0, result.stderr
     picture = cv2.imread(str(out))
     assert picture is not None
@@ -53,23 +47,13 @@ def test_scene_writes_an_image_and_its_truth(run: Any, tmp_path: Path) -> None:
     ],
 )
 def test_scene_refuses_what_has_no_meaning(run: Any, arguments: list[str], code: str) -> None:
-    result = run("scene", *arguments)
+    result = run(*arguments)
     assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr.startswith(f"error[{code}]: ")
 
 
 def test_scene_needs_a_gsd(run: Any) -> None:
-    result = run("scene", "scene.png")
+    result = run("scene.png")
     assert result.exit_code == 2
     assert "--gsd" in result.stderr
-
-
-def test_the_layouts_to_choose_from_are_the_renderers() -> None:
-    assert {choice.value for choice in LayoutChoice} == set(get_args(Layout))
-
-
-def test_the_command_is_there_before_anything_that_draws() -> None:
-    code = "import sys, vehanchor_scenes.command; print(sorted({'cv2', 'numpy'} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
-    assert done.stdout.strip() == "[]"

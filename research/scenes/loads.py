@@ -7,7 +7,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor_scenes.truth import Load
+from research.scenes.truth import Load
 
 LOADS: tuple[Load, ...] = get_args(Load)
 _BED_HALF_WIDTH = 0.80  # shares of the vehicle's half width

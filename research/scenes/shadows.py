@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor_scenes.sprites import CROWN_SPAN, Sun
-from vehanchor_scenes.world import PlacedVehicle, Roof, Tree
+from research.scenes.sprites import CROWN_SPAN, Sun
+from research.scenes.world import PlacedVehicle, Roof, Tree
 
 
 def swept(points: NDArray[np.float64], offset: tuple[float, float]) -> NDArray[np.float64]:
