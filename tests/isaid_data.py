@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,13 +15,6 @@ COLOURS = {  # of the development kit's helpers/labels.py
     "soccer-ball-field": (0, 127, 191),
     "storage-tank": (0, 63, 63),
     "small-vehicle": (0, 0, 127),
-}
-_WRITTEN = {
-    "swimming-pool": "Swimming_pool",
-    "tennis-court": "tennis_court",
-    "soccer-ball-field": "Soccer_ball_field",
-    "storage-tank": "storage_tank",
-    "small-vehicle": "Small_Vehicle",
 }
 Objects = Sequence[tuple[str, NDArray[np.bool_]]]
 
@@ -48,29 +39,6 @@ def write_isaid_pictures(
     for folder, kind, picture in ((id_folder, "id", ids), (colour_folder, "color", colours)):
         folder.mkdir(parents=True, exist_ok=True)
         _write(folder / f"{name}_instance_{kind}_RGB.png", picture)
-
-
-def write_coco(path: Path, images: Mapping[str, tuple[tuple[int, int], Objects]]) -> None:
-    """A COCO file as the development kit makes it: outer contours of the pixels, numbers in order of appearance."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    document: dict[str, Any] = {"images": [], "annotations": [], "categories": []}
-    numbers: dict[str, int] = {}
-    for image_id, (name, ((height, width), objects)) in enumerate(images.items()):
-        document["images"].append({"id": image_id, "file_name": f"{name}.png", "width": width, "height": height})
-        for category, mask in objects:
-            contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-            document["annotations"].append(
-                {
-                    "id": len(document["annotations"]),
-                    "image_id": image_id,
-                    "category_id": numbers.setdefault(category, len(numbers) + 1),
-                    "segmentation": [contour.reshape(-1).tolist() for contour in contours],
-                    "area": int(mask.sum()),
-                    "iscrowd": 0,
-                }
-            )
-    document["categories"] = [{"id": number, "name": _WRITTEN[name]} for name, number in numbers.items()]
-    path.write_text(json.dumps(document))
 
 
 def _write(path: Path, rgb: NDArray[np.uint8]) -> Path:

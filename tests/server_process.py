@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
 import subprocess
 import sys
@@ -20,7 +19,6 @@ from research.scenes import render_scene
 
 SERVE = [sys.executable, "-c", "import typer; from vehanchor_server.command import serve; typer.run(serve)"]
 START_S = 120
-IDLE_S = 7.0  # by then an idle worker has given back what it does not need
 
 
 class HttpServer(NamedTuple):
@@ -111,25 +109,3 @@ def _children(pid: int) -> list[int]:
         with contextlib.suppress(OSError):  # a thread has just ended
             found += map(int, (thread / "children").read_text().split())
     return found
-
-
-def memory_mib(pid: int) -> list[float]:
-    """Memory of a process and of all below it, MiB (Linux); what they share is counted once (PSS)."""
-    return [_pss_mib(pid), *(each for child in _children(pid) for each in memory_mib(child))]
-
-
-def processor_s(pid: int) -> float:
-    """Processor time of a process and of all below it that live, seconds (Linux)."""
-    used = 0.0
-    with contextlib.suppress(OSError):  # it has just ended
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        used = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-    return used + sum(map(processor_s, _children(pid)))
-
-
-def _pss_mib(pid: int) -> float:
-    with contextlib.suppress(OSError):  # it has just ended
-        for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
-            if line.startswith("Pss:"):
-                return int(line.split()[1]) / 1024
-    return 0.0

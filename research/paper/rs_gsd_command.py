@@ -21,7 +21,7 @@ from vehanchor_evaluation.search import default_workers
 class RsGsdRequest:
     """Options of the command, one per field."""
 
-    isaid: Annotated[list[Path], typer.Option(metavar="DIR", help="iSAID: instance images or COCO files; repeatable.")]
+    isaid: Annotated[list[Path], typer.Option(metavar="DIR", help="iSAID's instance images; repeatable.")]
     dota: Annotated[
         list[Path], typer.Option(metavar="DIR", help="The same split of DOTA, images/ and labelTxt*/; one per --isaid.")
     ]

@@ -1,8 +1,7 @@
-"""Detections compared with labelled boxes: average precision and errors of length."""
+"""Detections compared with labelled boxes: average precision."""
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from vehanchor.detection.boxes import oriented_iou
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
@@ -85,61 +84,3 @@ def average_precision(images: Iterable[MatchedDetections]) -> float:
     precision = hits / np.arange(1, len(hit) + 1)
     envelope = np.maximum.accumulate(precision[::-1])[::-1]
     return float(envelope[hit].sum() / n_labels)
-
-
-class LengthError(NamedTuple):
-    """Errors of detected lengths for labels in a range of lengths.
-
-    Attributes:
-        low_px: shortest label of the bin.
-        high_px: longest label of the bin.
-        labels: number of labels.
-        found: number of labels that were detected.
-        bias: median of ``length / label - 1`` of those.
-        spread: standard deviation of the same, from the quartiles.
-    """
-
-    low_px: float
-    high_px: float
-    labels: int
-    found: int
-    bias: float
-    spread: float
-
-
-def length_errors(
-    images: Iterable[MatchedDetections], edges_px: Sequence[float], *, min_score: float = 0.0
-) -> list[LengthError]:
-    """Compute the signed error of detected lengths by labelled length.
-
-    Args:
-        images: matched detections.
-        edges_px: edges of the bins, ascending.
-        min_score: detections below this score are left out.
-
-    Returns:
-        One row per bin; bias and spread are NaN for a bin without detections.
-    """
-    truth, every, error = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
-    for image in images:
-        hit = (image.label >= 0) & (image.scores >= min_score)
-        label = image.label_lengths_px[image.label[hit]]
-        truth.append(label)
-        error.append(image.lengths_px[hit] / label - 1)
-        every.append(image.label_lengths_px)
-    lengths, errors, labels = np.concatenate(truth), np.concatenate(error), np.concatenate(every)
-    rows = []
-    for low, high in pairwise(edges_px):
-        inside = errors[(lengths >= low) & (lengths < high)]
-        quartiles = np.percentile(inside, [25, 50, 75]) if len(inside) else np.full(3, np.nan)
-        rows.append(
-            LengthError(
-                low,
-                high,
-                int(np.count_nonzero((labels >= low) & (labels < high))),
-                len(inside),
-                float(quartiles[1]),
-                float((quartiles[2] - quartiles[0]) / 1.349),
-            )
-        )
-    return rows

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from research.training.detector.precision import average_precision, length_errors, match_detections
+from research.training.detector.precision import average_precision, match_detections
 
 _LABELS = np.array([[50.0, 50, 30, 12, 0.3], [150, 50, 30, 12, 1.2], [250, 50, 40, 16, 0]])
 _NONE = np.zeros((0, 5))
@@ -53,21 +53,6 @@ def test_images_are_ranked_together() -> None:
     assert average_precision([right, wrong]) == pytest.approx(1 / 2 / 2)
 
 
-def test_length_errors_are_medians_by_labelled_length() -> None:
-    boxes = _LABELS.copy()
-    boxes[:, 2] *= [1.10, 1.20, 0.9]
-    boxes = np.concatenate([boxes, [[400, 300, 35, 12, 0]]])
-    matched = match_detections(boxes, np.array([0.9, 0.8, 0.7, 0.99]), _LABELS, _NONE)
-    short, long, none = length_errors([matched], (20, 35, 80, 150))
-    assert (short.labels, short.found) == (2, 2)
-    assert short.bias == pytest.approx(0.15)
-    assert long.bias == pytest.approx(-0.1)
-    assert (none.labels, none.found) == (0, 0)
-    assert math.isnan(none.bias)
-    assert length_errors([matched], (20, 35), min_score=0.85)[0].bias == pytest.approx(0.10)
-
-
 def test_no_detections_and_no_labels_are_no_error() -> None:
     matched = match_detections(_NONE, np.zeros(0), _LABELS, _NONE)
     assert average_precision([matched]) == 0.0
-    assert length_errors([matched], (20, 50))[0].found == 0
