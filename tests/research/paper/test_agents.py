@@ -22,7 +22,7 @@ from research.paper.agents import (
 from research.paper.question_set import Direction, Task, picture_of, question_set, task_of
 from research.paper.vlm_api import Budget, open_api, reply_journal
 from research.results.record import tables_of
-from tests.model_service import Answer, Asked, ModelService, UseTool, model_service
+from tests.research.paper.model_service import Answer, Asked, ModelService, UseTool, model_service
 from vehanchor.errors import InvalidParameterError
 
 RENDERED = [each for each in question_set() if each.scene is not None]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from research.paper import isaid
 from research.paper.isaid import InstanceMask
 from research.scenes import Scene, render_scene
-from tests.isaid_data import write_dota_image, write_isaid_pictures
+from tests.research.paper.isaid_data import write_dota_image, write_isaid_pictures
 from vehanchor.errors import ImageError, InvalidParameterError
 from vehanchor_evaluation.dota import survey_dota
 

@@ -13,7 +13,7 @@ from research.paper.asked_model import ask_model, read_answer
 from research.paper.questions import ask_blindly, ask_with_tools, questions_of_photographs, read_questions, score
 from research.paper.vlm_api import Budget, ModelApi, open_api, reply_journal
 from research.scenes import render_scene
-from tests.model_service import Answer, Asked, ModelService, UseTool, model_service
+from tests.research.paper.model_service import Answer, Asked, ModelService, UseTool, model_service
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.survey import survey_known_scale
 

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from research.paper.__main__ import app
 from research.paper.rs_gsd import CATEGORIES, build_benchmark, quotas
 from research.scenes import render_scene
-from tests.isaid_data import write_dota_image, write_isaid_pictures
 from tests.models import blank_image
+from tests.research.paper.isaid_data import write_dota_image, write_isaid_pictures
 from vehanchor.cli import app as cli
 from vehanchor.errors import InvalidParameterError
 from vehanchor.models.zoo import bundled_segmenter

@@ -19,8 +19,8 @@ from research.paper.__main__ import app
 from research.paper.vlm import HINT, QUESTION, SYSTEM, draw_question
 from research.paper.vlm_api import Budget, BudgetSpentError, open_api, reply_journal
 from tests.conftest import ROOT
-from tests.model_service import Asked, ModelService, Refusal, UseTool, model_service, red_rectangle
 from tests.models import blank_image, paint_vehicles, write_detector
+from tests.research.paper.model_service import Asked, ModelService, Refusal, UseTool, model_service, red_rectangle
 from tests.sam_models import write_sam
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.areas import read_areas
