@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from pydantic import BaseModel, ConfigDict
 
-from research.scenes import render_scene
+from research.scenes import Layout, render_scene
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
@@ -46,7 +46,7 @@ class SceneOf(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     gsd_m_per_px: float
-    layout: Literal["urban", "parking", "countryside", "sports", "pitches"]
+    layout: Layout
     seed: int
     n_vehicles: int | None = None
     width_px: int = 800

@@ -9,7 +9,6 @@ import numpy as np
 from research.scenes.car_parks import car_park, halls
 from research.scenes.country import farm, field, meadow, orchard, vineyard, wood
 from research.scenes.homes import flats, houses, town
-from research.scenes.pitches import pitch_ground
 from research.scenes.site import Site, jitter
 from research.scenes.sports import sports_ground
 from research.scenes.world import Material
@@ -89,7 +88,6 @@ FILLERS: dict[str, Filler] = {
     "town": town,
     "park": park,
     "sports_ground": sports_ground,
-    "pitch_ground": pitch_ground,
     "field": field,
     "vineyard": vineyard,
     "orchard": orchard,

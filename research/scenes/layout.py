@@ -38,10 +38,6 @@ _PLANS: dict[Layout, _Plan] = {
         StreetPlan((70, 130), (13.5, 8.0, 7.0), 2.2, 0.5, 2.0, True),
         {"sports_ground": 0.5, "park": 0.06, "houses": 0.2, "car_park": 0.16, "flats": 0.08},
     ),
-    "pitches": _Plan(
-        StreetPlan((260, 330), (13.5, 8.0, 7.0), 2.2, 0.5, 2.0, True),
-        {"pitch_ground": 1.0},
-    ),
 }
 _MARGIN_M = 45.0  # around the view: objects there can cast shadows into it
 _MIN_EXTENT_M = 150.0

@@ -51,7 +51,7 @@ def render_scene(
         n_vehicles: maximum number of small vehicles; large ones are thinned by the same share. 0 removes all vehicles,
             None keeps them all.
         mean_vehicle_length_m: mean length of the fleet, 2 to 8.
-        layout: ``urban``, ``parking``, ``countryside``, ``sports``, ``pitches``; None: one of the first three.
+        layout: ``urban``, ``parking``, ``countryside``, ``sports``; None: one of the first three.
         fleet_kind: ``passenger``, or ``mixed``: also kei cars, pickups with loads, work vehicles and roof racks.
 
     Returns:

@@ -17,9 +17,9 @@ from vehanchor.errors import InvalidParameterError
 VehicleKind = Literal["small-vehicle", "large-vehicle"]
 FleetKind = Literal["passenger", "mixed"]
 Load = Literal["empty", "crates", "tarpaulin", "planks", "rack"]
-Layout = Literal["urban", "parking", "countryside", "sports", "pitches"]
+Layout = Literal["urban", "parking", "countryside", "sports"]
 Category = Literal["swimming-pool", "building", "sports-court", "field", "parking-lot"]
-CourtKind = Literal["tennis", "basketball_fiba", "basketball_nba", "basketball_ncaa", "football", "football_small"]
+CourtKind = Literal["tennis", "basketball_fiba", "basketball_nba", "basketball_ncaa"]
 CATEGORIES: tuple[Category, ...] = get_args(Category)
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from research.scenes import render_scene
 from tests.analyses import made_card
+from tests.skill.rulers.test_penalty_areas import FULL
+from tests.skill.rulers.test_penalty_areas import _drawn as draw_pitch
 from vehanchor.detection.detections import NOT_SEARCHED
-from vehanchor.detection.scene_scale import load_scene_scale
+from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
@@ -52,11 +53,11 @@ def test_without_areas_or_without_pixels_there_is_no_evidence() -> None:
 
 
 def test_a_pitch_without_any_car_has_a_scale() -> None:
-    scene = render_scene(0.15, width_px=867, height_px=867, seed=1, n_vehicles=0, layout="pitches")
-    network = load_scene_scale()
-    assert network is not None
-    with open_raster(scene.image) as raster:
-        evidence = Pitches().measure(replace(_view(), raster=raster, prior=network.predict(raster), found={}))
+    bins = np.log(0.01) + 0.07 * np.arange(60)
+    level = SceneLevel(1, 9, -0.5 * ((bins - np.log(0.15)) / 0.15) ** 2)
+    prior = SceneScalePrior((level,), SceneCalibration(float(bins[0]), 0.07))
+    with open_raster(draw_pitch(0.15, FULL)) as raster:
+        evidence = Pitches().measure(replace(_view(), raster=raster, prior=prior, found={}))
     assert evidence.gsd_m_per_px == pytest.approx(0.15, rel=0.005)
     assert evidence.interval is not None
     assert evidence.interval.low < 0.15 < evidence.interval.high
