@@ -1,6 +1,6 @@
 """Draw the icons and the figures of the documentation from real runs.
 
-Run ``python docs/figures.py``.
+Run ``python -m docs.figures`` in the root of the repository.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from research.scenes import Scene, render_scene
 from vehanchor import analyse_scale
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.boxes import box_corners, oriented_iou
 from vehanchor.scale.lengths import modal_density
-from vehanchor_scenes import Scene, render_scene
 
 ROOT = Path(__file__).parent.parent
 IMAGE = ROOT / "examples" / "car_park.jpg"

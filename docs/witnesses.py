@@ -14,11 +14,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from research.scenes import Scene, render_scene
 from vehanchor import Engine, ScaleAnalysis
 from vehanchor.detection.boxes import box_corners
 from vehanchor.pictures.ruler_plot import plot_rulers
 from vehanchor.records.digits import significant
-from vehanchor_scenes import Scene, render_scene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

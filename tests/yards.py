@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor_scenes.fleet import Fleet, VehicleModel
-from vehanchor_scenes.painter import Painter
-from vehanchor_scenes.sprites import Sun
-from vehanchor_scenes.world import Box, Frame, Material, PlacedVehicle, Rgb, Surface, World
+from research.scenes.fleet import Fleet, VehicleModel
+from research.scenes.painter import Painter
+from research.scenes.sprites import Sun
+from research.scenes.world import Box, Frame, Material, PlacedVehicle, Rgb, Surface, World
 
 Yard = Literal["lorries", "buses", "caravans", "containers", "boats", "roof units"]
 YARDS: dict[Yard, tuple[float, float]] = {  # length and width of one, metres

@@ -1,25 +1,16 @@
-"""Measure ``vehanchor batch``: ``python -m research.benchmarks.batch``. Prints Markdown; ``--record`` keeps it.
+"""Compare Ray with local workers: ``python -m research.benchmarks.batch``. Prints Markdown; ``--record`` keeps it.
 
-The same rendered scenes through each engine and number of workers, as whole commands (starting Ray is part of what a
-user waits for) and without the start: the difference between all the images and half of them.
-
-``--by-rows`` compares one local worker with several by the rows from the first to the last: one run each, for images
-that take long (12 megapixels are ``--side 3464``).
-
-``--nodes 1 2 4`` compares Ray on that many simulated nodes of one CPU each (Ray's own cluster utility: all of them
-processes of this machine) with as many local workers, by the rows from the first to the last; then a node of the
-largest cluster is killed after a third of the rows, and those lost and doubled are counted.
+Ray runs on simulated nodes of one CPU each (its own cluster utility: all of them processes of this machine), beside as
+many local workers, by the rows from the first to the last. Then a node of the largest cluster is killed after a third
+of the rows, and those lost and doubled are counted.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import os
 import platform
-import subprocess
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -31,10 +22,10 @@ from typing import Any, NamedTuple, get_args
 import cv2
 
 from research.results.record import add_record_option, recording
+from research.scenes import Layout, render_scene
 from vehanchor.batch import run_batch
 from vehanchor.batch.run import BatchEngine
 from vehanchor.models.runtime import Runtime
-from vehanchor_scenes import Layout, render_scene
 
 SIDE_PX = 1024
 N_SCENES = 4  # rendered; the rest are further names of the same files
@@ -47,16 +38,6 @@ def write_images(folder: Path, n_images: int, side_px: int, layout: Layout) -> N
         cv2.imwrite(str(folder / f"{seed:05}.jpg"), scene.image[:, :, ::-1])
     for number in range(N_SCENES, n_images):
         os.link(folder / f"{number % N_SCENES:05}.jpg", folder / f"{number:05}.jpg")
-
-
-def command_time(folder: Path, engine: str, workers: int, n_images: int) -> float:
-    """Seconds that the command takes for the first images of the folder."""
-    images = [str(path) for path in sorted(folder.glob("*.jpg"))[:n_images]]
-    with tempfile.TemporaryDirectory() as output:
-        command = [sys.executable, "-m", "vehanchor", "batch", *images, "--output", f"{output}/table.csv"]
-        started = time.perf_counter()
-        subprocess.run([*command, "--engine", engine, "--workers", str(workers)], check=True, capture_output=True)
-        return time.perf_counter() - started
 
 
 class Run(NamedTuple):
@@ -127,47 +108,20 @@ def compare_nodes(folder: Path, sizes: list[int]) -> None:
     print(f"| {max(sizes)}, one killed | | {killed.rate:.2f}/s | | {killed.n_lost}, {killed.n_doubled} |")
 
 
-def compare_workers(folder: Path, workers: int) -> None:
-    """Print the table of local workers."""
-    print("| local workers | rows a second | over one worker |\n|---|---|---|")
-    one = run_rows(folder, "local", 1)
-    print(f"| 1 | {one.rate:.3f} | |", flush=True)
-    several = run_rows(folder, "local", workers)
-    print(f"| {workers} | {several.rate:.3f} | {several.rate / one.rate:.3f} |", flush=True)
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--images", type=int, default=80)
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--side", type=int, default=SIDE_PX, help="of the images, pixels")
     parser.add_argument("--layout", choices=get_args(Layout), default="parking", help="of the rendered scenes")
-    parser.add_argument("--by-rows", action="store_true", help="compare local workers by their rows")
-    parser.add_argument("--nodes", type=int, nargs="+", help="compare simulated clusters of that many nodes instead")
+    parser.add_argument("--nodes", type=int, nargs="+", default=[1, 2, 4], help="nodes of each simulated cluster")
     options = add_record_option(parser).parse_args()
     print(
         f"{platform.machine()}, {os.cpu_count()} CPUs, {options.images} images of {options.side} x {options.side} px\n"
     )
-    if options.nodes or options.by_rows:
-        with tempfile.TemporaryDirectory() as folder:
-            write_images(Path(folder), options.images, options.side, options.layout)
-            with recording("speed", ["ray" if options.nodes else "batch_by_rows"], options.record):
-                if options.nodes:
-                    compare_nodes(Path(folder), options.nodes)
-                else:
-                    compare_workers(Path(folder), options.workers)
-        return
-    engines = ["local", "ray"] if importlib.util.find_spec("ray") else ["local"]
-    runs = [("local", 1)] + [(engine, options.workers) for engine in engines]
-    with tempfile.TemporaryDirectory() as folder, recording("speed", ["batch"], options.record):
-        print("| engine | workers | whole command | images a second once started |\n|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder, recording("speed", ["ray"], options.record):
         write_images(Path(folder), options.images, options.side, options.layout)
-        for engine, workers in dict.fromkeys(runs):
-            half = command_time(Path(folder), engine, workers, options.images // 2)
-            whole = command_time(Path(folder), engine, workers, options.images)
-            rate = (options.images - options.images // 2) / (whole - half)
-            print(f"| {engine} | {workers} | {whole:.1f} s | {rate:.2f} |", flush=True)
+        compare_nodes(Path(folder), options.nodes)
 
 
 if __name__ == "__main__":

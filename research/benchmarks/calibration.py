@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 import cv2
 
 from research.results.record import add_record_option, header, recording
+from research.scenes import render_scene
 from vehanchor.detection.detector import Detector
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor_evaluation.dota import survey_dota
 from vehanchor_evaluation.fleet_survey import calibrate_found, calibrate_labelled, found_vehicles, labelled_vehicles
 from vehanchor_evaluation.search import search_known_scale
-from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from vehanchor.scale.calibration import Calibration

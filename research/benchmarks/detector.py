@@ -3,8 +3,7 @@
 ``python -m research.benchmarks.detector [--split val] [--detector FILE]``.
 
 Prints Markdown; ``--record`` keeps it. "Labelled" images have at least five labelled cars; no estimate counts as
-an error of 100 %. ``--part`` chooses: ``scale`` (the estimates), ``gsd`` (by true scale, from images made coarser),
-``lengths`` (boxes against labels by length, the long ones from enlarged images), ``precision`` (AP50); default all.
+an error of 100 %. ``--part`` chooses: ``scale`` (the estimates), ``precision`` (AP50); default both.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import csv
 import os
 from collections import defaultdict
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,7 +21,7 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from research.results.record import add_record_option, recording, values_table
-from vehanchor import analyse_scale
+from research.training.detector.precision import MatchedDetections, average_precision, match_detections
 from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
@@ -33,7 +31,6 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor.rulers.view import View
-from vehanchor_evaluation.detections import MatchedDetections, average_precision, length_errors, match_detections
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
 from vehanchor_evaluation.table import read_table
@@ -48,13 +45,9 @@ if TYPE_CHECKING:
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _LABELLED = 5
-_GSD_EDGES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.31)  # issue 3
-_LENGTH_EDGES_PX = (12.0, 20.0, 40.0, 80.0, 150.0, 300.0)  # issue 3
-_MAX_ENLARGED_PX = 1280
-_IMAGES_A_BIN = 10  # of each set: the long bins are made of large images
 _LEAST_SCORE = 0.05  # precision is asked for at every recall
 _MODEL_MADE = "ours"
-_PARTS = ("scale", "gsd", "lengths", "precision")
+_PARTS = ("scale", "precision")
 _REGION_OF_SET = {"cannes": "europe", "saopaulo": "south_america", "ucm": "north_america", "empty": "north_america"}
 
 
@@ -147,43 +140,6 @@ def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
     return lines
 
 
-# --- By true scale, from images made coarser -------------------------------------------------------------------------
-
-
-def gsd_bins(images: list[KnownScaleImage], detector: Detector, options: ScaleOptions) -> list[str]:
-    """Signed GSD error by true GSD, region given; area interpolation from the sets that are sharper."""
-    signed: dict[int, list[float]] = defaultdict(list)
-    missing: dict[int, int] = defaultdict(int)
-    for image in images:
-        if (image.labelled_vehicles or 0) < _LABELLED:
-            continue
-        chosen = _in_region(options, image, detector.card)
-        pixels = _rgb(image.path)
-        for k, (low, high) in enumerate(pairwise(_GSD_EDGES)):
-            factor = image.gsd_m_per_px / float(np.sqrt(low * high))
-            if low <= image.gsd_m_per_px < high:
-                factor = 1.0
-            elif factor > 1:
-                continue
-            estimate = analyse_scale(_resized(pixels, factor), chosen, detector=detector).estimate
-            if estimate.gsd_m_per_px is None:
-                missing[k] += 1
-            else:
-                signed[k].append(estimate.gsd_m_per_px / (image.gsd_m_per_px / factor) - 1)
-    lines = [
-        "| true GSD, region given | images | estimate | median signed error | median error |",
-        "|---|---|---|---|---|",
-    ]
-    for k, (low, high) in enumerate(pairwise(_GSD_EDGES)):
-        found = np.array(signed[k])
-        n = len(found) + missing[k]
-        row = (
-            f"{len(found) / n:.1%} | {np.median(found):+.2%} | {np.median(np.abs(found)):.2%}" if len(found) else "| |"
-        )
-        lines.append(f"| {low:g} to {high:g} | {n} | {row} |")
-    return lines
-
-
 # --- Boxes against labels --------------------------------------------------------------------------------------------
 
 
@@ -221,13 +177,6 @@ def _rgb(path: Path) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pixels[:, :, ::-1], dtype=np.uint8)
 
 
-def _resized(pixels: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
-    if factor == 1:
-        return pixels
-    way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=way), dtype=np.uint8)
-
-
 def _matched(
     pixels: NDArray[np.uint8], image: LabelledImage, detector: Detector, min_score: float, search: bool | None
 ) -> MatchedDetections:
@@ -252,54 +201,6 @@ def precision(images: list[LabelledImage], detector: Detector, search: bool | No
     return lines
 
 
-def lengths(images: list[LabelledImage], detector: Detector, search: bool | None) -> list[str]:
-    """Signed error of the boxes' lengths by labelled length; images are resampled so that the bins are filled."""
-    matched: dict[tuple[float, bool], list[MatchedDetections]] = defaultdict(list)
-    taken: dict[tuple[float, str], int] = defaultdict(int)
-    for image in images:
-        if len(image.labels) < _LABELLED:
-            continue
-        native = float(np.median(image.labels[:, 2]))
-        pixels = _rgb(image.path)
-        for low, high in pairwise(_LENGTH_EDGES_PX):
-            factor = float(np.sqrt(low * high)) / native
-            if factor > 8 or taken[low, image.set] >= _IMAGES_A_BIN:
-                continue
-            taken[low, image.set] += 1
-            part, moved = _cut_for(pixels, image, factor)
-            matched[low, image.by_people].append(
-                _matched(_resized(part, factor), moved, detector, detector.card.min_score, search)
-            )
-    lines = [
-        "| labelled length, px | labels by | images | found of labels | median signed error | spread |",
-        "|---|---|---|---|---|---|",
-    ]
-    for low, high in pairwise(_LENGTH_EDGES_PX):
-        for name, which in (("all", (False, True)), ("people", (True,)), ("a model", (False,))):
-            some = [one for by_people in which for one in matched[low, by_people]]
-            (row,) = length_errors(some, (low, high))
-            lines.append(
-                f"| {low:g} to {high:g} | {name} | {len(some)} | {row.found} of {row.labels} | {row.bias:+.2%} "
-                f"| {row.spread:.2%} |"
-            )
-    return lines
-
-
-def _cut_for(pixels: NDArray[np.uint8], image: LabelledImage, factor: float) -> tuple[NDArray[np.uint8], LabelledImage]:
-    """The part around the first car that stays below 1280 px a side when enlarged, and its labels there."""
-    side = max(64, int(_MAX_ENLARGED_PX / factor))
-    x, y = (
-        int(np.clip(centre - side / 2, 0, max(0, extent - side)))
-        for centre, extent in zip(image.labels[0, :2], pixels.shape[1::-1], strict=True)
-    )
-    part = np.ascontiguousarray(pixels[y : y + side, x : x + side])
-    shift = np.array([x, y, 0, 0, 0])
-    grow = np.array([factor, factor, factor, factor, 1])
-    labels = image.labels - shift
-    inside = ((labels[:, :2] > 0) & (labels[:, :2] < part.shape[1::-1])).all(axis=1)
-    return part, image._replace(labels=labels[inside] * grow, ignored=(image.ignored - shift) * grow)
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -308,7 +209,7 @@ def main() -> None:
     parser.add_argument("--min-score", type=float)
     parser.add_argument("--aggregation", help="default: the model's choice")
     parser.add_argument("--search-scales", action=argparse.BooleanOptionalAction, help="default: the model's choice")
-    parser.add_argument("--part", choices=_PARTS, action="append", help="may be repeated; default all")
+    parser.add_argument("--part", choices=_PARTS, action="append", help="may be repeated; default both")
     options = add_record_option(parser).parse_args()
     parts = options.part or _PARTS
     detector = Detector(resolve_model(options.detector))
@@ -324,14 +225,8 @@ def main() -> None:
         regional = [_with_region(trial, detector.card, scale) for trial in trials]
         with recording("scale", ["val", "val_confidence"], options.record, model=model):
             print("\n".join(report(trials, regional)), flush=True)
-    if "gsd" in parts:
-        with recording("scale", ["by_gsd"], options.record, model=model):
-            print("\n" + "\n".join(gsd_bins(images, detector, scale)), flush=True)
-    labelled = list(labelled_images(DATA / "vehicles", options.split))
-    if "lengths" in parts:
-        with recording("detection", ["lengths"], options.record, model=model):
-            print("\n" + "\n".join(lengths(labelled, detector, options.search_scales)), flush=True)
     if "precision" in parts:
+        labelled = list(labelled_images(DATA / "vehicles", options.split))
         with recording("detection", ["precision"], options.record, model=model):
             print("\n" + "\n".join(precision(labelled, detector, options.search_scales)))
 

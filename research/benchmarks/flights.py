@@ -1,13 +1,11 @@
 """Measure flights of known scale, made from real pixels.
 
-``python -m research.benchmarks.flights {pooled,matched,cost,real} DATA``.
+``python -m research.benchmarks.flights {pooled,matched,real} DATA``.
 
 ``pooled`` turns, dims, blurs and JPEG-codes tiles of one scale into flights of 24 photographs and compares the scale by
 all of them with the truth, with the region unknown and given. ``matched`` cuts overlapping photographs of mixed scales
-out of mosaics; two thirds of them lose their vehicles. ``cost`` measures what comes
-beyond the detection for 200 photographs of 12 Mpx: features, pairs, matches, the graph. ``real`` holds the scales of
+out of mosaics; two thirds of them lose their vehicles. ``real`` holds the scales of
 DATA/flights/garfield, which ``vehanchor flight --out`` wrote, against the heights and positions of its metadata.
-Tilted cameras: ``research/benchmarks/tilt.py``.
 """
 
 from __future__ import annotations
@@ -17,8 +15,6 @@ import csv
 import hashlib
 import json
 import math
-import resource
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,18 +23,15 @@ import cv2
 import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
-from vehanchor.detection.detections import Detections
 from vehanchor.engine import Engine
 from vehanchor.flight.components import single_component
 from vehanchor.flight.estimate import conclude, search_flight
-from vehanchor.flight.features import Features, find_features
+from vehanchor.flight.features import find_features
 from vehanchor.flight.inputs import InputPhotograph
 from vehanchor.flight.io import read_record
 from vehanchor.flight.matching import match
-from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
 from vehanchor.flight.record import Failure, conclude_flight
-from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
@@ -53,7 +46,6 @@ if TYPE_CHECKING:
 
 _REGIONS = {"cannes": "europe", "estonia": "northern_europe", "ucm": "north_america", "saopaulo": "south_america"}
 _FLIGHTS, _PHOTOGRAPHS = 4, 24
-_LOOKED_AT = 8  # photographs whose features are timed
 _NEAR, _PAIR = 0.1, 0.2  # of a ratio; of a scale by one pair of positions
 _LEAST_APART_M = 15.0  # two positions: each is off by metres
 
@@ -262,60 +254,6 @@ def _components_held(record: FlightEstimate, truth: NDArray[np.float64]) -> list
     return held
 
 
-def cost(number: int) -> None:
-    """Print what a flight costs beyond the detection: nothing is searched, every third photograph has ten cars.
-
-    Features are found in eight photographs of 12 Mpx; those of the flights are made up, as many as a photograph has at
-    most, along the strips of a survey, so that pairs, matches and the graph are those of a real one.
-    """
-    detector = Engine(runtime=Runtime(threads=1)).detector
-    ground = cv2.resize(np.random.default_rng(18).integers(0, 256, (150, 200, 3), np.uint8), (4000, 3000))
-    looking = []
-    for _ in range(_LOOKED_AT):
-        begun = time.process_time()
-        with open_raster(np.ascontiguousarray(ground)) as raster:
-            n_features = len(find_features(raster))
-        looking.append(time.process_time() - begun)
-    print(f"features of 12 Mpx: {np.median(looking):.2f} CPU s a photograph ({n_features})")
-    print(
-        "| photographs | pairs | overlaps | components | pairs, matches, graph, record: CPU s a photograph | peak MiB |"
-    )
-    print("|---|---|---|---|---|---|")
-    for n in (number // 4, number // 2, number):
-        photographs = _made_up(n, detector)
-        begun = time.process_time()
-        record = conclude(photographs, detector.card, same_scale=False)
-        spent = (time.process_time() - begun) / n
-        pairs = len(candidate_pairs([each.features for each in photographs if each.features is not None]))
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        components = ", ".join(str(component.n_photographs) for component in record.components)
-        print(f"| {n} | {pairs} | {len(record.links)} | {components} | {spent:.3f} | {peak:.0f} |", flush=True)
-
-
-def _made_up(n: int, detector: Detector) -> list[Photograph]:
-    """Photographs of 4000 x 3000 px along strips, 70 % and 50 % of each seen in the next."""
-    rng = np.random.default_rng(18)
-    strip = max(1, round(math.sqrt(n)))
-    extent = np.array([4000 + 1200 * strip, 3000 + 1500 * math.ceil(n / strip)])
-    per_photograph = 12_000_000 / 1200
-    world = rng.uniform(0, extent, (int(extent.prod() / per_photograph), 2))
-    described = rng.gamma(0.4, 1.0, (len(world), 128))
-    described = 255 * np.sqrt(described / described.sum(axis=1, keepdims=True))
-    photographs = []
-    for place in range(n):
-        corner = np.array([place % strip * 1200, place // strip * 1500])
-        inside = np.flatnonzero(((world >= corner) & (world < corner + np.array([4000, 3000]))).all(axis=1))[:1200]
-        points = world[inside] - corner + rng.normal(0, 1.0, (len(inside), 2))
-        descriptors = np.clip(np.rint(described[inside] + rng.normal(0, 3, (len(inside), 128))), 0, 255)
-        features = Features(points, descriptors.astype(np.uint8), 4.0)
-        boxes = rng.uniform((200, 200), (3800, 2800), (10 if place % 3 == 0 else 0, 2))
-        sizes = np.column_stack([rng.normal(90, 8, len(boxes)), np.full(len(boxes), 36.0), np.zeros(len(boxes))])
-        found = Detections(np.column_stack([boxes, sizes]), np.full(len(boxes), 0.9))
-        stored = StoredPhotograph(ImageFacts(4000, 3000), found, 1.0, ())
-        photographs.append(Photograph.of(str(place), stored, detector.card, ScaleOptions(), features))
-    return photographs
-
-
 def real(data: Path, written: Path) -> None:
     """Compare the scales of a flight with the heights above the sea and the track in its metadata.
 
@@ -345,7 +283,9 @@ def real(data: Path, written: Path) -> None:
         f"({pooled.gsd_ci95_low_m_per_px:.4f} to {pooled.gsd_ci95_high_m_per_px:.4f})",
     }
     for each in pooled.rulers:
-        values[f"{each.kind}, m/px ({'agrees' if each.agrees else 'does not agree'})"] = f"{each.gsd_m_per_px:.4f}"
+        values[f"{each.kind}, m/px ({'agrees' if each.p_right >= 0.5 else 'does not agree'})"] = (
+            f"{each.gsd_m_per_px:.4f}"
+        )
     for name, errors in (("matches by themselves", by_match), ("solved scales", solved)):
         values[f"{name} against the heights: within 10 %, %"] = 100 * float(np.mean(np.array(errors) <= _NEAR))
         values[f"{name} against the heights: median, %"] = 100 * float(np.median(errors))
@@ -408,9 +348,8 @@ def without_vehicles(photograph: Photograph) -> Photograph:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("pooled", "matched", "cost", "real"))
+    parser.add_argument("what", choices=("pooled", "matched", "real"))
     parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
-    parser.add_argument("--photographs", type=int, default=200, help="of the largest flight whose cost is measured")
     parser.add_argument("--split", default="val")
     parser.add_argument("--flights", type=int, help="a set (pooled: 4), over each world (matched, 1)")
     parser.add_argument("--cache", type=Path, help="folder that keeps what was found in each image")
@@ -420,8 +359,6 @@ def main() -> None:
     with recording("flights", [key], arguments.record):
         if arguments.what == "pooled":
             pooled(arguments.data, arguments.split, arguments.flights or _FLIGHTS, arguments.cache)
-        elif arguments.what == "cost":
-            cost(arguments.photographs)
         elif arguments.what == "real":
             real(arguments.data, arguments.flight)
         else:

@@ -31,13 +31,13 @@ import numpy as np
 import onnxruntime
 
 from research.results.record import add_record_option, header, recording
+from research.scenes import render_scene
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
-from vehanchor_scenes import render_scene
 
 ENVIRONMENT = Path("~/.cache/vehanchor/peers").expanduser()
 _PACKAGES = ("ultralytics==8.4.190", "sahi==0.12.8", "supervision==0.31.2", "onnx", "torch", "torchvision")
@@ -159,37 +159,11 @@ def table(found: dict[str, list[list[Pass]]]) -> list[str]:
     return lines
 
 
-def tile_times(ours: Path, other: Path, rounds: int) -> str:
-    """A tile by the bundled detector and by YOLO11n-OBB, 2 threads, in turns."""
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 2
-    sessions = [onnxruntime.InferenceSession(str(path), options) for path in (ours, other)]
-    tile = np.random.default_rng(0).random((1, 3, _TILE_PX, _TILE_PX), np.float32)
-    wall: list[list[float]] = [[], []]
-    cpu: list[list[float]] = [[], []]
-    for _ in range(rounds + 1):
-        for k, session in enumerate(sessions):
-            started = time.perf_counter(), time.process_time()
-            session.run(None, {session.get_inputs()[0].name: tile})
-            wall[k].append(time.perf_counter() - started[0])
-            cpu[k].append(time.process_time() - started[1])
-    by_wall, by_cpu = (
-        [statistics.median(each[0][1:]) / statistics.median(each[1][1:]), min(each[0][1:]) / min(each[1][1:])]
-        for each in (wall, cpu)
-    )
-    return (
-        f"One {_TILE_PX} px tile, bundled over YOLO11n-OBB, {rounds} in turns: wall {by_wall[0]:.2f} (best of each "
-        f"{by_wall[1]:.2f}), CPU {by_cpu[0]:.2f} (best {by_cpu[1]:.2f}); best wall {1000 * min(wall[0][1:]):.0f} ms "
-        f"against {1000 * min(wall[1][1:]):.0f} ms"
-    )
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--environment", type=Path, default=ENVIRONMENT, help="folder of the peers' environment")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--tile", action="store_true", help="compare a tile with YOLO11n-OBB instead")
     parser.add_argument("--here", nargs="+", type=Path, metavar="MODEL IMAGE", help=argparse.SUPPRESS)
     options = add_record_option(parser).parse_args()
     if options.here:
@@ -205,14 +179,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         model, images, tiles = write_work(folder)
-        if not options.tile:
-            with recording("speed", ["peers"], options.record, packages=list(_PACKAGES)):
-                print(*table(passes(python, model, images, tiles, options.rounds)), sep="\n", flush=True)
-            return
-        other = folder / "yolo11n-obb.onnx"  # random weights: its time is that of any
-        inside = Path(__file__).with_name("peers_inside.py").resolve()
-        subprocess.run([str(python), str(inside), "export", str(other)], check=True, capture_output=True, cwd=folder)
-        print(f"{tile_times(model, other, 3 * options.rounds)}")
+        with recording("speed", ["peers"], options.record, packages=list(_PACKAGES)):
+            print(*table(passes(python, model, images, tiles, options.rounds)), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
 """Run one tool inside the peers' own environment, for ``peers.py``: ``python peers_inside.py TOOL MODEL TILES IMAGE``.
 
 IMAGE may be several files. Nothing of this project is imported here, and nothing here by this project: ultralytics is
-under the AGPL. Each line printed is JSON of an image: seconds, CPU seconds, peak memory, boxes, tiles. ``python
-peers_inside.py export FILE`` writes YOLO11n-OBB with random weights; nothing is fetched.
+under the AGPL. Each line printed is JSON of an image: seconds, CPU seconds, peak memory, boxes, tiles.
 """
 
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 import time
 from pathlib import Path
@@ -117,19 +115,9 @@ def _supervision(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
     return run
 
 
-def _export(path: Path) -> None:
-    from ultralytics import YOLO
-
-    written = YOLO("yolo11n-obb.yaml").export(format="onnx", imgsz=TILE_PX, opset=17, simplify=False)
-    shutil.move(written, path)
-
-
 def main() -> None:
     """Command line."""
     tool = sys.argv[1]
-    if tool == "export":
-        _export(Path(sys.argv[2]))
-        return
     import cv2
 
     model, tiles, *images = sys.argv[2:]

@@ -23,17 +23,17 @@ import cv2
 import numpy as np
 
 from research.results.record import add_record_option, header, recording
+from research.scenes import render_scene
 from vehanchor.engine import Engine
 from vehanchor.models.runtime import Runtime
-from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
+    from research.scenes import Layout
     from vehanchor.records import GsdEstimate
-    from vehanchor_scenes import Layout
 
 Image: TypeAlias = "NDArray[np.uint8]"
 SIZES_PX = ((3264, 2448), (4000, 3000), (4608, 3456), (5120, 3840))  # 8, 12, 16 and 20 megapixels

@@ -7,9 +7,7 @@ Prints Markdown; ``--record`` keeps it. ``--part`` chooses:
   second hit is a false box. Boxes on labelled lorries count as false, too. "Corrected by eye" adds cars that nobody had
   labelled and leaves doubtful things out (``car_verifier/looked_at.csv``);
 * ``clutter``: false boxes a megapixel where there are no cars, or where the cars are known;
-* ``mistakes``: a scale that is ok on an image of known scale with an error above 20 %, or without cars;
-* ``levels``: photographs of 0.015 to 0.1 m/px, whether the cars were read at the right reduced resolution: their modal
-  length within a factor of 1.5 of the labelled one, or of a car at the known scale.
+* ``mistakes``: confidence of 0.5 and more on an image of known scale with an error above 20 %, or without cars.
 
 ``--held-out`` measures ``people`` on the held-out tenth of *train* instead of *val*: thresholds are chosen there.
 ``--labelled cannes`` measures it on the *val* labels of a set of ``vehicles/``, which a model made: what is ignored
@@ -34,15 +32,12 @@ from research.training import car_verifier
 from research.training.detector.distractors import KINDS, draw_distractors
 from research.training.detector.places import Place, is_held_out, looked_at, places
 from vehanchor import analyse_scale
-from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
-from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
-from vehanchor.options import Rulers, ScaleOptions, Search
-from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor.options import Search
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.table import read_table
 
@@ -60,11 +55,7 @@ _HIGH_ERROR = 0.2
 _NEARCAR_LENGTH_M = 3.0  # of a car that is there, a box is not false
 _RENDERED_SIDE_PX = 512
 _RENDERED_SIZES = (0.6, 1.0, 1.8)
-_PARTS = ("people", "clutter", "mistakes", "levels")
-_RIGHT_LEVEL = 1.5  # the next level is at 2
-_LEAST_CARS = 3
-_NADIR_DEG = -85.0
-_GARFIELD_M_PER_PX = 0.047  # from the GPS track and matched features: ../shared/data/README.md
+_PARTS = ("people", "clutter", "mistakes")
 
 
 class Sighted(NamedTuple):
@@ -297,41 +288,6 @@ def mistakes_report(data: Path, detector: Detector) -> list[str]:
     ]
 
 
-def fine_images(data: Path) -> Iterator[tuple[str, Path, float]]:
-    """Set, photograph, and length of a car in its pixels."""
-    with (data / "vehicles" / "index.csv").open(newline="") as handle:
-        rows = [row for row in csv.DictReader(handle) if (row["set"], row["split"]) == ("jekhor", "val")]
-    for row in rows:
-        path = data / "vehicles" / row["file"]
-        corners = read_labels(data / "vehicles" / "labels" / f"{path.stem}.txt").of_class("small-vehicle")
-        if len(corners) >= _LEAST_CARS:
-            yield "jekhor, val", path, float(np.median(boxes_from_corners(corners)[:, 2]))
-    with (data / "tilt" / "table.csv").open(newline="") as handle:
-        for row in csv.DictReader(handle):
-            if float(row["camera_pitch_deg"]) < _NADIR_DEG:
-                path = data / "tilt" / row["file"]
-                with open_raster(path) as raster:
-                    seen = equivalent_lens(raster.width_px, raster.height_px, float(row["focal_length_35mm"]))
-                yield "tilt, nadir", path, CAR_LENGTH_M * seen.pixels / float(row["height_above_takeoff_m"])
-    for path in sorted((data / "flights" / "garfield").glob("*.jpg")):
-        yield "garfield", path, CAR_LENGTH_M / _GARFIELD_M_PER_PX
-
-
-def levels_report(data: Path, detector: Detector) -> list[str]:
-    """Right levels by set, of images in which at least three vehicles were found; by the vehicles alone."""
-    options = ScaleOptions(rulers=Rulers(("vehicles", "scene_scale")))
-    counts: dict[str, list[int]] = {}
-    for name, path, car_px in fine_images(data):
-        estimate = analyse_scale(path, options, detector=detector).estimate
-        ratio = (estimate.mode_length_px or np.inf) / car_px
-        row = counts.setdefault(name, [0, 0, 0])
-        row[0] += 1
-        row[1] += estimate.n_vehicles >= _LEAST_CARS
-        row[2] += estimate.n_vehicles >= _LEAST_CARS and 1 / _RIGHT_LEVEL < ratio < _RIGHT_LEVEL
-    lines = ["| photographs | n | three vehicles found | of these at the right level |", "|---|---|---|---|"]
-    return lines + [f"| {name} | {n} | {found} | {right} |" for name, (n, found, right) in counts.items()]
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -350,10 +306,8 @@ def main() -> None:
             key, lines = "places", people_report(labelled or people_sets(DATA, detector, options.held_out), thresholds)
         elif part == "clutter":
             key, lines = "clutter", clutter_report(DATA, detector, thresholds)
-        elif part == "mistakes":
-            key, lines = "mistakes", mistakes_report(DATA, detector)
         else:
-            key, lines = "levels", levels_report(DATA, detector)
+            key, lines = "mistakes", mistakes_report(DATA, detector)
         with recording("detection", [key], options.record, model={detector.card.name: detector.card.sha256}):
             print("\n".join(lines) + "\n", flush=True)
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
+from research.scenes import render_scene
 from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageError
@@ -28,7 +29,6 @@ from vehanchor.options import ScaleOptions
 from vehanchor.rulers.point import point_witness
 from vehanchor.scale.posterior import Witness, answer
 from vehanchor_evaluation.table import read_table
-from vehanchor_scenes import render_scene
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared/data"
 DRAWS = 3  # for each image

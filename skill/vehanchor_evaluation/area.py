@@ -1,4 +1,4 @@
-"""Error of measured areas on a benchmark, split by its two sources.
+"""Error of measured areas on objects with true masks, split by its two sources.
 
 One search for vehicles (``vehanchor_evaluation.search``) gives the scale of an image for all its objects. Each object's
 box gives its mask. Scale and mask give three areas:
@@ -14,31 +14,27 @@ import itertools
 from contextlib import closing
 from functools import partial
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.options import ImageLimits
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.segmentation.prompt import Prompt
 from vehanchor.storage.journal import Journal, Key
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
-from vehanchor_evaluation.known_scale import FileIssue
+from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
+    from pathlib import Path
 
     from vehanchor.records import GsdEstimate
     from vehanchor.segmentation.segmenter import Segmentation, Segmenter
-    from vehanchor_evaluation.rs_gsd import Benchmark, BenchmarkEntry
+    from vehanchor_evaluation.areas import AreaEntry
 
 
 class MaskTrial(BaseModel):
@@ -77,47 +73,40 @@ class AreaTrial(BaseModel):
 MaskLog: TypeAlias = Journal[MaskTrial]
 
 
-def open_mask_log(path: Path | None, benchmark_sha256: str, segmenter_sha256: str) -> MaskLog:
-    """Open the log of masks of earlier runs on the same benchmark with the same segmenter.
+def open_mask_log(path: Path | None, segmenter_sha256: str) -> MaskLog:
+    """Open the log of masks of earlier runs with the same segmenter.
 
     Args:
         path: path of the file; None keeps figures in memory only.
-        benchmark_sha256: SHA-256 from ``load_benchmark``.
         segmenter_sha256: SHA-256 of the segmenter's files.
 
     Raises:
         InvalidParameterError: the file is not a log of these masks.
         OutputError: the file cannot be read or written.
     """
-    settings = {"vehanchor": version("vehanchor"), "benchmark": benchmark_sha256, "segmenter": segmenter_sha256}
+    settings = {"vehanchor": version("vehanchor"), "segmenter": segmenter_sha256}
     return Journal(path, settings, dump=MaskTrial.model_dump, load=MaskTrial.model_validate)
 
 
-def _key(entry: BenchmarkEntry) -> Key:
-    """Identify an entry and the current state of its image."""
-    return (entry.name, *Source.of(entry.image))
+def _key(entry: AreaEntry) -> Key:
+    """Identify an entry and the current state of its image and mask."""
+    return (entry.name, *Source.of(entry.image), *Source.of(entry.mask_file))
 
 
 def segment_entries(
-    benchmark: Benchmark,
-    folder: Path,
-    entries: Sequence[BenchmarkEntry],
+    entries: Sequence[AreaEntry],
     segmenter: Segmenter,
     log: MaskLog,
     *,
-    limits: ImageLimits | None = None,
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[dict[str, MaskTrial], list[FileIssue]]:
     """Segment the entries that the log lacks, each prompted by its box, and add them to the log.
 
     Args:
-        benchmark: the benchmark.
-        folder: folder of the benchmark.
         entries: entries to segment.
         segmenter: the segmenter, shared by all workers.
-        log: log for this benchmark and segmenter.
-        limits: limits for the images.
+        log: log for this segmenter.
         workers: images in parallel, each held in memory.
         progress: called with (entries done, total).
 
@@ -129,8 +118,7 @@ def segment_entries(
     groups = [list(group) for _, group in itertools.groupby(missing, key=_image)]
     issues: list[FileIssue] = []
     done = len(entries) - len(missing)
-    work = partial(_segment_image, benchmark, folder, segmenter, limits or ImageLimits())
-    with closing(finished_in_threads(workers, work, groups)) as results:
+    with closing(finished_in_threads(workers, partial(_segment_image, segmenter), groups)) as results:
         for group, future in results:
             trials, found_issues = future.result()
             for trial in trials:
@@ -143,66 +131,57 @@ def segment_entries(
     return {trial.entry: trial for trial in known if trial is not None}, issues
 
 
-def _image(entry: BenchmarkEntry) -> str:
+def _image(entry: AreaEntry) -> Path:
     return entry.image
 
 
-def _segment_image(
-    benchmark: Benchmark,
-    folder: Path,
-    segmenter: Segmenter,
-    limits: ImageLimits,
-    entries: Sequence[BenchmarkEntry],
-) -> tuple[list[MaskTrial], list[FileIssue]]:
+def _segment_image(segmenter: Segmenter, entries: Sequence[AreaEntry]) -> tuple[list[MaskTrial], list[FileIssue]]:
     """Segment all entries of one image."""
     trials, issues = [], []
-    image = Path(entries[0].image)
+    image = entries[0].image
     try:
-        with open_raster(image, limits=limits) as raster:
+        with open_raster(image, limits=DATASET_LIMITS) as raster:
             for entry in entries:
                 try:
-                    truth = benchmark.mask(folder, entry)
-                    found = segmenter.segment(raster, Prompt(box=entry.corners), limits=limits)
-                except (VehAnchorError, ValueError) as error:
-                    code = error.code if isinstance(error, VehAnchorError) else "mask_differs"
-                    issues.append(FileIssue(image, code, f"{entry.name}: {error}"))
+                    found = segmenter.segment(raster, Prompt(box=entry.corners), limits=DATASET_LIMITS)
+                except VehAnchorError as error:
+                    issues.append(FileIssue(image, error.code, f"{entry.name}: {error}"))
                 else:
-                    trials.append(_mask_trial(entry, found, truth))
+                    trials.append(_mask_trial(entry, found))
     except VehAnchorError as error:
         issues.append(FileIssue(image, error.code, str(error)))
     return trials, issues
 
 
-def _mask_trial(entry: BenchmarkEntry, found: Segmentation, truth: NDArray[np.bool_]) -> MaskTrial:
+def _mask_trial(entry: AreaEntry, found: Segmentation) -> MaskTrial:
     return MaskTrial(
         entry=entry.name,
         mask_area_px=int(found.mask.sum()),
         mask_score=found.score,
-        mask_iou=_overlap(entry, found, truth),
+        mask_iou=_overlap(entry, found),
     )
 
 
-def _overlap(entry: BenchmarkEntry, found: Segmentation, truth: NDArray[np.bool_]) -> float:
+def _overlap(entry: AreaEntry, found: Segmentation) -> float:
     """Compute intersection over union; the model's window and the entry's box can each extend beyond the other."""
-    window = found.window
-    left, top = int(entry.corners[0]), int(entry.corners[1])
-    height, width = truth.shape
+    window, left, top = found.window, entry.left_px, entry.top_px
+    height, width = entry.mask.shape
     x1, x2 = max(left, window.x_px), min(left + width, window.x_px + window.width_px)
     y1, y2 = max(top, window.y_px), min(top + height, window.y_px + window.height_px)
     if x2 <= x1 or y2 <= y1:
         return 0.0
     seen = found.mask[y1 - window.y_px : y2 - window.y_px, x1 - window.x_px : x2 - window.x_px]
-    both = int((seen & truth[y1 - top : y2 - top, x1 - left : x2 - left]).sum())
-    return both / (int(found.mask.sum()) + int(truth.sum()) - both)
+    both = int((seen & entry.mask[y1 - top : y2 - top, x1 - left : x2 - left]).sum())
+    return both / (int(found.mask.sum()) + entry.mask_area_px - both)
 
 
 def area_trials(
-    entries: Sequence[BenchmarkEntry], masks: Mapping[str, MaskTrial], scales: Mapping[str, GsdEstimate]
+    entries: Sequence[AreaEntry], masks: Mapping[str, MaskTrial], scales: Mapping[Path, GsdEstimate]
 ) -> list[AreaTrial]:
     """Join masks and scales.
 
     Args:
-        entries: entries of the benchmark.
+        entries: the entries.
         masks: masks' figures by entry.
         scales: scales by image.
 
@@ -216,11 +195,11 @@ def area_trials(
     ]
 
 
-def _area_trial(entry: BenchmarkEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTrial:
+def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTrial:
     gsd, n_px = scale.gsd_m_per_px, mask.mask_area_px
     return AreaTrial(
         **mask.model_dump(),
-        image=entry.image,
+        image=str(entry.image),
         category=entry.category,
         true_area_m2=entry.area_m2,
         true_gsd_m_per_px=entry.gsd_m_per_px,
@@ -238,12 +217,15 @@ def summarise_area(trials: Sequence[AreaTrial]) -> list[AreaErrors]:
     """Summarise trials as rows: end to end (all, with a scale, confident), and each source of error."""
     scaled = [trial for trial in trials if trial.gsd_m_per_px is not None]
     usable = [trial for trial in trials if trial.confidence >= USABLE_CHANCE]
+    end_to_end = (
+        ("end to end", trials),
+        ("end to end, with a scale", scaled),
+        (f"end to end, confidence >= {USABLE_CHANCE:g}", usable),
+    )
     return [
-        area_errors("end to end", ((t.category, t.end_to_end_m2, t.true_area_m2) for t in trials)),
-        area_errors("end to end, with a scale", ((t.category, t.end_to_end_m2, t.true_area_m2) for t in scaled)),
-        area_errors(
-            f"end to end, confidence >= {USABLE_CHANCE:g}",
-            ((t.category, t.end_to_end_m2, t.true_area_m2) for t in usable),
+        *(
+            area_errors(name, ((t.category, t.end_to_end_m2, t.true_area_m2) for t in some))
+            for name, some in end_to_end
         ),
         area_errors("true scale (GT-GSD)", ((t.category, t.true_scale_m2, t.true_area_m2) for t in trials)),
         area_errors("true mask (GT-mask)", ((t.category, t.true_mask_m2, t.true_area_m2) for t in trials)),

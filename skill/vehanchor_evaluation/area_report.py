@@ -1,4 +1,4 @@
-"""Report of an area benchmark: the record, and its tables in Markdown."""
+"""Report of measured areas: the record, and its tables in Markdown."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from vehanchor_evaluation.areas import AreaSet
     from vehanchor_evaluation.known_scale import FileIssue
-    from vehanchor_evaluation.rs_gsd import Benchmark
 
 
 class AreaReport(BaseModel):
@@ -25,9 +25,9 @@ class AreaReport(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     vehanchor: str = Field(description="Version of the library.")
-    benchmark_sha256: str
-    recipe: dict[str, Any] = Field(description="Recipe of the benchmark.")
-    available: dict[str, int] = Field(description="Objects available for the choice, by category.")
+    data: str = Field(description="Folder of the objects.")
+    data_sha256: str = Field(description="SHA-256 of its index.")
+    available: dict[str, int] = Field(description="Objects by category.")
     run: dict[str, Any] = Field(description="Models and options.")
     rows: tuple[AreaErrors, ...]
     facts: tuple[str, ...] = Field(description="Further facts, one sentence each.")
@@ -35,8 +35,7 @@ class AreaReport(BaseModel):
 
 
 def area_report(
-    benchmark: Benchmark,
-    sha256: str,
+    data: AreaSet,
     run: Mapping[str, Any],
     rows: Sequence[AreaErrors],
     facts: Sequence[str],
@@ -45,9 +44,9 @@ def area_report(
     """Create a report."""
     return AreaReport(
         vehanchor=version("vehanchor"),
-        benchmark_sha256=sha256,
-        recipe=benchmark.recipe.model_dump(mode="json"),
-        available=benchmark.available,
+        data=str(data.source),
+        data_sha256=data.sha256,
+        available=dict(sorted(Counter(entry.category for entry in data.entries).items())),
         run=dict(run),
         rows=tuple(rows),
         facts=tuple(facts),

@@ -1,10 +1,8 @@
-"""Run over an area benchmark: masks, scales, trials and report."""
+"""Run over objects of known area: masks, scales, trials and report."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,11 +10,11 @@ import numpy as np
 from vehanchor_evaluation.area import area_trials, open_mask_log, segment_entries, summarise_area
 from vehanchor_evaluation.area_report import area_report
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet
-from vehanchor_evaluation.rs_gsd import load_benchmark
 from vehanchor_evaluation.search import default_workers, search_known_scale
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.segmenter import Segmenter
     from vehanchor_evaluation.area import AreaTrial
     from vehanchor_evaluation.area_report import AreaReport
-    from vehanchor_evaluation.rs_gsd import BenchmarkEntry
+    from vehanchor_evaluation.areas import AreaEntry, AreaSet
     from vehanchor_evaluation.search import SearchedImage
 
 
@@ -43,8 +41,8 @@ class AreaRun:
     issues: tuple[FileIssue, ...]
 
 
-def measure_benchmark(
-    folder: Path,
+def measure_areas(
+    data: AreaSet,
     detector: Detector,
     segmenter: Segmenter,
     options: ScaleOptions,
@@ -55,10 +53,10 @@ def measure_benchmark(
     workers: int | None = None,
     progress: Callable[[str], Callable[[int, int], None] | None] | None = None,
 ) -> AreaRun:
-    """Measure the entries of a benchmark and separate the errors of masks and scales.
+    """Measure objects of known area and separate the errors of masks and scales.
 
     Args:
-        folder: folder of the benchmark.
+        data: the objects.
         detector: finds the vehicles.
         segmenter: finds the objects.
         options: options of the estimate.
@@ -69,24 +67,21 @@ def measure_benchmark(
         progress: takes the name of the next step and returns a function that is called with (done, total).
 
     Raises:
-        InvalidParameterError: the folder holds no benchmark, or a file is not a log.
+        InvalidParameterError: a file is not a log.
         OutputError: a log cannot be written.
     """
-    built, benchmark_sha = load_benchmark(folder)
-    entries = built.entries[:limit]
+    entries = data.entries[:limit]
     n_workers, step = workers or default_workers(), progress or (lambda _: None)
     masks, issues = segment_entries(
-        built,
-        folder,
         entries,
         segmenter,
-        open_mask_log(logs and logs / "masks.sqlite", benchmark_sha, segmenter.card.sha256),
+        open_mask_log(logs and logs / "masks.sqlite", segmenter.card.sha256),
         workers=n_workers,
         progress=step(f"{len(entries)} objects"),
     )
-    images = {entry.image: KnownScaleImage(Path(entry.image), entry.gsd_m_per_px) for entry in entries}
+    images = {entry.image: KnownScaleImage(entry.image, entry.gsd_m_per_px) for entry in entries}
     searched = search_known_scale(
-        KnownScaleSet(str(folder), tuple(images.values())),
+        KnownScaleSet(str(data.source), tuple(images.values())),
         detector,
         options,
         classes=classes,
@@ -98,15 +93,16 @@ def measure_benchmark(
     issues += [found for found in searched.values() if isinstance(found, FileIssue)]
     run = _run_facts(detector, segmenter, options, limit)
     facts = _facts(trials, entries, detector.card.name, segmenter.card.name)
-    report = area_report(built, benchmark_sha, run, summarise_area(trials), facts, issues)
+    issues = [*data.issues, *issues]
+    report = area_report(data, run, summarise_area(trials), facts, issues)
     return AreaRun(report, tuple(trials), tuple(issues))
 
 
 def _scales(
     searched: Mapping[Path, SearchedImage | FileIssue], detector: Detector, options: ScaleOptions
-) -> dict[str, GsdEstimate]:
+) -> dict[Path, GsdEstimate]:
     return {
-        os.fspath(image): found.analysis(detector.card, options).estimate
+        image: found.analysis(detector.card, options).estimate
         for image, found in searched.items()
         if not isinstance(found, FileIssue)
     }
@@ -127,7 +123,7 @@ def _run_facts(detector: Detector, segmenter: Segmenter, options: ScaleOptions, 
     }
 
 
-def _facts(trials: Sequence[AreaTrial], entries: Sequence[BenchmarkEntry], detector: str, segmenter: str) -> list[str]:
+def _facts(trials: Sequence[AreaTrial], entries: Sequence[AreaEntry], detector: str, segmenter: str) -> list[str]:
     """Describe the basis of the table, one sentence each."""
     facts = [
         f"{len(trials)} of {len(entries)} entries measured, in {len({trial.image for trial in trials})} images",

@@ -64,7 +64,11 @@ def _run(command: str, document: Path) -> None:
     elif program == "python":
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         done = subprocess.run(
-            [sys.executable, *arguments], env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False
+            [sys.executable, *arguments],
+            env={**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join([*sys.path, os.fspath(ROOT)])},
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert done.returncode == 0, f"{command}: {done.stderr}"
     else:

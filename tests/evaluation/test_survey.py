@@ -5,13 +5,13 @@ from pathlib import Path
 import cv2
 import pytest
 
+from research.scenes import render_scene
 from tests.known_scale_data import REFERENCE_M, cars, dota_lines, paint, write_geotiff
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.dota import labelled_boxes, survey_dota
 from vehanchor_evaluation.geotiff import survey_geotiffs
 from vehanchor_evaluation.survey import survey_known_scale
 from vehanchor_evaluation.table import survey_table
-from vehanchor_scenes import render_scene
 
 
 def test_a_split_of_dota_is_read_as_downloaded(dota: Path) -> None:

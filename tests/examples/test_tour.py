@@ -39,7 +39,7 @@ def test_it_runs_and_its_numbers_hold(executed: Any) -> None:
     pictures = [output for output in shown if "image/png" in output.get("data", {})]
     assert len(pictures) == 3, "the photograph, the line and the roof show themselves"
     assert any("text/html" in output.get("data", {}) for output in shown), "the record is a table"
-    assert "second.png low_confidence alone; ok" in printed, "a photograph of too few cars gets its scale in the flight"
+    assert "second.png no_scale alone; ok" in printed, "a photograph without cars gets its scale in the flight"
     assert "scale from vehicles in first.png" in printed
     assert "reference length" in printed, "what calibrate printed"
 

@@ -28,6 +28,7 @@ from mcp.types import CallToolResult
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
+from research.scenes import render_scene
 from tests import bombs
 from tests.skill.imagery import metadata_bytes as blocks
 from vehanchor import estimate_gsd
@@ -44,7 +45,6 @@ from vehanchor.models.files import external_locations
 from vehanchor.options import ImageLimits
 from vehanchor.records import GsdEstimate
 from vehanchor.scale.calibration import Calibration, load_calibration
-from vehanchor_scenes import render_scene
 from vehanchor_server.calls.messages import (
     MAX_ANSWER_BYTES,
     MAX_WORDS,

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from research.scenes import Scene, render_scene
 from tests.analyses import analyse_found
 from tests.models import write_detector
 from tests.yards import YARDS, Yard, paint_yard
@@ -23,7 +24,6 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.scale.lengths import dominant_group
 from vehanchor_evaluation.table import read_table
-from vehanchor_scenes import Scene, render_scene
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -19,23 +19,18 @@ ROOT_MODULES, ARROWS, FLOORS = 3, 125, 13  # of vehanchor, at most: a new import
 FOLDERS = (ROOT / "skill", ROOT / "server")
 COMMANDS = (
     "vehanchor.cli",
-    "vehanchor_doctor.command",
     "vehanchor_evaluation.commands",
-    "vehanchor_scenes.command",
     "vehanchor_server.command",
 )
 FORBIDDEN = {  # what the modules of a package never import, not even inside a function
     "vehanchor": (
-        "vehanchor_doctor",
-        "vehanchor_scenes",
         "vehanchor_evaluation",
         "vehanchor_server",
         "mcp",
         "starlette",
     ),
-    "vehanchor_scenes": ("vehanchor_evaluation", "vehanchor_server", "mcp"),
-    "vehanchor_evaluation": ("vehanchor_scenes",),
-    "vehanchor_server": ("vehanchor_scenes", "vehanchor_evaluation", "vehanchor.cli"),
+    "vehanchor_evaluation": ("vehanchor_server", "mcp"),
+    "vehanchor_server": ("vehanchor_evaluation", "vehanchor.cli"),
 }
 
 
@@ -164,7 +159,7 @@ def test_no_module_is_a_drawer_for_odds_and_ends() -> None:
 def test_importing_the_library_loads_nothing_else() -> None:
     code = "import sys, vehanchor; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout.split()
-    others = ("vehanchor.cli", "vehanchor_scenes", "vehanchor_evaluation", "vehanchor_server", "typer", "mcp", "numpy")
+    others = ("vehanchor.cli", "vehanchor_evaluation", "vehanchor_server", "typer", "mcp", "numpy")
     assert not [name for name in loaded if any(_below(name, other) for other in others)]
 
 
@@ -186,10 +181,6 @@ import numpy as np
 import vehanchor
 
 assert vehanchor.estimate_gsd(np.zeros((64, 64, 3), dtype=np.uint8)).status == "no_scale"
-if away != "vehanchor_scenes":
-    from vehanchor_scenes import render_scene
-
-    assert render_scene(0.3, width_px=32, height_px=32).image.shape == (32, 32, 3)
 if away != "vehanchor.cli":
     from vehanchor.cli.app import main
 
@@ -199,7 +190,7 @@ if away != "vehanchor.cli":
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("away", ["vehanchor_scenes", "vehanchor_evaluation", "vehanchor_server", "vehanchor.cli"])
+@pytest.mark.parametrize("away", ["vehanchor_evaluation", "vehanchor_server", "vehanchor.cli"])
 def test_the_rest_works_without(away: str) -> None:
     gone = COMMANDS if away == "vehanchor.cli" else (away,)
     rest = [name for name in MODULES if not any(_below(name, each) for each in (*gone, "vehanchor.__main__"))]
@@ -209,7 +200,7 @@ def test_the_rest_works_without(away: str) -> None:
     )
     assert done.returncode == 0, done.stderr[-2000:]
     if away != "vehanchor.cli":
-        brings = {"vehanchor_scenes": "scene", "vehanchor_evaluation": "calibrate", "vehanchor_server": "serve"}
+        brings = {"vehanchor_evaluation": "calibrate", "vehanchor_server": "serve"}
         shown = {line.split()[1] for line in done.stdout.splitlines() if len(line.split()) > 1}
         assert "estimate" in shown
         assert brings.pop(away) not in shown

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor_scenes.sprites import Sun, crown_sprite
+from research.scenes.sprites import Sun, crown_sprite
 
 Canvas = NDArray[np.float32]
 Draw = Callable[[np.random.Generator, Canvas, float, Sun], tuple[float, float]]

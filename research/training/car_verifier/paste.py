@@ -17,6 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from research.scenes.fleet import Fleet, VehicleModel
+from research.scenes.painter import VEHICLE_SHADOW_HEIGHT_M
+from research.scenes.sprites import VEHICLE_PAD, Sun, vehicle_sprite
 from research.training.car_verifier.lookalikes import LOOKALIKES, Canvas, shade
 from research.training.car_verifier.mine import GSD_M_PER_PX, chia_images, relative, type_of
 from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, ChipStore, Rows
@@ -24,9 +27,6 @@ from research.training.detector.data import TrainImage, load_train_images
 from research.training.detector.scenery import CAR_M, load_scenery
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.car_verifier import VEHICLE_TYPES
-from vehanchor_scenes.fleet import Fleet, VehicleModel
-from vehanchor_scenes.painter import VEHICLE_SHADOW_HEIGHT_M
-from vehanchor_scenes.sprites import VEHICLE_PAD, Sun, vehicle_sprite
 
 _CANVAS_PX = 2 * STORED_PX  # drawn twice as fine
 _CAR_SHARE, _LORRY_SHARE = 0.55, 0.12

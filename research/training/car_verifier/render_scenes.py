@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from research.scenes import render_scene
 from vehanchor.storage.atomic import whole_file
-from vehanchor_scenes import render_scene
 
 _GSD_RANGE_M_PER_PX = (0.03, 0.28)
 _SIDE_PX = 512

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vehanchor_scenes import render_scene
+from research.scenes import render_scene
 
 _SIDE_PX = 576
 _FIRST_SEED = 1000

@@ -69,7 +69,7 @@ def is_dev(name: str, set_name: str) -> bool:
 
 
 class Correction(NamedTuple):
-    """One line of ``corrections.csv`` (see ``relabel.py``): ``kind`` is car, ignore, clutter or unseen."""
+    """One line of ``corrections.csv``: ``kind`` is car, ignore, clutter or unseen."""
 
     kind: str
     box: tuple[float, ...]

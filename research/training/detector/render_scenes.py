@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vehanchor_scenes import render_scene
+from research.scenes import render_scene
 
 _GSD_RANGE_M_PER_PX = (0.07, 0.28)
 _SIDE_PX = 640

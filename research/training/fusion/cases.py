@@ -20,6 +20,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from research.scenes import render_scene
 from research.training.detector.data import is_dev
 from research.training.detector.places import is_held_out, places
 from vehanchor.detection.detector import Detector, load_detector
@@ -30,7 +31,6 @@ from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.dota import SMALL_VEHICLE, read_labels
 from vehanchor_evaluation.search import search_known_scale
 from vehanchor_evaluation.table import survey_table
-from vehanchor_scenes import render_scene
 
 _WINDOWS = {"fit": 4, "val": 2}  # of an image
 _TRIALS = 40  # to find one window

@@ -15,21 +15,17 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from research.training.scene_scale.bins import FIRST_LOG_GSD, LOG_STEP
 from research.training.scene_scale.cases import Case, load
-from research.training.scene_scale.density import (
-    SceneBins,
-    SceneCalibration,
-    interval,
-    quantiles,
-    scene_density,
-)
-from vehanchor.scale.density import GRID
+from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, scene_density
+from vehanchor.scale.density import GRID, credible_interval
 from vehanchor.scale.density import LOG_STEP as GRID_STEP
 from vehanchor.storage.atomic import whole_file
 
-BINS = SceneBins(FIRST_LOG_GSD, LOG_STEP)
+BEGIN = SceneCalibration(FIRST_LOG_GSD, LOG_STEP, doubt=0.01)
+_OF_BINS = ("first_log_gsd", "log_step")  # fields that are the network's, not fitted
 _CHOICES: dict[str, Sequence[float]] = {
     "temperature": tuple(np.exp(np.linspace(np.log(0.35), np.log(3.5), 13))),
     "levels": (0.0, 0.25, 0.5, 0.75, 1.0),
@@ -43,11 +39,20 @@ _LEAST_CASES = 15  # of a set whose cover counts
 _WITHIN = 1.5
 
 
+def density_of(case: Case, calibration: SceneCalibration) -> NDArray[np.float64]:
+    """Combine what was seen on an image's tiles, as the library does."""
+    levels = [
+        SceneLevel(factor, len(seen), seen.astype(np.float64).mean(axis=0))
+        for factor, seen in zip(case.factors, case.log_probs, strict=True)
+    ]
+    return scene_density(levels, calibration)
+
+
 def log_score(cases: Sequence[Case], calibration: SceneCalibration) -> float:
     """The mean log density (per unit of log m/px) at the truth, every set alike."""
     scores: dict[str, list[float]] = {}
     for case in cases:
-        density = scene_density(case.log_probs, case.factors, BINS, calibration)
+        density = density_of(case, calibration)
         at = int(np.argmin(np.abs(GRID - np.log(case.gsd_m_per_px))))
         scores.setdefault(case.set, []).append(float(np.log(density[at] / GRID_STEP)))
     return float(np.mean([np.mean(each) for each in scores.values()]))
@@ -72,7 +77,7 @@ def fit(cases: Sequence[Case]) -> SceneCalibration:
         lacking = max(0.0, _LEAST_COVER - least_cover(cases, option))
         return log_score(cases, option) - _COVER_WEIGHT * lacking
 
-    best = SceneCalibration()
+    best = BEGIN
     for _, (name, values) in itertools.product(range(_ROUNDS), _CHOICES.items()):
         best = max((replace(best, **{name: float(value)}) for value in values), key=worth)
     return best
@@ -99,9 +104,10 @@ def report(cases: Sequence[Case], calibration: SceneCalibration) -> list[str]:
 
 def _row(case: Case, calibration: SceneCalibration) -> tuple[float, float, float]:
     """Logs of the density's median and of its interval's ends over the truth."""
-    density = scene_density(case.log_probs, case.factors, BINS, calibration)
-    values = np.array([quantiles(density, [0.5])[0], *interval(density)])
-    error, low, high = np.log(values / case.gsd_m_per_px)
+    density = density_of(case, calibration)
+    median = np.interp(0.5, np.cumsum(density), GRID + GRID_STEP / 2)
+    low, high = np.log(credible_interval(density)) - np.log(case.gsd_m_per_px)
+    error = median - np.log(case.gsd_m_per_px)
     return float(error), float(low), float(high)
 
 
@@ -113,11 +119,12 @@ def main() -> None:
     options = parser.parse_args()
     cases = [case for path in options.cases for case in load(path)]
     if options.out.exists():
-        calibration = SceneCalibration(**json.loads(options.out.read_text()))
+        calibration = replace(BEGIN, **json.loads(options.out.read_text()))
     else:
         calibration = fit(cases)
         with whole_file(options.out) as partial:
-            partial.write_text(json.dumps(asdict(calibration)))
+            fitted = {name: value for name, value in asdict(calibration).items() if name not in _OF_BINS}
+            partial.write_text(json.dumps(fitted))
     print(f"{calibration}, log score {log_score(cases, calibration):.3f}")
     print("\n".join(report(cases, calibration)))
 

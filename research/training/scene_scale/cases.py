@@ -18,7 +18,8 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from research.training.scene_scale.data import SETS, ScaledImage, load_images, load_val_images
-from research.training.scene_scale.density import TILE_PX, cut_tiles, tile_places
+from vehanchor.detection.scene_scale import TILE_PX, read_tile, tile_windows
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.storage.atomic import whole_file
 
 _REDUCED = 2  # random reductions beside each image as it is
@@ -40,10 +41,12 @@ def level_log_probs(
     session: onnxruntime.InferenceSession, image: NDArray[np.uint8]
 ) -> list[tuple[int, NDArray[np.float32]]]:
     """Factor and log-probabilities ``[n_tiles, BINS]`` of an image's levels."""
-    return [
-        (level.factor, session.run(["log_probs"], {"tiles": cut_tiles(image, level)})[0])
-        for level in tile_places(image.shape[1], image.shape[0])
-    ]
+    with open_raster(image) as raster:
+        levels = [
+            (factor, np.stack([read_tile(raster, window, factor) for window in windows]))
+            for factor, windows in tile_windows(raster.width_px, raster.height_px)
+        ]
+    return [(factor, session.run(["log_probs"], {"tiles": tiles})[0]) for factor, tiles in levels]
 
 
 def resolutions(image: ScaledImage, count: int) -> Iterator[tuple[float, NDArray[np.uint8]]]:

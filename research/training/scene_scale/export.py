@@ -2,8 +2,8 @@
 
 ``python -m research.training.scene_scale.export RUN OUT.onnx --calibration FILE.json``.
 
-``tiles`` ``[n, 3, 160, 160]`` uint8 RGB to ``log_probs`` ``[n, BINS]`` float32. How to make one density of them is
-``density.py``'s; its numbers travel as metadata.
+``tiles`` ``[n, 3, 160, 160]`` uint8 RGB to ``log_probs`` ``[n, BINS]`` float32. How the library makes one
+density of them (``vehanchor.detection.scene_scale``) is in the metadata.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from torch import Tensor, nn
 from research.training.loop import load_average
 from research.training.onnx_file import LICENCE, write_metadata, write_onnx
 from research.training.scene_scale.bins import FIRST_LOG_GSD, LOG_STEP
-from research.training.scene_scale.density import TILE_PX
 from research.training.scene_scale.network import SceneScaleNet
+from vehanchor.detection.scene_scale import TILE_PX
 
 _NAME = "scene-scale"
 

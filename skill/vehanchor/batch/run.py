@@ -31,7 +31,7 @@ from vehanchor.storage.journal import Journal
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 
 _LEAST_WAITING = 0.05  # of the workers' time; they wait for no image where decoding is faster than computing
 BatchEngine = Literal["local", "ray"]
@@ -75,6 +75,7 @@ class BatchSummary:
         n_rows: its number of rows, one per image.
         n_resumed: number of rows from an interrupted run.
         statuses: number of rows by status; ``error`` counts rows with an error.
+        reasons: number of rows by the reason why a scale is not usable, or by the error's code.
         pace: speed of the run; None if no row was made, or the images have a common scale.
     """
 
@@ -82,6 +83,7 @@ class BatchSummary:
     n_rows: int
     n_resumed: int
     statuses: Mapping[str, int]
+    reasons: Mapping[str, int]
     pace: Pace | None = None
 
 
@@ -141,10 +143,10 @@ def run_batch(
             for made in _counting(rows, len(tasks) - len(missing), len(tasks), told.tell):
                 journal.add(keys[made.row.file], made.row)
                 times.append((made.seconds, made.waited_s))
-        statuses = _write(table, journal.values(keys[task.file] for task in tasks))
+        statuses, reasons = write_counted(table, journal.values(keys[task.file] for task in tasks))
         journal.remove()
     pace = Pace.of(time.monotonic() - started, times)
-    return BatchSummary(table, len(tasks), len(tasks) - len(missing), statuses, pace)
+    return BatchSummary(table, len(tasks), len(tasks) - len(missing), statuses, reasons, pace)
 
 
 def journal_path(table: Path) -> Path:
@@ -240,14 +242,18 @@ def _counting(
         tell(number, n_tasks)
 
 
-def _write(table: Path, rows: Iterator[BatchRow]) -> dict[str, int]:
-    """Write the table; return the number of rows by status."""
+def write_counted(table: Path, rows: Iterable[BatchRow]) -> tuple[dict[str, int], dict[str, int]]:
+    """Write the table; return the number of rows by status and by reason."""
     statuses: Counter[str] = Counter()
+    reasons: Counter[str] = Counter()
 
     def counted() -> Iterator[BatchRow]:
         for row in rows:
             statuses["error" if row.estimate is None else row.estimate.status] += 1
+            reason = row.error_code if row.estimate is None else row.estimate.reason
+            if reason is not None:
+                reasons[reason] += 1
             yield row
 
     write_table(table, counted())
-    return dict(statuses)
+    return dict(statuses), dict(reasons)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.batch.row import BatchRow
-from vehanchor.batch.run import BatchSummary, journal_path
-from vehanchor.batch.table import check_table_path, write_table
+from vehanchor.batch.run import BatchSummary, journal_path, write_counted
+from vehanchor.batch.table import check_table_path
 from vehanchor.errors import OutputError
 from vehanchor.flight.estimate import check_options, conclude, journal_key, open_journal, search_flight
 from vehanchor.flight.inputs import named
@@ -61,9 +60,9 @@ def run_same_scale(
         n_resumed = sum((key := journal_key(each)) is not None and key in kept for each in photographs)
         results = search_flight(photographs, detector, options, journal=kept, lines=lines)
         record = conclude(results, detector.card, same_scale=True)
-        write_table(table, (_row(record, each) for each in record.photographs))
+        statuses, reasons = write_counted(table, (_row(record, each) for each in record.photographs))
         kept.remove()
-    return BatchSummary(table, len(images), n_resumed, Counter(each.status for each in record.photographs))
+    return BatchSummary(table, len(images), n_resumed, statuses, reasons)
 
 
 def _row(flight: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:

@@ -5,7 +5,7 @@ with ``--strict`` 3 for no scale or low confidence; 2 for bad input, bad options
 130 after Ctrl-C; 1 for an unforeseen error or a failed self-test.
 
 A command is a Typer function, or a ``typer.Typer`` with several. ``pyproject.toml`` lists the commands of the library,
-the scenes, the evaluation and the server. A package is imported only when one of its commands is called. Each command
+the evaluation and the server. A package is imported only when one of its commands is called. Each command
 imports slow modules (OpenCV, ONNX Runtime, tables) itself, so that help is fast.
 """
 
@@ -30,7 +30,7 @@ _GROUP = "vehanchor.commands"
 _PANELS = {
     **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "live", "rescale", "view"), "Measure"),
     **dict.fromkeys(("serve",), "For agents"),
-    **dict.fromkeys(("doctor", "models"), "This installation"),
+    **dict.fromkeys(("models",), "This installation"),
 }
 _OTHER_PANEL = "Calibrate and evaluate"
 _FIRST = (
@@ -42,7 +42,6 @@ _FIRST = (
     "live",
     "rescale",
     "view",
-    "doctor",
     "models",
     "serve",
 )  # in --help; commands of other packages follow

@@ -120,7 +120,9 @@ def _of_one_scale(inputs: list[str], output: Path, engine: Engine, **more: Any) 
 
 
 def _summarise(summary: BatchSummary, seconds: float) -> None:
-    """Print the summary; fail if every image did."""
+    """Print what would help images without a usable scale, and the summary; fail if every image did."""
+    for line in _advice(summary):
+        print(line, file=sys.stderr)
     print(_summary_text(summary, seconds), file=sys.stderr)
     if summary.statuses.get("error", 0) == summary.n_rows:
         print("no image could be used: the columns error_code and error say why", file=sys.stderr)
@@ -139,6 +141,15 @@ def _summary_text(summary: BatchSummary, seconds: float) -> str:
         f"{printable(str(summary.table))}: {_counted(summary.n_rows, 'row')} ({', '.join(counts)}){resumed}; "
         f"{_counted(made, 'image')} in {seconds:.1f} s{rate}"
     )
+
+
+def _advice(summary: BatchSummary) -> list[str]:
+    """Say how many images have no usable scale for each reason, and the remedy."""
+    from vehanchor.records.advice import ADVICE
+
+    advice = {str(reason): f"{each.why}; {each.helps}" for reason, each in ADVICE.items()}
+    most_first = sorted(summary.reasons.items(), key=lambda item: -item[1])
+    return [f"{n} x {reason}: {advice.get(reason, 'see the column error')}" for reason, n in most_first]
 
 
 def _counted(n: int, noun: str) -> str:

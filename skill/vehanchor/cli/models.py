@@ -1,4 +1,4 @@
-"""``vehanchor models list | info``: bundled models and model files of the user; ``--sizes``: things of known size."""
+"""``vehanchor models list | info | --sizes | --check``: models, things of known size, a check of the installation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.terminal import exit_on_error, facts_table, failure, print_json, print_table, printable
+from vehanchor.cli.terminal import FAILED, exit_on_error, facts_table, failure, print_json, print_table, printable
 from vehanchor.errors import ModelError, VehAnchorError
 from vehanchor.options.models import CLASSES
 
@@ -27,14 +27,38 @@ def _show(
         bool, typer.Option("--sizes", help="List the things of known size for --known-length, then exit.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="With --sizes: one JSON object per thing and line.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="List installed versions, and measure a bundled picture of known scale.")
+    ] = False,
+    provider: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Where --check runs models, as for `estimate`; repeatable. Default: cpu."),
+    ] = None,
 ) -> None:
-    """Show bundled models and your own model files, and the things of known size."""
+    """Show bundled models, your own model files and the things of known size, and check the installation."""
     if sizes:
         from vehanchor.cli.sizes import print_sizes
 
         with exit_on_error():
             print_sizes(as_json=as_json)
         raise typer.Exit
+    if check:
+        with exit_on_error():
+            _check_installation(provider)
+        raise typer.Exit
+
+
+def _check_installation(providers: list[str] | None) -> None:
+    """List installed versions, and measure the bundled picture."""
+    from vehanchor.cli.installation import check_picture, installed
+    from vehanchor.engine import Engine
+    from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
+
+    print_table(facts_table("installed", installed()))
+    found = check_picture(Engine(runtime=Runtime(providers=providers or DEFAULT_PROVIDERS)))
+    print_table(facts_table("a picture of known scale", found.facts()))
+    if not found.passed:
+        raise typer.Exit(FAILED)
 
 
 @models.command("list")

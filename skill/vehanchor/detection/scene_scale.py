@@ -208,7 +208,7 @@ class SceneScaleNetwork(LoadedModel):
         """
         levels = []
         for factor, windows in tile_windows(raster.width_px, raster.height_px):
-            tiles = np.stack([_tile(raster, window, factor) for window in windows])
+            tiles = np.stack([read_tile(raster, window, factor) for window in windows])
             described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
             seen = [
                 run_session(self._session, None, {"tiles": tiles[start : start + _BATCH]}, self.runtime, described)[0]
@@ -239,8 +239,8 @@ def _with_finer(density: NDArray[np.float64], chance: float) -> NDArray[np.float
     return np.asarray(mixed / mixed.sum())
 
 
-def _tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
-    """Read a tile ``[3, 160, 160]``; a small image is mirrored beyond its edges."""
+def read_tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
+    """Read a tile ``[3, 160, 160]`` of ``tile_windows``; a small image is mirrored beyond its edges."""
     pixels = read_reduced_window(raster, window, factor)
     down, right = TILE_PX - pixels.shape[0], TILE_PX - pixels.shape[1]
     if down or right:

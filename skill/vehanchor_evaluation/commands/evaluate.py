@@ -11,12 +11,9 @@ import typer
 
 from vehanchor.cli.terminal import printable
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor_evaluation.commands.agents import agents
 from vehanchor_evaluation.commands.area import area
-from vehanchor_evaluation.commands.questions import questions
 from vehanchor_evaluation.commands.request import measuring_command
 from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, print_issues
-from vehanchor_evaluation.commands.vlm import vlm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -181,8 +178,4 @@ def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
     )
 
 
-# --- Commands of other modules ---------------------------------------------------------------------------------------
 evaluate.command("area")(area)
-evaluate.command("vlm")(vlm)
-evaluate.command("questions")(questions)
-evaluate.command("agents")(agents)

@@ -1,4 +1,4 @@
-"""Commands whose options are the fields of a dataclass, with or without the options of the estimate."""
+"""Commands whose options are the fields of a dataclass and the options of the estimate."""
 
 from __future__ import annotations
 
@@ -18,38 +18,19 @@ Request = TypeVar("Request")
 _OF_ONE_IMAGE = ("frame", "coordinates", "known_lengths", *BY_HAND)
 
 
-def plain_command(request: type[Request]) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
-    """Create a command with the fields of a dataclass as options.
-
-    Args:
-        request: the dataclass; its fields are annotated for Typer.
-
-    Returns:
-        A decorator for a function of the dataclass; the result is for Typer and prints errors to stderr.
-    """
-
-    def decorate(command: Callable[[Request], None]) -> Callable[..., None]:
-        def run(**typed: Any) -> None:
-            with exit_on_error():
-                command(request(**typed))
-
-        return _with_signature(run, command, _parameters(request))
-
-    return decorate
-
-
 def measuring_command(
     request: type[Request], *, without: Collection[str] = ()
 ) -> Callable[[Callable[[Request, ParsedOptions], None]], Callable[..., None]]:
-    """Create a command as ``plain_command`` does, and add the options of the estimate.
+    """Create a command with the fields of a dataclass and the options of the estimate as options.
 
     Args:
-        request: the dataclass.
+        request: the dataclass; its fields are annotated for Typer.
         without: options of the estimate that do not apply to this command; those of one image
             never apply.
 
     Returns:
-        A decorator for a function of the request and the parsed options.
+        A decorator for a function of the request and the parsed options; the result is for Typer and prints errors to
+        stderr.
     """
 
     def decorate(command: Callable[[Request, ParsedOptions], None]) -> Callable[..., None]:
@@ -58,13 +39,14 @@ def measuring_command(
                 command(request(**typed), chosen)
 
         chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=ParsedOptions)
-        declared = _with_signature(run, command, [*_parameters(request), chosen])
+        declared = with_signature(run, command, [*fields_of(request), chosen])
         return scale_command(without={*_OF_ONE_IMAGE, "effort", "max_tiles", "max_seconds", *without})(declared)
 
     return decorate
 
 
-def _parameters(request: type[Any]) -> list[inspect.Parameter]:
+def fields_of(request: type[Any]) -> list[inspect.Parameter]:
+    """Return the fields of a dataclass as parameters for Typer."""
     kinds = typing.get_type_hints(request, include_extras=True)
     return [
         each.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kinds[name])
@@ -72,7 +54,7 @@ def _parameters(request: type[Any]) -> list[inspect.Parameter]:
     ]
 
 
-def _with_signature(
+def with_signature(
     run: Callable[..., None], command: Callable[..., None], parameters: list[inspect.Parameter]
 ) -> Callable[..., None]:
     """Give the function the command's name and these parameters, for Typer."""

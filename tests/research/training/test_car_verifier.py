@@ -15,11 +15,11 @@ pytest.importorskip("onnxruntime")
 import onnxruntime
 import torch
 
-from research.training.car_verifier.cases import Cases, fitted_upright
+from research.scenes.fleet import Fleet
+from research.scenes.sprites import Sun
 from research.training.car_verifier.lookalikes import LOOKALIKES
-from research.training.car_verifier.measure import Verified, corrected, curve, measured
 from research.training.car_verifier.mine import chia_images, cropped, overlaps, relative, rows_of, type_of
-from research.training.car_verifier.network import Answers, CarVerifierNet
+from research.training.car_verifier.network import CarVerifierNet
 from research.training.car_verifier.paste import Ground, pasted
 from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, ChipStore, Rows, read_store
 from research.training.car_verifier.stream import Batch, ChipStream, cut, draw_move, moved_box
@@ -28,8 +28,6 @@ from research.training.detector.data import TrainImage
 from research.training.warm_start import load_exported
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.car_verifier import CHIP_LENGTH_PX, CHIP_PX, VEHICLE_TYPES
-from vehanchor_scenes.fleet import Fleet
-from vehanchor_scenes.sprites import Sun
 
 pytestmark = pytest.mark.slow
 
@@ -118,23 +116,6 @@ def test_a_part_of_an_image_keeps_its_cars_in_place_and_ignores_those_it_cuts(se
     assert len(part.ignore) <= 2
 
 
-def test_cars_that_nobody_labelled_count_and_doubtful_things_do_not(tmp_path: Path) -> None:
-    boxes = np.array([[10.0, 10, 20, 9, 0], [50.0, 10, 20, 9, 0], [90.0, 10, 20, 9, 0], [10.5, 10, 9, 5, 0]])
-    cases = Cases(
-        boxes, np.ones(4), np.zeros(4), np.full(4, -1), np.full(4, "estonia"), np.full(4, "/a/one.jpg"),
-        np.array(["estonia"]), np.array([5]),
-    )  # fmt: skip
-    table = tmp_path / "looked_at.csv"
-    table.write_text(
-        "set,file,x,y,length,kind\nestonia,one.jpg,10,10,20,car\nestonia,one.jpg,50,10,20,doubtful\n"
-        "estonia,one.jpg,90,10,20,other\n"
-    )
-    found = corrected(cases, table)
-    assert found.n_labels.tolist() == [6]
-    np.testing.assert_array_equal(found.boxes[:, 0], [10, 90, 10.5])
-    assert (found.label >= 0).tolist() == [True, False, False]  # a box of half the length fits no car
-
-
 def test_of_chia_odd_numbers_train_and_their_cars_teach_nothing(tmp_path: Path) -> None:
     crops = tmp_path / "chia" / "crops"
     crops.mkdir(parents=True)
@@ -166,12 +147,6 @@ def test_overlaps_find_the_label_of_each_box() -> None:
     iou, which = overlaps(labels[::-1].copy(), labels)
     np.testing.assert_allclose(iou, 1, atol=1e-6)
     assert which.tolist() == [1, 0]
-
-
-def test_an_upright_label_takes_a_turned_box_of_its_size_alone() -> None:
-    label = np.array([[(0, 0), (30, 0), (30, 24), (0, 24)]], np.float64)
-    boxes = np.array([[15, 12, 33, 13, 0.6], [15, 12, 12, 6, 0.6], [60, 12, 33, 13, 0.6]], np.float64)
-    assert fitted_upright(boxes, label).tolist() == [0, -1, -1]
 
 
 @pytest.mark.parametrize(("body", "length", "kind"), [
@@ -254,41 +229,3 @@ def test_the_exported_file_answers_as_the_network(tmp_path: Path) -> None:
         for ours, theirs in zip(network(chips), said, strict=True):
             np.testing.assert_allclose(ours.numpy(), theirs, atol=1e-4)
     assert (tmp_path / "net.onnx").stat().st_size < 12e6
-
-
-def test_views_that_mirror_a_chip_mirror_its_answer_back() -> None:
-    class Pointing(torch.nn.Module):
-        """Answers with where the chip is bright."""
-
-        def forward(self, chips: torch.Tensor) -> Answers:
-            at = (torch.arange(CHIP_PX) + 0.5 - CHIP_PX / 2) / CHIP_LENGTH_PX
-            lit = chips[:, 0]
-            x, y = ((lit.sum(dim) * at).sum(1) / lit.sum((1, 2)) for dim in (1, 2))
-            zero = torch.zeros(len(chips))
-            return Answers(zero, torch.zeros(len(chips), 10), torch.stack([x, y, zero, zero, zero], 1), zero)
-
-    image = _rectangle(200, np.array([106.0, 97.0, 20.0, 9.0, 0.0]))
-    candidate = np.array([[100.0, 100.0, 32.0, 14.0, 0.0]])
-    answers = Verified(Pointing()).answers(image, candidate)  # type: ignore[arg-type]
-    np.testing.assert_allclose(answers[0, 11:13] * 32, [6, -3], atol=0.3)
-
-
-def test_of_two_candidates_on_one_car_the_surer_is_the_hit() -> None:
-    found = curve(np.array([3.0, 2.0, 1.0]), np.array(["a", "a", "b"]), 2)
-    assert found["ap"] == pytest.approx((1 + 2 / 3) / 2, abs=1e-4)
-    assert found["recall_at_precision_0.95"] == 0.5
-    assert curve(np.array([1.0]), np.array(["a"]), 2)["precision_at_recall_0.8"] == 0.0
-
-
-def test_measuring_tells_a_good_order_from_a_bad_one() -> None:
-    count = 20
-    fits = np.arange(count) < 10
-    cases = Cases(
-        np.zeros((count, 5)), np.where(fits, 0.4, 0.6), np.zeros(count), np.where(fits, np.arange(count), -1),
-        np.full(count, "set"), np.full(count, "file"), np.array(["set"]), np.array([10]),
-    )  # fmt: skip
-    answers = np.zeros((count, 17))
-    answers[:, 0] = np.where(fits, 3.0, -3.0)
-    row = measured(cases, answers)["set"]
-    assert row["new"]["ap"] == 1.0  # type: ignore[index]
-    assert row["today"]["ap"] < 0.6  # type: ignore[index]

@@ -10,6 +10,7 @@ import pytest
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
+from research.scenes import render_scene  # noqa: E402
 from research.training.detector.calibrate import LengthPairs, length_correction  # noqa: E402 - PyTorch may be missing
 from research.training.detector.data import (  # noqa: E402 - PyTorch may be missing
     CROP_PX,
@@ -29,10 +30,8 @@ from research.training.detector.data import (  # noqa: E402 - PyTorch may be mis
 from research.training.detector.export import LengthCorrection, UltralyticsLayout, export  # noqa: E402
 from research.training.detector.loss import detection_loss  # noqa: E402
 from research.training.detector.network import STRIDE_PX, Prediction, VehicleNet  # noqa: E402
-from research.training.detector.relabel import Consensus, agree, corrections, restored, symmetric  # noqa: E402
 from research.training.warm_start import load_exported  # noqa: E402
 from vehanchor.detection.detector import Detector  # noqa: E402
-from vehanchor_scenes import render_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -193,35 +192,6 @@ def test_scenes_are_read_as_training_images(tmp_path: Path) -> None:
     assert sample.set == "scene"
     assert 0 < len(sample.boxes) <= len(small)
     assert set(np.round(sample.boxes[:, 2], 0)) <= {round(v.length_px, 0) for v in small}
-
-
-def test_boxes_found_in_a_turned_or_mirrored_image_return_to_the_image() -> None:
-    from vehanchor.detection.boxes import canonical_boxes
-
-    image = np.zeros((60, 100, 3), np.uint8)
-    image[10:14, 70:90] = 255
-    for k in range(8):
-        rows, cols = np.nonzero(symmetric(image, k)[:, :, 0])
-        sides = np.ptp(cols) + 1, np.ptp(rows) + 1
-        found = canonical_boxes(np.array([[cols.mean() + 0.5, rows.mean() + 0.5, *sides, 0.0]]))
-        np.testing.assert_allclose(restored(found, k, 100, 60), [[80, 12, 20, 4, 0]], atol=1e-9)
-
-
-def test_symmetries_agree_on_what_each_saw_once() -> None:
-    boxes = np.array([[50.0, 50, 20, 8, 0.1], [51, 50, 22, 8, 0.1], [50, 51, 21, 8, 0.1], [120, 80, 20, 8, 3.1]])
-    merged = agree(boxes, np.array([0.8, 0.6, 0.6, 0.4]), np.array([0, 1, 1, 2]))
-    np.testing.assert_allclose(merged.scores, [(0.8 + 0.6) / 8, 0.4 / 8])
-    assert merged.boxes[0, 2] == pytest.approx(21)
-    assert len(merged.boxes) == 2
-
-
-def test_corrections_tell_cars_from_doubt_and_clutter() -> None:
-    cars = np.array([[100.0, 100, 20, 9, 0.0], [300, 300, 20, 9, 0.0]])
-    places = ((101.0, 100, 20, 9), (150, 40, 21, 9), (30, 200, 20, 9), (200, 200, 8, 4))
-    boxes = np.array([(*place, 0.0) for place in places])
-    found = Consensus(boxes, np.array([0.9, 0.8, 0.4, 0.6]))
-    kinds = [kind for kind, _, _ in corrections(found, cars, np.zeros((0, 5)), gsd_m_per_px=0.2)]
-    assert kinds == ["car", "ignore", "clutter", "unseen"]
 
 
 def test_corrected_labels_enter_the_training_image() -> None:

@@ -13,6 +13,7 @@ import pytest
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
+from research.scenes import render_scene  # noqa: E402
 from research.training.fleet.calibrate import FleetCase, lengths_for, log_errors, mean_error  # noqa: E402 - PyTorch may be missing
 from research.training.fleet.data import (  # noqa: E402
     N_FOLDS,
@@ -29,7 +30,6 @@ from research.training.fleet.network import FleetNet  # noqa: E402
 from research.training.fleet.train import LESSONS, ChipStream, export, losses, report, trained  # noqa: E402
 from vehanchor.detection.appearance import CHIP_SHAPE, FleetLengths  # noqa: E402
 from vehanchor.detection.fleet import FleetNetwork  # noqa: E402
-from vehanchor_scenes import render_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

@@ -11,27 +11,14 @@ import pytest
 from numpy.typing import NDArray
 
 from research.training.scene_scale.bins import BINS, FIRST_LOG_GSD, LOG_GSD, LOG_STEP, soft_target
-from research.training.scene_scale.density import (
-    MOST_TILES,
-    TILE_PX,
-    Level,
-    SceneBins,
-    SceneCalibration,
-    cut_tiles,
-    interval,
-    quantiles,
-    scene_density,
-    tile_places,
-)
 from tests.conftest import ROOT
-from vehanchor.scale.density import GRID
+from vehanchor.detection.scene_scale import TILE_PX
 
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
-from research.training.scene_scale.calibrate import fit, log_score, report  # noqa: E402 - PyTorch may be missing
+from research.training.scene_scale.calibrate import BEGIN, fit, log_score, report  # noqa: E402 - PyTorch may be missing
 from research.training.scene_scale.cases import Case, load, save, searched_cases  # noqa: E402
-from research.training.scene_scale.compare import some_of_each, summary  # noqa: E402
 from research.training.scene_scale.data import (  # noqa: E402
     CropStream,
     ScaledImage,
@@ -44,9 +31,6 @@ from research.training.scene_scale.data import (  # noqa: E402
 )
 from research.training.scene_scale.export import export  # noqa: E402
 from research.training.scene_scale.network import SceneScaleNet, begin_with_exported  # noqa: E402
-
-_THEIR_BINS = SceneBins(FIRST_LOG_GSD, LOG_STEP)
-_SHARP = SceneCalibration(floor=0.01)
 
 
 def _image(set_name: str, gsd_m_per_px: float, height: int = 400, width: int = 500) -> ScaledImage:
@@ -68,70 +52,6 @@ def test_a_target_peaks_at_its_scale_and_is_flat_where_nothing_can_be_told() -> 
     assert abs(LOG_GSD[target.argmax()] - np.log(0.2)) <= LOG_STEP / 2
     assert soft_target(0.2, label_spread=0.15).max() < target.max()
     np.testing.assert_allclose(soft_target(0.2, lost=1.0), 1 / BINS)
-
-
-@pytest.mark.parametrize(("width", "height"), [(160, 160), (256, 256), (1000, 700), (4096, 4096), (9000, 200)])
-def test_tiles_lie_inside_the_image_and_are_not_too_many(width: int, height: int) -> None:
-    levels = tile_places(width, height)
-    assert [level.factor for level in levels] == [f for f in (1, 2, 4, 8) if min(width, height) >= TILE_PX * f]
-    for level in levels:
-        assert 1 <= len(level.places) <= MOST_TILES
-        assert (level.places >= 0).all()
-        assert (level.places + TILE_PX * level.factor <= (width, height)).all()
-
-
-def test_the_tiles_of_a_level_reach_all_sides_of_the_image() -> None:
-    for level in tile_places(3000, 2000):
-        np.testing.assert_array_equal(level.places.min(axis=0), (0, 0))
-        np.testing.assert_array_equal(level.places.max(axis=0) + TILE_PX * level.factor, (3000, 2000))
-
-
-def test_a_reduced_tile_shows_the_mean_of_what_it_covers() -> None:
-    image = np.zeros((320, 320, 3), np.uint8)
-    image[::2] = 100
-    tiles = cut_tiles(image, Level(2, np.array([[0, 0]])))
-    assert tiles.shape == (1, 3, TILE_PX, TILE_PX)
-    np.testing.assert_array_equal(tiles, 50)
-
-
-def test_a_small_image_is_mirrored_to_fill_its_tile() -> None:
-    image = np.arange(40, dtype=np.uint8)[None, :, None].repeat(30, 0).repeat(3, 2)
-    (level,) = tile_places(40, 30)
-    row = cut_tiles(image, level)[0, 0, 0]
-    np.testing.assert_array_equal(row[:80], [*range(40), *range(39, -1, -1)])
-
-
-def test_levels_that_say_the_same_of_one_image_agree_in_its_density() -> None:
-    density = scene_density([_seen(0.1), _seen(0.2), _seen(0.4)], [1, 2, 4], _THEIR_BINS, _SHARP)
-    assert density.sum() == pytest.approx(1.0)
-    assert quantiles(density, [0.5])[0] == pytest.approx(0.1, rel=0.03)
-    low, high = interval(density)
-    assert 0.06 < low < 0.1 < high < 0.16
-
-
-def test_tiles_that_disagree_widen_the_density() -> None:
-    agreed = scene_density([_seen(0.1, 2)], [1], _THEIR_BINS, _SHARP)
-    torn = scene_density([np.concatenate([_seen(0.07, 1), _seen(0.14, 1)])], [1], _THEIR_BINS, _SHARP)
-    widths = [np.log(high / low) for low, high in (interval(agreed), interval(torn))]
-    assert widths[1] > widths[0] * 1.2
-
-
-def test_a_scene_that_shows_nothing_leaves_the_scale_open() -> None:
-    density = scene_density([np.full((5, BINS), -np.log(BINS), np.float32)], [1], _THEIR_BINS, _SHARP)
-    np.testing.assert_allclose(density, 1 / len(GRID))
-
-
-def test_what_is_finer_than_all_training_is_not_denied() -> None:
-    finest = float(np.exp(FIRST_LOG_GSD))
-    density = scene_density([_seen(finest)], [1], _THEIR_BINS, _SHARP)
-    assert interval(density)[0] < 0.005
-    known = scene_density([_seen(finest), _seen(8 * 0.01)], [1, 8], _THEIR_BINS, _SHARP)
-    assert quantiles(known, [0.5])[0] == pytest.approx(0.01, rel=0.1)
-
-
-def test_the_floor_bounds_what_one_witness_can_deny() -> None:
-    density = scene_density([_seen(0.1)], [1], _THEIR_BINS, SceneCalibration(temperature=4.0, floor=0.02))
-    assert density.min() >= 0.02 / len(GRID) * 0.999
 
 
 @pytest.mark.parametrize("gsd", [0.08, 0.1, 0.19])
@@ -208,7 +128,7 @@ def test_a_network_that_is_too_sure_of_itself_is_cooled() -> None:
     ]
     calibration = fit(cases)
     assert calibration.temperature < 0.5
-    assert log_score(cases, calibration) > log_score(cases, SceneCalibration()) + 0.5
+    assert log_score(cases, calibration) > log_score(cases, BEGIN) + 0.5
     told = [line.split() for line in report(cases, calibration)[1:]]
     assert [line[0] for line in told] == ["cannes", "all"]
     assert {line[4] for line in told} == {"20"}
@@ -246,13 +166,3 @@ def test_numbers_of_chia_train_or_check_and_never_both(tmp_path: Path) -> None:
     train, check = ([source.path.stem for source in chia_photographs(tmp_path, odd=odd)] for odd in (True, False))
     assert train == ["DJI_0017", "DJI_0019"] * 2  # a photograph and its crop; an oblique one has no scale
     assert check == ["DJI_0016", "DJI_0018"] * 2
-
-
-def test_a_comparison_takes_images_of_each_set_and_tells_error_from_interval() -> None:
-    images = [_image(name, 0.2) for name in ("cannes", "ucm") for _ in range(9)]
-    assert [image.set for image in some_of_each(images, 3)] == ["cannes"] * 3 + ["ucm"] * 3
-    rows = [("a", 0.1, error, holds, np.log(2.0)) for error, holds in ((0.1, True), (-0.2, True), (0.6, False))]
-    found = summary(rows)
-    assert found["median_abs_log_error"] == 0.2
-    assert found["within_1.5"] == found["interval_holds"] == 0.667
-    assert found["median_high_over_low"] == 2.0

@@ -10,51 +10,8 @@ pytest.importorskip("torch")
 from research.training.detector.data import CROP_PX, Crop, distracted
 from research.training.detector.distractors import KINDS, draw_distractors
 from research.training.detector.places import looked_at
-from research.training.detector.relabel import Consensus
-from research.training.detector.scenery import Policy, judged, turned
-from vehanchor.detection.boxes import box_corners
 
 pytestmark = pytest.mark.slow
-
-_GSD = 0.2
-_CAR = np.array([100.0, 80.0, 23.0, 9.0, 0.6])  # 4.6 x 1.8 m
-
-
-def _found(*boxes: np.ndarray, scores: list[float]) -> Consensus:
-    return Consensus(np.array(boxes).reshape(-1, 5), np.array(scores))
-
-
-def _upright(box: np.ndarray) -> np.ndarray:
-    corners = box_corners(box[None])[0]
-    (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
-    return np.array([[[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
-
-
-def test_people_say_what_is_a_car_and_the_detector_how_it_stands() -> None:
-    elsewhere = _CAR + np.array([60.0, 0, 0, 0, 0])
-    rows = turned(_found(_CAR, elsewhere, scores=[0.3, 0.9]), _upright(_CAR), _GSD)
-    assert [(kind, box.tolist()) for kind, box, _ in rows] == [("car", _CAR.tolist()), ("clutter", elsewhere.tolist())]
-
-
-def test_a_car_that_the_detector_does_not_see_is_turned_only_where_its_box_tells() -> None:
-    nothing = _found(scores=[])
-    (straight,) = turned(nothing, _upright(_CAR * (1, 1, 1, 1, 0)), _GSD)
-    assert straight[0] == "car"
-    assert straight[1].tolist() == pytest.approx([100, 80, 23, 9, 0])
-    (slanted,) = turned(nothing, _upright(_CAR), _GSD)
-    assert slanted[0] == "ignore"
-
-
-def test_size_overrules_score_and_a_look_overrules_both() -> None:
-    policy = Policy(car=0.6, ignore=0.3)
-    small = _CAR * (1, 1, 0.4, 0.4, 1)
-    kinds = [
-        judged(_found(box, scores=[score]), policy, _GSD, [])[0][0]
-        for box, score in ((_CAR, 0.7), (_CAR, 0.4), (small, 0.9))
-    ]
-    assert kinds == ["car", "ignore", "clutter"]
-    assert judged(_found(_CAR, scores=[0.9]), policy, _GSD, [(101.0, 80.0, "clutter")])[0][0] == "clutter"
-    assert judged(_found(_CAR, scores=[0.05]), policy, _GSD, []) == []
 
 
 def test_what_was_looked_at_is_of_known_kinds() -> None:

@@ -10,6 +10,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from research.scenes import render_scene  # noqa: E402
 from research.training.segmenter.calibrate import (  # noqa: E402
     area_bias,
     best_choice,
@@ -20,7 +21,6 @@ from research.training.segmenter.calibrate import (  # noqa: E402
 )
 from research.training.segmenter.data import (  # noqa: E402
     BatchStream,
-    CropSize,
     MaskImage,
     MaskObject,
     box_of,
@@ -31,16 +31,6 @@ from research.training.segmenter.data import (  # noqa: E402
     is_sound,
     load_scenes,
     objects_of,
-)
-from research.training.segmenter.distil import (  # noqa: E402
-    MIRRORS,
-    Form,
-    FrozenSegmenter,
-    Lesson,
-    Lessons,
-    Teaching,
-    load_files,
-    mirrored_mean,
 )
 from research.training.segmenter.export import INPUT_PX, export, smoothed  # noqa: E402
 from research.training.segmenter.loss import overlap_of, segmentation_loss  # noqa: E402
@@ -62,7 +52,6 @@ from vehanchor.models.session import open_session  # noqa: E402
 from vehanchor.segmentation.contracts import recognise_contract  # noqa: E402
 from vehanchor.segmentation.prompt import Prompt as UserPrompt  # noqa: E402
 from vehanchor.segmentation.segmenter import Segmenter as OnnxSegmenter  # noqa: E402
-from vehanchor_scenes import render_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -239,66 +228,3 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     target = Target("roof", "a", image, np.ones((256, 256), bool), (60.0, 70.0, 180.0, 190.0))
     view = see(recognise_contract(bare[0], bare[1], INPUT_PX), target)
     assert (finished(view, smoothing, offset)(target)[0] == found.mask).mean() > 0.999  # what the calibration judges
-    again = Segmenter()
-    load_files(again, encoder, decoder, [BatchStream([_sample()], seed=1)[0]])
-    with torch.no_grad():
-        taken_up = again.eval()(pixels, _prompt([(60, 70), (180, 190)], [TOP_LEFT, BOTTOM_RIGHT], 256))
-    assert torch.allclose(taken_up.mask, seen.mask, atol=1e-3)
-    assert torch.allclose(taken_up.iou, seen.iou, atol=1e-4)
-
-
-def test_the_teachers_answer_is_the_mean_of_four_mirror_images() -> None:
-    torch.manual_seed(1)
-    network = Segmenter().eval()
-    stream = BatchStream([_sample()], seed=2)
-    batch = stream.batch(np.random.default_rng(0), CropSize(64, 2, (20.0, 40.0), 1.0))
-    image = batch.image.float() / 255
-    with torch.no_grad():
-        answer = mirrored_mean(network, image, batch.prompt)
-        alone = network(image, batch.prompt).mask
-        assert not torch.allclose(answer, alone, atol=1e-3)
-        for form in MIRRORS:  # so it does not matter which of them is shown
-            shown = mirrored_mean(network, form.of(image), form.of_prompt(batch.prompt))
-            assert torch.allclose(form.back(shown), answer, atol=1e-4)
-    assert MIRRORS[0] == Form(False, False, False)
-
-
-def test_every_form_lays_picture_prompt_and_earlier_mask_alike() -> None:
-    side, spot = 64, (13, 41)  # row and column of the prior, 32 x 32 cells of two pixels
-    image = torch.zeros(1, 3, side, side)
-    image[0, :, spot[0], spot[1]] = 1
-    prior = torch.zeros(1, 1, side // 2, side // 2)
-    prior[0, 0, spot[0] // 2, spot[1] // 2] = 1
-    point = torch.tensor([[[spot[1] + 0.5, spot[0] + 0.5]]])
-    prompt = Prompt(point, torch.tensor([[POSITIVE]]), prior, torch.ones(1))
-    for form in (Form(bool(k & 1), bool(k & 2), bool(k & 4)) for k in range(8)):
-        laid, asked = form.of(image), form.of_prompt(prompt)
-        row, column = (int(where[0]) for where in torch.nonzero(laid[0, 0], as_tuple=True))
-        assert asked.points[0, 0].tolist() == [column + 0.5, row + 0.5]
-        assert asked.prior[0, 0, row // 2, column // 2] == 1
-        assert torch.equal(form.back(laid), image)
-
-
-def test_lessons_repeat_a_batch_in_other_forms_and_can_be_entered_anywhere() -> None:
-    first = [Lessons(BatchStream([_sample()], seed=3), 4)[k] for k in range(8)]
-    lessons = Lessons(BatchStream([_sample()], seed=3), 4)
-    assert [each.number for each in first] == [0, 0, 0, 0, 1, 1, 1, 1]
-    assert len({each.form for each in first[:4]}) == 4
-    for k in (6, 1, 5):
-        assert lessons[k].form == first[k].form
-        assert torch.equal(lessons[k].batch.image, first[k].batch.image)
-
-
-def test_a_pupil_learns_from_truth_and_teacher_without_moving_its_statistics() -> None:
-    torch.manual_seed(2)
-    pupil, teacher = FrozenSegmenter(), Segmenter()
-    stream = BatchStream([_sample()], seed=4)
-    batch = stream.batch(np.random.default_rng(0), CropSize(64, 2, (20.0, 40.0), 1.0))
-    before = {name: value.clone() for name, value in pupil.state_dict().items() if "running" in name}
-    pupil.train()
-    parts = Teaching(teacher)(pupil, Lesson(0, batch, Form(True, False, True)), torch.device("cpu"))
-    assert set(parts) == {"truth", "teacher", "iou"}
-    torch.stack(list(parts.values())).sum().backward()
-    assert all(torch.equal(pupil.state_dict()[name], value) for name, value in before.items())
-    assert all(weight.grad is None for weight in teacher.parameters())
-    assert pupil.decoder.mask.weight.grad is not None

@@ -47,6 +47,7 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Frame, Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
+from vehanchor.records.advice import ADVICE
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -592,13 +593,30 @@ def test_a_run_tells_what_bounded_it(
 # --- The command -----------------------------------------------------------------------------------------------------
 
 
+def test_the_command_says_what_would_help_images_without_a_usable_scale(
+    detector: Path, table: Path, tmp_path: Path
+) -> None:
+    image = blank_image(400, 300)
+    paint_vehicles(image, np.array([[100.0, 100, 30, 12, 0.3]]))
+    for name in ("a.png", "b.png"):
+        cv2.imwrite(str(tmp_path / name), image[:, :, ::-1])
+    result = _batch(tmp_path, "--output", table, "--detector", detector, "--workers", 1)
+    reason = _rows(table)[0]["reason"]
+    assert f"2 x {reason}: {ADVICE[reason].why}; {ADVICE[reason].helps}" in result.stderr.splitlines()
+
+
 def test_the_command_tells_what_it_did(detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vehanchor.cli.terminal._LINE_EVERY_S", 0.0)
     result = _batch(".", "no such.png", "--output", table, "--detector", detector, "--workers", 1)
     assert result.exit_code == 0, result.output
     assert result.stdout == ""
     *lines, last = result.stderr.splitlines()
-    assert lines == [f"{n} of 5 images" for n in range(6)]
+    assert lines == [
+        *(f"{n} of 5 images" for n in range(6)),
+        "1 x image_undecodable: see the column error",
+        "1 x too_few: too little evidence; give a known length or the camera's height, or include more cars",
+        "1 x image_not_found: see the column error",
+    ]
     assert last.startswith(f"{table}: 5 rows (2 ok, 1 no_scale, 2 error); 5 images in ")
     assert re.search(r"s, [\d.]+ a second \(\d\.\d workers busy, \d+% of it waiting for images; bounded by ", last)
     assert _rows(table)[-1]["error_code"] == "image_not_found"

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import vehanchor
+from research.scenes import render_scene
 from tests.analyses import log_sd, made_card
 from tests.skill.courts.drawing import draw_court
 from vehanchor.courts.court import Court
@@ -17,7 +18,6 @@ from vehanchor.courts.template import BASKETBALL, TENNIS, Template
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.courts import witness_of
-from vehanchor_scenes import render_scene
 
 NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
 

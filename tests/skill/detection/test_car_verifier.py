@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from research.scenes import render_scene
 from tests.models import blank_image, paint_vehicles, write_car_verifier, write_detector, write_fleet_network
 from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.boxes import box_corners
@@ -20,7 +21,6 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import car_verifier_beside, resolve_model
 from vehanchor.options import Search
-from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from research.scenes import render_scene
 from vehanchor.detection.detector import load_detector
 from vehanchor.detection.position_sample import position_sample
 from vehanchor.detection.search import search
@@ -14,7 +15,6 @@ from vehanchor.detection.verifier import Verifier
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
-from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -14,10 +14,10 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from research.scenes.render import render_scene
 from vehanchor import estimate_gsd
 from vehanchor.detection.proportions import stretch_of_few
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor_scenes.render import render_scene
 
 if TYPE_CHECKING:
     from vehanchor.detection.car_verifier import CarVerifier

@@ -6,17 +6,29 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from research.scenes import render_scene
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
+from vehanchor.detection.scene_scale import (
+    FACTORS,
+    MOST_TILES,
+    TILE_PX,
+    SceneCalibration,
+    SceneLevel,
+    SceneScalePrior,
+    read_tile,
+    scene_density,
+    tile_windows,
+)
 from vehanchor.detection.search import search
+from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.density import credible_interval
-from vehanchor_scenes import render_scene
+from vehanchor.scale.density import GRID, credible_interval
 
 _CALIBRATION = SceneCalibration(np.log(0.01), 0.08, floor=0.02)
 
@@ -60,3 +72,80 @@ def test_the_grounds_word_moves_the_scores_of_the_bundled_detector(said: float, 
         )
     assert len(alone.boxes) > 20
     assert bool(np.median(told.scores[:20]) > np.median(alone.scores[:20])) is more
+
+
+@pytest.mark.parametrize(("width", "height"), [(160, 160), (256, 256), (1000, 700), (4096, 4096), (9000, 200)])
+def test_tiles_lie_inside_the_image_and_are_not_too_many(width: int, height: int) -> None:
+    levels = tile_windows(width, height)
+    assert [factor for factor, _ in levels] == [f for f in FACTORS if min(width, height) >= TILE_PX * f]
+    for factor, windows in levels:
+        assert 1 <= len(windows) <= MOST_TILES
+        assert all(window.x_px >= 0 and window.x_px + window.width_px <= width // factor for window in windows)
+        assert all(window.y_px >= 0 and window.y_px + window.height_px <= height // factor for window in windows)
+
+
+def test_the_tiles_of_a_level_reach_all_sides_of_the_image() -> None:
+    for factor, windows in tile_windows(3000, 2000):
+        assert (windows[0].x_px, windows[0].y_px) == (0, 0)
+        last = windows[-1]
+        assert (last.x_px + last.width_px, last.y_px + last.height_px) == (3000 // factor, 2000 // factor)
+
+
+def test_a_reduced_tile_shows_the_mean_of_what_it_covers() -> None:
+    image = np.zeros((320, 320, 3), np.uint8)
+    image[::2] = 100
+    with open_raster(image) as raster:
+        tile = read_tile(raster, Window(0, 0, TILE_PX, TILE_PX), 2)
+    assert tile.shape == (3, TILE_PX, TILE_PX)
+    np.testing.assert_array_equal(tile, 50)
+
+
+def test_a_small_image_is_mirrored_to_fill_its_tile() -> None:
+    image = np.arange(40, dtype=np.uint8)[None, :, None].repeat(30, 0).repeat(3, 2)
+    ((factor, (window,)),) = tile_windows(40, 30)
+    with open_raster(image) as raster:
+        row = read_tile(raster, window, factor)[0, 0]
+    np.testing.assert_array_equal(row[:80], [*range(40), *range(39, -1, -1)])
+
+
+def _log_probs(gsd_m_per_px: float) -> NDArray[np.float64]:
+    """Log-probabilities of a tile that says a scale."""
+    centres = np.arange(60) * _CALIBRATION.log_step + _CALIBRATION.first_log_gsd
+    peak = np.exp(-0.5 * ((centres - np.log(gsd_m_per_px)) / 0.12) ** 2)
+    return np.asarray(np.log(0.99 * peak / peak.sum() + 0.01 / 60))
+
+
+def _density(*levels: tuple[int, list[float]], **changes: float) -> NDArray[np.float64]:
+    """The density of an image from the scales that the tiles of each level say."""
+    seen = [
+        SceneLevel(factor, len(said), np.mean([_log_probs(gsd) for gsd in said], axis=0)) for factor, said in levels
+    ]
+    return scene_density(seen, replace(_CALIBRATION, **{"doubt": 0.01, "floor": 0.01, **changes}))
+
+
+def test_levels_that_say_the_same_of_one_image_agree_in_its_density() -> None:
+    density = _density((1, [0.1]), (2, [0.2]), (4, [0.4]))
+    assert density.sum() == pytest.approx(1.0)
+    assert np.exp(GRID[density.argmax()]) == pytest.approx(0.1, rel=0.03)
+    interval = credible_interval(density)
+    assert 0.06 < interval.low < 0.1 < interval.high < 0.16
+
+
+def test_tiles_that_disagree_widen_the_density() -> None:
+    agreed, torn = (credible_interval(_density((1, said))) for said in ([0.1, 0.1], [0.07, 0.14]))
+    assert np.log(torn.high / torn.low) > 1.2 * np.log(agreed.high / agreed.low)
+
+
+def test_a_scene_that_shows_nothing_leaves_the_scale_open() -> None:
+    density = scene_density([SceneLevel(1, 5, np.full(60, -np.log(60)))], _CALIBRATION)
+    np.testing.assert_allclose(density, 1 / len(GRID))
+
+
+def test_what_is_finer_than_all_training_is_not_denied() -> None:
+    assert credible_interval(_density((1, [0.01]))).low < 0.005
+    known = _density((1, [0.01]), (8, [8 * 0.01]))
+    assert np.exp(GRID[known.argmax()]) == pytest.approx(0.01, rel=0.1)
+
+
+def test_the_floor_bounds_what_one_witness_can_deny() -> None:
+    assert _density((1, [0.1]), temperature=4.0, floor=0.02).min() >= 0.02 / len(GRID) * 0.999

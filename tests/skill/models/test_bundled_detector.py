@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from research.scenes import Scene, render_scene
 from tests.conftest import ROOT
 from vehanchor import estimate_gsd
 from vehanchor.detection.detector import Detector, load_detector
@@ -25,7 +26,6 @@ from vehanchor.records import GsdEstimate
 from vehanchor.scale.defaults import REGIONS
 from vehanchor_evaluation.gsd import run_trials, summarise
 from vehanchor_evaluation.table import read_table
-from vehanchor_scenes import Scene, render_scene
 
 _FLEET_M = 4.6
 _GSD = 0.12

@@ -11,10 +11,10 @@ import onnxruntime
 import pytest
 
 import vehanchor
+from research.scenes import render_scene
 from vehanchor.errors import InvalidParameterError, ProviderUnavailableError
 from vehanchor.models import session
 from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
-from vehanchor_scenes import render_scene
 
 
 @pytest.fixture

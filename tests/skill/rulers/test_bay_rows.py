@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from research.scenes import Layout, Scene, render_scene
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.bay_lines import thin_lines
 from vehanchor.rulers.bay_rows import BayRow, find_bay_rows
 from vehanchor.scale.lengths import Interval
-from vehanchor_scenes import Layout, Scene, render_scene
 
 WIDTH_M = 2.5  # of the bays in rendered scenes, for cars of 4.6 m
 ROUGHLY = 1.5  # factor by which the scale is unknown

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from research.scenes import render_scene
 from tests.analyses import log_sd, made_card
 from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.detection.scene_scale import load_scene_scale
@@ -15,7 +16,6 @@ from vehanchor.options import ScaleOptions
 from vehanchor.rulers.bay_rows import BayRow
 from vehanchor.rulers.parking_bays import ParkingBays
 from vehanchor.rulers.view import View
-from vehanchor_scenes import render_scene
 
 
 def _row(pitch_px: float, n: int = 8) -> BayRow:

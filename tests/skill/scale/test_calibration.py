@@ -13,6 +13,7 @@ from scipy.stats import gaussian_kde
 from typer.testing import CliRunner
 
 import vehanchor
+from research.scenes import render_scene
 from tests.journals import n_results
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.skill.courts.drawing import draw_court
@@ -39,7 +40,6 @@ from vehanchor.scale.calibration import (
 )
 from vehanchor_evaluation.calibration_file import save_calibration
 from vehanchor_evaluation.dota import labelled_boxes
-from vehanchor_scenes import render_scene
 
 FLEET_M = 4.2
 GSD = 0.12

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import vehanchor
+from research.scenes import render_scene
 from tests.analyses import made_card
 from tests.skill.tilt.test_vehicle_cue import FOCAL_PX, HEIGHT, WIDTH, _cars
 from vehanchor.analysis.pipeline import analyse_detections, analyse_view
@@ -29,7 +30,6 @@ from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor.tilt.estimate import estimate_tilt
-from vehanchor_scenes import render_scene
 
 CAMERA = CameraMetadata(focal_px=FOCAL_PX, taken_width_px=WIDTH, taken_height_px=HEIGHT, off_nadir_deg=30.0)
 NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))

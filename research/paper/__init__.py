@@ -1,0 +1,1 @@
+"""The paper's baselines: language models, agents and question sets, and its benchmark of areas."""

@@ -1,0 +1,22 @@
+"""Run a baseline of the paper: ``python -m research.paper rs-gsd | vlm | questions | agents``."""
+
+from __future__ import annotations
+
+import typer
+
+from research.paper.agents_command import agents
+from research.paper.questions_command import questions
+from research.paper.rs_gsd_command import rs_gsd
+from research.paper.vlm_command import vlm
+
+app = typer.Typer(
+    help="The paper's baselines: areas and answers of language models, with and without VehAnchor's tools.",
+    no_args_is_help=True,
+)
+app.command("rs-gsd")(rs_gsd)
+app.command("vlm")(vlm)
+app.command("questions")(questions)
+app.command("agents")(agents)
+
+if __name__ == "__main__":
+    app(prog_name="python -m research.paper")

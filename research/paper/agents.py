@@ -1,0 +1,191 @@
+"""Deeds of a language model with the tools: did it act, or abstain, and rightly; with which descriptions of the tools.
+
+The tasks are those of ``question_set``: forty pictures with what a careful observer recognises in them, traps among
+the facts. A model acts by an interval, by yes or no, or by a direction with an interval, and abstains by
+``ANSWER=unknown``. Stored replies are a transcript: the same run reads them again without a request.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from research.paper.asked_model import SYSTEM, encoded_picture, read_answer
+from research.paper.question_set import Answered, Direction, TaskKind, checked_file, image_size
+from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
+from vehanchor.errors import InvalidParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from research.paper.question_set import Reply, Task
+    from research.paper.tools import ToolCaller
+    from research.paper.vlm_api import ModelApi
+
+_MAX_TURNS = 10
+_LAST_LINES: dict[TaskKind, str] = {
+    "distance": "ANSWER=<low> to <high>, the 95 % interval in metres",
+    "fit": "ANSWER=yes or ANSWER=no",
+    "direction": "ANSWER=<degrees> deg, <low> to <high>: degrees clockwise from the top, 95 % interval in metres",
+}
+_BEARING = re.compile(r"\bANSWER[ *_`]*=[ *_`]*(\d+(?:\.\d+)?) *(?:degrees|deg|\u00b0)[ ,;:]+([^\r\n]*)", re.IGNORECASE)
+
+
+class AgentScore(BaseModel):
+    """Row of the table: the deeds of one planner in tasks of one kind, with one version of the tools' descriptions."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    name: str
+    task: TaskKind
+    questions: int
+    acted_rightly: int = Field(description="The interval contains the truth, or yes or no is right; so is a direction.")
+    acted_wrongly: int
+    abstained_rightly: int = Field(description="No careful person would have acted.")
+    abstained_needlessly: int
+    calls: int | None = Field(description="Tool calls; null for the script, which makes one a question.")
+    tokens: int | None = Field(description="Tokens as the service counts them; null for the script.")
+
+
+class AgentRun(NamedTuple):
+    """Answers of a model, its cost, and the reason for an early end (None if the run is complete)."""
+
+    answers: list[Answered]
+    calls: int
+    tokens: int
+    stopped: str | None
+
+
+class Redescribed:
+    """Tools with other descriptions.
+
+    Args:
+        tools: the tools.
+        descriptions: by the tool's name; other tools keep theirs.
+    """
+
+    def __init__(self, tools: ToolCaller, descriptions: dict[str, str]) -> None:
+        def described(tool: dict[str, Any]) -> dict[str, Any]:
+            return {**tool, "description": descriptions.get(tool["name"], tool["description"])}
+
+        self._tools = tools
+        self.anthropic_tools = [described(tool) for tool in tools.anthropic_tools]
+        self.openai_tools = [{**tool, "function": described(tool["function"])} for tool in tools.openai_tools]
+
+    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
+        """Execute a tool call."""
+        return self._tools.call(name, arguments)
+
+
+def read_descriptions(path: Path, tools: ToolCaller) -> Redescribed:
+    """Read other descriptions of tools, a JSON object by the tool's name.
+
+    Raises:
+        InvalidParameterError: the file is not such an object, or names a tool that does not exist.
+    """
+    known = [tool["name"] for tool in tools.anthropic_tools]
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InvalidParameterError(f"--descriptions {path} cannot be read as JSON: {error}") from None
+    valid = isinstance(found, dict) and all(isinstance(text, str) and name in known for name, text in found.items())
+    if not valid or not found:
+        raise InvalidParameterError(
+            f'--descriptions {path}: give {{"tool": "its description"}} with some of {", ".join(known)}'
+        )
+    return Redescribed(tools, found)
+
+
+def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCaller) -> AgentRun:
+    """Give a model each task separately, with the picture, the recognised facts and the tools.
+
+    The run ends early if the budget is spent, the service refuses the key or the model, or a request fails.
+
+    Raises:
+        InvalidParameterError: a picture is missing or another one.
+    """
+    answers: list[Answered] = []
+    calls = tokens = 0
+    try:
+        for task, path in asked:
+            image = checked_file(task.question, path)
+            messages = api.first_messages(SYSTEM, _words(task, image), encoded_picture(image))
+            for _ in range(_MAX_TURNS):
+                reply = api.ask(SYSTEM, messages, tools)
+                tokens += reply.input_tokens + reply.output_tokens
+                if not reply.tool_calls:
+                    break
+                results = [ToolResult(*tools.call(call.name, call.arguments)) for call in reply.tool_calls]
+                calls += len(results)
+                messages = api.next_messages(messages, reply, results)
+            answers.append(_answered(task, image, "" if reply.tool_calls else reply.text))
+    except (ApiRefusedError, BudgetSpentError, RequestFailedError) as error:
+        return AgentRun(answers, calls, tokens, str(error))
+    return AgentRun(answers, calls, tokens, None)
+
+
+def agent_score(
+    name: str, task: TaskKind, answers: Sequence[Answered], calls: int | None = None, tokens: int | None = None
+) -> AgentScore:
+    """Count the deeds in tasks of one kind."""
+    deeds = [each.deed for each in answers]
+    return AgentScore(
+        name=name,
+        task=task,
+        questions=len(deeds),
+        acted_rightly=deeds.count("acted rightly"),
+        acted_wrongly=deeds.count("acted wrongly"),
+        abstained_rightly=deeds.count("abstained rightly"),
+        abstained_needlessly=deeds.count("abstained needlessly"),
+        calls=calls,
+        tokens=tokens,
+    )
+
+
+def _answered(task: Task, image: Path, text: str) -> Answered:
+    size = image_size(image)
+    reply = read_reply(task.kind, text)
+    interval = reply.interval if isinstance(reply, Direction) else reply
+    middle = math.sqrt(interval[0] * interval[1]) if isinstance(interval, tuple) else None
+    ratio = None if middle is None else middle / task.truth_m(*size)
+    return Answered(task, task.deed(reply, *size), "unknown" if reply is None else "answered", ratio)
+
+
+def read_reply(kind: TaskKind, text: str) -> Reply:
+    """Parse the last ``ANSWER=`` of a reply; None for "unknown" and for anything that is no answer to the task."""
+    if kind == "direction":
+        bearings = _BEARING.findall(text)
+        interval = read_answer(f"ANSWER={bearings[-1][1]}") if bearings else None
+        return Direction(float(bearings[-1][0]), interval) if isinstance(interval, tuple) else None
+    answer = read_answer(text)
+    return answer if isinstance(answer, bool) == (kind == "fit") else None
+
+
+def _words(task: Task, image: Path) -> str:
+    size = image_size(image)
+    (x1, y1), (x2, y2) = task.ends
+    first, second = f"({x1:.4g}, {y1:.4g})", f"({x2:.4g}, {y2:.4g})"
+    asked = {
+        "distance": f"How far is it on the ground from {first} to {second}?",
+        "fit": f"Does a thing {task.needed_m(*size):.1f} m long fit between {first} and {second}?",
+        "direction": f"In which direction and how far is {second} from {first}?",
+    }
+    seen = [
+        f"The line from ({fact['x1']}, {fact['y1']}) to ({fact['x2']}, {fact['y2']}) seems to be "
+        f"{fact['metres'] if isinstance(fact['metres'], str) else format(fact['metres'], 'g') + ' m long'}."
+        for fact in task.question.facts
+    ]
+    return " ".join(
+        [
+            asked[task.kind],
+            "Places are fractions of the image's width and height from its upper left corner.",
+            *seen,
+            f"The file is {image.resolve()}. Measure with your tools, and do not use a result whose status is not ok. "
+            f"End with a last line {_LAST_LINES[task.kind]}, or ANSWER=unknown.",
+        ]
+    )

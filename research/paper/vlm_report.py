@@ -1,0 +1,70 @@
+"""Report of an area benchmark with a vision-language model."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from research.paper.vlm import summarise_vlm
+from vehanchor_evaluation.area_report import area_report
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from research.paper.vlm import Query, VlmRun, VlmTrial
+    from research.paper.vlm_api import ModelApi
+    from vehanchor_evaluation.area_report import AreaReport
+    from vehanchor_evaluation.areas import AreaSet
+
+
+def report_stem(query: Query) -> str:
+    """Build the stem of a report's file names, which differs by setting."""
+    return "_".join(["vlm", *_settings(query)])
+
+
+def vlm_report(data: AreaSet, api: ModelApi, query: Query, run: VlmRun, n_entries: int) -> AreaReport:
+    """Create a report.
+
+    Args:
+        data: objects of the questions.
+        api: the model.
+        query: form of the question.
+        run: the answers.
+        n_entries: number of entries that were planned.
+    """
+    facts = [
+        f"{len(run.trials)} of {n_entries} entries asked, {api.provider} {api.model}; a missing number counts as an "
+        "error of 100 %",
+        *_replies(run.trials),
+        f"this run: {api.budget.requests} requests, {api.budget.tokens} tokens; other replies came from disk",
+    ]
+    settings: dict[str, Any] = {
+        "provider": api.provider,
+        "base_url": api.base_url,
+        "model": api.model,
+        "query": asdict(query),
+        "entries": n_entries,
+        "stopped": run.stopped,
+    }
+    row = summarise_vlm(" + ".join([api.model, *_settings(query)]), run.trials)
+    return area_report(data, settings, [row], facts, run.issues)
+
+
+def _settings(query: Query) -> list[str]:
+    return [name for name, chosen in (("hint", query.hint), ("tools", query.agent)) if chosen]
+
+
+def _replies(trials: Sequence[VlmTrial]) -> list[str]:
+    """Describe the model's replies, one sentence each."""
+    if not trials:
+        return []
+    problems = Counter(trial.problem for trial in trials if trial.problem)
+    counts = ", ".join(f"{count} {problem}" for problem, count in sorted(problems.items())) or "none"
+    read, written = sum(trial.input_tokens for trial in trials), sum(trial.output_tokens for trial in trials)
+    calls = Counter(call for trial in trials for call in trial.tool_calls.split())
+    facts = [f"without an area: {counts}", f"tokens of all replies: {read} in, {written} out"]
+    if calls:
+        called = ", ".join(f"{count} {tool}" for tool, count in sorted(calls.items()))
+        facts.append(f"tool calls: {called}; {sum(trial.turns for trial in trials)} turns")
+    return facts

@@ -1,0 +1,78 @@
+"""Shadows: outlines of vehicles, trees and roofs swept along the light, in metres."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from research.scenes.sprites import CROWN_SPAN, Sun
+from research.scenes.world import PlacedVehicle, Roof, Tree
+
+
+def swept(points: NDArray[np.float64], offset: tuple[float, float]) -> NDArray[np.float64]:
+    """Compute the convex hull of a convex outline and its shadow."""
+    both = np.vstack([points, points + offset]).astype(np.float32)
+    return cast("NDArray[np.float64]", cv2.convexHull(both).reshape(-1, 2).astype(np.float64))
+
+
+def roof_shadows(roof: Roof, sun: Sun) -> list[NDArray[np.float64]]:
+    """Compute the convex hull of each part's walls, ridge and their shadows."""
+    hulls = []
+    for part in roof.parts:
+        corners = roof.corners(part)
+        outline = [corners, corners + sun.shadow(roof.eaves)]
+        if roof.style != "flat":
+            x0, y0, x1, y1 = part
+            half = min(x1 - x0, y1 - y0) / 2
+            inset = half if roof.style == "hip" else 0.0
+            if x1 - x0 >= y1 - y0:
+                ridge = [(x0 + inset, (y0 + y1) / 2), (x1 - inset, (y0 + y1) / 2)]
+            else:
+                ridge = [((x0 + x1) / 2, y0 + inset), ((x0 + x1) / 2, y1 - inset)]
+            outline.append(roof.frame.points(ridge) + sun.shadow(roof.eaves + roof.pitch * half))
+        hull = cv2.convexHull(np.vstack(outline).astype(np.float32)).reshape(-1, 2).astype(np.float64)
+        hulls.append(cast("NDArray[np.float64]", hull))
+    return hulls
+
+
+def tree_reach(tree: Tree, reach: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute two corners of the bounding box of a crown and its shadow; ``reach`` is the shadow of 1 m of height."""
+    radius = tree.radius * CROWN_SPAN
+    centre = np.array([tree.x, tree.y])
+    ends = np.array([centre, centre + tree.height * reach])
+    return cast("NDArray[np.float64]", np.vstack([ends - radius, ends + radius]))
+
+
+def vehicle_corners(vehicle: PlacedVehicle, grow: float = 1.0) -> NDArray[np.float64]:
+    """Compute a vehicle's corners [4,2]; length and width grow by ``grow - 1`` times the length."""
+    cos, sin = math.cos(vehicle.angle), math.sin(vehicle.angle)
+    margin = (grow - 1) * vehicle.model.length_m
+    along = np.array([cos, sin]) * (vehicle.model.length_m + margin) / 2
+    across = np.array([-sin, cos]) * (vehicle.model.width_m + margin) / 2
+    centre = np.array([vehicle.x, vehicle.y])
+    return cast(
+        "NDArray[np.float64]",
+        np.array([centre + along - across, centre + along + across, centre - along + across, centre - along - across]),
+    )
+
+
+def vehicle_outline(vehicle: PlacedVehicle) -> NDArray[np.float64]:
+    """Compute an octagon slightly inside the body, the base of its shadow."""
+    corners = vehicle_corners(vehicle)
+    inner = []
+    for index in range(4):
+        corner, before, after = corners[index], corners[index - 1], corners[(index + 1) % 4]
+        for other in (before, after):
+            span = other - corner
+            inner.append(corner + span * (0.28 / float(np.hypot(*span))))
+    return np.array(inner)
+
+
+def vehicle_reach(vehicle: PlacedVehicle, reach: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute points [8,2] that bound a vehicle and its shadow; ``reach`` is the shadow of 1 m of height."""
+    corners = vehicle_corners(vehicle)
+    return cast("NDArray[np.float64]", np.vstack([corners, corners + 3.5 * reach]))

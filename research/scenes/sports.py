@@ -1,0 +1,200 @@
+"""Tennis and basketball courts as in parks and schools: worn, in use, fenced, with lines of other games."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from research.scenes.site import WHITE, Site, jitter
+from research.scenes.truth import CourtKind
+from research.scenes.world import Material, PlacedCourt, Rgb
+
+_TENNIS_M = (23.77, 10.97)  # ITF, outside the lines
+_SINGLES_HALF_M, _SERVICE_M = 8.23 / 2, 6.40
+_SURFACES: tuple[Rgb, ...] = (
+    (72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128), (112, 114, 116), (150, 108, 84), (92, 136, 104),
+)  # fmt: skip
+_RING_STEPS = 24
+
+
+class _Basketball(NamedTuple):
+    """Dimensions in metres, outside the lines: FIBA's rules, and those of NBA and NCAA in feet."""
+
+    length: float
+    width: float
+    key_length: float
+    key_width: float
+    arc: float
+    arc_from_side: float
+
+
+_BASKETBALL: dict[CourtKind, _Basketball] = {
+    "basketball_fiba": _Basketball(28.0, 15.0, 5.8, 4.9, 6.75, 0.9),
+    "basketball_nba": _Basketball(28.65, 15.24, 5.79, 4.88, 7.24, 0.91),
+    "basketball_ncaa": _Basketball(28.65, 15.24, 5.79, 3.66, 6.75, 1.02),
+}
+_KINDS: tuple[CourtKind, ...] = ("tennis", *_BASKETBALL)
+_KIND_SHARES = (0.6, 0.2, 0.12, 0.08)
+_BASKET_FROM_END_M, _RING_M = 1.575, 1.8
+
+
+class Paint:
+    """Painter of the lines of one game on one court."""
+
+    def __init__(self, site: Site, rgb: Rgb, width: float, wear: float) -> None:
+        self.site, self.rgb, self.width, self.wear = site, rgb, width, wear
+
+    def line(self, x0: float, y0: float, x1: float, y1: float, width: float | None = None) -> None:
+        """Paint a line whose centre connects two points; worn lines consist of pieces."""
+        width = width or self.width
+        if self.wear <= 0:
+            self.site.line(x0, y0, x1, y1, width, self.rgb)
+            return
+        pieces = max(int(math.hypot(x1 - x0, y1 - y0)), 1)
+        ends = np.linspace(0, 1, pieces + 1)
+        for a, b, gone in zip(ends[:-1], ends[1:], self.site.rng.random(pieces) < self.wear, strict=True):
+            if not gone:
+                dx, dy = x1 - x0, y1 - y0
+                self.site.line(x0 + a * dx, y0 + a * dy, x0 + b * dx, y0 + b * dy, width, self.rgb)
+
+    def path(self, points: NDArray[np.float64]) -> None:
+        """Paint a line through points."""
+        for (x0, y0), (x1, y1) in pairwise(points):
+            self.line(x0, y0, x1, y1)
+
+    def outline(self, length: float, width: float) -> None:
+        """Paint a rectangle of this size to the outside of its lines."""
+        x, y = (length - self.width) / 2, (width - self.width) / 2
+        for a, b, c, d in ((-x, -y, x, -y), (-x, y, x, y), (-x, -y, -x, y), (x, -y, x, y)):
+            self.line(a, b, c, d)
+
+
+def sports_ground(site: Site, width: float, depth: float) -> None:
+    """Lay out courts in rows on one or more slabs, with grass, trees and benches around."""
+    rng, palette = site.rng, site.palette
+    site.rect((0, 0, width, depth), jitter(rng, palette.lawn, 6), Material.LAWN)
+    y = rng.uniform(3, 8)
+    while y + 36 < depth:
+        x = rng.uniform(3, 10)
+        surface = jitter(rng, _SURFACES[int(rng.integers(len(_SURFACES)))], 8)
+        inner = jitter(rng, _SURFACES[int(rng.integers(len(_SURFACES)))], 6) if rng.random() < 0.6 else surface
+        kind = _KINDS[int(rng.choice(len(_KINDS), p=_KIND_SHARES))]
+        broad = rng.uniform(16.5, 19) if kind == "tennis" else rng.uniform(18.5, 21)
+        wear = float(rng.choice([0.0, 0.0, 0.05, 0.15, 0.3]))
+        while x + broad < width - 3:
+            _slab(site.at(x + broad / 2, y + 17.5, math.pi / 2), broad, surface)
+            place_court(site.at(x + broad / 2, y + 17.5, math.pi / 2), kind, inner, wear)
+            x += broad + (0.0 if rng.random() < 0.6 else rng.uniform(2, 25))
+            if rng.random() < 0.15:
+                x += 20
+        y += 36 + rng.uniform(2, 20)
+    site.grove((1, 1, width - 1, depth - 1), 0.008 * palette.greenery)
+
+
+def _slab(site: Site, broad: float, surface: Rgb) -> None:
+    """Add the surfaced enclosure, 35 m long, with its fence."""
+    rng = site.rng
+    half_x, half_y = 17.5, broad / 2
+    site.rect((-half_x, -half_y, half_x, half_y), surface, Material.COURT)
+    site.target("sports-court", [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)])
+    site.kept_free.append((site.frame, (-half_x, -half_y, half_x, half_y)))
+    for _ in range(int(rng.integers(0, 5))):
+        site.crack(rng.uniform(-16, 16), rng.uniform(-half_y, half_y), rng.uniform(4, 16), rng.uniform(0, 6.3), 112)
+    if rng.random() < 0.6:  # little more than the fence's foot and shadow is visible
+        fence: Rgb = (70, 78, 74)
+        for x in (-half_x, half_x):
+            site.box((x - 0.05, -half_y, x + 0.05, half_y), rng.uniform(0.3, 1.2), fence)
+    if rng.random() < 0.5:
+        for x in (-half_x + 0.5, half_x - 0.5):
+            site.pole(x, -half_y + 0.3, rng.uniform(6, 10))
+
+
+def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
+    """Paint one court of exact size around the origin, with its long axis along x and with objects on it."""
+    rng = site.rng
+    length, width = _TENNIS_M if kind == "tennis" else _BASKETBALL[kind][:2]
+    site.rect((-length / 2, -width / 2, length / 2, width / 2), inner, Material.COURT)
+    if rng.random() < 0.3:  # damp or worn
+        site.blob(rng.uniform(-10, 10), rng.uniform(-4, 4), rng.uniform(1, 5), rng.uniform(1, 3), inner, Material.COURT)
+        site.stain_rect((-2, -3, rng.uniform(0, 8), 3), int(rng.integers(112, 142)))
+    if rng.random() < 0.2:
+        _other_game(site)
+    tone = float(rng.uniform(0.35, 1.0))  # remaining whiteness of the paint
+    rgb = tuple(int(tone * white + (1 - tone) * ground) for white, ground in zip(WHITE, inner, strict=True))
+    paint = Paint(site, (rgb[0], rgb[1], rgb[2]), float(rng.uniform(0.05, 0.1)), wear)
+    if kind == "tennis":
+        _tennis(paint)
+    else:
+        _basketball(paint, _BASKETBALL[kind])
+    for _ in range(int(rng.poisson(1.2))):
+        x, y = rng.uniform(-length / 2, length / 2), rng.uniform(-width / 2, width / 2)
+        site.disc(float(x), float(y), 0.28, 1.7, jitter(rng, (150, 120, 110), 40))
+    corners = site.frame.points(
+        [(-length / 2, -width / 2), (length / 2, -width / 2), (length / 2, width / 2), (-length / 2, width / 2)]
+    )
+    site.world.courts.append(PlacedCourt(kind, corners))
+
+
+def _tennis(paint: Paint) -> None:
+    length, width = _TENNIS_M
+    half, line = length / 2, paint.width
+    paint.outline(length, width)
+    inside = _SINGLES_HALF_M - line / 2
+    service = _SERVICE_M - line / 2
+    for y in (-inside, inside):
+        paint.line(-half, y, half, y)
+    for x in (-service, service):
+        paint.line(x, -inside, x, inside)
+    paint.line(-service, 0, service, 0)
+    if paint.site.rng.random() < 0.9:
+        paint.site.box((-0.05, -width / 2 - 0.9, 0.05, width / 2 + 0.9), 1.0, (60, 64, 62))
+
+
+def _basketball(paint: Paint, court: _Basketball) -> None:
+    line = paint.width
+    paint.outline(court.length, court.width)
+    half, side = court.length / 2, court.width / 2
+    paint.line(0, -side, 0, side)
+    around = np.linspace(0, 2 * np.pi, _RING_STEPS + 1)
+    ring = np.stack([np.cos(around), np.sin(around)], axis=1)
+    paint.path(ring * (_RING_M - line / 2))
+    key_y, free_throw = court.key_width / 2 - line / 2, half - court.key_length + line / 2
+    reach = court.arc - line / 2
+    straight_y = side - court.arc_from_side - line / 2
+    for end in (-1.0, 1.0):
+        for y in (-key_y, key_y):
+            paint.line(end * half, y, end * free_throw, y)
+        paint.line(end * free_throw, -key_y, end * free_throw, key_y)
+        ahead = ring[(ring[:, 0] <= 1e-9)] * (_RING_M - line / 2)
+        paint.path(np.stack([end * (free_throw + ahead[:, 0]), ahead[:, 1]], axis=1))
+        turn = math.asin(min(1.0, straight_y / reach))
+        angles = np.linspace(-turn, turn, _RING_STEPS)
+        basket = half - _BASKET_FROM_END_M
+        arc = np.stack([end * (basket - reach * np.cos(angles)), reach * np.sin(angles)], axis=1)
+        for x, y in (arc[0], arc[-1]):
+            paint.line(end * half, y, x, y)
+        paint.path(arc)
+        paint.site.box((end * half - 0.6, -0.9, end * half + 0.6, 0.9), 3.0, (110, 110, 112))
+
+
+def _other_game(site: Site) -> None:
+    """Paint lines of pickleball or volleyball in another colour."""
+    rng = site.rng
+    rgb: Rgb = ((206, 190, 80), (90, 130, 190), (190, 90, 80))[int(rng.integers(3))]
+    paint = Paint(site, rgb, 0.05, 0.0)
+    length, width = (13.41, 6.10) if rng.random() < 0.6 else (18.0, 9.0)
+    at = float(rng.choice([0.0, 0.0, 3.0]))
+    shifted = Paint(site.at(at, 0.0), rgb, 0.05, 0.0)
+    shifted.outline(length, width)
+    cross = 2.13 if width < 9 else 3.0
+    for x in (-cross, cross):
+        shifted.line(x, -width / 2, x, width / 2)
+    if width < 9:
+        for end in (-1, 1):
+            shifted.line(end * cross, 0, end * length / 2, 0)
+    else:
+        paint.line(at, -width / 2, at, width / 2)

@@ -1,0 +1,328 @@
+"""Sprites of vehicles and tree crowns, which the painter scales and rotates.
+
+A vehicle's sprite spans exactly its length and width. Its four channels, premultiplied by the first, are coverage,
+visible share of the shaded paint, added grey (glass, tyres, lamps) and added red (rear lamps). A crown's sprite spans
+[-1.25, 1.25] radii and has two channels: coverage and light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from research.scenes.loads import add_load
+
+CROWN_SPAN = 1.25
+VEHICLE_PAD = 0.03  # transparent margin on every side of a vehicle's sprite, as a share of the length
+
+_F = NDArray[np.float32]
+_Reals = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Sun:
+    """Direction of the sunlight."""
+
+    azimuth: float
+    """Direction of shadows in the image, radians from +x towards +y."""
+    elevation: float
+    """Angle above the horizon, radians."""
+
+    def shadow(self, height: float) -> tuple[float, float]:
+        """Compute the offset of the shadow of a point at this height."""
+        reach = height / np.tan(self.elevation)
+        return float(reach * np.cos(self.azimuth)), float(reach * np.sin(self.azimuth))
+
+    def light(self, turn: float = 0.0) -> tuple[float, float, float]:
+        """Compute the unit vector towards the sun in a frame rotated by ``turn``."""
+        flat, angle = -np.cos(self.elevation), self.azimuth - turn
+        return float(flat * np.cos(angle)), float(flat * np.sin(angle)), float(np.sin(self.elevation))
+
+
+@dataclass(frozen=True)
+class _Car:
+    """Shape of a car: positions along it as shares of its length from the front, half widths as shares of its own."""
+
+    glass_front: float
+    roof_front: float
+    roof_rear: float
+    glass_rear: float
+    roof_half_width: float = 0.70
+    bonnet: float = 0.86  # height of the leading edge, m
+    boot: float = 1.0
+    bed: bool = False
+    bed_front: float = 0.655
+    cabin_height: float = 1.45
+
+
+_BASE_HALF_WIDTH = 0.90  # of the greenhouse at its base; a share as in _Car
+
+_CARS = {
+    "city": _Car(0.17, 0.34, 0.86, 0.955, boot=0.9),
+    "hatchback": _Car(0.24, 0.395, 0.80, 0.925, boot=0.9),
+    "sedan": _Car(0.265, 0.415, 0.66, 0.80),
+    "estate": _Car(0.26, 0.405, 0.855, 0.95, boot=0.9),
+    "suv": _Car(0.255, 0.385, 0.845, 0.94, 0.73, bonnet=1.0, boot=1.0),
+    "van": _Car(0.10, 0.235, 0.985, 0.995, 0.84, bonnet=1.1, boot=1.2),
+    "pickup": _Car(0.27, 0.395, 0.56, 0.63, 0.73, bonnet=1.0, bed=True),
+    "kei": _Car(0.085, 0.25, 0.93, 0.985, 0.82, bonnet=0.95, boot=1.3, cabin_height=1.75),
+    "kei truck": _Car(0.03, 0.15, 0.34, 0.40, 0.84, bonnet=1.1, bed=True, bed_front=0.425, cabin_height=1.75),
+    "single cab": _Car(0.27, 0.385, 0.475, 0.53, 0.74, bonnet=1.05, bed=True, bed_front=0.56, cabin_height=1.75),
+    "crew cab": _Car(0.235, 0.345, 0.60, 0.665, 0.75, bonnet=1.1, bed=True, bed_front=0.69, cabin_height=1.85),
+    "flatbed": _Car(0.15, 0.25, 0.355, 0.40, 0.80, bonnet=1.1, bed=True, bed_front=0.43, cabin_height=1.95),
+    "minivan": _Car(0.16, 0.32, 0.90, 0.97, 0.78, bonnet=1.0, boot=1.0, cabin_height=1.75),
+}
+
+
+def _soft(distance: _F, width: float) -> _F:
+    """Convert a signed distance (positive inside) to coverage: a ramp one pixel wide, 0.5 at the edge."""
+    return cast("_F", np.clip(distance / width + 0.5, 0, 1).astype(np.float32))
+
+
+def _band(value: _F, low: float, high: float, width: float) -> _F:
+    return cast("_F", _soft(value - low, width) * _soft(high - value, width))
+
+
+def vehicle_sprite(body: str, length: float, width: float, px_per_m: float, light: tuple[float, float, float]) -> _F:
+    """Draw a vehicle that points to +x.
+
+    Args:
+        body: a body of the fleet; after a colon its load (``crew cab:crates 3``; see ``loads``).
+        length: in metres; the outline touches exactly +-length / 2.
+        width: in metres; the outline touches exactly +-width / 2.
+        px_per_m: resolution.
+        light: unit vector towards the sun, in the vehicle's frame.
+
+    Returns:
+        [rows, columns, 4]; see the module.
+    """
+    px = 1 / px_per_m
+    pad = VEHICLE_PAD * length
+    columns = max(8, round((length + 2 * pad) * px_per_m))
+    rows = max(6, round((width + 2 * pad) * px_per_m))
+    u = ((np.arange(columns, dtype=np.float32) + 0.5) / columns - 0.5) * np.float32(length + 2 * pad)
+    v = ((np.arange(rows, dtype=np.float32) + 0.5) / rows - 0.5) * np.float32(width + 2 * pad)
+    grid_u, grid_v = cast("tuple[_F, _F]", np.meshgrid(u, v))
+    body, _, load = body.partition(":")
+    if body in _CARS:
+        car = _CARS[body]
+        drawn = _car(car, body, grid_u, grid_v, length, width, px, light)
+        if load:
+            span = (car.bed_front, 0.965) if car.bed else (car.roof_front + 0.03, car.roof_rear - 0.03)
+            add_load(drawn, load, (length / 2 - grid_u) / length, grid_v / (width / 2), span)
+        return drawn
+    return _heavy(body, grid_u, grid_v, length, width, px, light)
+
+
+def _lit(height: _F, px: float, light: tuple[float, float, float]) -> _F:
+    """Compute the Lambert shading of a height map; 1 for horizontal surfaces."""
+    blur = max(0.05 / px, 0.4)
+    height = cast("_F", cv2.GaussianBlur(height, (0, 0), blur, borderType=cv2.BORDER_REPLICATE))
+    slope_v, slope_u = np.gradient(height, px)
+    slope_u, slope_v = np.clip(slope_u, -2, 2), np.clip(slope_v, -2, 2)
+    lambert = (light[2] - light[0] * slope_u - light[1] * slope_v) / np.sqrt(1 + slope_u**2 + slope_v**2)
+    ambient = 0.45
+    return cast("_F", np.clip(ambient + (1 - ambient) * lambert / light[2], 0.38, 1.35).astype(np.float32))
+
+
+def _car(
+    car: _Car, body: str, u: _F, v: _F, length: float, width: float, px: float, light: tuple[float, float, float]
+) -> _F:
+    half_width = width / 2
+    t = (length / 2 - u) / length
+    across = np.abs(v) / half_width
+    inset = _car_inset(body, u, v, t, across, length, width)
+    cover = _soft(inset, px)
+
+    # Greenhouse: almost as wide as the body at its base, narrower at the roof.
+    base_front = car.glass_front - 0.025 * (1 - np.clip(across, 0, 1) ** 2)
+    rise = np.minimum((t - base_front) / (car.roof_front - car.glass_front), 1.0)
+    fall = np.minimum((car.glass_rear - t) / max(car.glass_rear - car.roof_rear, 0.01), 1.0)
+    cabin = np.clip(np.minimum(rise, fall), 0, 1)
+    lean = np.clip((_BASE_HALF_WIDTH - across) / (_BASE_HALF_WIDTH - car.roof_half_width), 0, 1)
+    belt = car.bonnet + (car.boot - car.bonnet) * np.clip(t, 0, 1)
+    roof_height = 2.1 if body == "van" else 1.65 if body == "suv" else car.cabin_height
+    crown = 0.05 * (1 - np.clip(across, 0, 1) ** 2)
+    edge = np.clip(inset / 0.22, 0, 1)
+    height = belt * (0.55 + 0.45 * np.sqrt(edge)) + crown + (roof_height - belt) * np.minimum(cabin, lean)
+    shade = _lit(height.astype(np.float32), px, light)
+
+    glass = _car_glass(car, t, across, base_front, length, half_width, px)
+    if body == "van":
+        glass *= 1 - _soft(((t - 0.30) * length).astype(np.float32), px)
+    paint = shade * (1 - glass)
+    # Windscreens reflect the sky: brighter towards the roof.
+    grey = glass * (38 + 26 * np.clip(rise, 0, 1) * (t < 0.5) + 14 * (shade - 0.8))
+    if car.bed:
+        bed = _band(t * length, car.bed_front * length, 0.965 * length, px) * _soft(
+            ((0.80 - across) * half_width).astype(np.float32), px
+        )
+        paint *= 1 - 0.85 * bed
+        grey += 26 * bed * (1 - glass)
+    gloss = (
+        np.exp(-(((v / half_width) - 0.35 * np.sign(-light[1] or 1.0)) ** 2) / 0.05) * np.clip(edge, 0, 1) * (1 - glass)
+    )
+    grey += 11 * gloss  # along bonnet and roof
+    red = _car_trim(car, paint, grey, t, across, length, half_width, px)
+    return cast("_F", np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32))
+
+
+def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, width: float) -> _F:
+    """Compute the distance inside the outline in metres; front and rear are rounded and slightly narrower."""
+    half_length, half_width = length / 2, width / 2
+    rounding = 0.10 * width if body == "van" else 0.17 * width
+    front = half_length - rounding * np.clip(across, 0, 1.2) ** 3.5
+    rear = half_length - 0.5 * rounding * np.clip(across, 0, 1.2) ** 4
+    side = half_width * (
+        1 - 0.07 * np.clip((0.16 - t) / 0.16, 0, 1) ** 2 - 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
+    )
+    return cast("_F", np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32))
+
+
+def _car_glass(car: _Car, t: _F, across: _Reals, base_front: _Reals, length: float, half_width: float, px: float) -> _F:
+    """Compute the share of glass: windscreen, rear window, and side windows between their pillars."""
+    base_half, roof_half = _BASE_HALF_WIDTH, car.roof_half_width
+    in_cabin = _soft(
+        (np.minimum(np.minimum(t - base_front, car.glass_rear - t) * length, (base_half - across) * half_width)).astype(
+            np.float32
+        ),
+        px,
+    )
+    taper = (
+        roof_half + 0.06 * np.clip((car.roof_front - t) / 0.1, 0, 1) + 0.04 * np.clip((t - car.roof_rear) / 0.1, 0, 1)
+    )
+    on_roof = _soft(
+        np.minimum(
+            np.minimum(t - car.roof_front, car.roof_rear - t) * length, (roof_half - across) * half_width
+        ).astype(np.float32),
+        px,
+    )
+    screen = in_cabin * _soft(((taper - across) * half_width).astype(np.float32), px) * (1 - on_roof)
+    sides = in_cabin * _soft(((across - roof_half - 0.02) * half_width).astype(np.float32), px)
+    sides *= _soft(((0.885 - across) * half_width).astype(np.float32), px) * _band(
+        t * length, (car.roof_front - 0.07) * length, (min(car.roof_rear + 0.05, 0.97)) * length, px
+    )
+    pillar = (car.roof_front * 0.45 + car.roof_rear * 0.55) * length
+    pillars = _band(t * length, pillar - 0.06, pillar + 0.06, px)
+    return cast("_F", np.clip(screen + sides * (1 - pillars), 0, 1))
+
+
+def _car_trim(
+    car: _Car, paint: _Reals, grey: _Reals, t: _F, across: _Reals, length: float, half_width: float, px: float
+) -> _Reals:
+    """Draw seams, grille and lamps into ``paint`` and ``grey``; return the red of the rear lamps."""
+    seam = _band(t * length, car.glass_front * length - 0.10, car.glass_front * length - 0.05, px)
+    paint *= 1 - 0.35 * seam * _soft(((0.86 - across) * half_width).astype(np.float32), px)
+    grille = _band(t * length, 0.0, 0.07, px) * _soft(((0.55 - across) * half_width).astype(np.float32), px)
+    paint *= 1 - 0.55 * grille
+    lamp_side = _soft(((across - 0.60) * half_width).astype(np.float32), px)
+    lamps = _band(t * length, 0.06, 0.30, px) * lamp_side * (across < 0.97)
+    paint *= 1 - 0.7 * lamps
+    grey += 120 * lamps
+    rear_lamps = _band(t * length, length - 0.20, length - 0.03, px) * lamp_side
+    paint *= 1 - 0.75 * rear_lamps
+    return 110 * rear_lamps
+
+
+def _heavy(body: str, u: _F, v: _F, length: float, width: float, px: float, light: tuple[float, float, float]) -> _F:
+    half_length, half_width = length / 2, width / 2
+    rounding = 0.10 if body in ("truck", "semitrailer") else 0.30
+    corner_u = np.maximum(np.abs(u) - (half_length - rounding), 0)
+    corner_v = np.maximum(np.abs(v) - (half_width - rounding), 0)
+    box = np.minimum(half_length - np.abs(u), half_width - np.abs(v))
+    inset = np.where((corner_u > 0) & (corner_v > 0), rounding - np.hypot(corner_u, corner_v), box).astype(np.float32)
+    cover = _soft(inset, px)
+    from_front = (half_length - u).astype(np.float32)
+    height = (3.0 * np.sqrt(np.clip(inset / 0.25, 0, 1))).astype(np.float32)
+    inner = _soft((half_width - 0.25 - np.abs(v)).astype(np.float32), px)
+    grey = np.zeros_like(cover)
+    dark = np.zeros_like(cover)
+    if body in ("truck", "semitrailer"):
+        cab = 2.1
+        gap = _band(from_front, cab, cab + (0.35 if body == "truck" else 0.8), px)
+        dark = np.maximum(gap, _band(from_front, 0.12, 0.45, px) * inner * 0.85)
+        height -= (1.0 * _soft((cab - from_front).astype(np.float32), px)).astype(np.float32)
+        ribs = (np.floor(from_front / 1.2) % 2).astype(np.float32)
+        grey += 4 * ribs * (from_front > cab + 0.8)
+    elif body == "bus":
+        dark = _band(from_front, 0.05, 0.35, px) * inner * 0.8
+        for centre in (0.22, 0.55, 0.8):
+            hatch = _band(from_front, centre * length - 0.45, centre * length + 0.45, px)
+            hatch *= _soft((0.42 - np.abs(v)).astype(np.float32), px)
+            dark = np.maximum(dark, 0.25 * hatch)
+        unit = _band(from_front, 0.33 * length, 0.33 * length + 2.2, px)
+        unit *= _soft((0.8 - np.abs(v)).astype(np.float32), px)
+        height += (0.3 * unit).astype(np.float32)
+        grey += 14 * unit
+    else:
+        for centre in (0.25, 0.5, 0.72):
+            dark = np.maximum(
+                dark,
+                0.7
+                * _band(from_front, centre * length - 0.3, centre * length + 0.3, px)
+                * _soft((0.3 - np.abs(v)).astype(np.float32), px),
+            )
+    shade = _lit(height, px, light)
+    paint = shade * (1 - dark)
+    grey = grey + 34 * dark
+    return cast("_F", np.stack([cover, paint * cover, grey * cover, 0 * cover], axis=2).astype(np.float32))
+
+
+def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool = False) -> _F:
+    """Draw a crown of leaf clusters in sunlight.
+
+    Args:
+        rng: random generator of the clusters.
+        size: rows and columns.
+        sun: direction of the light.
+        conical: whether the tree is a conifer or cypress.
+
+    Returns:
+        [size, size, 2]; see the module.
+    """
+    axis = (((np.arange(size) + 0.5) / size * 2 - 1) * CROWN_SPAN).astype(np.float32)
+    height = np.full((size, size), -1.0, dtype=np.float32)
+    count = 150
+    lobes = 1 + 0.10 * rng.standard_normal(4)
+    phases = rng.uniform(0, 2 * np.pi, 4)
+    for _ in range(count):
+        distance, angle = np.sqrt(rng.uniform(0, 1)), rng.uniform(0, 2 * np.pi)
+        reach = 0.90 * (1 + sum(0.09 * lobes[n] * np.cos((n + 2) * angle + phases[n]) for n in range(4)))
+        radius = rng.uniform(0.10, 0.24) * (0.7 if conical else 1.0)
+        x, y = (
+            reach * (1 - radius * 0.6) * distance * np.cos(angle),
+            reach * (1 - radius * 0.6) * distance * np.sin(angle),
+        )
+        level = 1.6 * (1 - distance) if conical else 0.85 * np.sqrt(max(0.0, 1 - 0.85 * distance**2))
+        level += rng.normal(0, 0.06)
+        columns = slice(*np.searchsorted(axis, (x - radius, x + radius)))
+        rows = slice(*np.searchsorted(axis, (y - radius, y + radius)))
+        squared = radius**2 - (axis[None, columns] - x) ** 2 - (axis[rows, None] - y) ** 2
+        cluster = np.where(squared > 0, level + np.sqrt(np.maximum(squared, 0)) - radius, -1)
+        height[rows, columns] = np.maximum(height[rows, columns], cluster)
+    inside = (height > -1).astype(np.float32)
+    leaves = rng.standard_normal((size, size)).astype(np.float32)
+    leaves = cast("_F", cv2.GaussianBlur(leaves, (0, 0), max(0.6, 0.014 * size), borderType=cv2.BORDER_REPLICATE))
+    leaves /= leaves.std()
+    surface = np.where(inside > 0, height, -0.3).astype(np.float32) + 0.018 * leaves
+    step = float(axis[1] - axis[0])
+    light = sun.light()
+    slope_y, slope_x = np.gradient(cv2.GaussianBlur(surface, (0, 0), max(0.5, size / 110)), step)
+    slope_x, slope_y = np.clip(slope_x, -2.5, 2.5), np.clip(slope_y, -2.5, 2.5)
+    lambert = (light[2] - light[0] * slope_x - light[1] * slope_y) / np.sqrt(1 + slope_x**2 + slope_y**2)
+    # Clusters cast shadows on those behind them.
+    lit = np.ones_like(surface)
+    rise = np.tan(sun.elevation)
+    for distance in (0.06, 0.12, 0.2, 0.3, 0.42):
+        dx, dy = light[0] / np.cos(sun.elevation) * distance, light[1] / np.cos(sun.elevation) * distance
+        blocker = np.roll(surface, (-round(dy / step), -round(dx / step)), axis=(0, 1))
+        lit = np.minimum(lit, np.clip(1 - (blocker - surface - distance * rise) / 0.10, 0, 1))
+    depth = np.clip((surface + 0.1) / 0.9, 0, 1)
+    value = (0.34 + 0.26 * depth) + 0.62 * np.clip(lambert, 0, 1) * lit
+    value = value * (1 + 0.09 * leaves)
+    cover = cast("_F", cv2.GaussianBlur(inside, (0, 0), max(0.5, size / 160)))
+    return cast("_F", np.stack([cover, np.clip(value, 0.15, 1.5) * cover], axis=2).astype(np.float32))

@@ -1,0 +1,248 @@
+"""Objects of known area: a folder with an ``index.csv`` and label images, in which each number is an object.
+
+Columns: ``image`` and ``mask`` (relative to the folder), ``category``, ``gsd_m_per_px``, and optionally ``split``. A
+mask has 8 or 16 bit with 0 as background; an image can have several.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from vehanchor.errors import ImageDecodeError, ImageFormatError, ImageNotFoundError, InvalidParameterError
+from vehanchor_evaluation.known_scale import FileIssue
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+MIN_SIDE_PX = 15  # of an object's box; smaller objects are too coarse for a mask
+INDEX, COLUMNS = "index.csv", ("image", "mask", "category", "gsd_m_per_px")
+
+
+@dataclass(frozen=True, eq=False)
+class AreaEntry:
+    """Object whose area is requested.
+
+    Attributes:
+        name: mask and number.
+        image: path of the image.
+        mask_file: path of its label image.
+        category: its category.
+        gsd_m_per_px: true GSD of the image.
+        left_px: column of the mask's first pixel in the image.
+        top_px: row of the mask's first pixel in the image.
+        mask: ``[h, w]`` bool, its true mask, cropped to its box.
+    """
+
+    name: str
+    image: Path
+    mask_file: Path
+    category: str
+    gsd_m_per_px: float
+    left_px: int
+    top_px: int
+    mask: NDArray[np.bool_]
+
+    @property
+    def mask_area_px(self) -> int:
+        """Pixels of its true mask."""
+        return int(self.mask.sum())
+
+    @property
+    def area_m2(self) -> float:
+        """True area, ``mask_area_px * GSD^2``."""
+        return self.mask_area_px * self.gsd_m_per_px**2
+
+    @property
+    def corners(self) -> tuple[float, float, float, float]:
+        """Box as a prompt: x1, y1, x2, y2; the image's first pixel spans 0 to 1."""
+        height, width = self.mask.shape
+        return self.left_px, self.top_px, self.left_px + width, self.top_px + height
+
+
+class AreaSet(NamedTuple):
+    """Objects of a folder.
+
+    Attributes:
+        source: the folder.
+        sha256: SHA-256 of its index, which results refer to.
+        entries: the objects; categories alternate, so any number of first entries is balanced.
+        issues: rows and files that could not be used.
+    """
+
+    source: Path
+    sha256: str
+    entries: tuple[AreaEntry, ...]
+    issues: tuple[FileIssue, ...]
+
+
+class _Row(NamedTuple):
+    image: Path
+    mask: Path
+    name: str
+    category: str
+    gsd_m_per_px: float
+
+
+def read_areas(
+    folder: Path,
+    split: str | None = None,
+    *,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> AreaSet:
+    """Read the objects of a folder.
+
+    Args:
+        folder: folder with ``index.csv``.
+        split: use only rows of this split; None uses all.
+        workers: masks read in parallel.
+        progress: called with (masks read, total).
+
+    Raises:
+        InvalidParameterError: the index or a column is missing, the split has no rows, or there is no object.
+    """
+    rows, issues = _rows(folder, split)
+    entries: list[AreaEntry] = []
+    with ThreadPoolExecutor(workers) as pool:
+        for done, found in enumerate(pool.map(_entries, rows), start=1):
+            if isinstance(found, FileIssue):
+                issues.append(found)
+            else:
+                entries += found
+            if progress is not None:
+                progress(done, len(rows))
+    if not entries:
+        first = f"; the first problem: {issues[0].file}: {issues[0].message}" if issues else ""
+        raise InvalidParameterError(f"{folder} has no object of {MIN_SIDE_PX} px and more{first}")
+    sha256 = hashlib.sha256((folder / INDEX).read_bytes()).hexdigest()
+    return AreaSet(folder, sha256, tuple(_alternating(entries)), tuple(issues))
+
+
+def _rows(folder: Path, split: str | None) -> tuple[list[_Row], list[FileIssue]]:
+    index = folder / INDEX
+    try:
+        with index.open(newline="", encoding="utf-8") as handle:
+            reader = csv.DictReader(handle)
+            missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+            lines = list(enumerate(reader, start=2))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidParameterError(f"{index}: {error}; give a folder with an index.csv of masks") from None
+    if missing:
+        raise InvalidParameterError(f"{index} has no column {', '.join(missing)}: it needs {', '.join(COLUMNS)}")
+    chosen = [(line, row) for line, row in lines if split is None or row.get("split") == split]
+    if not chosen:
+        known = sorted({row.get("split") or "" for _, row in lines})
+        raise InvalidParameterError(f"{index} has no rows of split {split!r}: it has {', '.join(known) or 'no rows'}")
+    rows, issues, seen = [], [], set()
+    for line, cells in chosen:
+        row = _row(folder, cells)
+        if row is None:
+            issues.append(FileIssue(index, "malformed_row", f"line {line}: expected {','.join(COLUMNS)}, gsd > 0"))
+        elif row.name in seen:
+            issues.append(FileIssue(index, "duplicate_name", f"line {line}: {cells['mask']} is already listed"))
+        else:
+            seen.add(row.name)
+            rows.append(row)
+    return rows, issues
+
+
+def _row(folder: Path, cells: Mapping[str, str | None]) -> _Row | None:
+    image, mask, category, gsd_text = (cells[column] or "" for column in COLUMNS)
+    try:
+        gsd = float(gsd_text)
+    except ValueError:
+        return None
+    if not (math.isfinite(gsd) and gsd > 0 and image and mask and category):
+        return None
+    return _Row((folder / image).resolve(), folder / mask, str(Path(mask).with_suffix("")), category, gsd)
+
+
+def _entries(row: _Row) -> list[AreaEntry] | FileIssue:
+    """Read the objects of a row, or the reason why there are none."""
+    if not row.image.is_file():
+        return FileIssue(row.image, "no_image", "it has a mask, but there is no such file")
+    try:
+        objects = list(read_masks(row.mask))
+    except (OSError, ValueError) as error:
+        return FileIssue(row.image, "unreadable_masks", str(error))
+    return [
+        AreaEntry(f"{row.name}-{number}", row.image, row.mask, row.category, row.gsd_m_per_px, left, top, mask)
+        for number, left, top, mask in objects
+        if min(mask.shape) >= MIN_SIDE_PX
+    ]
+
+
+def _alternating(entries: Sequence[AreaEntry]) -> list[AreaEntry]:
+    turns: Counter[str] = Counter()
+
+    def turn(entry: AreaEntry) -> int:
+        turns[entry.category] += 1
+        return turns[entry.category]
+
+    return sorted(entries, key=turn)
+
+
+# --- Label images ----------------------------------------------------------------------------------------------------
+
+
+def read_masks(path: Path) -> Iterator[tuple[int, int, int, NDArray[np.bool_]]]:
+    """Read the objects of a label image of 8 or 16 bit: see ``split_instances``.
+
+    Raises:
+        ImageError: the file cannot be read, or is not a label image.
+    """
+    numbers = read_pixels(path)
+    if numbers.ndim != 2 or numbers.dtype not in (np.uint8, np.uint16):
+        raise ImageFormatError(f"{path}: masks must have one band of 8 or 16 bit, got {numbers.dtype} {numbers.shape}")
+    return split_instances(numbers)
+
+
+def read_pixels(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any]:
+    """Decode a label image exactly as stored, from any path that Python can open.
+
+    Raises:
+        ImageNotFoundError: there is no such file.
+        ImageDecodeError: the file is damaged or not an image.
+    """
+    try:
+        data = np.frombuffer(path.read_bytes(), np.uint8)
+    except OSError as error:
+        raise ImageNotFoundError(f"{path}: {error.strerror}") from None
+    pixels = cv2.imdecode(data, flags) if len(data) else None
+    if pixels is None:
+        raise ImageDecodeError(f"{path}: damaged, or not an image")
+    return np.asarray(pixels)
+
+
+def split_instances(ids: NDArray[np.integer[Any]]) -> Iterator[tuple[int, int, int, NDArray[np.bool_]]]:
+    """Split a label image into its objects.
+
+    Args:
+        ids: ``[h, w]``, 0 for the background; numbers may have gaps.
+
+    Yields:
+        Number, left, top and mask, ``[h', w']`` bool, of each object, in the order of the numbers.
+    """
+    from scipy.ndimage import find_objects
+
+    present = np.zeros(int(ids.max(initial=0)) + 1, bool)
+    present[ids] = True
+    present[0] = False
+    numbers = np.flatnonzero(present)
+    ranks = np.zeros(len(present), np.int32)
+    ranks[numbers] = np.arange(1, len(numbers) + 1)
+    ranked = ranks[ids]
+    for rank, place in enumerate(find_objects(ranked), start=1):
+        yield int(numbers[rank - 1]), place[1].start, place[0].start, ranked[place] == rank

@@ -1,0 +1,227 @@
+"""The deeds of a model with the tools, against a stand-in for its service."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from research.paper.__main__ import app
+from research.paper.agents import (
+    AgentRun,
+    Redescribed,
+    agent_score,
+    ask_agent,
+    read_descriptions,
+    read_reply,
+)
+from research.paper.question_set import Direction, Task, picture_of, question_set, task_of
+from research.paper.vlm_api import Budget, open_api, reply_journal
+from research.results.record import tables_of
+from tests.research.paper.model_service import Answer, Asked, ModelService, UseTool, model_service
+from vehanchor.errors import InvalidParameterError
+
+RENDERED = [each for each in question_set() if each.scene is not None]
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first two rendered pictures."""
+    folder = tmp_path_factory.mktemp("pictures")
+    for each in RENDERED[:2]:
+        picture_of(each, folder, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def asked(pictures: Path) -> list[tuple[Task, Path]]:
+    return [(task_of(each, "distance"), pictures / each.file) for each in RENDERED[:2]]
+
+
+class Tools:
+    """Tools that measure rightly, or with a factor."""
+
+    def __init__(self, truth_m: dict[str, float], factor: float = 1.0, status: str = "ok") -> None:
+        tool = {"name": "measure_distance", "description": "Measures distances."}
+        self.anthropic_tools: list[dict[str, Any]] = [{**tool, "input_schema": {"type": "object"}}]
+        self.openai_tools: list[dict[str, Any]] = [{"type": "function", "function": {**tool, "parameters": {}}}]
+        self._truth_m, self._factor, self._status = truth_m, factor, status
+
+    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
+        assert name == "measure_distance"
+        metres = self._truth_m[Path(arguments["image"]["path"]).name] * self._factor
+        return json.dumps({"status": self._status, "low": 0.9 * metres, "high": 1.1 * metres}), False
+
+
+def _careful(asked: Asked) -> Answer:
+    """A model that measures, and abstains unless the status is ok."""
+    path = re.search(r"The file is (\S+)\. Measure", asked.text)
+    assert path is not None
+    if not asked.tool_results:
+        return UseTool("measure_distance", {"image": {"kind": "path", "path": path[1]}})
+    record = json.loads(asked.tool_results[-1])
+    return f"ANSWER={record['low']:.3f} to {record['high']:.3f}" if record["status"] == "ok" else "ANSWER=unknown"
+
+
+def _run(asked: list[tuple[Task, Path]], folder: Path | None = None, **told: Any) -> tuple[AgentRun, list[str]]:
+    truth = {path.name: task.truth_m(800, 640) for task, path in asked}
+    with model_service(ModelService(answer=_careful)) as service:
+        api = open_api("openai-compatible", "m", reply_journal(folder), Budget(), base_url=f"{service.url}/v1")
+        run = ask_agent(asked, api, Tools(truth, **told))
+    return run, [path for path, _, _ in service.requests]
+
+
+def test_deeds_calls_and_tokens_are_counted(asked: list[tuple[Task, Path]]) -> None:
+    right, _ = _run(asked)
+    assert agent_score("m", "distance", right.answers, right.calls, right.tokens).acted_rightly == 2
+    assert right.calls == 2
+    assert right.tokens > 0
+    wrong, _ = _run(asked, factor=1.5)
+    assert agent_score("m", "distance", wrong.answers).acted_wrongly == 2
+    low, _ = _run(asked, status="low_confidence")
+    counted = agent_score("m", "distance", low.answers)
+    needlessly = sum(task.expected == "act" for task, _ in asked)
+    assert (counted.abstained_needlessly, counted.abstained_rightly) == (needlessly, 2 - needlessly)
+
+
+@pytest.mark.parametrize(
+    ("expected", "interval", "deed"),
+    [
+        ("act", (9.0, 11.0), "acted rightly"),
+        ("act", (11.0, 12.0), "acted wrongly"),
+        ("act", None, "abstained needlessly"),
+        ("abstain", None, "abstained rightly"),
+        ("abstain", (11.0, 12.0), "acted wrongly"),
+    ],
+)
+def test_a_deed_is_judged(expected: str, interval: tuple[float, float] | None, deed: str) -> None:
+    question = RENDERED[0].model_copy(update={"expected": expected, "gsd_m_per_px": 0.0125})
+    assert task_of(question, "distance").deed(interval, 1000, 640) == deed  # 10 m
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "reply"),
+    [
+        ("distance", "So\nANSWER=3.5 to 4.5 m", (3.5, 4.5)),
+        ("distance", "ANSWER=yes", None),
+        ("fit", "**ANSWER=yes**", True),
+        ("fit", "ANSWER=3 to 4", None),
+        ("direction", "ANSWER=45 deg, 3.5 to 4.5 m", Direction(45.0, (3.5, 4.5))),
+        ("direction", "ANSWER=10 deg, 1 to 2\nANSWER=312.5\u00b0, 10 to 12", Direction(312.5, (10.0, 12.0))),
+        ("direction", "ANSWER=45 degrees", None),
+        ("direction", "ANSWER=3.5 to 4.5", None),
+        ("direction", "ANSWER=unknown", None),
+    ],
+)
+def test_a_reply_is_read_for_its_task(kind: Any, text: str, reply: Any) -> None:
+    assert read_reply(kind, text) == reply
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"), [("fit", "m long fit between (0.5, 0.2) and"), ("direction", "In which dir")]
+)
+def test_a_model_acts_in_tasks_of_fit_and_direction(asked: list[tuple[Task, Path]], kind: Any, words: str) -> None:
+    (first, path) = asked[0]
+    task = task_of(first.question.model_copy(update={"expected": "act"}), kind)
+    task = Task(task.question, kind, task.ends, 0.6 if kind == "fit" else 0.0)
+    truth, told = task.truth_m(800, 640), []
+
+    def answering(shown: Asked) -> Answer:
+        told.append(shown.text)
+        if kind == "fit":
+            return "ANSWER=yes"
+        return f"ANSWER={task.bearing_deg(800, 640):.0f} deg, {0.9 * truth:.1f} to {1.1 * truth:.1f}"
+
+    with model_service(ModelService(answer=answering)) as service:
+        api = open_api("openai-compatible", "m", reply_journal(None), Budget(), base_url=f"{service.url}/v1")
+        run = ask_agent([(task, path)], api, Tools({}))
+    assert words in told[0]
+    assert [each.deed for each in run.answers] == ["acted rightly"]
+
+
+def test_what_was_recognised_is_told_in_words(asked: list[tuple[Task, Path]]) -> None:
+    told: list[str] = []
+
+    def listening(shown: Asked) -> Answer:
+        told.append(shown.text)
+        return "ANSWER=unknown"
+
+    (task, path) = asked[0]
+    fact = {"x1": 0.1, "y1": 0.2, "x2": 0.3, "y2": 0.2, "metres": "iso_container_40ft"}
+    with model_service(ModelService(answer=listening)) as service:
+        api = open_api("openai-compatible", "m", reply_journal(None), Budget(), base_url=f"{service.url}/v1")
+        told_fact = task_of(task.question.model_copy(update={"facts": (fact,)}), "distance")
+        ask_agent([(told_fact, path)], api, Tools({}))
+    assert "The line from (0.1, 0.2) to (0.3, 0.2) seems to be iso_container_40ft." in told[0]
+
+
+def test_a_transcript_is_read_without_a_request(asked: list[tuple[Task, Path]], tmp_path: Path) -> None:
+    first, requests = _run(asked, tmp_path)
+    assert len(requests) == 4
+    with model_service(ModelService(answer=_careful)) as service:
+        # The service's address is a part of each request: replies of another service do not count.
+        url = f"{service.url}/v1"
+        for n_requests in (4, 4):
+            api = open_api("openai-compatible", "m", reply_journal(tmp_path), Budget(), base_url=url)
+            truth = {path.name: task.truth_m(800, 640) for task, path in asked}
+            again = ask_agent(asked, api, Tools(truth))
+            assert len(service.requests) == n_requests
+            assert [each.deed for each in again.answers] == [each.deed for each in first.answers]
+
+
+def test_other_descriptions_reach_the_model_for_both_apis(tmp_path: Path) -> None:
+    tools = Tools({})
+    path = tmp_path / "b.json"
+    path.write_text(json.dumps({"measure_distance": "Other words."}))
+    other = read_descriptions(path, tools)
+    assert isinstance(other, Redescribed)
+    assert other.anthropic_tools[0]["description"] == other.openai_tools[0]["function"]["description"] == "Other words."
+    assert tools.anthropic_tools[0]["description"] == "Measures distances."
+    for text in ("[]", "{}", '{"no_such_tool": "x"}', '{"measure_distance": 5}', "not JSON"):
+        path.write_text(text)
+        with pytest.raises(InvalidParameterError, match="--descriptions"):
+            read_descriptions(path, tools)
+
+
+def test_the_command_compares_two_versions_of_the_descriptions(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", "k")
+    descriptions = tmp_path / "b.json"
+    descriptions.write_text(json.dumps({"measure_distance": "Other words."}))
+    with model_service(ModelService(answer=lambda _: "ANSWER=unknown")) as service:
+        tasks = ["--task", "distance", "--task", "direction"]
+        options = ["--provider", "openai-compatible", "--model", "m", "--base-url", f"{service.url}/v1"]
+        done = CliRunner().invoke(
+            app,
+            [
+                "agents",
+                str(pictures),
+                "--limit",
+                "1",
+                "--descriptions",
+                str(descriptions),
+                *tasks,
+                *options,
+            ],
+        )
+    assert done.exit_code == 0, done.output
+    (table,) = tables_of(done.stdout)
+    planners = ["with what it recognises", "without", "m", "m, b.json"]
+    assert [row[0] for row in table.rows] == [name for name in planners for _ in range(2)]
+    assert [row[1] for row in table.rows] == 4 * ["distance", "direction"]
+    assert all(row[table.columns.index("acted wrongly")] == 0 for row in table.rows)
+    offered = [[tool["function"] for tool in payload["tools"]] for _, _, payload in service.requests]
+    seen = [next(each["description"] for each in tools if each["name"] == "measure_distance") for tools in offered]
+    assert len(seen) == 4
+    assert seen[0] == seen[1] != seen[2] == seen[3] == "Other words."
+
+
+def test_missing_pictures_are_rendered(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["agents", str(tmp_path / "new"), "--limit", "1", "--task", "fit"])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "new" / RENDERED[0].file).is_file()

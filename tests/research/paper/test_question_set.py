@@ -1,0 +1,171 @@
+"""The forty questions: what they hold, and how a planner's deeds are judged."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from research.paper.question_set import (
+    TASKS,
+    Direction,
+    SetQuestion,
+    Task,
+    TaskKind,
+    ask_set,
+    checked_file,
+    question_set,
+    task_of,
+)
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options import KnownLength
+from vehanchor.rulers.standards import check_name
+
+RENDERED = [each for each in question_set() if each.scene is not None]
+
+
+class Told:
+    """Tools with one answer for every image."""
+
+    def __init__(self, **record: Any) -> None:
+        self.anthropic_tools: list[dict[str, Any]] = []
+        self.openai_tools: list[dict[str, Any]] = []
+        self._record = record
+        self.asked: list[dict[str, Any]] = []
+
+    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
+        assert name == "measure_distance"
+        self.asked.append(arguments)
+        size = {"image_width_px": 800, "image_height_px": 640}
+        return f"words\n{json.dumps({**size, **self._record})}", False
+
+
+def _here(question: SetQuestion, folder: Path, kind: TaskKind = "distance") -> tuple[Task, Path]:
+    """The task about a small file."""
+    path = folder / "a.png"
+    path.write_bytes(b"a picture")
+    return task_of(question.model_copy(update={"sha256": hashlib.sha256(b"a picture").hexdigest()}), kind), path
+
+
+def test_there_are_forty_half_of_them_rendered_and_traps_among_them() -> None:
+    questions = question_set()
+    assert (len(questions), len(RENDERED)) == (40, 20)
+    assert len({each.sha256 for each in questions}) == 40
+    assert sum(each.why.startswith("trap") for each in questions) >= 8
+    assert min(Counter(each.expected for each in questions).values()) >= 15
+
+
+def test_every_fact_is_a_line_inside_the_picture() -> None:
+    for each in question_set():
+        for fact in each.facts:
+            assert all(0 <= fact[end] <= 1 for end in ("x1", "y1", "x2", "y2"))
+            KnownLength.of([*(fact[end] for end in ("x1", "y1", "x2", "y2")), fact["metres"]])
+            if isinstance(fact["metres"], str):
+                check_name(fact["metres"])
+
+
+@pytest.mark.parametrize(
+    ("record", "expected", "deed"),
+    [
+        ({"status": "low_confidence"}, "act", "abstained needlessly"),
+        ({"status": "low_confidence"}, "abstain", "abstained rightly"),
+        ({"status": "ok", "distance_ci95_low_m": 0.9, "distance_ci95_high_m": 1.1}, "act", "acted rightly"),
+        ({"status": "ok", "distance_ci95_low_m": 1.05, "distance_ci95_high_m": 1.2}, "abstain", "acted wrongly"),
+    ],
+)
+def test_a_deed_is_judged_by_the_interval_and_by_what_was_known(
+    record: dict[str, Any], expected: str, deed: str, tmp_path: Path
+) -> None:
+    question = RENDERED[0].model_copy(update={"expected": expected})
+    truth = 0.8 * 800 * question.gsd_m_per_px
+    told = {key: value * truth if isinstance(value, float) else value for key, value in record.items()}
+    (answered,) = ask_set([_here(question, tmp_path)], Told(**told, distance_m=truth), catalogue=True)
+    assert answered.deed == deed
+
+
+def test_the_bearing_is_that_of_the_picture_not_of_fractions_of_its_sides() -> None:
+    def bearing(end: tuple[float, float], width_px: int = 400, height_px: int = 400) -> float:
+        return Task(RENDERED[0], "direction", ((0.5, 0.5), end)).bearing_deg(width_px, height_px)
+
+    assert [bearing(end) for end in ((0.5, 0.2), (0.8, 0.5), (0.5, 0.8), (0.2, 0.5))] == pytest.approx(
+        [0, 90, 180, 270]
+    )
+    assert bearing((0.6, 0.4)) == pytest.approx(45)
+    assert bearing((0.6, 0.4), 1600, 400) == pytest.approx(76, abs=0.1)
+
+
+def test_a_direction_is_right_within_five_degrees_and_with_a_right_interval() -> None:
+    task = task_of(RENDERED[0].model_copy(update={"expected": "act"}), "direction")
+    size = 800, 640
+    bearing, truth = task.bearing_deg(*size), task.truth_m(*size)
+    around = 0.9 * truth, 1.1 * truth
+    assert task.deed(Direction((bearing - 4) % 360, around), *size) == "acted rightly"
+    assert task.deed(Direction((bearing + 364) % 360, around), *size) == "acted rightly"
+    assert task.deed(Direction((bearing + 6) % 360, around), *size) == "acted wrongly"
+    assert task.deed(Direction(-bearing % 360, around), *size) == "acted wrongly"
+    assert task.deed(Direction(bearing, (1.1 * truth, 1.3 * truth)), *size) == "acted wrongly"
+    assert task.deed(around, *size) == "acted wrongly", "an interval alone is no direction"
+    assert task.deed(None, *size) == "abstained needlessly"
+
+
+def test_a_fit_is_right_by_the_lengths_and_nobody_can_decide_an_equal_one() -> None:
+    question = RENDERED[0].model_copy(update={"expected": "act"})
+    ends = task_of(question, "fit").ends
+    small, large, equal = (Task(question, "fit", ends, share) for share in (0.6, 1.6, 1.0))
+    assert [small.deed(reply, 800, 640) for reply in (True, False)] == ["acted rightly", "acted wrongly"]
+    assert [large.deed(reply, 800, 640) for reply in (True, False)] == ["acted wrongly", "acted rightly"]
+    assert [equal.deed(reply, 800, 640) for reply in (True, False)] == ["acted wrongly", "acted wrongly"]
+    assert equal.deed(None, 800, 640) == "abstained rightly"
+    assert small.needed_m(800, 640) == pytest.approx(0.6 * small.truth_m(800, 640))
+
+
+def test_each_kind_of_fit_and_all_directions_occur() -> None:
+    fits = Counter(task_of(each, "fit").share for each in question_set())
+    assert set(fits) == {0.6, 1.0, 1.6}
+    assert min(fits.values()) >= 5
+    assert len({task_of(each, "direction").ends for each in question_set()}) >= 6
+    for each in question_set():
+        assert all(0.1 <= value <= 0.9 for kind in TASKS for end in task_of(each, kind).ends for value in end)
+
+
+@pytest.mark.parametrize(
+    ("share", "deed"), [(0.6, "acted rightly"), (1.6, "acted rightly"), (1.0, "abstained rightly")]
+)
+def test_the_script_says_whether_a_length_fits_unless_the_interval_leaves_it_open(
+    share: float, deed: str, tmp_path: Path
+) -> None:
+    task, path = _here(RENDERED[0].model_copy(update={"expected": "act"}), tmp_path, "fit")
+    task = Task(task.question, "fit", task.ends, share)
+    truth = task.truth_m(800, 640)
+    told = Told(status="ok", distance_m=truth, distance_ci95_low_m=0.9 * truth, distance_ci95_high_m=1.1 * truth)
+    (answered,) = ask_set([(task, path)], told, catalogue=True)
+    assert answered.deed == deed
+
+
+def test_the_tasks_of_a_picture_are_one_call(tmp_path: Path) -> None:
+    tools = Told(status="no_scale")
+    tasks = [_here(RENDERED[0], tmp_path, kind) for kind in TASKS]
+    answers = ask_set(tasks, tools, catalogue=False)
+    assert [each.task.kind for each in answers] == list(TASKS)
+    assert [len(asked["lines"]) for asked in tools.asked] == [3]
+
+
+def test_without_the_catalogue_no_fact_is_given(tmp_path: Path) -> None:
+    question = next(each for each in RENDERED if each.facts)
+    for catalogue in (True, False):
+        tools = Told(status="no_scale")
+        ask_set([_here(question, tmp_path)], tools, catalogue=catalogue)
+        assert ("known_lengths" in tools.asked[0]) == catalogue
+
+
+def test_a_missing_file_and_another_one_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    with pytest.raises(InvalidParameterError, match="is missing"):
+        checked_file(RENDERED[0], path)
+    path.write_bytes(b"a picture")
+    with pytest.raises(InvalidParameterError, match="another file"):
+        checked_file(RENDERED[0], path)
