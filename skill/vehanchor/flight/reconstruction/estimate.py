@@ -200,6 +200,7 @@ def search_model(
     """
     files = photograph_files(model, images)
     tell, silent = detector.runtime.tell, detector.under(replace(detector.runtime, progress=None))
+    tell(0, len(files))
     whole = model_plane(model)
     found: list[SeenPhotograph | Failure] = []
     for number, (shot, file) in enumerate(zip(model.shots, files, strict=True)):

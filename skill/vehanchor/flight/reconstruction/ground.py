@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _LEAST_POINTS = 20
 _MOST_POINTS = 4000  # for a fit
 _TRIALS = 400
+_MOST_DESCENTS = 8  # from one roof to a lower one
 _SEED = 5
 _LEAST_CROSS = 1e-12  # three points in a line
 _THICKNESS = 0.015  # of the ground, as a share of the cameras' height above it
@@ -44,6 +45,10 @@ class Plane:
     def heights(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Compute heights ``[n]`` of points ``[n, 3]`` above the plane."""
         return np.asarray(points @ self.normal - self.offset)
+
+    def below(self, point: NDArray[np.float64], whole: Plane) -> float:
+        """Compute how far the plane lies below a point ``[3]``, along the normal of the model's plane."""
+        return float((point @ self.normal - self.offset) / (self.normal @ whole.normal))
 
 
 def model_plane(model: Reconstruction) -> Plane:
@@ -83,9 +88,9 @@ def plane_below(shot: Shot, points: NDArray[np.float64], whole: Plane) -> Plane:
     if len(chosen) < _LEAST_POINTS:
         return whole
     thickness = _THICKNESS * height
-    found = _lowest(_upwards(_most_common(chosen, thickness, whole), shot.centre), chosen, thickness, whole)
+    found = _lowest(_most_common(chosen, thickness, whole), chosen, thickness, whole)
     holds = _support(whole, chosen, thickness) >= _WHOLE_SHARE * _support(found, chosen, thickness)
-    return whole if holds else found
+    return whole if holds or found.heights(shot.centre[None])[0] <= 0 else found
 
 
 def local_heights(
@@ -116,16 +121,21 @@ def local_heights(
 
 
 def _lowest(plane: Plane, points: NDArray[np.float64], thickness: float, whole: Plane) -> Plane:
-    """Descend from a plane of roofs to the ground: the lowest plane with enough points."""
+    """Descend from a plane of roofs to the ground: the lowest plane with enough points.
+
+    Lower means lower in the middle of the points: the two slopes of a hill would take turns for ever.
+    """
     least = max(_LEAST_POINTS, _LOWER_SHARE * _support(plane, points, thickness))
-    while True:
-        below = points[plane.heights(points) < -2 * thickness]
-        if len(below) < least:
-            return plane
-        found = _most_common(below, thickness, whole)
-        if _support(found, below, thickness) < least:
-            return plane
-        plane = found if found.normal @ whole.normal > 0 else Plane(-found.normal, -found.offset)
+    middle = np.median(points, axis=0)
+    for _ in range(_MOST_DESCENTS):
+        points = points[plane.heights(points) < -2 * thickness]
+        if len(points) < least:
+            break
+        found = _most_common(points, thickness, whole)
+        if _support(found, points, thickness) < least or found.below(middle, whole) <= plane.below(middle, whole):
+            break
+        plane = found
+    return plane
 
 
 def _support(plane: Plane, points: NDArray[np.float64], thickness: float) -> int:
@@ -147,22 +157,27 @@ def _most_common(points: NDArray[np.float64], thickness: float, whole: Plane | N
     Args:
         points: ``[n, 3]``, at least three.
         thickness: half of the plane's thickness.
-        whole: plane whose slope the found one has, within 15 degrees: a house has faces; None for any slope.
+        whole: plane whose normal the found one has, within 15 degrees: a house has faces, and the fit to a thin strip
+            of one would be the face; None for any normal.
     """
     rng = np.random.default_rng(_SEED)
     steepest = 0.0 if whole is None else math.cos(math.atan(_STEEPEST))
-    best, most = np.ones(len(points), dtype=bool), 0
+    best, most, tried = np.ones(len(points), dtype=bool), 0, np.zeros(3)
     for _ in range(_TRIALS):
         a, b, c = points[rng.choice(len(points), 3, replace=False)]
         normal = np.cross(b - a, c - a)
         size = float(np.linalg.norm(normal))
         if size < _LEAST_CROSS or (whole is not None and abs(normal @ whole.normal) < steepest * size):
             continue
-        inside = np.abs((points - a) @ (normal / size)) <= thickness
+        normal /= size
+        inside = np.abs((points - a) @ normal) <= thickness
         if int(inside.sum()) > most:
-            best, most = inside, int(inside.sum())
+            best, most, tried = inside, int(inside.sum()), normal
     if whole is not None and most == 0:  # no slope fits: as steep as the model, at the middle height
         return Plane(whole.normal, whole.offset + float(np.median(whole.heights(points))))
     centre = points[best].mean(axis=0)
     normal = np.linalg.svd(points[best] - centre, full_matrices=False)[2][2]
+    if whole is not None:
+        normal = normal if abs(normal @ whole.normal) >= steepest else tried
+        normal = normal if normal @ whole.normal > 0 else -normal
     return Plane(normal, float(normal @ centre))

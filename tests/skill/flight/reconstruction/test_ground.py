@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,20 @@ def test_a_slope_has_a_plane_of_its_own_below_each_shot() -> None:
     level = model_plane(_model(GROUND))
     plane = plane_below(shot, slope, level)
     assert plane.heights(shot.centre[None]) == pytest.approx([(60 - 7.5) * np.cos(np.arctan(0.15))], abs=0.3)
+
+
+@pytest.mark.timeout(60)
+def test_two_slopes_of_a_hill_do_not_take_turns() -> None:
+    hill = GROUND + np.outer(20 - 0.2 * np.abs(GROUND[:, 0] - 55), [0, 0, 1])
+    shot = _shot(Pose(50, 50, 80))
+    plane = plane_below(shot, hill, model_plane(_model(GROUND)))
+    assert abs(plane.normal[0]) == pytest.approx(math.sin(math.atan(0.2)), abs=0.02)  # one of the slopes
+
+
+def test_faces_of_houses_are_no_ground() -> None:
+    face = np.column_stack([RNG.uniform(0, 100, 700), RNG.normal(-50, 0.02, 700), RNG.uniform(0, 40, 700)])
+    plane = plane_below(_shot(Pose(50, 50, 60)), np.concatenate([face, face - [0, 30, 0]]), model_plane(_model(GROUND)))
+    assert plane.normal[2] >= math.cos(math.radians(15))
 
 
 def test_points_around_a_car_raise_its_ground() -> None:
