@@ -216,7 +216,7 @@ def _scaled_text(path: Path, first: int, factor: float, every: int = 1) -> bytes
     for row in _bytes(path).decode().splitlines():
         if not row.startswith("#"):
             if number % every == 0 and row.strip():
-                cells = row.split(" ")
+                cells = row.split(maxsplit=first + 3)
                 cells[first : first + 3] = [repr(float(cell) * factor) for cell in cells[first : first + 3]]
                 row = " ".join(cells)
             number += 1

@@ -78,6 +78,18 @@ def test_a_rescaled_colmap_model_differs_in_its_lengths_alone(tmp_path: Path, wr
         write_rescaled(old, tmp_path / "new", 2.5)
 
 
+def test_fields_of_colmap_may_be_several_blanks_apart(tmp_path: Path) -> None:
+    folder = _text(tmp_path / "old")
+    for file in folder.iterdir():
+        rows = [row if row.startswith("#") else row.replace(" ", "  ") for row in file.read_text().splitlines()]
+        file.write_text("\n".join(rows).replace("a  b.jpg", "a b.jpg") + "\n")
+    old = read_model(folder)
+    new = read_model(write_rescaled(old, tmp_path / "new", 2.5))
+    assert new.points == pytest.approx(2.5 * old.points)
+    assert [shot.name for shot in new.shots] == ["a b.jpg", "deep/c.jpg"]
+    assert [shot.centre for shot in new.shots] == [pytest.approx(2.5 * shot.centre) for shot in old.shots]
+
+
 def test_damaged_files_are_refused_and_named(tmp_path: Path) -> None:
     whole = {path.name: path.read_bytes() for path in _binary(tmp_path / "whole").iterdir()}
     for name, found in whole.items():
