@@ -134,6 +134,8 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         FleetAppearance(*(np.concatenate(part)[place] for part in zip(*fleets, strict=True))) if fleets else None,
         classes[order] if named else None,
         Objects.joined(),
+        n_tiles_total=sum(each.n_tiles_total or each.n_tiles for each in detections),
+        n_skipped=sum(each.n_skipped for each in detections),
         verified=all(each.verified for each in detections),
         stopped_because=next(ends, None),
     )

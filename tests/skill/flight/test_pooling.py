@@ -61,6 +61,15 @@ def test_photographs_searched_without_a_car_count_as_searched() -> None:
     assert pooled_detections([NOT_SEARCHED, NOT_SEARCHED], np.zeros(2)).stopped_because is None
 
 
+def test_tiles_and_skipped_candidates_add_up() -> None:
+    first, second = (
+        Detections(np.zeros((0, 5)), np.zeros(0), 3, 1, n_tiles_total=20, n_skipped=5),
+        Detections(np.zeros((0, 5)), np.zeros(0), 4, 0, n_tiles_total=30, n_skipped=2),
+    )
+    pooled = pooled_detections([first, second], np.zeros(2))
+    assert (pooled.n_tiles, pooled.n_capped_tiles, pooled.n_tiles_total, pooled.n_skipped) == (7, 1, 50, 7)
+
+
 def test_looks_at_vehicles_stay_with_their_boxes() -> None:
     first = Detections(
         np.full((3, 5), 1.0),
