@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vehanchor.errors import ReconstructionError
 from vehanchor.flight.reconstruction.model import Lens, Reconstruction, Shot
@@ -19,41 +20,33 @@ from vehanchor.storage.atomic import whole_file
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
 _FILES = ("cameras", "images", "points3D")
 _MOST_BYTES = 8 << 30
 _POSE, _NAME_BYTES = struct.Struct("<I7dI"), 1024
+_THREE = struct.Struct("<3d")
 _POINT = struct.Struct("<Q3d3BdQ")
 
 
 class _CameraModel(NamedTuple):
-    """Camera model of COLMAP.
+    """Camera model of COLMAP: its number in binary files, focal lengths (1 or 2), and parameters in all."""
 
-    Attributes:
-        n_focals: focal lengths, 1 or 2, before the principal point.
-        n_parameters: all parameters.
-        fisheye: whether it is a fisheye.
-    """
-
+    number: int
     n_focals: int
     n_parameters: int
-    fisheye: bool = False
 
 
 _MODELS = {
-    "SIMPLE_PINHOLE": _CameraModel(1, 3),
-    "PINHOLE": _CameraModel(2, 4),
-    "SIMPLE_RADIAL": _CameraModel(1, 4),
-    "RADIAL": _CameraModel(1, 5),
-    "OPENCV": _CameraModel(2, 8),
-    "OPENCV_FISHEYE": _CameraModel(2, 8, fisheye=True),
-    "FULL_OPENCV": _CameraModel(2, 12),
-    "SIMPLE_RADIAL_FISHEYE": _CameraModel(1, 4, fisheye=True),
-    "RADIAL_FISHEYE": _CameraModel(1, 5, fisheye=True),
+    "SIMPLE_PINHOLE": _CameraModel(0, 1, 3),
+    "PINHOLE": _CameraModel(1, 2, 4),
+    "SIMPLE_RADIAL": _CameraModel(2, 1, 4),
+    "RADIAL": _CameraModel(3, 1, 5),
+    "OPENCV": _CameraModel(4, 2, 8),
+    "OPENCV_FISHEYE": _CameraModel(5, 2, 8),
+    "FULL_OPENCV": _CameraModel(6, 2, 12),
+    "SIMPLE_RADIAL_FISHEYE": _CameraModel(8, 1, 4),
+    "RADIAL_FISHEYE": _CameraModel(9, 1, 5),
 }
-_NUMBERS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV", 5: "OPENCV_FISHEYE"}
-_NUMBERS |= {6: "FULL_OPENCV", 8: "SIMPLE_RADIAL_FISHEYE", 9: "RADIAL_FISHEYE"}
+_NAMES = {model.number: name for name, model in _MODELS.items()}
 
 
 def is_colmap(folder: Path) -> bool:
@@ -102,16 +95,21 @@ def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
         OutputError: a file cannot be written.
     """
     text = (folder / "images.txt").is_file()
-    scaled: dict[str, Callable[[Path], bytes]] = {
-        "cameras": Path.read_bytes,
-        "images": lambda path: _scaled_text(path, 5, factor, every=2) if text else _scaled_images(path, factor),
-        "points3D": lambda path: _scaled_text(path, 1, factor) if text else _scaled_points(path, factor),
-    }
-    for name, convert in scaled.items():
-        file = f"{name}{'.txt' if text else '.bin'}"
-        with whole_file(target / file) as partial:
-            partial.write_bytes(convert(folder / file))
+    ending = ".txt" if text else ".bin"
+    cameras, images, points = (folder / f"{name}{ending}" for name in _FILES)
+    _write(target / cameras.name, _bytes(cameras))
+    if text:
+        _write(target / images.name, _scaled_text(images, 5, factor, every=2))
+        _write(target / points.name, _scaled_text(points, 1, factor))
+    else:
+        _write(target / images.name, _scaled_binary(images, _image_offsets, 36, factor))
+        _write(target / points.name, _scaled_binary(points, _point_offsets, 8, factor))
     return target
+
+
+def _write(path: Path, content: bytes | bytearray) -> None:
+    with whole_file(path) as partial:
+        partial.write_bytes(content)
 
 
 def _bytes(path: Path) -> bytearray:
@@ -147,26 +145,28 @@ def _binary_cameras(found: bytearray) -> dict[int, Lens]:
     for _ in range(n):
         number, kind, width, height = struct.unpack_from("<IiQQ", found, at)
         at += 24
-        if kind not in _NUMBERS:
-            raise ReconstructionError(f"a camera has COLMAP's model number {kind}: supported are {', '.join(_MODELS)}")
-        n_parameters = _MODELS[_NUMBERS[kind]].n_parameters
-        parameters = struct.unpack_from(f"<{n_parameters}d", found, at)
+        name = _NAMES.get(kind, f"number {kind}")
+        n_parameters = _supported(name).n_parameters
+        lenses[number] = _lens(name, width, height, struct.unpack_from(f"<{n_parameters}d", found, at))
         at += 8 * n_parameters
-        lenses[number] = _lens(_NUMBERS[kind], float(width), float(height), parameters)
     return lenses
 
 
-def _lens(kind: str, width: float, height: float, parameters: Sequence[float]) -> Lens:
+def _supported(kind: str) -> _CameraModel:
     if kind not in _MODELS:
         raise ReconstructionError(f"a camera has COLMAP's model {kind}: supported are {', '.join(_MODELS)}")
-    n_focals, n_parameters, fisheye = _MODELS[kind]
+    return _MODELS[kind]
+
+
+def _lens(kind: str, width: float, height: float, parameters: Sequence[float]) -> Lens:
+    _, n_focals, n_parameters = _supported(kind)
     if len(parameters) != n_parameters or not all(np.isfinite(parameters)) or min(parameters[:n_focals]) <= 0:
         raise ValueError(f"parameters of a camera {kind}: {parameters}")
     focal_x, focal_y = parameters[0], parameters[n_focals - 1]
     distortion = tuple(parameters[n_focals + 2 :])
     distortion += (0.0,) * (4 - len(distortion))
     centre_x, centre_y = parameters[n_focals : n_focals + 2]
-    return Lens(width, height, focal_x, focal_y, centre_x, centre_y, distortion, fisheye)
+    return Lens(width, height, focal_x, focal_y, centre_x, centre_y, distortion, kind.endswith("FISHEYE"))
 
 
 def _image_offsets(found: bytearray) -> Iterator[int]:
@@ -176,6 +176,7 @@ def _image_offsets(found: bytearray) -> Iterator[int]:
         end = found.index(b"\0", at + _POSE.size) + 1
         (n_points,) = struct.unpack_from("<Q", found, end)
         at = end + 8 + 24 * n_points
+    _check_end(found, at)
 
 
 def _binary_shot(found: bytearray, at: int, lenses: dict[int, Lens]) -> Shot:
@@ -190,24 +191,20 @@ def _point_offsets(found: bytearray) -> Iterator[int]:
     for _ in range(n):
         yield at
         at += _POINT.size + 8 * _POINT.unpack_from(found, at)[-1]
+    _check_end(found, at)
+
+
+def _check_end(found: bytearray, at: int) -> None:
+    if at != len(found):
+        raise ValueError(f"{len(found)} bytes instead of {at}")
 
 
 def _shot(name: str, lens: Lens, pose: Sequence[float]) -> Shot:
     """Make a shot from a quaternion (w first) and a translation."""
     if not np.isfinite(pose).all():
         raise ValueError(f"the pose of {name!r} is {pose}")
-    return Shot(name, lens, _rotation(pose[:4]), np.array(pose[4:], dtype=np.float64))
-
-
-def _rotation(quaternion: Sequence[float]) -> NDArray[np.float64]:
-    w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    w, *axis = pose[:4]
+    return Shot(name, lens, Rotation.from_quat([*axis, w]).as_matrix(), np.array(pose[4:], dtype=np.float64))
 
 
 def _scaled_text(path: Path, first: int, factor: float, every: int = 1) -> bytes:
@@ -224,19 +221,9 @@ def _scaled_text(path: Path, first: int, factor: float, every: int = 1) -> bytes
     return ("\n".join(rows) + "\n").encode()
 
 
-def _scaled_images(path: Path, factor: float) -> bytes:
+def _scaled_binary(path: Path, offsets: Callable[[bytearray], Iterator[int]], first: int, factor: float) -> bytearray:
+    """Scale three numbers of every entry, ``first`` bytes after its beginning."""
     found = _bytes(path)
-    for at in list(_image_offsets(found)):
-        _scale_three(found, at + 4 + 32, factor)
-    return bytes(found)
-
-
-def _scaled_points(path: Path, factor: float) -> bytes:
-    found = _bytes(path)
-    for at in list(_point_offsets(found)):
-        _scale_three(found, at + 8, factor)
-    return bytes(found)
-
-
-def _scale_three(found: bytearray, at: int, factor: float) -> None:
-    struct.pack_into("<3d", found, at, *(value * factor for value in struct.unpack_from("<3d", found, at)))
+    for at in offsets(found):
+        _THREE.pack_into(found, at + first, *(factor * each for each in _THREE.unpack_from(found, at + first)))
+    return found
