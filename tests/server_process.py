@@ -7,7 +7,6 @@ import os
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -22,15 +21,6 @@ from vehanchor_scenes import render_scene
 SERVE = [sys.executable, "-c", "import typer; from vehanchor_server.command import serve; typer.run(serve)"]
 START_S = 120
 IDLE_S = 7.0  # by then an idle worker has given back what it does not need
-_PAGE_BYTES = 4096
-_PROBE = """
-import sys, time, urllib.request
-while True:
-    started = time.perf_counter()
-    urllib.request.urlopen(sys.argv[1], timeout=60).read()
-    print(1000 * (time.perf_counter() - started), flush=True)
-    time.sleep(0.1)
-"""
 
 
 class HttpServer(NamedTuple):
@@ -74,14 +64,6 @@ def target(box: tuple[float, float, float, float]) -> dict[str, Any]:
     return {"target": {"box": dict(zip(("x_min", "y_min", "x_max", "y_max"), box, strict=True))}}
 
 
-def write_large_image(directory: Path, side_px: int = 4096) -> Path:
-    """One scene repeated: what matters is the number of pixels."""
-    tile = render_scene(0.15, width_px=1024, height_px=1024, seed=5).image
-    path = directory / "large.png"
-    _write(path, np.tile(tile, (side_px // 1024, side_px // 1024, 1)))
-    return path
-
-
 def _write(path: Path, image: np.ndarray) -> None:
     assert cv2.imwrite(str(path), image[:, :, ::-1])
 
@@ -108,22 +90,6 @@ def http_server(*flags: str) -> Iterator[HttpServer]:
             process.wait(20)
         except subprocess.TimeoutExpired:
             process.kill()
-
-
-@contextlib.contextmanager
-def health_times_ms(server: HttpServer) -> Iterator[list[float]]:
-    """Ask for the server's health all the time, in a process that does nothing else; sorted times, there at the end."""
-    times: list[float] = []
-    with tempfile.TemporaryFile("w+") as printed:
-        command = [sys.executable, "-c", _PROBE, server.url.replace("/mcp", "/healthz")]
-        process = subprocess.Popen(command, stdout=printed)
-        try:
-            yield times
-        finally:
-            process.kill()
-            process.wait()
-            printed.seek(0)
-            times += sorted(map(float, printed.read().split()))
 
 
 def child_processes(pid: int) -> list[int]:
@@ -167,10 +133,3 @@ def _pss_mib(pid: int) -> float:
             if line.startswith("Pss:"):
                 return int(line.split()[1]) / 1024
     return 0.0
-
-
-def resident_mib(pid: int) -> float:
-    """Memory of a process, MiB (Linux); 0 of one that has ended."""
-    if not Path(f"/proc/{pid}").exists():
-        return 0.0
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES / (1 << 20)

@@ -7,7 +7,6 @@ all of them with the truth, with the region unknown and given. ``matched`` cuts 
 out of mosaics; two thirds of them lose their vehicles. ``cost`` measures what comes
 beyond the detection for 200 photographs of 12 Mpx: features, pairs, matches, the graph. ``real`` holds the scales of
 DATA/flights/garfield, which ``vehanchor flight --out`` wrote, against the heights and positions of its metadata.
-Tilted cameras: ``research/benchmarks/tilt.py``.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 import rasterio
 
-from research.benchmarks.networks_time import networks_seconds
+from research.benchmarks.speed import networks_seconds
 from research.results.record import add_record_option, header, recording
 from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.detection.detector import load_detector

@@ -123,25 +123,13 @@ def start(folder: Path) -> list[Row]:
     small = folder / "small.png"
     cv2.imwrite(str(small), render_scene(0.15, width_px=256, height_px=256, seed=5).image[:, :, ::-1])
     overhead, first = printed("server_overhead", "--calls", "15", "--starts", "5")
-    (memory,) = printed("server_memory", "--rounds", "1", "--calls", "15")
     picture = command_time("-m", "vehanchor", "estimate", str(small))
     listing = first.value("first `tools/list` after the start, median, s", "value")
     beyond = overhead.value("`estimate_gsd`", "overhead, median, ms")
-    area, alone, worker = (
-        memory.value(name, "value")
-        for name in (
-            "measure_area with a known scale, median, ms",
-            "PSS of the server alone once loaded, MiB",
-            "PSS of the largest worker after both tools, MiB",
-        )
-    )
     return [
         ("`vehanchor estimate`, 256 x 256 px, s", "0.9", [round(picture, 2)]),
         ("first `tools/list`, s", "0.8", [listing]),
         ("warm `estimate_gsd` over stdio beyond the library, ms", "10", [beyond]),
-        ("`measure_area` with a known scale over HTTP, ms", "60", [area]),
-        ("server alone, once loaded, MiB", "120", [alone]),
-        ("largest worker after both tools, MiB", "260", [worker]),
     ]
 
 

@@ -12,14 +12,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import onnxruntime
 
-from research.benchmarks.networks_time import networks_seconds
 from research.results.record import add_record_option, recording
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import search_levels
@@ -32,13 +33,41 @@ from vehanchor.options import ScaleOptions, Search
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
 
 _EVERY_TILE = ScaleOptions(search=Search(effort="full"))  # an image of that size is not searched wholly by default
+
+
+@contextmanager
+def networks_seconds(clock: Callable[[], float]) -> Iterator[dict[str, float]]:
+    """Count the seconds in ONNX Runtime, by the names of the networks' inputs and outputs.
+
+    Args:
+        clock: ``time.perf_counter``; or ``time.thread_time`` for CPU time, which is all of a network's where it runs in
+            one thread.
+
+    Yields:
+        Seconds, growing.
+    """
+    spent: dict[str, float] = defaultdict(float)
+    run = onnxruntime.InferenceSession.run
+
+    def timed(session: Any, outputs: Any, feeds: Any, run_options: Any = None) -> Any:
+        started = clock()
+        try:
+            return run(session, outputs, feeds, run_options)
+        finally:
+            spent[f"{next(iter(feeds))} to {session.get_outputs()[0].name}"] += clock() - started
+
+    onnxruntime.InferenceSession.run = timed
+    try:
+        yield spent
+    finally:
+        onnxruntime.InferenceSession.run = run
 
 
 def large_scene() -> NDArray[np.uint8]:

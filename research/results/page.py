@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["TOPICS", "main", "missing_quotes", "page", "render"]
 
 ROOT = FOLDER.parents[1]
-TOPICS = ("scale", "detection", "rulers", "areas", "flights", "tilt", "speed", "server", "agents")
+TOPICS = ("scale", "detection", "rulers", "areas", "flights", "speed", "server", "agents")
 _TABLE = re.compile(r"\{\{table ([\w.]+) \| (.*?)(?: \| rows (.*?))?\}\}")
 _VALUE = re.compile(r"\{\{([\w.]+) \| (.*?) \| (.*?)(?: \| (\.\d+f))?\}\}", re.DOTALL)
 

@@ -4,11 +4,11 @@ A benchmark prints Markdown. Inside ``recording`` its tables also go into a data
 kept cannot differ:
 
     options = add_record_option(parser).parse_args()
-    with recording("tilt", ["angles", "areas"], options.record):
-        print(table_of_angles, table_of_areas)
+    with recording("speed", ["search", "start"], options.record):
+        print(table_of_searches, table_of_starts)
 
-``--record`` writes the two tables under ``angles`` and ``areas`` of ``research/results/tilt.json``; ``--record int8``
-under ``angles_int8`` and ``areas_int8``. Without ``--record`` nothing is written. An entry has a title, the date, the
+``--record`` writes the two tables under ``search`` and ``start`` of ``research/results/speed.json``; ``--record int8``
+under ``search_int8`` and ``start_int8``. Without ``--record`` nothing is written. An entry has a title, the date, the
 command, the machine, and a table of columns, units and rows.
 """
 

@@ -32,7 +32,7 @@ def test_the_page_is_current() -> None:
 
 
 def test_a_visitor_reads_the_page_in_one_go() -> None:
-    assert len(page().splitlines()) <= 150
+    assert len(page().splitlines()) <= 140
 
 
 def test_the_documents_quote_what_was_measured() -> None:

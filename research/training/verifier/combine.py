@@ -81,7 +81,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--detector", default="vehicles", help="name of the detector whose candidates these are")
     parser.add_argument("--clear-score", type=float, default=0.0, help="of research.training.verifier.calibrate")
-    parser.add_argument("--size-weight", type=float, default=0.0, help="of research.training.verifier.sizes")
+    parser.add_argument("--size-weight", type=float, default=0.3, help="of the scene-scale prior")
     options = parser.parse_args()
     found = load(options.run / "held_out.npz")
     session = onnxruntime.InferenceSession(options.run / "verifier.onnx")

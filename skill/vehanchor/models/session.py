@@ -92,7 +92,7 @@ def _share_arena() -> None:
 
     They then keep as much memory as the largest of them needs. Without an arena, runs allocate every layer's memory
     again and leave twice as much behind. With one arena per model, ONNX Runtime's default, each model keeps its own
-    (``research/results/server.json``, ``arena``).
+    (``research/results/notes.md``).
     """
     memory = onnxruntime.OrtMemoryInfo(
         "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT

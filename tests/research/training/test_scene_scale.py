@@ -31,7 +31,6 @@ onnxruntime = pytest.importorskip("onnxruntime")
 
 from research.training.scene_scale.calibrate import fit, log_score, report  # noqa: E402 - PyTorch may be missing
 from research.training.scene_scale.cases import Case, load, save, searched_cases  # noqa: E402
-from research.training.scene_scale.compare import some_of_each, summary  # noqa: E402
 from research.training.scene_scale.data import (  # noqa: E402
     CropStream,
     ScaledImage,
@@ -246,13 +245,3 @@ def test_numbers_of_chia_train_or_check_and_never_both(tmp_path: Path) -> None:
     train, check = ([source.path.stem for source in chia_photographs(tmp_path, odd=odd)] for odd in (True, False))
     assert train == ["DJI_0017", "DJI_0019"] * 2  # a photograph and its crop; an oblique one has no scale
     assert check == ["DJI_0016", "DJI_0018"] * 2
-
-
-def test_a_comparison_takes_images_of_each_set_and_tells_error_from_interval() -> None:
-    images = [_image(name, 0.2) for name in ("cannes", "ucm") for _ in range(9)]
-    assert [image.set for image in some_of_each(images, 3)] == ["cannes"] * 3 + ["ucm"] * 3
-    rows = [("a", 0.1, error, holds, np.log(2.0)) for error, holds in ((0.1, True), (-0.2, True), (0.6, False))]
-    found = summary(rows)
-    assert found["median_abs_log_error"] == 0.2
-    assert found["within_1.5"] == found["interval_holds"] == 0.667
-    assert found["median_high_over_low"] == 2.0

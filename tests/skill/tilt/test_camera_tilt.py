@@ -48,7 +48,7 @@ def test_cars_are_of_one_length_on_the_plane() -> None:
 
 
 def test_boxes_of_the_proportions_of_a_car_seen_from_above_are_of_one_length_on_the_plane() -> None:
-    """The detector draws them so at 30 degrees (research/results/notes), whichever way the car points."""
+    """The detector draws them so at 30 degrees (research/results/notes.md), whichever way the car points."""
     tilt = CameraTilt(30.0, 0.0, FOCAL, "metadata")
     middle = np.array([WIDTH, HEIGHT]) / 2
     step = tilt.plane(FACTS, GSD).length([middle, middle], middle + np.eye(2))
