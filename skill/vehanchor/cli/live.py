@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
 from typing import Annotated
 
 import typer
@@ -35,11 +34,6 @@ def live(
         float | None,
         typer.Option(metavar="S", help="End after so many seconds without a new frame. Default: never."),
     ] = None,
-    mavlink: Annotated[
-        str | None,
-        typer.Option(metavar="HOST:PORT", help="Also send MAVLink NAMED_VALUE_FLOAT over UDP (extra mavlink)."),
-    ] = None,
-    mavlink_system: Annotated[int, typer.Option(metavar="ID", help="MAVLink system of the vehicle, 1 to 255.")] = 1,
     precision: Annotated[
         Precision,
         typer.Option(help="Number format of the detector. Default: int8 where the processor is fast with it."),
@@ -49,15 +43,10 @@ def live(
 ) -> None:
     """Estimate the scale while flying: one JSON line for each frame. Advisory; the newest frame wins."""
     with exit_on_error():
-        from vehanchor.flight.live.mavlink import MavlinkSender
-
         engine = ParsedOptions({**chosen.typed, "precision": precision}).engine()
         records = engine.live(source, every_s=every, hold_s=hold, idle_s=idle, tell=_tell)
-        with nullcontext() if mavlink is None else MavlinkSender(mavlink, _tell, system=mavlink_system) as sender:
-            for record in records:
-                print(record.model_dump_json(), flush=True)
-                if sender is not None:
-                    sender.send(record)
+        for record in records:
+            print(record.model_dump_json(), flush=True)
 
 
 def _tell(sentence: str) -> None:

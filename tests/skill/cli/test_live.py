@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import socket
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,19 +50,6 @@ def test_a_damaged_frame_is_told_and_passed_over(run: Any, tmp_path: Path) -> No
     assert "1.png" in done.stderr
 
 
-def test_the_scale_goes_out_over_mavlink_too(run: Any) -> None:
-    common = pytest.importorskip("pymavlink.dialects.v20.common")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
-        station.bind(("127.0.0.1", 0))
-        station.settimeout(5)
-        done = run(".", "--idle", 1, "--mavlink", f"127.0.0.1:{station.getsockname()[1]}")
-        messages = common.MAVLink(None).parse_buffer(station.recv(2048))
-    record = json.loads(done.stdout)
-    assert [each.name for each in messages] == ["VEH_GSD", "VEH_GSD_LO", "VEH_GSD_HI", "VEH_CONF"]
-    assert messages[0].value == pytest.approx(record["gsd_m_per_px"])
-    assert messages[3].value == pytest.approx(record["confidence"])
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -71,8 +57,6 @@ def test_the_scale_goes_out_over_mavlink_too(run: Any) -> None:
         (".", "--hold", "0"),
         (".", "--every", "nan"),
         (".", "--idle", "-1"),
-        (".", "--mavlink", "14550"),
-        (".", "--mavlink", "127.0.0.1:9", "--mavlink-system", "0"),
     ],
 )
 def test_a_wrong_argument_is_refused_before_the_work(run: Any, arguments: tuple[str, ...]) -> None:
