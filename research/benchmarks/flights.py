@@ -28,19 +28,19 @@ import numpy as np
 from research.results.record import add_record_option, recording, values_table
 from vehanchor.detection.detections import Detections
 from vehanchor.engine import Engine
-from vehanchor.flight.components import single_component
-from vehanchor.flight.estimate import conclude, search_flight
-from vehanchor.flight.features import Features, find_features
-from vehanchor.flight.inputs import InputPhotograph
-from vehanchor.flight.io import read_record
-from vehanchor.flight.matching import match
-from vehanchor.flight.pairs import candidate_pairs
-from vehanchor.flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
-from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
+from vehanchor_flight.components import single_component
+from vehanchor_flight.estimate import conclude, search_flight
+from vehanchor_flight.features import Features, find_features
+from vehanchor_flight.inputs import InputPhotograph
+from vehanchor_flight.io import read_record
+from vehanchor_flight.matching import match
+from vehanchor_flight.pairs import candidate_pairs
+from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
+from vehanchor_flight.record import Failure, conclude_flight
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector
-    from vehanchor.records import FlightEstimate, FlightLink
+    from vehanchor_flight.records import FlightEstimate, FlightLink
 
 _REGIONS = {"cannes": "europe", "estonia": "northern_europe", "ucm": "north_america", "saopaulo": "south_america"}
 _FLIGHTS, _PHOTOGRAPHS = 4, 24

@@ -24,14 +24,13 @@ if TYPE_CHECKING:
         analyse_area,
         analyse_distance,
         analyse_scale,
-        estimate_flight,
         estimate_gsd,
         measure_area,
         measure_distance,
     )
     from vehanchor.imagery.sources.files import find_images
     from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
     from vehanchor.scale.calibration import Calibration, load_calibration
 
     __version__: str
@@ -42,13 +41,12 @@ _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing un
     "imagery.sources.files": ("find_images",),
     "engine": ("Cancellation", "Detector", "Engine", "Runtime", "Segmenter"),
     "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "Rulers", "ScaleOptions", "Search"),
-    "records": ("AreaMeasurement", "DistanceMeasurement", "FlightEstimate", "GsdEstimate", "KnownScale"),
+    "records": ("AreaMeasurement", "DistanceMeasurement", "GsdEstimate", "KnownScale"),
     "scale.calibration": ("Calibration", "load_calibration"),
     "engine.verbs": (
         "analyse_area",
         "analyse_distance",
         "analyse_scale",
-        "estimate_flight",
         "estimate_gsd",
         "measure_area",
         "measure_distance",
@@ -65,7 +63,6 @@ __all__ = [
     "DistanceAnalysis",
     "DistanceMeasurement",
     "Engine",
-    "FlightEstimate",
     "Frame",
     "GsdEstimate",
     "ImageLimits",
@@ -84,7 +81,6 @@ __all__ = [
     "analyse_area",
     "analyse_distance",
     "analyse_scale",
-    "estimate_flight",
     "estimate_gsd",
     "find_images",
     "load_calibration",

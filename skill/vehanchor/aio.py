@@ -17,7 +17,7 @@ import anyio.to_thread
 from vehanchor.engine import Cancellation, verbs
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from typing import Unpack
 
     from vehanchor.engine import (
@@ -25,17 +25,14 @@ if TYPE_CHECKING:
         AreaMeasurement,
         DistanceMeasurement,
         EstimateKeywords,
-        FlightEstimate,
-        FlightKeywords,
         GsdEstimate,
         ImageSource,
-        InputPhotograph,
         MeasureKeywords,
         Place,
         ScaleOptions,
     )
 
-__all__ = ["estimate_flight", "estimate_gsd", "measure_area", "measure_distance"]
+__all__ = ["estimate_gsd", "measure_area", "measure_distance"]
 
 T = TypeVar("T")
 
@@ -76,15 +73,6 @@ async def measure_distance(
 ) -> DistanceMeasurement:
     """Measure the length of a line on the ground; see ``vehanchor.measure_distance``."""
     return await _in_thread(partial(verbs.measure_distance, image, path, options), keywords)
-
-
-async def estimate_flight(
-    images: Iterable[ImageSource | InputPhotograph],
-    options: ScaleOptions | None = None,
-    **keywords: Unpack[FlightKeywords],
-) -> FlightEstimate:
-    """Estimate the scales of the photographs of one flight; see ``vehanchor.estimate_flight``."""
-    return await _in_thread(partial(verbs.estimate_flight, images, options), keywords)
 
 
 async def _in_thread(verb: Callable[..., T], keywords: Mapping[str, Any]) -> T:

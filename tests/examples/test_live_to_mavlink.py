@@ -7,6 +7,7 @@ import socket
 import struct
 import subprocess
 import sys
+from collections.abc import Mapping
 
 from tests.conftest import ROOT
 
@@ -27,7 +28,7 @@ BY_PYMAVLINK = bytes.fromhex(  # the four messages of SCALE, packed by pymavlink
 )
 
 
-def _sent(*records: dict[str, float | None]) -> list[bytes]:
+def _sent(*records: Mapping[str, float | None]) -> list[bytes]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
         station.bind(("127.0.0.1", 0))
         station.settimeout(0.2)

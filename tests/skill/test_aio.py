@@ -89,7 +89,7 @@ async def test_a_list_of_images_gives_a_list_of_records(detector: Detector) -> N
     )
 
 
-@pytest.mark.parametrize("verb", ["estimate_gsd", "measure_area", "measure_distance", "estimate_flight"])
+@pytest.mark.parametrize("verb", ["estimate_gsd", "measure_area", "measure_distance"])
 def test_every_verb_has_a_twin_of_the_same_arguments(verb: str) -> None:
     assert verb in vehanchor.aio.__all__
     twin, original = getattr(vehanchor.aio, verb), getattr(vehanchor, verb)

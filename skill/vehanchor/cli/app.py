@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 
 _GROUP = "vehanchor.commands"
 _PANELS = {
-    **dict.fromkeys(
-        ("estimate", "distance", "measure", "batch", "flight", "live", "rescale", "scalebar", "view"), "Measure"
-    ),
+    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "scalebar", "view"), "Measure"),
     **dict.fromkeys(("serve", "schemas", "skill"), "For agents"),
     **dict.fromkeys(("doctor", "models", "rulers"), "This installation"),
 }
@@ -41,8 +39,6 @@ _FIRST = (
     "measure",
     "batch",
     "flight",
-    "live",
-    "rescale",
     "scalebar",
     "view",
     "doctor",

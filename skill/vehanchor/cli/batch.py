@@ -68,9 +68,6 @@ def batch(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
     ] = False,
-    same_scale: Annotated[
-        bool, typer.Option("--same-scale", help="All images have one scale: pool their evidence (one worker).")
-    ] = False,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
     *,
@@ -84,15 +81,15 @@ def batch(
         started = time.monotonic()
         with image_progress() as progress:
             if measure is not None:
-                if engine is not _Engine.local or workers or known_lengths or same_scale:
-                    raise InvalidParameterError("--measure excludes --engine, --workers, --known-lengths, --same-scale")
+                if engine is not _Engine.local or workers or known_lengths:
+                    raise InvalidParameterError("--measure excludes --engine, --workers and --known-lengths")
                 from vehanchor.cli.batch_targets import measure_table
 
                 measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
                 return
             try:
                 run = partial(_run, inputs, output, chosen, progress, workers, overwrite=overwrite)
-                summary = run(engine, address, known_lengths, same_scale=same_scale)
+                summary = run(engine, address, known_lengths)
             except KeyboardInterrupt:
                 print("interrupted: finished rows are kept; run the same command to resume", file=sys.stderr)
                 raise typer.Exit(INTERRUPTED) from None
@@ -110,10 +107,7 @@ def _run(
     known_lengths: Path | None,
     *,
     overwrite: bool,
-    same_scale: bool,
 ) -> BatchSummary:
-    if same_scale:
-        return _of_one_scale(inputs, output, engine, workers, chosen, progress, known_lengths, overwrite=overwrite)
     from vehanchor.batch import run_batch
 
     model = chosen.detector
@@ -129,32 +123,6 @@ def _run(
         known_lengths=known_lengths,
         overwrite=overwrite,
         runtime=model.runtime(progress),
-    )
-
-
-def _of_one_scale(
-    inputs: list[str],
-    output: Path,
-    engine: _Engine,
-    workers: int | None,
-    chosen: ParsedOptions,
-    progress: Callable[[int, int], None],
-    known_lengths: Path | None,
-    *,
-    overwrite: bool,
-) -> BatchSummary:
-    from vehanchor.batch.same_scale import run_same_scale
-
-    if engine is not _Engine.local or workers not in (None, 1):
-        raise InvalidParameterError("--same-scale works in one process: leave out --engine and --workers")
-    opened = chosen.engine(progress=progress)
-    return run_same_scale(
-        inputs,
-        output,
-        detector=opened.detector,
-        options=opened.options,
-        known_lengths=known_lengths,
-        overwrite=overwrite,
     )
 
 

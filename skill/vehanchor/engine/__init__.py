@@ -2,13 +2,12 @@
 
 from vehanchor.detection.detector import Detector
 from vehanchor.engine.engine import Engine
-from vehanchor.engine.keywords import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
-from vehanchor.flight.inputs import InputPhotograph
+from vehanchor.engine.keywords import AreaKeywords, EstimateKeywords, MeasureKeywords
 from vehanchor.imagery.sources.opening import ImageSource
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor.options.coordinates import Place
-from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
+from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.segmentation.segmenter import Segmenter
 
 __all__ = [
@@ -19,11 +18,8 @@ __all__ = [
     "DistanceMeasurement",
     "Engine",
     "EstimateKeywords",
-    "FlightEstimate",
-    "FlightKeywords",
     "GsdEstimate",
     "ImageSource",
-    "InputPhotograph",
     "MeasureKeywords",
     "Place",
     "Runtime",

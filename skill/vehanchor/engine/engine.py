@@ -5,16 +5,14 @@
     >>> engine.estimate("photo.jpg").gsd_m_per_px  # doctest: +SKIP
     0.152
 
-``vehanchor.engine.verbs`` has the same methods as functions. The methods for flights import their modules themselves,
-so that a single estimate starts without them and without ``scipy``.
+``vehanchor.engine.verbs`` has the same methods as functions.
 """
 
 from __future__ import annotations
 
 import copy
-import os
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -47,25 +45,14 @@ if TYPE_CHECKING:
         AreaKeywords,
         DetectorSource,
         EstimateKeywords,
-        FlightKeywords,
-        LiveKeywords,
         MeasureKeywords,
-        RescaleKeywords,
         SegmenterSource,
     )
-    from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.resolved_scale import ScaleInput
     from vehanchor.options.coordinates import Place
-    from vehanchor.records import (
-        AreaMeasurement,
-        DistanceMeasurement,
-        FlightEstimate,
-        GsdEstimate,
-        LiveScale,
-        ModelScale,
-    )
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
 T = TypeVar("T")
 _OWN_KEYWORDS = frozenset({"detector", "segmenter", *RuntimeKeywords.__annotations__})
@@ -195,7 +182,7 @@ class Engine:
             CalibrationError: the calibration cannot be read, or belongs to another detector.
             CancelledError: the call was cancelled (``concurrent.futures``).
         """
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         detector = checked_detector(engine.detector, chosen)
         if isinstance(image, list | tuple):
             return [analyse_image(each, detector, chosen).estimate for each in image]
@@ -205,7 +192,7 @@ class Engine:
         self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
     ) -> ScaleAnalysis:
         """Estimate the scale of one image; return the record with its detections and evidence."""
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         return analyse_image(image, checked_detector(engine.detector, chosen), chosen)
 
     def measure_area(
@@ -238,7 +225,7 @@ class Engine:
         box, points = keywords.pop("box", None), keywords.pop("points", None)
         height = keywords.pop("object_height_m", None)
         known = keywords.pop("gsd_m_per_px", None), keywords.pop("scale", None)
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         prompt, segmenter = read_prompt(box, points), engine.segmenter
         scale = engine._scale_input(known, chosen)
         with _opened(image, chosen) as raster:
@@ -281,109 +268,22 @@ class Engine:
         """Measure as ``measure_distance``; return the record with the analysis of the scale."""
         height = keywords.pop("object_height_m", None)
         known = keywords.pop("gsd_m_per_px", None), keywords.pop("scale", None)
-        engine, chosen = self._call(options, keywords)
+        engine, chosen = self.for_call(options, keywords)
         places, scale = read_path(path), engine._scale_input(known, chosen)
         with _opened(image, chosen) as raster:
             (found,) = analyse_paths(raster, [places], scale, chosen, object_height_m=height)
         return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
 
-    def flight(
-        self,
-        images: Iterable[ImageSource | InputPhotograph],
-        options: ScaleOptions | None = None,
-        **keywords: Unpack[FlightKeywords],
-    ) -> FlightEstimate:
-        """Estimate the scales of the photographs of one flight from their common evidence.
-
-        One photograph is held in memory at a time. The record holds the error of a photograph that cannot be read.
+    def for_call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
+        """Apply the keywords of a call to the engine and its options.
 
         Args:
-            images: the photographs, in the order in which they were taken, each as in ``estimate``. An
-                ``InputPhotograph`` names one; the default name is its path or its number.
-            options: as in ``estimate``, without a frame and lines of known length, which belong to one photograph.
-            **keywords: see ``FlightKeywords``.
-
-        Returns:
-            The record; a photograph without evidence and without links to others has no scale.
+            options: as in ``estimate``.
+            keywords: as in ``estimate``.
 
         Raises:
-            OutputError: the journal cannot be written.
-            VehAnchorError: as ``estimate``.
+            InvalidParameterError: a keyword is unknown or invalid.
         """
-        from vehanchor.flight.estimate import analyse_flight
-        from vehanchor.flight.inputs import check_many
-
-        check_many(images)  # before a model is loaded
-        same_scale, journal = keywords.pop("same_scale", False), keywords.pop("journal", None)
-        engine, chosen = self._call(options, keywords)
-        return analyse_flight(images, engine.detector, chosen, same_scale=same_scale, journal=journal)
-
-    def rescale(
-        self,
-        model: str | os.PathLike[str],
-        options: ScaleOptions | None = None,
-        **keywords: Unpack[RescaleKeywords],
-    ) -> ModelScale:
-        """Estimate the factor that gives a reconstruction its size in metres.
-
-        Args:
-            model: folder of a project of OpenDroneMap, OpenSfM or COLMAP, or a ``reconstruction.json``.
-            options: as in ``estimate``. Metadata of the photographs is not used.
-            **keywords: see ``RescaleKeywords``.
-
-        Returns:
-            The record; ``factor`` is None if nothing of known size is found.
-
-        Raises:
-            ReconstructionError: the model cannot be read or measured, or its photographs are not found.
-            OutputError: the journal cannot be written.
-            VehAnchorError: as ``estimate``.
-        """
-        from vehanchor.flight.reconstruction.estimate import rescale
-        from vehanchor.flight.reconstruction.files import images_of, read_model
-
-        images, lines = keywords.pop("images", None), keywords.pop("known_lengths_table", None)
-        journal = keywords.pop("journal", None)
-        engine, chosen = self._call(options, keywords)
-        read = read_model(model)
-        folder = images_of(read) if images is None else Path(images)
-        return rescale(read, folder, engine.detector, chosen, lines, journal)
-
-    def live(
-        self,
-        source: str | os.PathLike[str] | int,
-        options: ScaleOptions | None = None,
-        **keywords: Unpack[LiveKeywords],
-    ) -> Iterator[LiveScale]:
-        """Estimate the scale of each frame of a running camera, advisory.
-
-        The newest frame wins: no queue grows while a record is used. A video gives every frame.
-
-        Args:
-            source: folder that fills, video file, or number of a camera.
-            options: as in ``estimate``. The rulers are vehicles and the scene-scale prior.
-            **keywords: see ``LiveKeywords``.
-
-        Returns:
-            An iterator of one record for each frame, from all frames so far.
-
-        Raises:
-            ImageNotFoundError: there is no such source.
-            InvalidParameterError: the seconds are invalid, or an option is.
-            ModelError: a model cannot be used.
-        """
-        from vehanchor.flight.live.estimator import live_scales
-        from vehanchor.flight.live.frames import open_frames
-
-        every, hold, idle = keywords.pop("every_s", 0.2), keywords.pop("hold_s", 10.0), keywords.pop("idle_s", None)
-        tell = keywords.pop("tell", _ignore)
-        engine, chosen = self._call(options, keywords)
-        name = str(source) if isinstance(source, int) else os.fspath(source)
-        frames = open_frames(name, chosen.reading, every_s=every, idle_s=idle, tell=tell)
-        return live_scales(frames, engine.detector, chosen, hold_s=hold)
-
-    def _call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
-        """Apply the keywords of a call to the engine and its options."""
         own: dict[str, Any] = {name: keywords[name] for name in keywords if name in _OWN_KEYWORDS}
         models: dict[str, Any] = {name: own.pop(name) for name in ("detector", "segmenter") if name in own}
         engine = self.replace(**models, runtime=self.runtime.with_keywords(own)) if own or models else self
@@ -396,10 +296,6 @@ class Engine:
         """Take the caller's known scale, else the detector."""
         given = given_scale(*known, options)
         return checked_detector(self.detector, options) if given is None else given
-
-
-def _ignore(_sentence: str) -> None:
-    pass
 
 
 class _OnDemand(Generic[T]):

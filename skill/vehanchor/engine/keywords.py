@@ -11,7 +11,7 @@ from vehanchor.options import OptionKeywords
 from vehanchor.segmentation.segmenter import Segmenter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from vehanchor.records import GsdEstimate, KnownScale
     from vehanchor.segmentation.prompt import Box, Point
@@ -58,47 +58,3 @@ class AreaKeywords(MeasureKeywords, total=False):
     box: Box | None
     points: Sequence[Point] | None
     segmenter: SegmenterSource | None
-
-
-class FlightKeywords(EstimateKeywords, total=False):
-    """Keywords of a flight.
-
-    Attributes:
-        same_scale: all photographs have one scale, as in a survey at one height: pool their evidence.
-        journal: file with the result of each photograph, from which the same call resumes after an interruption;
-            removed at the end. It covers photographs given as paths, and frames of ``sample_video``.
-    """
-
-    same_scale: bool
-    journal: str | os.PathLike[str] | None
-
-
-class RescaleKeywords(EstimateKeywords, total=False):
-    """Keywords of a reconstruction.
-
-    Attributes:
-        images: folder of the photographs; None looks near the model's files.
-        known_lengths_table: CSV of lines of known length in the photographs; see ``read_known_lengths``.
-        journal: file with the result of each photograph, from which the same call resumes after an interruption;
-            removed at the end.
-    """
-
-    images: str | os.PathLike[str] | None
-    known_lengths_table: str | os.PathLike[str] | None
-    journal: str | os.PathLike[str] | None
-
-
-class LiveKeywords(EstimateKeywords, total=False):
-    """Keywords of a running camera.
-
-    Attributes:
-        every_s: for a video, seconds between frames; 0.2 by default.
-        hold_s: seconds without vehicles after which there is no scale; 10 by default.
-        idle_s: seconds without a new frame that end a folder or a camera; None for never.
-        tell: receives a sentence on each frame that cannot be read, and on each loss and return of the camera.
-    """
-
-    every_s: float
-    hold_s: float
-    idle_s: float | None
-    tell: Callable[[str], None]

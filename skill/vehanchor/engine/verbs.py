@@ -7,17 +7,16 @@ from typing import TYPE_CHECKING, Any, overload
 from vehanchor.engine.engine import Engine
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from typing import Unpack
 
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.engine.keywords import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
-    from vehanchor.flight.inputs import InputPhotograph
+    from vehanchor.engine.keywords import AreaKeywords, EstimateKeywords, MeasureKeywords
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import ScaleOptions
     from vehanchor.options.coordinates import Place
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
 
 @overload
@@ -81,12 +80,3 @@ def analyse_distance(
 ) -> DistanceAnalysis:
     """Measure the length of a line, with the analysis of the scale; see ``Engine.analyse_distance``."""
     return Engine().analyse_distance(image, path, options, **keywords)
-
-
-def estimate_flight(
-    images: Iterable[ImageSource | InputPhotograph],
-    options: ScaleOptions | None = None,
-    **keywords: Unpack[FlightKeywords],
-) -> FlightEstimate:
-    """Estimate the scales of the photographs of one flight; see ``Engine.flight``."""
-    return Engine().flight(images, options, **keywords)

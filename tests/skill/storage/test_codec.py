@@ -12,7 +12,6 @@ import pytest
 from vehanchor.analysis.stored import stored_classes
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
-from vehanchor.flight.photograph import StoredPhotograph, photograph_codec
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
@@ -24,6 +23,7 @@ from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.vehicles import VehicleEvidence
 from vehanchor.scale.lengths import Interval
 from vehanchor.storage.codec import Codec
+from vehanchor_flight.photograph import StoredPhotograph, photograph_codec
 
 for _kind in RULERS:
     registry.ruler_class(_kind)
@@ -56,7 +56,7 @@ def test_intermediate_results_come_back_exactly() -> None:
     "found",
     [
         {"=": "subprocess:Popen", "fields": {"args": "true"}},
-        {"=": "vehanchor.flight.photograph:StoredPhotograph", "fields": {}},
+        {"=": "vehanchor_flight.photograph:StoredPhotograph", "fields": {}},
         {"=": "array", "dtype": "O", "shape": [1], "data": ""},
     ],
 )

@@ -14,8 +14,6 @@ from vehanchor.courts.court import Court
 from vehanchor.courts.template import TENNIS
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import TooObliqueError
-from vehanchor.flight.photograph import Photograph, StoredPhotograph, photograph_codec
-from vehanchor.flight.pooling import pool
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
@@ -29,6 +27,8 @@ from vehanchor.rulers.measurement import with_tilt
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor.tilt.estimate import estimate_tilt
+from vehanchor_flight.photograph import Photograph, StoredPhotograph, photograph_codec
+from vehanchor_flight.pooling import pool
 from vehanchor_scenes import render_scene
 
 CAMERA = CameraMetadata(focal_px=FOCAL_PX, taken_width_px=WIDTH, taken_height_px=HEIGHT, off_nadir_deg=30.0)
