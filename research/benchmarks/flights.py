@@ -36,11 +36,11 @@ from vehanchor_flight.components import single_component
 from vehanchor_flight.estimate import conclude, search_flight
 from vehanchor_flight.features import Features, find_features
 from vehanchor_flight.inputs import InputPhotograph
-from vehanchor_flight.io import read_record
 from vehanchor_flight.matching import match
 from vehanchor_flight.pairs import candidate_pairs
 from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
 from vehanchor_flight.record import Failure, conclude_flight
+from vehanchor_flight.records import FlightEstimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector
-    from vehanchor_flight.records import FlightEstimate, FlightLink
+    from vehanchor_flight.records import FlightLink
 
 _REGIONS = {"cannes": "europe", "estonia": "northern_europe", "ucm": "north_america", "saopaulo": "south_america"}
 _FLIGHTS, _PHOTOGRAPHS = 4, 24
@@ -322,7 +322,7 @@ def real(data: Path, written: Path) -> None:
         data: with ``flights/table.csv``.
         written: the flight's record.
     """
-    record = read_record(written)
+    record = FlightEstimate.model_validate_json(written.read_bytes())
     with (data / "flights" / "table.csv").open() as file:
         seas = {Path(row["file"]).name: float(row["altitude_above_sea_m"]) for row in csv.DictReader(file)}
     members = [each for each in record.photographs if each.gsd_m_per_px and each.component == 0]

@@ -1,10 +1,9 @@
-"""Scales of a flight: search each photograph once, then pool the evidence."""
+"""Steps of a flight: search each photograph once, then pool the evidence."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence, Sized
-from contextlib import nullcontext
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.analysis.pipeline import analyse_view, checked_detector, search_raster
+from vehanchor.analysis.pipeline import analyse_view, search_raster
 from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.imagery.identity import Source
@@ -23,7 +22,7 @@ from vehanchor.rulers.measurement import with_tilt
 from vehanchor.storage.journal import Journal, Key
 from vehanchor_flight.components import single_component
 from vehanchor_flight.features import find_features
-from vehanchor_flight.inputs import InputPhotograph, check_many, named
+from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.linking import link_photographs
 from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
 from vehanchor_flight.record import Failure, conclude_flight
@@ -33,44 +32,9 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
-    from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.rulers.known_length_table import KnownLengthTable
     from vehanchor_flight.features import Features
     from vehanchor_flight.records import FlightEstimate
-
-
-def analyse_flight(
-    images: Iterable[ImageSource | InputPhotograph],
-    detector: Detector,
-    options: ScaleOptions,
-    *,
-    same_scale: bool = False,
-    journal: str | os.PathLike[str] | None = None,
-    lines: KnownLengthTable | None = None,
-) -> FlightEstimate:
-    """Estimate the scales of many photographs of one flight; see ``vehanchor_flight.estimate_flight``.
-
-    Args:
-        images: the photographs, in the order in which they were taken.
-        detector: finds the vehicles; photographs are reported to the progress of its runtime.
-        options: of the method.
-        same_scale: pool the evidence of all photographs.
-        journal: file that keeps the result of each photograph.
-        lines: lines of known length by path or address of the photograph; see ``read_known_lengths``.
-
-    Raises:
-        VehAnchorError: as ``vehanchor_flight.estimate_flight``.
-    """
-    check_many(images)
-    check_options(options)
-    checked_detector(detector, options)
-    taken = list(named(images)) if isinstance(images, Sequence) else named(images)
-    with nullcontext() if journal is None else open_journal(Path(journal), detector, options, lines or {}) as kept:
-        results = search_flight(taken, detector, options, featured=not same_scale, journal=kept, lines=lines or {})
-        record = conclude(results, detector.card, same_scale=same_scale)
-        if kept is not None:
-            kept.remove()
-    return record
 
 
 def conclude(results: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool) -> FlightEstimate:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,13 +19,12 @@ from vehanchor.scale.lengths import Z95
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE, WIDEST_USABLE
 from vehanchor.tilt.camera_tilt import known_plane
 from vehanchor_flight.advice import carried_advice, component_advice
-from vehanchor_flight.heights import ground_below, heights_evidence
 from vehanchor_flight.pooling import pool
 from vehanchor_flight.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler
 from vehanchor_flight.sorties import number_sorties
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
     from vehanchor.records import GsdEstimate, Reason, Status
     from vehanchor_flight.components import Component
-    from vehanchor_flight.heights import Ground
     from vehanchor_flight.photograph import Photograph
     from vehanchor_flight.records import FlightLink
 
@@ -87,8 +85,9 @@ def conclude_flight(
         place: _failed(each) for place, each in enumerate(results) if isinstance(each, Failure)
     }
     pooled_components = []
-    for number, (component, pooled) in enumerate(_pooled(results, components, sorties)):
+    for number, component in enumerate(components):
         members = _members(results, component)
+        pooled = pool(members, component.log_scales, component.reference, component.extra)
         estimate = pooled.estimate
         advice = component_advice(estimate, unlinked=len(component) == 1 < len(sorties) and not same_scale)
         pooled_components.append(
@@ -126,38 +125,6 @@ def conclude_flight(
 
 def _members(results: Sequence[Photograph | Failure], component: Component) -> list[Photograph]:
     return [result for place in component.members if not isinstance(result := results[place], Failure)]
-
-
-def _pooled(
-    results: Sequence[Photograph | Failure], components: Sequence[Component], sorties: Mapping[int, int]
-) -> list[tuple[Component, ScaleAnalysis]]:
-    """Pool each component; one without evidence takes the height of the ground below others of its sortie."""
-    found: list[tuple[Component, ScaleAnalysis]] = []
-    grounds: dict[int, list[Ground]] = {}
-    for component in components:
-        members = _members(results, component)
-        pooled = pool(members, component.log_scales, component.reference, component.extra)
-        found.append((component, pooled))
-        if uses(members[0].view.options.rulers, Positions.kind):
-            sortie = sorties[int(component.members[component.reference])]
-            ground = ground_below(*_of_sortie(sortie, component, members, sorties), pooled.estimate)
-            grounds.setdefault(sortie, []).extend([] if ground is None else [ground])
-    for place, (component, pooled) in enumerate(found if any(grounds.values()) else ()):
-        if pooled.estimate.gsd_m_per_px is None:
-            members = _members(results, component)
-            sortie = sorties[int(component.members[component.reference])]
-            heights = heights_evidence(grounds.get(sortie, []), *_of_sortie(sortie, component, members, sorties))
-            by_height = replace(component, extra=(*component.extra, *heights))
-            found[place] = by_height, pool(members, component.log_scales, component.reference, by_height.extra)
-    return found
-
-
-def _of_sortie(
-    sortie: int, component: Component, members: Sequence[Photograph], sorties: Mapping[int, int]
-) -> tuple[list[Photograph], NDArray[np.float64]]:
-    """Select the members of one sortie, whose altitudes have one zero, and their offsets."""
-    inside = np.array([sorties[int(place)] == sortie for place in component.members])
-    return [member for member, chosen in zip(members, inside, strict=True) if chosen], component.offsets[inside]
 
 
 def _sorties(results: Sequence[Photograph | Failure]) -> dict[int, int]:
@@ -209,24 +176,7 @@ def _place(
 
 def _failed(failure: Failure) -> FlightPhotograph:
     return FlightPhotograph(
-        photograph=failure.name,
-        status="error",
-        gsd_m_per_px=None,
-        gsd_ci95_low_m_per_px=None,
-        gsd_ci95_high_m_per_px=None,
-        confidence=None,
-        reason=None,
-        advice=None,
-        sortie=None,
-        component=None,
-        supported_by=(),
-        scale=None,
-        east_m=None,
-        north_m=None,
-        placed_by=None,
-        own=None,
-        error_code=failure.error.code,
-        error=str(failure.error),
+        photograph=failure.name, status="error", error_code=failure.error.code, error=str(failure.error)
     )
 
 
@@ -264,16 +214,10 @@ def _photograph(
         confidence=confidence,
         reason=reason,
         advice=advice,
-        sortie=None,
         component=record.number,
         supported_by=rulers,
         scale=_given_back(photograph, gsd, low, high, confidence),
-        east_m=None,
-        north_m=None,
-        placed_by=None,
         own=photograph.analysis.estimate,
-        error_code=None,
-        error=None,
     )
 
 

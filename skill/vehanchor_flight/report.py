@@ -6,7 +6,6 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vehanchor.errors import OutputError
 from vehanchor.imagery.names import under_one_folder
 from vehanchor.records.digits import significant
 from vehanchor.storage.atomic import whole_file
@@ -29,19 +28,6 @@ table { border-collapse: collapse; width: 100% } th, td { text-align: left; padd
 border-bottom: 1px solid #e3e3e3; vertical-align: top } td.number { text-align: right; white-space: nowrap }
 td { overflow-wrap: anywhere } .bad { color: #b34700 }
 """
-
-
-def check_report_path(path: Path) -> Path:
-    """Check, before the work, that a page can be written to a path.
-
-    Raises:
-        OutputError: the suffix is not .html, the folder does not exist, or the path is a folder.
-    """
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise OutputError(f"cannot write a report as {str(path)!r}: use the suffix .html")
-    if not path.parent.is_dir() or path.is_dir():
-        raise OutputError(f"cannot write {str(path)!r}: name a file in a folder that exists")
-    return path
 
 
 def write_report(path: Path, record: FlightEstimate) -> None:

@@ -30,7 +30,7 @@ def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
     for place, image in enumerate(images):
         camera = image.camera
         kind = ("", "") if camera is None else (camera.make, camera.model)
-        cameras.setdefault(kind, []).append((taken_at(image) or datetime.min, place))
+        cameras.setdefault(kind, []).append((_taken_at(image) or datetime.min, place))
     found: dict[int, tuple[int, int]] = {}
     for number, times in enumerate(cameras.values()):
         sortie, last = 0, datetime.min
@@ -41,7 +41,7 @@ def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
     return [numbers.setdefault(found[place], len(numbers)) for place in range(len(images))]
 
 
-def taken_at(image: ImageFacts) -> datetime | None:
+def _taken_at(image: ImageFacts) -> datetime | None:
     """Read the camera's local time of a photograph; None without a valid one."""
     try:
         return None if image.camera is None else datetime.strptime(image.camera.taken_at, _EXIF_TIME)

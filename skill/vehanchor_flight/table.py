@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.batch.row import BatchRow
-from vehanchor.batch.table import check_table_path, write_table
+from vehanchor.batch.table import write_table
 from vehanchor_flight.project import estimate_in_flight
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from vehanchor_flight.records import FlightEstimate, FlightPhotograph
-
-__all__ = ["check_table_path", "write_flight_table"]
 
 
 def write_flight_table(path: Path, record: FlightEstimate) -> None:

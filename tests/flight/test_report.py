@@ -12,10 +12,11 @@ from tests.flight.ground import facts_at, sighting_of
 from vehanchor.errors import ImageDecodeError, OutputError
 from vehanchor.options import ScaleOptions
 from vehanchor_flight.components import single_component
+from vehanchor_flight.io import check_output
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.record import Failure, conclude_flight
 from vehanchor_flight.records import FlightEstimate, FlightLink
-from vehanchor_flight.report import check_report_path, report_page, write_report
+from vehanchor_flight.report import report_page, write_report
 from vehanchor_flight.track import draw_tracks
 
 FLEET = 30.0 * (1 + 0.05 * np.linspace(-1, 1, 9) ** 3)
@@ -75,4 +76,4 @@ def test_a_flight_without_places_has_no_track() -> None:
 @pytest.mark.parametrize("name", ["flight.txt", "nowhere/flight.html"])
 def test_a_page_that_cannot_be_written_is_told(tmp_path: Path, name: str) -> None:
     with pytest.raises(OutputError):
-        check_report_path(tmp_path / name)
+        check_output(tmp_path / name, ".html")

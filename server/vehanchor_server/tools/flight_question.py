@@ -170,10 +170,7 @@ def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstima
         interval = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
     warnings = record.warnings
     if first.component is not None and flight.components[first.component].n_photographs == 1:
-        message = (
-            "None of the other images overlaps this one enough for a link: the scale rests on this image alone, or on "
-            "its height above sea level."
-        )
+        message = "None of the other images overlaps this one enough for a link: the scale rests on this image alone."
         warnings = (*warnings, Notice(code=NoticeCode.NOT_LINKED, message=message))
     frame = frame_scale(asked.frame, record.image_width_px, record.gsd_m_per_px, interval)
     return record.model_copy(update={"frame": frame, "warnings": warnings})

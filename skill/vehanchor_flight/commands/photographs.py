@@ -87,15 +87,16 @@ def photographs(
 ) -> None:
     """Estimate the scales of the photographs of one flight from their common evidence."""
     with exit_on_error():
-        from vehanchor_flight.io import check_record_path, write_record
-        from vehanchor_flight.report import check_report_path, write_report
-        from vehanchor_flight.table import check_table_path, write_flight_table
+        from vehanchor.batch.table import check_table_path
+        from vehanchor_flight.io import check_output, write_record
+        from vehanchor_flight.report import write_report
+        from vehanchor_flight.table import write_flight_table
         from vehanchor_flight.verbs import estimate_flight
 
         engine = chosen.engine()
-        checks = ((out, check_record_path), (table, check_table_path), (page, check_report_path))
-        outputs = [check(path) for path, check in checks if path is not None]
-        journal = (out or table) and outputs[0].with_name(outputs[0].name + ".journal")
+        outputs = [check_output(path, suffix) for path, suffix in ((out, ".json"), (page, ".html")) if path is not None]
+        outputs += [] if table is None else [check_table_path(table)]
+        journal = (kept := out or table) and kept.with_name(kept.name + ".journal")
         limits = chosen.options().reading.limits
         images = _images(inputs, every, limits, outputs)
         last = "pooling the evidence of" if same_scale else "linking"

@@ -23,7 +23,7 @@ from vehanchor.cli.terminal import (
     resumable,
     tile_progress,
 )
-from vehanchor.errors import ImageNotFoundError, InvalidParameterError, OutputError
+from vehanchor.errors import ImageNotFoundError, InvalidParameterError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -102,12 +102,12 @@ def rescale(
 ) -> None:
     """Give a reconstruction or an orthophoto its size in metres. Files in metres need a usable size."""
     with exit_on_error():
-        from vehanchor_flight.io import check_record_path, write_record
+        from vehanchor_flight.io import check_output, write_record
         from vehanchor_flight.reconstruction.files import find_model
 
-        journal = None if out is None else check_record_path(out).with_name(out.name + ".journal")
-        for path in (matrix, geo):
-            _check_file(path)
+        journal = out and check_output(out, ".json").with_name(out.name + ".journal")
+        for path in filter(None, (matrix, geo)):
+            check_output(path)
         if not Path(source).suffix and not Path(source).exists():
             raise ImageNotFoundError(f"there is no folder {source!r}: name a reconstruction or an orthophoto")
         if find_model(source) is not None or Path(source).is_dir():
@@ -140,8 +140,8 @@ def _model(
     journal: Path | None,
 ) -> tuple[ModelScale, Callable[[ModelScale], list[Path]]]:
     """Measure a reconstruction; return the record, and a function that writes its files."""
-    from vehanchor_flight.reconstruction.estimate import rescale as rescaled
     from vehanchor_flight.reconstruction.files import check_project_path, images_of, read_model
+    from vehanchor_flight.verbs import rescale as rescaled
 
     project, matrix, geo = out
     if chosen.typed.get("known_lengths"):
@@ -154,7 +154,7 @@ def _model(
     folder = images or images_of(model)
     with image_progress() as progress, resumable(journal):
         engine = chosen.engine(progress=progress)
-        record = rescaled(model, folder, engine.detector, engine.options, lines, journal)
+        record = rescaled(model, engine=engine, images=folder, known_lengths_table=lines, journal=journal)
     return record, lambda found: _write_model(model, found, project, matrix, geo)
 
 
@@ -201,11 +201,6 @@ def _orthophoto(
         return [geotiff]
 
     return record, write
-
-
-def _check_file(path: Path | None) -> None:
-    if path is not None and (not path.parent.is_dir() or path.is_dir()):
-        raise OutputError(f"cannot write {str(path)!r}: name a file in a folder that exists")
 
 
 def _refuse(given: dict[str, Path | None], noun: str) -> None:

@@ -27,8 +27,6 @@ from vehanchor_flight.matching import match
 from vehanchor_flight.records import LiveScale
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from numpy.typing import NDArray
 
     from vehanchor.analysis.scale import ScaleAnalysis
@@ -49,26 +47,6 @@ _STRETCH_EVERY = 10  # frames; a camera's proportions do not change in flight
 _PRIOR_FRAMES = 1.0  # new ground, in frames, after which the scene-scale prior is taken again
 _GRID_POINTS = 8  # along each side of a frame, to count its new ground
 _POOLABLE = frozenset({None, "too_few", "imprecise"})  # more frames help; other reasons are doubts about the vehicles
-
-
-def scales_of(
-    frames: Iterable[Frame], detector: Detector, options: ScaleOptions, *, hold_s: float = 10.0
-) -> Iterator[LiveScale]:
-    """Estimate the scale of each frame from all frames so far.
-
-    Args:
-        frames: in the order of their times; one is held at a time.
-        detector: finds the vehicles.
-        options: of the method; the rulers are vehicles and the scene-scale prior.
-        hold_s: seconds without vehicles after which there is no scale.
-
-    Returns:
-        An iterator of one record for each frame.
-
-    Raises:
-        InvalidParameterError: the seconds are invalid, or the model does not know the region.
-    """
-    return map(LiveEstimator(detector, options, hold_s=hold_s).estimate, frames)
 
 
 class LiveEstimator:

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.errors import ImageNotFoundError, ReconstructionError, VehAnchorError
 from vehanchor.imagery.identity import Source
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.known_length_table import lines_in, with_lines_of
+from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.scale.thresholds import WIDEST_USABLE
 from vehanchor_flight.estimate import open_journal
 from vehanchor_flight.photograph import chief_member
@@ -26,7 +25,6 @@ from vehanchor_flight.record import Failure
 from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Sequence
 
     from vehanchor.detection.detector import Detector
@@ -58,43 +56,6 @@ class _Scaled(NamedTuple):
         if found[0] is None or found[1] is None or found[2] is None:
             return None
         return cls(found[0] / gsd, found[1] / gsd, found[2] / gsd)
-
-
-def rescale(
-    model: Reconstruction,
-    images: Path,
-    detector: Detector,
-    options: ScaleOptions,
-    known_lengths: str | os.PathLike[str] | None = None,
-    journal: str | os.PathLike[str] | None = None,
-) -> ModelScale:
-    """Estimate the factor that gives a reconstruction its size.
-
-    Args:
-        model: the reconstruction.
-        images: folder of its photographs.
-        detector: finds the vehicles; photographs are reported to the progress of its runtime.
-        options: of the method. Metadata is not used: positions and heights in it may have made the wrong size.
-        known_lengths: table of lines of known length in the photographs; see ``read_known_lengths``.
-        journal: file that keeps the result of each photograph; removed at the end.
-
-    Returns:
-        The record; ``factor`` is None if no ruler finds anything.
-
-    Raises:
-        ReconstructionError: the model has too few points, or none of its photographs is in the folder.
-        KnownLengthError: a line is invalid, or in a photograph that is not in the model.
-        VehAnchorError: as ``estimate_gsd``, if no photograph can be used.
-    """
-    checked_detector(detector, options)
-    options = replace(options, rulers=replace(options.rulers, metadata=False))
-    lines = lines_in(known_lengths, photograph_files(model, images))
-    if journal is None:
-        return conclude_model(model, search_model(model, images, detector, options, lines), images)
-    with open_model_journal(Path(journal), model, detector, options, lines) as kept:
-        record = conclude_model(model, search_model(model, images, detector, options, lines, kept), images)
-        kept.remove()
-    return record
 
 
 def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Failure], images: Path) -> ModelScale:
@@ -284,8 +245,6 @@ def _photograph(seen: SeenPhotograph, whole: _Scaled | None) -> ModelPhotograph:
         n_vehicles=estimate.n_vehicles,
         camera_height=seen.sight.height,
         tilt_deg=seen.sight.tilt.tilt_deg,
-        error_code=None,
-        error=None,
     )
 
 
@@ -300,15 +259,5 @@ def _status(own: _Scaled | None, whole: _Scaled | None) -> Literal["used", "uncl
 
 def _failed(failure: Failure) -> ModelPhotograph:
     return ModelPhotograph(
-        photograph=failure.name,
-        status="error",
-        factor=None,
-        factor_ci95_low=None,
-        factor_ci95_high=None,
-        rulers=(),
-        n_vehicles=0,
-        camera_height=None,
-        tilt_deg=None,
-        error_code=failure.error.code,
-        error=str(failure.error),
+        photograph=failure.name, status="error", error_code=failure.error.code, error=str(failure.error)
     )

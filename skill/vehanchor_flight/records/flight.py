@@ -30,29 +30,41 @@ class FlightPhotograph(Record):
     status: Status | Literal["error"] = Field(
         description="ok: confidence >= 0.5. low_confidence: below 0.5. no_scale: no scale. error: unreadable."
     )
-    gsd_m_per_px: float | None = Field(description="Metres per pixel of this photograph, by all evidence.")
-    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
-    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
-    confidence: float | None = Field(ge=0, le=1, description="Confidence in the scale; null if unreadable.")
-    reason: Reason | None = Field(description="Why the scale is not usable; null for ok and for an error.")
-    advice: str | None = Field(description="The problem and a remedy, one sentence; null for ok and for an error.")
+    gsd_m_per_px: float | None = Field(
+        default=None, description="Metres per pixel of this photograph, by all evidence."
+    )
+    gsd_ci95_low_m_per_px: float | None = Field(default=None, description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float | None = Field(default=None, description="Upper end of its 95 % interval.")
+    confidence: float | None = Field(
+        default=None, ge=0, le=1, description="Confidence in the scale; null if unreadable."
+    )
+    reason: Reason | None = Field(
+        default=None, description="Why the scale is not usable; null for ok and for an error."
+    )
+    advice: str | None = Field(
+        default=None, description="The problem and a remedy, one sentence; null for ok and for an error."
+    )
     sortie: int | None = Field(
-        description="Number of its sortie: one camera, no pause of more than 20 minutes; null if unreadable."
+        default=None,
+        description="Number of its sortie: one camera, no pause of more than 20 minutes; null if unreadable.",
     )
-    component: int | None = Field(description="Number of its component; null if unreadable.")
-    supported_by: tuple[FlightRuler, ...] = Field(description="Rulers behind its scale, the strongest first.")
+    component: int | None = Field(default=None, description="Number of its component; null if unreadable.")
+    supported_by: tuple[FlightRuler, ...] = Field(
+        default=(), description="Rulers behind its scale, the strongest first."
+    )
     scale: KnownScale | None = Field(
-        description="The scale to give back for measurements in this photograph; null without a scale."
+        default=None, description="The scale to give back for measurements in this photograph; null without a scale."
     )
-    east_m: float | None = Field(description="Position of its camera, metres east (overlaps: right).")
-    north_m: float | None = Field(description="Metres north (overlaps: up).")
+    east_m: float | None = Field(default=None, description="Position of its camera, metres east (overlaps: right).")
+    north_m: float | None = Field(default=None, description="Metres north (overlaps: up).")
     placed_by: Literal["positions", "overlaps"] | None = Field(
+        default=None,
         description="positions: from metadata, relative to the first known position. overlaps: relative to the "
-        "component's reference, in its orientation. Null: no position."
+        "component's reference, in its orientation. Null: no position.",
     )
-    own: GsdEstimate | None = Field(description="The estimate from this photograph alone.")
-    error_code: str | None = Field(description="Stable code of the error; null without an error.")
-    error: str | None = Field(description="The error and its remedy.")
+    own: GsdEstimate | None = Field(default=None, description="The estimate from this photograph alone.")
+    error_code: str | None = Field(default=None, description="Stable code of the error; null without an error.")
+    error: str | None = Field(default=None, description="The error and its remedy.")
 
 
 class FlightComponent(Record):

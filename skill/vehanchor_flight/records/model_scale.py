@@ -32,15 +32,21 @@ class ModelPhotograph(Record):
         description="used: carries the factor. unclear: its own interval spans more than a factor of 2. outlier: its "
         "own interval and the model's do not meet. nothing: nothing of known size. error: not measured."
     )
-    factor: float | None = Field(description="The factor by this photograph alone; null without one.")
-    factor_ci95_low: float | None = Field(description="Lower end of its 95 % interval.")
-    factor_ci95_high: float | None = Field(description="Upper end of its 95 % interval.")
-    rulers: tuple[str, ...] = Field(description="Kinds of its rulers that found something.")
-    n_vehicles: int = Field(ge=0, description="Cars that this photograph shows, also those that others show.")
-    camera_height: float | None = Field(description="Height of the camera above its ground, units of the model.")
-    tilt_deg: float | None = Field(description="Angle between the camera's axis and straight down, by the model.")
-    error_code: str | None = Field(description="Stable code of the error; null without an error.")
-    error: str | None = Field(description="The error and its remedy.")
+    factor: float | None = Field(default=None, description="The factor by this photograph alone; null without one.")
+    factor_ci95_low: float | None = Field(default=None, description="Lower end of its 95 % interval.")
+    factor_ci95_high: float | None = Field(default=None, description="Upper end of its 95 % interval.")
+    rulers: tuple[str, ...] = Field(default=(), description="Kinds of its rulers that found something.")
+    n_vehicles: int = Field(
+        default=0, ge=0, description="Cars that this photograph shows, also those that others show."
+    )
+    camera_height: float | None = Field(
+        default=None, description="Height of the camera above its ground, units of the model."
+    )
+    tilt_deg: float | None = Field(
+        default=None, description="Angle between the camera's axis and straight down, by the model."
+    )
+    error_code: str | None = Field(default=None, description="Stable code of the error; null without an error.")
+    error: str | None = Field(default=None, description="The error and its remedy.")
 
 
 class ModelScale(Record):

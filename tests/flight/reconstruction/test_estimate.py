@@ -14,10 +14,9 @@ from vehanchor.engine import Engine
 from vehanchor.errors import InvalidParameterError, ReconstructionError
 from vehanchor.options import ScaleOptions
 from vehanchor_flight.reconstruction import photograph
-from vehanchor_flight.reconstruction.estimate import rescale
-from vehanchor_flight.reconstruction.files import images_of, read_model
+from vehanchor_flight.reconstruction.files import read_model
 from vehanchor_flight.reconstruction.verdict import verdict
-from vehanchor_flight.verbs import rescale as rescale_project
+from vehanchor_flight.verbs import rescale
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,7 +38,7 @@ def _cars() -> np.ndarray:
 def _rescaled(folder: Path, poses: Sequence[Pose], metres_per_unit: float, cars: np.ndarray) -> ModelScale:
     write_opensfm(folder / "project", [pose.painted(cars) for pose in poses], poses, metres_per_unit)
     model = read_model(folder / "project")
-    return rescale(model, images_of(model), Detector(write_detector(folder / "detector.onnx")), OPTIONS)
+    return rescale(model, OPTIONS, detector=Detector(write_detector(folder / "detector.onnx")))
 
 
 @pytest.mark.parametrize("metres_per_unit", [1 / 0.92, 1.0, 13.0])
@@ -72,7 +71,7 @@ def test_lines_are_measured_where_the_photograph_shows_them(tmp_path: Path) -> N
     (tmp_path / "project" / "lines.csv").write_text("\n".join(rows))
     model = read_model(tmp_path / "project")
     detector = Detector(write_detector(tmp_path / "detector.onnx"))
-    record = rescale(model, images_of(model), detector, OPTIONS, tmp_path / "project" / "lines.csv")
+    record = rescale(model, OPTIONS, detector=detector, known_lengths_table=tmp_path / "project" / "lines.csv")
     assert record.factor == pytest.approx(1 / 0.92, rel=0.01)
     assert [ruler.kind for ruler in record.rulers] == ["known_length"]
 
@@ -88,38 +87,35 @@ def test_a_missing_photograph_is_told_and_the_others_count(tmp_path: Path) -> No
     (file.parent / "images" / "1.png").unlink()
     model = read_model(file)
     detector = Detector(write_detector(tmp_path / "detector.onnx"))
-    record = rescale(model, images_of(model), detector, OPTIONS)
+    record = rescale(model, OPTIONS, detector=detector)
     assert [each.error_code for each in record.photographs] == [None, "image_not_found", None]
     assert record.factor == pytest.approx(1.0, rel=0.02)
     with pytest.raises(ReconstructionError, match="--images"):
-        rescale(model, tmp_path, detector, OPTIONS)
+        rescale(model, OPTIONS, images=tmp_path, detector=detector)
 
 
 def test_an_engine_takes_a_project(tmp_path: Path) -> None:
     write_opensfm(tmp_path / "project", [pose.painted(_cars()) for pose in GRID], GRID, 1 / 0.92)
     engine = Engine(write_detector(tmp_path / "detector.onnx"))
-    record = rescale_project(tmp_path / "project", reference_length_m=4.8, engine=engine)
+    record = rescale(tmp_path / "project", reference_length_m=4.8, engine=engine)
     assert record.factor == pytest.approx(1 / 0.92, rel=0.015)
     (tmp_path / "project" / "images").rename(tmp_path / "elsewhere")
-    assert (
-        rescale_project(tmp_path / "project", OPTIONS, images=tmp_path / "elsewhere", engine=engine).factor
-        == record.factor
-    )
+    assert rescale(tmp_path / "project", OPTIONS, images=tmp_path / "elsewhere", engine=engine).factor == record.factor
     with pytest.raises(ReconstructionError, match="--images"):
-        rescale_project(tmp_path / "project", engine=engine)
+        rescale(tmp_path / "project", engine=engine)
 
 
 def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_opensfm(tmp_path / "project", [pose.painted(_cars()) for pose in GRID], GRID, 1 / 0.92)
     engine, journal = Engine(write_detector(tmp_path / "detector.onnx")), tmp_path / "scale.journal"
-    whole = rescale_project(tmp_path / "project", OPTIONS, engine=engine)
+    whole = rescale(tmp_path / "project", OPTIONS, engine=engine)
 
     def stop(done: int, _total: int) -> None:
         if done == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rescale_project(tmp_path / "project", OPTIONS, journal=journal, progress=stop, engine=engine)
+        rescale(tmp_path / "project", OPTIONS, journal=journal, progress=stop, engine=engine)
     searched: list[object] = []
 
     def counted(*arguments: Any) -> Any:
@@ -127,14 +123,14 @@ def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         return search_raster(*arguments)
 
     monkeypatch.setattr(photograph, "search_raster", counted)
-    assert rescale_project(tmp_path / "project", OPTIONS, journal=journal, engine=engine) == whole
+    assert rescale(tmp_path / "project", OPTIONS, journal=journal, engine=engine) == whole
     assert len(searched) == 1
     assert not journal.exists()
     with pytest.raises(KeyboardInterrupt):
-        rescale_project(tmp_path / "project", OPTIONS, journal=journal, progress=stop, engine=engine)
+        rescale(tmp_path / "project", OPTIONS, journal=journal, progress=stop, engine=engine)
     write_opensfm(tmp_path / "other", [pose.painted(_cars()) for pose in GRID], GRID, 2.0)
     with pytest.raises(InvalidParameterError, match="unfinished run"):
-        rescale_project(tmp_path / "other", OPTIONS, journal=journal, engine=engine)
+        rescale(tmp_path / "other", OPTIONS, journal=journal, engine=engine)
 
 
 def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
@@ -143,7 +139,7 @@ def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
     parts[0]["shots"]["../secret.png"] = parts[0]["shots"].pop("0.png")
     file.write_text(json.dumps(parts))
     with pytest.raises(ReconstructionError, match="relative to one folder"):
-        rescale(read_model(file), tmp_path, Detector(write_detector(tmp_path / "detector.onnx")), OPTIONS)
+        rescale(file, OPTIONS, images=tmp_path, detector=write_detector(tmp_path / "detector.onnx"))
 
 
 @pytest.mark.parametrize(
