@@ -164,16 +164,12 @@ def _write_model(
     from vehanchor_flight.reconstruction.files import write_geo, write_matrix, write_rescaled
 
     assert record.factor is not None
-    written = []
-    if project is not None:
-        written.append(write_rescaled(model, project, record.factor))
+    written = [] if project is None else [write_rescaled(model, project, record.factor)]
     if matrix is not None:
         write_matrix(matrix, record.factor)
-        written.append(matrix)
     if geo is not None:
         write_geo(geo, model, record.factor)
-        written.append(geo)
-    return written
+    return written + [path for path in (matrix, geo) if path is not None]
 
 
 def _orthophoto(

@@ -25,7 +25,7 @@ from vehanchor_flight.record import Failure
 from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from vehanchor.storage.journal import Journal
     from vehanchor_flight.photograph import StoredPhotograph
     from vehanchor_flight.reconstruction.model import Reconstruction
+    from vehanchor_flight.records.model_scale import ModelSource
 
 
 class _Scaled(NamedTuple):
@@ -68,29 +69,15 @@ def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Fai
     if not seen:
         raise _nothing_usable([each for each in results if isinstance(each, Failure)], images)
     members = distinct(seen)
-    log_scales = np.log([each.sight.gsd for each in seen])
     chief = chief_member(members)
-    pooled = pool(members, log_scales, chief).estimate
-    found = _Scaled.of(pooled, seen[chief].sight.gsd)
+    gsd = seen[chief].sight.gsd
+    pooled = pool(members, np.log([each.sight.gsd for each in seen]), chief).estimate
+    found = _Scaled.of(pooled, gsd)
     photographs = [_failed(each) if isinstance(each, Failure) else _photograph(each, found) for each in results]
-    return ModelScale(
-        status=pooled.status,
-        source=model.kind,
-        factor=found and found.factor,
-        factor_ci95_low=found and found.low,
-        factor_ci95_high=found and found.high,
-        gsd_m_per_px=None,
-        confidence=pooled.confidence,
-        reason=pooled.reason,
-        verdict=verdict("model", found, usable=pooled.status == "ok"),
-        n_photographs=len(model.shots),
-        n_vehicles=pooled.n_vehicles,
-        rulers=_rulers(pooled, seen[chief].sight.gsd),
-        photographs=tuple(photographs),
-        model=pooled.model,
-        model_sha256=pooled.model_sha256,
-        warnings=(*pooled.warnings, *_parts_notice(model)),
-    )
+    warnings = (*pooled.warnings, *_parts_notice(model))
+    said = verdict("model", found, usable=pooled.status == "ok")
+    record = _record(pooled, model.kind, gsd, said, warnings)
+    return record.model_copy(update={"n_photographs": len(model.shots), "photographs": tuple(photographs)})
 
 
 def orthophoto_scale(estimate: GsdEstimate) -> ModelScale:
@@ -99,24 +86,30 @@ def orthophoto_scale(estimate: GsdEstimate) -> ModelScale:
     Args:
         estimate: of the orthophoto, with the scale of its georeference if it has one.
     """
-    own = estimate.georeference_gsd_m_per_px
-    true = _Scaled.of(estimate, 1.0)
+    own, true = estimate.georeference_gsd_m_per_px, _Scaled.of(estimate, 1.0)
     found = None if own is None else _Scaled.of(estimate, own)
     warnings = [each for each in estimate.warnings if each.code != NoticeCode.GEOREFERENCE_DIFFERS]
+    said = verdict("orthophoto", found, usable=estimate.status == "ok", pixel=true)
+    record = _record(estimate, "orthophoto", own, said, warnings)
+    return record.model_copy(update={"gsd_m_per_px": estimate.gsd_m_per_px})
+
+
+def _record(
+    estimate: GsdEstimate, source: ModelSource, gsd: float | None, said: str, warnings: Iterable[Notice]
+) -> ModelScale:
+    """Divide an estimate by ``gsd``, model units per pixel; None for no factor."""
+    found = None if gsd is None else _Scaled.of(estimate, gsd)
     return ModelScale(
         status=estimate.status,
-        source="orthophoto",
+        source=source,
         factor=found and found.factor,
         factor_ci95_low=found and found.low,
         factor_ci95_high=found and found.high,
-        gsd_m_per_px=estimate.gsd_m_per_px,
         confidence=estimate.confidence,
         reason=estimate.reason,
-        verdict=verdict("orthophoto", found, usable=estimate.status == "ok", pixel=true),
-        n_photographs=1,
+        verdict=said,
         n_vehicles=estimate.n_vehicles,
-        rulers=() if own is None else _rulers(estimate, own),
-        photographs=(),
+        rulers=() if gsd is None else _rulers(estimate, gsd),
         model=estimate.model,
         model_sha256=estimate.model_sha256,
         warnings=tuple(warnings),

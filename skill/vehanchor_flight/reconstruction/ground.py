@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from vehanchor.errors import ReconstructionError
 
@@ -108,15 +109,13 @@ def local_heights(
         ``[m]`` heights, model units; 0 where too few points are near.
     """
     heights = np.zeros(len(places))
-    if len(points) < _NEAREST:
+    if len(points) < _NEAREST or not len(places):
         return heights
     above = plane.heights(points)
     feet = points - above[:, None] * plane.normal
-    for k, place in enumerate(places - plane.heights(places)[:, None] * plane.normal):
-        apart = np.linalg.norm(feet - place, axis=1)
-        near = np.argpartition(apart, _NEAREST - 1)[:_NEAREST]
-        if apart[near].max() <= _AROUND * camera_height:
-            heights[k] = np.quantile(above[near], _LOW)
+    apart, near = cKDTree(feet).query(places - plane.heights(places)[:, None] * plane.normal, k=_NEAREST)
+    close = apart[:, -1] <= _AROUND * camera_height
+    heights[close] = np.quantile(above[near[close]], _LOW, axis=1)
     return heights
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from pydantic import Field
 
 from vehanchor.records.gsd_estimate import Reason, Status
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
+
+ModelSource: TypeAlias = Literal["opensfm", "colmap_text", "colmap_binary", "orthophoto"]
 
 
 class ModelRuler(Record):
@@ -53,21 +55,25 @@ class ModelScale(Record):
     """Factor that gives a reconstruction, or an orthophoto, its size in metres."""
 
     status: Status = Field(description="ok: usable. low_confidence: use another source. no_scale: nothing found.")
-    source: Literal["opensfm", "colmap_text", "colmap_binary", "orthophoto"] = Field(description="Format of the model.")
+    source: ModelSource = Field(description="Format of the model.")
     factor: float | None = Field(
         description="Metres per unit of the model: multiply its lengths by it. Of an orthophoto: true over stated "
         "metres per pixel; null if it states none."
     )
     factor_ci95_low: float | None = Field(description="Lower end of its 95 % interval.")
     factor_ci95_high: float | None = Field(description="Upper end of its 95 % interval.")
-    gsd_m_per_px: float | None = Field(description="True metres per pixel of an orthophoto; null for a model.")
+    gsd_m_per_px: float | None = Field(
+        default=None, description="True metres per pixel of an orthophoto; null for a model."
+    )
     confidence: float = Field(ge=0, le=1, description="Chance of an error below 20 %.")
     reason: Reason | None = Field(description="Why the factor is not usable; null if it is.")
     verdict: str = Field(description="The result in one sentence.")
-    n_photographs: int = Field(ge=0, description="Photographs of the model.")
+    n_photographs: int = Field(default=1, ge=0, description="Photographs of the model.")
     n_vehicles: int = Field(ge=0, description="Distinct cars behind the factor.")
     rulers: tuple[ModelRuler, ...] = Field(description="The rulers and their shares.")
-    photographs: tuple[ModelPhotograph, ...] = Field(description="The photographs, in the order of the model.")
+    photographs: tuple[ModelPhotograph, ...] = Field(
+        default=(), description="The photographs, in the order of the model."
+    )
     model: str = Field(description="Name of the detector.")
     model_sha256: str = Field(description="SHA-256 of the detector's file.")
     warnings: tuple[Notice, ...] = Field(description="Further facts, each with a stable code.")
