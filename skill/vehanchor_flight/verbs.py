@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.engine import Engine
@@ -22,9 +22,7 @@ from vehanchor_flight.reconstruction.files import images_of, read_model
 from vehanchor_flight.reconstruction.model import Reconstruction
 
 if TYPE_CHECKING:
-    from typing import Unpack
-
-    from vehanchor.engine import EstimateKeywords, ImageSource, ScaleOptions
+    from vehanchor.engine import ImageSource, ScaleOptions
     from vehanchor_flight.inputs import InputPhotograph
     from vehanchor_flight.records import FlightEstimate, LiveScale, ModelScale
 
@@ -37,7 +35,7 @@ def estimate_flight(
     same_scale: bool = False,
     known_lengths_table: str | os.PathLike[str] | None = None,
     journal: str | os.PathLike[str] | None = None,
-    **keywords: Unpack[EstimateKeywords],
+    **keywords: Any,
 ) -> FlightEstimate:
     """Estimate the scales of the photographs of one flight from their common evidence.
 
@@ -53,7 +51,7 @@ def estimate_flight(
         known_lengths_table: CSV of lines of known length in photographs given as paths; see ``read_known_lengths``.
         journal: file with the result of each photograph, from which the same call resumes after an interruption;
             removed at the end. It covers photographs given as paths, and frames of ``sample_video``.
-        **keywords: as in ``vehanchor.estimate_gsd``.
+        **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
 
     Returns:
         The record; a photograph without evidence and without links to others has no scale.
@@ -84,7 +82,7 @@ def rescale(
     images: str | os.PathLike[str] | None = None,
     known_lengths_table: str | os.PathLike[str] | None = None,
     journal: str | os.PathLike[str] | None = None,
-    **keywords: Unpack[EstimateKeywords],
+    **keywords: Any,
 ) -> ModelScale:
     """Estimate the factor that gives a reconstruction its size in metres.
 
@@ -97,7 +95,7 @@ def rescale(
         images: folder of the photographs; None looks near the model's files.
         known_lengths_table: CSV of lines of known length in the photographs; see ``read_known_lengths``.
         journal: as in ``estimate_flight``.
-        **keywords: as in ``vehanchor.estimate_gsd``.
+        **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
 
     Returns:
         The record; ``factor`` is None if nothing of known size is found.
@@ -130,7 +128,7 @@ def live_scales(
     hold_s: float = 10.0,
     idle_s: float | None = None,
     tell: Callable[[str], None] = lambda _sentence: None,
-    **keywords: Unpack[EstimateKeywords],
+    **keywords: Any,
 ) -> Iterator[LiveScale]:
     """Estimate the scale of each frame of a running camera, advisory.
 
@@ -144,7 +142,7 @@ def live_scales(
         hold_s: seconds without vehicles after which there is no scale.
         idle_s: seconds without a new frame that end a folder or a camera; None for never.
         tell: receives a sentence on each frame that cannot be read, and on each loss and return of the camera.
-        **keywords: as in ``vehanchor.estimate_gsd``.
+        **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
 
     Returns:
         An iterator of one record for each frame, from all frames so far.

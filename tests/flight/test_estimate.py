@@ -86,9 +86,9 @@ def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
     "option",
     [{"frame_width_px": 4, "frame_height_px": 3}, {"known_lengths": [(0, 0, 50, 0, 5.0)]}, {"drop": [1]}],
 )
-def test_what_belongs_to_one_image_is_refused(flight: list[str], detector: Detector, option: dict[str, object]) -> None:
+def test_what_belongs_to_one_image_is_refused(flight: list[str], detector: Detector, option: dict[str, Any]) -> None:
     with pytest.raises(InvalidParameterError, match="one image"):
-        estimate_flight(flight, detector=detector, **option)  # type: ignore[arg-type]
+        estimate_flight(flight, detector=detector, **option)
 
 
 @pytest.mark.parametrize("one", ["s.png", Path("s.png"), b"png", np.zeros((4, 4, 3), np.uint8), 5])
