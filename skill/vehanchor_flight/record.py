@@ -86,24 +86,23 @@ def conclude_flight(
     }
     pooled_components = []
     for number, component in enumerate(components):
-        members = _members(results, component)
+        members = [found for place in component.members if not isinstance(found := results[place], Failure)]
         pooled = pool(members, component.log_scales, component.reference, component.extra)
         estimate = pooled.estimate
         advice = component_advice(estimate, unlinked=len(component) == 1 < len(sorties) and not same_scale)
-        pooled_components.append(
-            FlightComponent(
-                number=number,
-                n_photographs=len(component),
-                reference=members[component.reference].name,
-                pooled=estimate,
-                advice=advice,
-            )
+        of_component = FlightComponent(
+            number=number,
+            n_photographs=len(component),
+            reference=members[component.reference].name,
+            pooled=estimate,
+            advice=advice,
         )
+        pooled_components.append(of_component)
         rulers = _supporting_rulers(members, component, pooled)
         for place, at in enumerate(component.members):
-            found = _photograph(members[place], component, place, pooled_components[-1], rulers[place])
+            record = _photograph(members[place], component, place, of_component, rulers[place])
             where = _place(component, place, estimate, positions.get(int(at)))
-            photographs[int(at)] = found.model_copy(update={**where, "sortie": sorties[int(at)]})
+            photographs[int(at)] = record.model_copy(update={**where, "sortie": sorties[int(at)]})
     ordered = tuple(photographs[place] for place in range(len(results)))
     whole = pooled_components[0].pooled if same_scale else None
     return FlightEstimate(
@@ -121,10 +120,6 @@ def conclude_flight(
         model_sha256=card.sha256,
         warnings=(*whole.warnings, *_several_sorties(sorties.values())) if whole else (),
     )
-
-
-def _members(results: Sequence[Photograph | Failure], component: Component) -> list[Photograph]:
-    return [result for place in component.members if not isinstance(result := results[place], Failure)]
 
 
 def _sorties(results: Sequence[Photograph | Failure]) -> dict[int, int]:
