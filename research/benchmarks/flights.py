@@ -24,17 +24,17 @@ import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
 from vehanchor.engine import Engine
-from vehanchor.flight.components import single_component
-from vehanchor.flight.estimate import conclude, search_flight
-from vehanchor.flight.features import find_features
-from vehanchor.flight.inputs import InputPhotograph
-from vehanchor.flight.io import read_record
-from vehanchor.flight.matching import match
-from vehanchor.flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
-from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
+from vehanchor_flight.components import single_component
+from vehanchor_flight.estimate import conclude, search_flight
+from vehanchor_flight.features import find_features
+from vehanchor_flight.inputs import InputPhotograph
+from vehanchor_flight.matching import match
+from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
+from vehanchor_flight.record import Failure, conclude_flight
+from vehanchor_flight.records import FlightEstimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector
-    from vehanchor.records import FlightEstimate, FlightLink
+    from vehanchor_flight.records import FlightLink
 
 _REGIONS = {"cannes": "europe", "estonia": "northern_europe", "ucm": "north_america", "saopaulo": "south_america"}
 _FLIGHTS, _PHOTOGRAPHS = 4, 24
@@ -261,7 +261,7 @@ def real(data: Path, written: Path) -> None:
         data: with ``flights/table.csv``.
         written: the flight's record.
     """
-    record = read_record(written)
+    record = FlightEstimate.model_validate_json(written.read_bytes())
     with (data / "flights" / "table.csv").open() as file:
         seas = {Path(row["file"]).name: float(row["altitude_above_sea_m"]) for row in csv.DictReader(file)}
     members = [each for each in record.photographs if each.gsd_m_per_px and each.component == 0]

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     analyse_area = Engine().analyse_area
     measure_distance = Engine().measure_distance
     analyse_distance = Engine().analyse_distance
-    estimate_flight = Engine().flight
 
 __all__ = [
     "AreaMeasurement",
@@ -46,7 +45,6 @@ __all__ = [
     "analyse_area",
     "analyse_distance",
     "analyse_scale",
-    "estimate_flight",
     "estimate_gsd",
     "find_images",
     "load_calibration",
@@ -60,7 +58,7 @@ _HOMES = {  # resolved on first use, so that importing vehanchor costs nothing u
     "records": ("AreaMeasurement", "DistanceMeasurement", "GsdEstimate"),
     "scale.calibration": ("load_calibration",),
 }
-_METHODS = {"estimate_gsd": "estimate", "estimate_flight": "flight"}  # the other functions have their method's name
+_METHODS = {"estimate_gsd": "estimate"}  # the other functions have their method's name
 
 
 def __getattr__(name: str) -> Any:

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS, REASONS, blocks
-from tests.skill.flight.reconstruction.flights import Pose, write_opensfm
+from tests.flight.reconstruction.flights import Pose, write_opensfm
 from vehanchor.cli.app import app
 
 _WITH_CODE = [document for document in DOCUMENTS if any(block.reason is None for block in blocks(document))]

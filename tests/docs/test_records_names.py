@@ -14,9 +14,11 @@ from vehanchor.batch.row import COLUMNS
 from vehanchor.records.flat import flat_columns
 from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.defaults import Stopped
+from vehanchor_flight import records as flight_records
 
 PAGE = (ROOT / "docs" / "records-names.md").read_text(encoding="utf-8")
-RECORDS = [each for each in vars(records).values() if isinstance(each, type) and issubclass(each, BaseModel)]
+_NAMED = {**vars(records), **vars(flight_records)}
+RECORDS = [each for each in _NAMED.values() if isinstance(each, type) and issubclass(each, BaseModel)]
 
 
 def _names_now() -> list[str]:

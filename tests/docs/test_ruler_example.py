@@ -32,6 +32,7 @@ from vehanchor.records.ruler_kinds import RULERS
 from vehanchor.rulers.registry import ruler_class, rulers_help
 from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
+from vehanchor_flight.verbs import estimate_flight
 from vehanchor_server.app_page.page import page_html
 from vehanchor_server.tools.messages import ruler_explanations, ruler_names
 
@@ -152,7 +153,7 @@ def test_the_verb_searches_for_it_and_the_record_its_table_and_its_schema_name_i
 def test_a_flight_pools_it_and_its_error_as_the_class_says(detector: Path, photograph: Path) -> None:
     again = photograph.with_name("again.png")
     shutil.copy(photograph, again)
-    flight = vehanchor.estimate_flight([photograph, again], same_scale=True, detector=str(detector), rulers=("track",))
+    flight = estimate_flight([photograph, again], same_scale=True, detector=str(detector), rulers=("track",))
     assert flight.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
     assert flight.photographs[0].supported_by[0].ruler == "track"
     one = vehanchor.estimate_gsd(photograph, detector=str(detector), rulers=("track",))

@@ -22,7 +22,7 @@ from vehanchor_server.schemas import schema_files
 pytestmark = [pytest.mark.packaging, pytest.mark.timeout(900)]  # installing takes what the disk takes
 
 SOURCES = ("LICENSE", "README.md", "pyproject.toml", "schemas", "server", "skill")
-PACKAGES = ("vehanchor", "vehanchor_evaluation", "vehanchor_server")
+PACKAGES = ("vehanchor", "vehanchor_evaluation", "vehanchor_flight", "vehanchor_server")
 LARGEST_WHEEL = 40e6  # bytes
 _PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 

@@ -124,30 +124,6 @@ def test_a_cancellation_ends_the_call_that_it_belongs_to_and_no_other(engine: En
     assert engine.estimate(image, rulers=("vehicles",)).status == "ok"
 
 
-def test_a_cancelled_flight_ends_and_its_journal_resumes(engine: Engine, tmp_path: Path) -> None:
-    import cv2
-
-    paths = [str(tmp_path / f"{name}.png") for name in "abc"]
-    for k, path in enumerate(paths):
-        cv2.imwrite(path, np.roll(_place(), 5 * k, axis=1)[:, :, ::-1])
-    cancellation, told = Cancellation(), []
-
-    def cancel(done: int, total: int) -> None:
-        told.append((done, total))
-        if done == 2:
-            cancellation.cancel()
-
-    journal = tmp_path / "flight.journal"
-    with pytest.raises(CancelledError):
-        engine.flight(paths, same_scale=True, journal=journal, progress=cancel, cancellation=cancellation)
-    assert told == [(0, 3), (1, 3), (2, 3)], "photographs are counted, not tiles"
-    assert journal.exists()
-    with watched_tiles() as tiles:
-        record = engine.flight(paths, same_scale=True, journal=journal)
-    assert tiles.n_begun == 1, "two photographs were known"
-    assert record == engine.flight(paths, same_scale=True)
-
-
 def test_a_verb_gives_what_its_method_gives(engine: Engine, files: Path, segmenter: tuple[Path, Path]) -> None:
     image, detector = _place(), files / "m.onnx"
     estimate = engine.estimate(image)
@@ -157,8 +133,6 @@ def test_a_verb_gives_what_its_method_gives(engine: Engine, files: Path, segment
     assert engine.measure_area(image, box=BOX) == area == engine.analyse_area(image, box=BOX).measurement
     distance = vehanchor.measure_distance(image, PATH, detector=detector)
     assert engine.measure_distance(image, PATH) == distance == engine.analyse_distance(image, PATH).measurement
-    flight = vehanchor.estimate_flight([image, image[::-1]], detector=detector, same_scale=True)
-    assert engine.flight([image, image[::-1]], same_scale=True) == flight
 
 
 def test_a_bad_image_of_a_list_is_named_and_the_others_are_kept(engine: Engine, tmp_path: Path) -> None:

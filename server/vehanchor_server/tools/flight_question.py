@@ -22,11 +22,11 @@ from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import ScaleQuestion
 
 if TYPE_CHECKING:
-    from vehanchor.flight.inputs import InputPhotograph
-    from vehanchor.flight.photograph import Photograph
-    from vehanchor.flight.record import Failure
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import FlightEstimate
+    from vehanchor_flight.inputs import InputPhotograph
+    from vehanchor_flight.photograph import Photograph
+    from vehanchor_flight.record import Failure
+    from vehanchor_flight.records import FlightEstimate
     from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.job import Job
     from vehanchor_server.images.source import OpenedImage
@@ -82,8 +82,8 @@ def estimate_with_flight(
         CallStoppedError: the call was stopped.
     """
     from vehanchor.analysis.pipeline import checked_detector
-    from vehanchor.flight.estimate import conclude, search_flight
     from vehanchor.imagery.sources.opening import open_raster
+    from vehanchor_flight.estimate import conclude, search_flight
 
     progress = partial(_report_photograph, job, 1 + len(more))
     detector = services.models.detector(replace(job.runtime, progress=progress))
@@ -114,7 +114,7 @@ def _open_each(
     services: Services, source: OpenedImage, more: Sequence[tuple[AnyImage, bytes | None]], opened: list[OpenedImage]
 ) -> Iterator[InputPhotograph]:
     """Open the image and the others, one after the other."""
-    from vehanchor.flight.inputs import InputPhotograph
+    from vehanchor_flight.inputs import InputPhotograph
 
     opened.append(source)
     yield InputPhotograph("image", source)
@@ -134,7 +134,7 @@ def _require_readable(photograph: Photograph | Failure, source: OpenedImage) -> 
         CallError: another image is unreadable; the message names it.
         VehAnchorError: the image itself is unreadable.
     """
-    from vehanchor.flight.record import Failure
+    from vehanchor_flight.record import Failure
 
     if not isinstance(photograph, Failure):
         return photograph
@@ -158,9 +158,9 @@ def _refuse_duplicates(members: Sequence[Photograph]) -> None:
 def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
     """Return the image's record with its scale in the caller's frame; warn if no other image is linked to it."""
     from vehanchor.analysis.pipeline import frame_scale
-    from vehanchor.flight.project import estimate_in_flight
     from vehanchor.records import Notice
     from vehanchor.records.notices import NoticeCode
+    from vehanchor_flight.project import estimate_in_flight
 
     first = flight.photographs[0]
     record = estimate_in_flight(flight, first)
@@ -170,10 +170,7 @@ def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstima
         interval = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
     warnings = record.warnings
     if first.component is not None and flight.components[first.component].n_photographs == 1:
-        message = (
-            "None of the other images overlaps this one enough for a link: the scale rests on this image alone, or on "
-            "its height above sea level."
-        )
+        message = "None of the other images overlaps this one enough for a link: the scale rests on this image alone."
         warnings = (*warnings, Notice(code=NoticeCode.NOT_LINKED, message=message))
     frame = frame_scale(asked.frame, record.image_width_px, record.gsd_m_per_px, interval)
     return record.model_copy(update={"frame": frame, "warnings": warnings})

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _GROUP = "vehanchor.commands"
 _PANELS = {
-    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "live", "rescale", "view"), "Measure"),
+    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "view"), "Measure"),
     **dict.fromkeys(("serve",), "For agents"),
     **dict.fromkeys(("models",), "This installation"),
 }
@@ -39,8 +39,6 @@ _FIRST = (
     "measure",
     "batch",
     "flight",
-    "live",
-    "rescale",
     "view",
     "models",
     "serve",

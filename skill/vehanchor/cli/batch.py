@@ -18,7 +18,6 @@ from vehanchor.options.by_hand import BY_HAND
 
 if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
-    from vehanchor.engine import Engine
 
 _STATUSES = ("ok", "low_confidence", "no_scale", "error")
 
@@ -67,9 +66,6 @@ def batch(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
     ] = False,
-    same_scale: Annotated[
-        bool, typer.Option("--same-scale", help="All images have one scale: pool their evidence (one worker).")
-    ] = False,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
     *,
@@ -83,21 +79,16 @@ def batch(
         started = time.monotonic()
         with image_progress() as progress:
             if measure is not None:
-                if engine is not _Engine.local or workers or known_lengths or same_scale:
-                    raise InvalidParameterError("--measure excludes --engine, --workers, --known-lengths, --same-scale")
+                if engine is not _Engine.local or workers or known_lengths:
+                    raise InvalidParameterError("--measure excludes --engine, --workers and --known-lengths")
                 from vehanchor.cli.batch_targets import measure_table
 
                 measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
                 return
-            if same_scale and (engine is not _Engine.local or workers not in (None, 1)):
-                raise InvalidParameterError("--same-scale works in one process: leave out --engine and --workers")
             common = {"known_lengths": known_lengths, "overwrite": overwrite}
             try:
-                if same_scale:
-                    summary = _of_one_scale(inputs, output, chosen.engine(progress=progress), **common)
-                else:
-                    machines = {"engine": engine.value, "address": address, "workers": workers}
-                    summary = _each(inputs, output, chosen, runtime=chosen.runtime(progress), **machines, **common)
+                machines = {"engine": engine.value, "address": address, "workers": workers}
+                summary = _each(inputs, output, chosen, runtime=chosen.runtime(progress), **machines, **common)
             except KeyboardInterrupt:
                 print("interrupted: finished rows are kept; run the same command to resume", file=sys.stderr)
                 raise typer.Exit(INTERRUPTED) from None
@@ -110,13 +101,6 @@ def _each(inputs: list[str], output: Path, chosen: ParsedOptions, **more: Any) -
 
     model = chosen.detector
     return run_batch(inputs, output, detector=model.detector, classes=model.classes, options=chosen.options(), **more)
-
-
-def _of_one_scale(inputs: list[str], output: Path, engine: Engine, **more: Any) -> BatchSummary:
-    """Estimate the common scale of all images; ``more`` are arguments of ``run_same_scale``."""
-    from vehanchor.batch.same_scale import run_same_scale
-
-    return run_same_scale(inputs, output, detector=engine.detector, options=engine.options, **more)
 
 
 def _summarise(summary: BatchSummary, seconds: float) -> None:

@@ -12,6 +12,8 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from vehanchor.records import KnownScale
 
 GivenGsd: TypeAlias = Annotated[
@@ -62,13 +64,30 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
         raise InvalidParameterError(
             f"--scale {str(path)!r} cannot be read: {error}. Give the output of 'vehanchor estimate IMAGE --json'"
         ) from None
-    if isinstance(record, dict) and "photographs" in record:
-        from vehanchor.flight.io import photograph_in, read_record
-
-        return photograph_in(read_record(path), image).scale
     try:
+        if isinstance(record, dict) and "photographs" in record:
+            record = _photograph_in(record["photographs"], image)["scale"]
         return known_scale(record)
     except InvalidParameterError as error:
         raise InvalidParameterError(
             f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor estimate IMAGE --json'"
         ) from None
+
+
+def _photograph_in(photographs: Sequence[Mapping[str, Any]], image: str) -> Mapping[str, Any]:
+    """Find a photograph in the record of a flight by its file, or by a name that is unique.
+
+    Raises:
+        InvalidParameterError: the photograph is not in the record, or has no scale.
+    """
+    try:
+        same = [each for each in photographs if Path(each["photograph"]).absolute() == Path(image).absolute()]
+        found = same or [each for each in photographs if Path(each["photograph"]).name == Path(image).name]
+        if len(found) == 1 and found[0]["scale"] is not None:
+            return found[0]
+    except (TypeError, KeyError) as error:
+        raise InvalidParameterError(f"a photograph has no name or no scale: {error}") from None
+    if len(found) != 1:
+        count = f"there {len(found)} times" if found else "not there"
+        raise InvalidParameterError(f"{image!r} is {count} in the flight: name a photograph of it by its path")
+    raise InvalidParameterError(f"the flight has no scale for {image!r}: give --gsd")

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TextIO, TypeAlias
 
 import typer
 
@@ -20,7 +20,7 @@ from vehanchor.records.foreign_text import on_one_line
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, ModelScale
+    from vehanchor.records import Notice
 
 BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
 NOT_OK = 3  # with --strict: a result that is not usable
@@ -173,9 +173,16 @@ STATUS_TEXTS = {
 }
 
 
-def print_warnings(
-    record: GsdEstimate | AreaMeasurement | DistanceMeasurement | FlightEstimate | ModelScale, about: str
-) -> None:
+class Warned(Protocol):
+    """Record with warnings."""
+
+    @property
+    def warnings(self) -> Sequence[Notice]:
+        """Further facts, each with a stable code."""
+        ...
+
+
+def print_warnings(record: Warned, about: str) -> None:
     """Print the warnings of a record on stderr, one per line."""
     prefix = f"{about}: " if about else ""
     for notice in record.warnings:

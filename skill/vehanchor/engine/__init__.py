@@ -2,9 +2,8 @@
 
 from vehanchor.detection.detector import Detector
 from vehanchor.engine.engine import Engine
-from vehanchor.flight.inputs import InputPhotograph
 from vehanchor.imagery.sources.opening import ImageSource
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.segmentation.segmenter import Segmenter
 
-__all__ = ["Cancellation", "Detector", "Engine", "ImageSource", "InputPhotograph", "Runtime", "Segmenter"]
+__all__ = ["Cancellation", "Detector", "Engine", "ImageSource", "Runtime", "Segmenter"]

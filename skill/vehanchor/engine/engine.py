@@ -5,19 +5,16 @@
     >>> engine.estimate("photo.jpg").gsd_m_per_px  # doctest: +SKIP
     0.152
 
-``vehanchor`` has the same methods as functions. The methods for flights import their modules themselves,
-so that a single estimate starts without them and without ``scipy``.
+``vehanchor`` has the same methods as functions.
 """
 
 from __future__ import annotations
 
 import copy
-import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 from vehanchor.analysis.image_list import estimate_each
@@ -41,7 +38,6 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.resolved_scale import ScaleInput
@@ -49,11 +45,8 @@ if TYPE_CHECKING:
     from vehanchor.records import (
         AreaMeasurement,
         DistanceMeasurement,
-        FlightEstimate,
         GsdEstimate,
         KnownScale,
-        LiveScale,
-        ModelScale,
     )
     from vehanchor.segmentation.prompt import Box, Point
 
@@ -299,118 +292,6 @@ class Engine:
         with _opened(image, chosen) as raster:
             (found,) = analyse_paths(raster, [places], known, chosen, object_height_m=object_height_m)
         return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
-
-    def flight(
-        self,
-        images: Iterable[ImageSource | InputPhotograph],
-        options: ScaleOptions | None = None,
-        *,
-        same_scale: bool = False,
-        journal: str | os.PathLike[str] | None = None,
-        **keywords: Any,
-    ) -> FlightEstimate:
-        """Estimate the scales of the photographs of one flight from their common evidence.
-
-        One photograph is held in memory at a time. The record holds the error of a photograph that cannot be read.
-
-        Args:
-            images: the photographs, in the order in which they were taken, each as in ``estimate``. An
-                ``InputPhotograph`` names one; the default name is its path or its number.
-            options: as in ``estimate``, without a frame and lines of known length, which belong to one photograph.
-            same_scale: all photographs have one scale, as in a survey at one height: pool their evidence.
-            journal: file with the result of each photograph, from which the same call resumes after an interruption;
-                removed at the end. It covers photographs given as paths, and frames of ``sample_video``.
-            **keywords: see ``Engine``.
-
-        Returns:
-            The record; a photograph without evidence and without links to others has no scale.
-
-        Raises:
-            OutputError: the journal cannot be written.
-            VehAnchorError: as ``estimate``.
-        """
-        from vehanchor.flight.estimate import analyse_flight
-        from vehanchor.flight.inputs import check_many
-
-        check_many(images)  # before a model is loaded
-        engine, chosen = self.for_call(options, keywords)
-        return analyse_flight(images, engine.detector, chosen, same_scale=same_scale, journal=journal)
-
-    def rescale(
-        self,
-        model: str | os.PathLike[str],
-        options: ScaleOptions | None = None,
-        *,
-        images: str | os.PathLike[str] | None = None,
-        known_lengths_table: str | os.PathLike[str] | None = None,
-        journal: str | os.PathLike[str] | None = None,
-        **keywords: Any,
-    ) -> ModelScale:
-        """Estimate the factor that gives a reconstruction its size in metres.
-
-        Args:
-            model: folder of a project of OpenDroneMap, OpenSfM or COLMAP, or a ``reconstruction.json``.
-            options: as in ``estimate``. Metadata of the photographs is not used.
-            images: folder of the photographs; None looks near the model's files.
-            known_lengths_table: CSV of lines of known length in the photographs; see ``read_known_lengths``.
-            journal: as in ``flight``.
-            **keywords: see ``Engine``.
-
-        Returns:
-            The record; ``factor`` is None if nothing of known size is found.
-
-        Raises:
-            ReconstructionError: the model cannot be read or measured, or its photographs are not found.
-            OutputError: the journal cannot be written.
-            VehAnchorError: as ``estimate``.
-        """
-        from vehanchor.flight.reconstruction.estimate import rescale
-        from vehanchor.flight.reconstruction.files import images_of, read_model
-
-        engine, chosen = self.for_call(options, keywords)
-        read = read_model(model)
-        folder = images_of(read) if images is None else Path(images)
-        return rescale(read, folder, engine.detector, chosen, known_lengths_table, journal)
-
-    def live(
-        self,
-        source: str | os.PathLike[str] | int,
-        options: ScaleOptions | None = None,
-        *,
-        every_s: float = 0.2,
-        hold_s: float = 10.0,
-        idle_s: float | None = None,
-        tell: Callable[[str], None] = _ignore,
-        **keywords: Any,
-    ) -> Iterator[LiveScale]:
-        """Estimate the scale of each frame of a running camera, advisory.
-
-        The newest frame wins: no queue grows while a record is used. A video gives every frame.
-
-        Args:
-            source: folder that fills, video file, or number of a camera.
-            options: as in ``estimate``. The rulers are vehicles and the scene-scale prior.
-            every_s: for a video, seconds between frames.
-            hold_s: seconds without vehicles after which there is no scale.
-            idle_s: seconds without a new frame that end a folder or a camera; None for never.
-            tell: receives a sentence on each frame that cannot be read, and on each loss and return of the camera.
-            **keywords: see ``Engine``.
-
-        Returns:
-            An iterator of one record for each frame, from all frames so far.
-
-        Raises:
-            ImageNotFoundError: there is no such source.
-            InvalidParameterError: the seconds are invalid, or an option is.
-            ModelError: a model cannot be used.
-        """
-        from vehanchor.flight.live.estimator import live_scales
-        from vehanchor.flight.live.frames import open_frames
-
-        engine, chosen = self.for_call(options, keywords)
-        name = str(source) if isinstance(source, int) else os.fspath(source)
-        frames = open_frames(name, chosen.reading, every_s=every_s, idle_s=idle_s, tell=tell)
-        return live_scales(frames, engine.detector, chosen, hold_s=hold_s)
 
     def for_call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
         """Apply the keywords of a call to the engine and its options.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from vehanchor.records.area import AreaMeasurement, FrameArea, OtherObject
 from vehanchor.records.distance import DistanceMeasurement
-from vehanchor.records.flight import FlightComponent, FlightEstimate, FlightLink, FlightPhotograph, FlightRuler
 from vehanchor.records.geometry import BoundingBox, ImagePoint, OutlinePolygon, OutlineRing
 from vehanchor.records.gsd_estimate import (
     ConfidenceTerms,
@@ -18,9 +17,7 @@ from vehanchor.records.gsd_estimate import (
     VehiclesByHand,
 )
 from vehanchor.records.known_scale import KnownPlane, KnownScale
-from vehanchor.records.live import LiveScale
 from vehanchor.records.measurement import ScaleSource
-from vehanchor.records.model_scale import ModelPhotograph, ModelRuler, ModelScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION
 from vehanchor.scale.defaults import Reason
@@ -31,21 +28,12 @@ __all__ = [
     "BoundingBox",
     "ConfidenceTerms",
     "DistanceMeasurement",
-    "FlightComponent",
-    "FlightEstimate",
-    "FlightLink",
-    "FlightPhotograph",
-    "FlightRuler",
     "FrameArea",
     "FrameScale",
     "GsdEstimate",
     "ImagePoint",
     "KnownPlane",
     "KnownScale",
-    "LiveScale",
-    "ModelPhotograph",
-    "ModelRuler",
-    "ModelScale",
     "Notice",
     "OtherObject",
     "OutlinePolygon",

@@ -89,7 +89,7 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
     """Compare the layout of photographs with their positions.
 
     Args:
-        layout: ``[m]`` points below the cameras in pixels, y down (see ``vehanchor.flight.layout``).
+        layout: ``[m]`` points below the cameras in pixels, y down (see ``vehanchor_flight.layout``).
         places: ``[m, 2]`` metres east and north, NaN for unknown ones.
         width_px: width of a photograph, in these pixels.
 

@@ -9,11 +9,11 @@ import pytest
 from mcp import Client
 from mcp.server import MCPServer
 
+from tests.flight.ground import ground, photograph_of
 from tests.models import paint_vehicles
 from tests.sam_models import SamFiles
 from tests.server.conftest import LENGTH_PX, paint_scene, write_image
 from tests.server.conversation import by_path, error_of, picture_of, text_of
-from tests.skill.flight.ground import ground, photograph_of
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_server.app import create_server
 from vehanchor_server.images.fetch import Fetcher
@@ -134,7 +134,7 @@ async def test_no_image_is_opened_again_where_no_picture_is_wanted(
         return open_raster(*arguments, **options)
 
     monkeypatch.setattr("vehanchor.imagery.sources.opening.open_raster", counted)
-    monkeypatch.setattr("vehanchor.flight.estimate.open_raster", counted)
+    monkeypatch.setattr("vehanchor_flight.estimate.open_raster", counted)
     arguments = _among(images / "two.png", images / "more.png", same_scale=True)
     async with Client(server) as client:
         plain = await client.call_tool("estimate_gsd", arguments)

@@ -68,7 +68,7 @@ async def test_a_measured_scale_leads_without_a_search_and_a_detector(
 
 @pytest.mark.usefixtures("never_searches")
 async def test_a_measured_scale_as_wide_as_a_guess_is_not_to_be_used(server: MCPServer[object], images: Path) -> None:
-    wide = {"gsd_m_per_px": 0.15, "gsd_basis": "measured", "gsd_tolerance": 0.06}
+    wide: dict[str, Any] = {"gsd_m_per_px": 0.15, "gsd_basis": "measured", "gsd_tolerance": 0.06}
     assert (await measured(server, images / "pool.png", **wide))["status"] == "low_confidence"
 
 
@@ -147,7 +147,7 @@ async def test_an_assumed_scale_that_repeats_the_images_own_changes_nothing(
 
 
 async def test_an_assumed_scale_alone_is_never_usable(server: MCPServer[object], images: Path) -> None:
-    stated = {"gsd_m_per_px": 0.25, "gsd_tolerance": 0.002}  # the prior of the scene agrees
+    stated: dict[str, Any] = {"gsd_m_per_px": 0.25, "gsd_tolerance": 0.002}  # the prior of the scene agrees
     found = await measured(server, images / "empty.png", **stated)
     assert found["gsd_m_per_px"] == pytest.approx(0.25, rel=0.1)
     assert (found["status"], found["estimate"]["reason"]) == ("low_confidence", "assumed")
@@ -160,8 +160,9 @@ async def test_an_assumed_scale_alone_is_never_usable(server: MCPServer[object],
 def searches(monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
     """Number of searches so far."""
     from vehanchor.analysis import memory
+    from vehanchor.analysis.pipeline import analyse_raster as real
 
-    real, seen = memory.analyse_raster, []
+    seen = []
 
     def counted(*arguments: Any) -> Any:
         seen.append(arguments)
@@ -254,7 +255,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(
     assert found["estimate"]["by_hand"] == {"confirmed": 0, "dropped": 2, "added": 1}
     assert found["estimate"]["n_vehicles"] == plain["estimate"]["n_vehicles"] - 1
     assert found["estimate"] == await estimated(server, images / "pool.png", **told)
-    half = {"frame": {"width_px": 320, "height_px": 256}, "coordinates": "pixels", "drop": "1,3"}
+    half: dict[str, Any] = {"frame": {"width_px": 320, "height_px": 256}, "coordinates": "pixels", "drop": "1,3"}
     half["add"] = [{"x1": 50, "y1": 240, "x2": 66, "y2": 240}]
     halved = {"box": {name: value / 2 for name, value in POOL_BOX.items()}}
     where = {"targets": [halved]} if tool == "measure_area" else {"lines": [{"points": HALVED}]}

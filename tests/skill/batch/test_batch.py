@@ -672,22 +672,6 @@ def test_lines_of_known_length_of_single_images_come_from_a_table(folder: Path, 
     assert cars == _rows(table.with_name("without.jsonl"))[0]
 
 
-def test_lines_of_one_image_scale_all_where_all_are_of_one_scale(folder: Path, detector: Path, table: Path) -> None:
-    images, lines = [table.with_name("a.png"), table.with_name("b.png")], table.with_name("lines.csv")
-    for image in images:
-        image.write_bytes((folder / "empty.png").read_bytes())
-    lines.write_text("file,x1,y1,x2,y2,metres,basis\na.png,100,50,500,50,48,measured\n")
-    common = (*images, "--detector", detector, "--same-scale", "--known-lengths")
-    result = _batch(*common, lines, "-o", table)
-    assert result.exit_code == 0, result.output
-    rows = _rows(table)
-    assert [row["gsd_m_per_px"] for row in rows] == [pytest.approx(0.12, rel=1e-3)] * 2
-    assert [row["status"] for row in rows] == ["ok", "ok"]
-    lines.write_text("file,x1,y1,x2,y2,metres\nfull.png,100,50,500,50,48\n")
-    refused = _batch(*common, lines, "-o", table, "--overwrite")
-    assert (refused.exit_code, "not one of the images" in refused.stderr) == (2, True)
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [

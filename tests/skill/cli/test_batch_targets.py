@@ -122,7 +122,7 @@ def test_a_table_that_is_wrong_is_refused_before_the_work(place: Path, tmp_path:
 
 
 def test_it_excludes_what_it_does_not_do(place: Path, tmp_path: Path) -> None:
-    result = _batch(place, tmp_path / "out.csv", "--same-scale")
+    result = _batch(place, tmp_path / "out.csv", "--workers", "1")
     assert (result.exit_code, "--measure excludes" in result.stderr) == (2, True)
     alone = CliRunner().invoke(app, ["batch", str(place / "photos"), "-o", str(tmp_path / "out.geojson")])
     assert (alone.exit_code, "holds the targets of --measure" in alone.stderr) == (2, True)

@@ -170,8 +170,6 @@ def test_confirmed_hire_cars_of_one_make_give_the_scale_again_and_again(engine: 
 
 
 def test_what_belongs_to_one_image_or_needs_a_search_is_refused(engine: Engine, hire_cars: Any, tmp_path: Path) -> None:
-    with pytest.raises(InvalidParameterError, match="drop belongs to one image"):
-        engine.flight([hire_cars, hire_cars], drop=[1])
     with pytest.raises(InvalidParameterError, match="add belongs to one image"):
         run_batch([str(tmp_path)], tmp_path / "t.csv", options=ScaleOptions.of({"add": [(0, 0, 9, 0)]}))
     with pytest.raises(InvalidParameterError, match="confirm needs the ruler vehicles"):

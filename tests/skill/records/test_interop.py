@@ -11,7 +11,7 @@ from tests.analyses import make_analysis
 from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError, PromptError
 from vehanchor.measure.distance import read_path
-from vehanchor.records import SCHEMA_VERSION, FlightEstimate, GsdEstimate, Notice
+from vehanchor.records import SCHEMA_VERSION, GsdEstimate, Notice
 from vehanchor.records.flat import flat_columns, flat_row
 from vehanchor.records.interop import as_frame, outline_geometry
 from vehanchor.segmentation.prompt import read_prompt
@@ -64,9 +64,7 @@ def test_a_table_of_a_batch_has_the_columns_of_a_data_frame() -> None:
     assert set(COLUMNS) - {"file", "error_code", "error"} == set(flat_columns(GsdEstimate, without=("frame",)))
 
 
-@pytest.mark.parametrize(
-    "kind", [GsdEstimate, vehanchor.AreaMeasurement, vehanchor.DistanceMeasurement, FlightEstimate]
-)
+@pytest.mark.parametrize("kind", [GsdEstimate, vehanchor.AreaMeasurement, vehanchor.DistanceMeasurement])
 def test_a_record_of_another_schema_version_is_refused(kind: type[BaseModel]) -> None:
     assert kind.model_fields["schema_version"].default == SCHEMA_VERSION
     with pytest.raises(ValidationError, match="schema_version"):

@@ -9,7 +9,6 @@ import pytest
 from vehanchor.analysis.stored import stored_classes
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
-from vehanchor.flight.photograph import StoredPhotograph, photograph_codec
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
@@ -20,6 +19,7 @@ from vehanchor.scale.density import flat, lognormal
 from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import Shared
 from vehanchor.storage.codec import Codec
+from vehanchor_flight.photograph import StoredPhotograph, photograph_codec
 
 
 def _stored() -> StoredPhotograph:
@@ -47,7 +47,7 @@ def test_intermediate_results_come_back_exactly() -> None:
     "found",
     [
         {"=": "subprocess:Popen", "fields": {"args": "true"}},
-        {"=": "vehanchor.flight.photograph:StoredPhotograph", "fields": {}},
+        {"=": "vehanchor_flight.photograph:StoredPhotograph", "fields": {}},
         {"=": "array", "dtype": "O", "shape": [1], "data": ""},
     ],
 )

@@ -9,8 +9,6 @@ from tests.analyses import made_card
 from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import TooObliqueError
-from vehanchor.flight.photograph import Photograph, StoredPhotograph
-from vehanchor.flight.pooling import pool
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
@@ -18,6 +16,8 @@ from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor.tilt.rectified import rectified
+from vehanchor_flight.photograph import Photograph, StoredPhotograph
+from vehanchor_flight.pooling import pool
 
 WIDTH, HEIGHT, FOCAL, CAR_M, GSD = 3000, 2000, 2400.0, 5.0, 0.05
 CAR_WIDTH_M = CAR_M / 2.21  # as detectors draw it

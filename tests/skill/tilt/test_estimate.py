@@ -15,8 +15,6 @@ from vehanchor.courts.court import Court
 from vehanchor.courts.template import TENNIS
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import TooObliqueError
-from vehanchor.flight.photograph import Photograph, StoredPhotograph, photograph_codec
-from vehanchor.flight.pooling import pool
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
@@ -30,6 +28,8 @@ from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor.tilt.estimate import estimate_tilt
+from vehanchor_flight.photograph import Photograph, StoredPhotograph, photograph_codec
+from vehanchor_flight.pooling import pool
 
 CAMERA = CameraMetadata(focal_px=FOCAL_PX, taken_width_px=WIDTH, taken_height_px=HEIGHT, off_nadir_deg=30.0)
 NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))

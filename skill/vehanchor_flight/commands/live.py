@@ -1,0 +1,56 @@
+"""``vehanchor flight live``: scale of a running camera, one JSON line a frame."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from vehanchor.cli.cli_options import ParsedOptions, scale_command
+from vehanchor.cli.terminal import exit_on_error, printable
+from vehanchor.options.by_hand import BY_HAND
+from vehanchor.options.models import Precision
+
+
+@scale_command(
+    without=(
+        *("frame", "coordinates", "known_lengths", *BY_HAND),
+        *("rulers", "height_m", "focal_35mm", "metadata", "precision"),
+    )
+)
+def live(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="A folder that fills, a video, or the number of a camera (0 is the first).",
+            show_default=False,
+        ),
+    ],
+    every: Annotated[float, typer.Option(metavar="S", help="For a video: seconds between frames.")] = 0.2,
+    hold: Annotated[float, typer.Option(metavar="S", help="Seconds without vehicles until there is no scale.")] = 10.0,
+    idle: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="End after so many seconds without a new frame. Default: never."),
+    ] = None,
+    precision: Annotated[
+        Precision,
+        typer.Option(help="Number format of the detector. Default: int8 where the processor is fast with it."),
+    ] = "auto",
+    *,
+    chosen: ParsedOptions,
+) -> None:
+    """Estimate the scale while flying: one JSON line for each frame. Advisory; the newest frame wins."""
+    with exit_on_error():
+        from vehanchor_flight.verbs import live_scales
+
+        engine = ParsedOptions({**chosen.typed, "precision": precision}).engine()
+        records = live_scales(source, engine=engine, every_s=every, hold_s=hold, idle_s=idle, tell=_tell)
+        for record in records:
+            print(record.model_dump_json(), flush=True)
+
+
+def _tell(sentence: str) -> None:
+    """Print a sentence on stderr."""
+    print(printable(sentence), file=sys.stderr, flush=True)

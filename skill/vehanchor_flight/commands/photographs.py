@@ -1,0 +1,221 @@
+"""``vehanchor flight photographs``: scales of the photographs of one flight from their common evidence."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+import typer
+
+from vehanchor.cli.cli_options import ParsedOptions, scale_command
+from vehanchor.cli.given_scale import KnownLengthsFile
+from vehanchor.cli.terminal import (
+    STATUS_TEXTS,
+    exit_on_error,
+    facts_table,
+    image_progress,
+    print_json,
+    print_table,
+    print_warnings,
+    printable,
+    resumable,
+    scale_text,
+)
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options.by_hand import BY_HAND
+from vehanchor.records.digits import significant
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from rich.table import Table
+
+    from vehanchor.options import ImageLimits
+    from vehanchor_flight.inputs import InputPhotograph
+    from vehanchor_flight.records import FlightEstimate, FlightPhotograph
+
+_EVERY_S = 2.0
+_MOST_SIZES = 12  # of components, in one line
+_MOST_NAMED = 3  # dropped links, photographs with one advice
+_STATUSES = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
+
+
+SameScale: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--same-scale", help="All photographs have one scale, as in a survey at one height: pool their evidence."
+    ),
+]
+ReportFile: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="OUT.html", help="Write a page with the track, the components and all scales."),
+]
+TableFile: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--table", metavar="FILE", help="Write a table with a row for each photograph, as 'batch' does."),
+]
+Seconds: TypeAlias = Annotated[float, typer.Option(metavar="S", help="For a video: seconds between photographs.")]
+
+
+@scale_command(without=("frame", "coordinates", "known_lengths", *BY_HAND))
+def photographs(
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="PHOTOS",
+            help="Photographs of one flight, directories, patterns such as 'flight/*.jpg'; or one video.",
+            show_default=False,
+        ),
+    ],
+    same_scale: SameScale = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FLIGHT.json",
+            help="Write the record, for 'measure --scale'. After an interruption, the same command resumes the run.",
+        ),
+    ] = None,
+    table: TableFile = None,
+    page: ReportFile = None,
+    known_lengths: KnownLengthsFile = None,
+    every: Seconds = _EVERY_S,
+    *,
+    chosen: ParsedOptions,
+) -> None:
+    """Estimate the scales of the photographs of one flight from their common evidence."""
+    with exit_on_error():
+        from vehanchor.batch.table import check_table_path
+        from vehanchor_flight.io import check_output, write_record
+        from vehanchor_flight.report import write_report
+        from vehanchor_flight.table import write_flight_table
+        from vehanchor_flight.verbs import estimate_flight
+
+        engine = chosen.engine()
+        outputs = [check_output(path, suffix) for path, suffix in ((out, ".json"), (page, ".html")) if path is not None]
+        outputs += [] if table is None else [check_table_path(table)]
+        journal = (kept := out or table) and kept.with_name(kept.name + ".journal")
+        limits = chosen.options().reading.limits
+        images = _images(inputs, every, limits, outputs)
+        last = "pooling the evidence of" if same_scale else "linking"
+        counted = isinstance(images, Sequence)  # the length of a video is unknown
+        with (
+            image_progress(lambda done, n: last if counted and done == n else "searching") as progress,
+            resumable(journal),
+        ):
+            record = estimate_flight(
+                images,
+                engine=engine,
+                same_scale=same_scale,
+                known_lengths_table=known_lengths,
+                journal=journal,
+                progress=progress,
+            )
+        if out is not None:
+            write_record(out, record)
+        if table is not None:
+            write_flight_table(table, record)
+        if page is not None:
+            write_report(page, record)
+        _tell(record, as_json=as_json)
+
+
+def _tell(record: FlightEstimate, *, as_json: bool) -> None:
+    if as_json:
+        print_json(record.model_dump(mode="json"))
+        return
+    from vehanchor.imagery.names import under_one_folder
+
+    folder, names = under_one_folder([each.photograph for each in record.photographs])
+    where = f" in {folder}" if folder else ""
+    short = {each.photograph: name for each, name in zip(record.photographs, names, strict=True)}
+    print_table(facts_table(f"{len(record.photographs)} photographs{where}", _facts(record, short)))
+    if not record.same_scale:
+        print_table(_photographs_table(record.photographs, short))
+    print_warnings(record, "")
+
+
+def _images(
+    inputs: list[str], every_s: float, limits: ImageLimits, leave_out: Sequence[Path]
+) -> Sequence[str] | Iterator[InputPhotograph]:
+    """List the files, or the frames of one video."""
+    from vehanchor.imagery.sources.files import find_images
+    from vehanchor_flight.video import is_video, sample_video
+
+    if not any(is_video(each) for each in inputs):
+        return find_images(inputs, leave_out=leave_out)
+    if len(inputs) > 1:
+        raise InvalidParameterError("a video is a flight of its own: give it alone")
+    return sample_video(inputs[0], every_s, limits)
+
+
+def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, str]]:
+    facts = []
+    if record.same_scale:
+        low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+        facts.append(("scale of all", scale_text(record.gsd_m_per_px, low, high)))
+    facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
+    facts.append(("vehicles", str(record.n_vehicles)))
+    if rulers := [each for each in record.components[0].pooled.rulers if each.sets_scale]:
+        largest = " in the largest component" if len(record.components) > 1 else ""
+        facts.append(("rulers", ", ".join(f"{each.kind} {each.p_right:.2f}" for each in rulers) + largest))
+    if not record.same_scale:
+        sizes = ", ".join(str(component.n_photographs) for component in record.components[:_MOST_SIZES])
+        sizes += ", ..." if len(record.components) > _MOST_SIZES else ""
+        several = f"{len(record.components)} components of {sizes} photographs"
+        facts.append(("linked", several if len(record.components) > 1 else "all of them"))
+        dropped = [link for link in record.links if link.dropped]
+        facts.append(("overlaps", f"{len(record.links) - len(dropped)} used, {len(dropped)} dropped"))
+        for link in dropped[:_MOST_NAMED]:
+            facts.append(("dropped", f"{short[link.first]} and {short[link.second]}: {link.dropped}"))
+    sorties = Counter(each.sortie for each in record.photographs if each.sortie is not None)
+    if len(sorties) > 1:
+        facts.append(("sorties", f"{' and '.join(map(str, sorties.values()))} photographs, by camera and time"))
+    advice: dict[str, list[str]] = {}
+    for each in record.photographs:
+        remedy = each.advice if each.error is None else f"Not readable: {each.error}"
+        if remedy is not None:
+            advice.setdefault(remedy, []).append(short[each.photograph])
+    facts += [("not usable", f"{_names(names)}. {remedy}") for remedy, names in advice.items()]
+    return facts
+
+
+def _names(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + more
+
+
+def _photographs_table(photographs: Sequence[FlightPhotograph], short: Mapping[str, str]) -> Table:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("photograph", overflow="fold")
+    for heading in ("m/px", "95 %", "conf."):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("supported by", overflow="fold")
+    table.add_column("status", no_wrap=True)
+    for each in photographs:
+        low, high = each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px
+        table.add_row(
+            Text(printable(short[each.photograph])),
+            "-" if each.gsd_m_per_px is None else significant(each.gsd_m_per_px, 4),
+            "-" if low is None or high is None else f"{significant(low)} to {significant(high)}",
+            "-" if each.confidence is None else f"{each.confidence:.2f}",
+            Text(printable(_support(each, short))),
+            _STATUSES[each.status],
+        )
+    return table
+
+
+def _support(photograph: FlightPhotograph, short: Mapping[str, str]) -> str:
+    if not photograph.supported_by:
+        return "-"
+    first = photograph.supported_by[0]
+    if first.photograph == photograph.photograph:
+        return f"its own {first.ruler}"
+    between = f" through {len(first.through)} more" if first.through else ""
+    return f"{first.ruler} of {short[first.photograph]}{between}"

@@ -1,0 +1,176 @@
+"""Steps of a flight: search each photograph once, then pool the evidence."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence, Sized
+from dataclasses import asdict, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.analysis.pipeline import analyse_view, search_raster
+from vehanchor.detection.networks import networks_sha256
+from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
+from vehanchor.imagery.identity import Source
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.options import ScaleOptions
+from vehanchor.rulers.known_length_table import with_lines_of
+from vehanchor.rulers.measurement import with_tilt
+from vehanchor.storage.journal import Journal, Key
+from vehanchor_flight.components import single_component
+from vehanchor_flight.features import find_features
+from vehanchor_flight.inputs import InputPhotograph
+from vehanchor_flight.linking import link_photographs
+from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
+from vehanchor_flight.record import Failure, conclude_flight
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.detector import Detector
+    from vehanchor.rulers.known_length_table import KnownLengthTable
+    from vehanchor_flight.features import Features
+    from vehanchor_flight.records import FlightEstimate
+
+
+def conclude(results: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
+    """Make the record of searched photographs; without ``same_scale`` they need features."""
+    places = [place for place, result in enumerate(results) if isinstance(result, Photograph)]
+    members = [result for result in results if isinstance(result, Photograph)]
+    if same_scale:
+        return conclude_flight(results, [single_component(places, chief_member(members))], card, same_scale=True)
+    linked = link_photographs(members, [each.features for each in members if each.features is not None])
+    components = [replace(component, members=np.asarray(places)[component.members]) for component in linked.components]
+    return conclude_flight(results, components, card, same_scale=False, links=linked.links)
+
+
+def search_flight(
+    taken: Iterable[InputPhotograph],
+    detector: Detector,
+    options: ScaleOptions,
+    *,
+    featured: bool = False,
+    journal: Journal[StoredPhotograph] | None = None,
+    lines: KnownLengthTable | None = None,
+) -> list[Photograph | Failure]:
+    """Search the photographs one by one.
+
+    Args:
+        taken: the photographs, one held at a time.
+        detector: finds the vehicles. The progress of its runtime gets (photographs done, photographs in all); both
+            numbers are the same for a video, whose length is unknown.
+        options: all options of the method.
+        featured: whether to find the features that link overlapping photographs.
+        journal: earlier results; each new result is added at once.
+        lines: lines of known length by photograph.
+
+    Returns:
+        Each photograph with its own analysis, or its error.
+
+    Raises:
+        ImageError: no photograph is given, or none can be used.
+    """
+    tell, silent = detector.runtime.tell, detector.under(replace(detector.runtime, progress=None))
+    found: list[Photograph | Failure] = []
+    total = len(taken) if isinstance(taken, Sized) else 0
+    for done, each in enumerate(taken):
+        name, image, _ = each
+        tell(done, max(total, done))
+        key = journal_key(each)
+        known = journal.get(key) if journal is not None and key is not None else None
+        try:
+            own = with_lines_of(options, lines, image) if lines and isinstance(image, str | os.PathLike) else options
+            result, features = _search(each, silent, own, known, featured=featured)
+        except VehAnchorError as error:
+            found.append(Failure(name, error))
+            continue
+        if known is None and journal is not None and key is not None and key == journal_key(each):
+            journal.add(key, result)
+        found.append(Photograph.of(name, result, detector.card, own, features))
+    tell(len(found), len(found))
+    if not found:
+        raise ImageError("no photograph given: name at least one")
+    failures = [each for each in found if isinstance(each, Failure)]
+    if len(failures) == len(found):
+        raise failures[0].error
+    return found
+
+
+def _search(
+    taken: InputPhotograph,
+    detector: Detector,
+    options: ScaleOptions,
+    known: StoredPhotograph | None,
+    *,
+    featured: bool,
+) -> tuple[StoredPhotograph, Features | None]:
+    """Search one photograph and find its features; a known photograph needs its features only."""
+    if known is not None and not featured:
+        return known, None
+    reading = options.reading
+    bgr = reading.bgr and taken.film is None  # frames of a video are always RGB
+    with open_raster(taken.image, bands=reading.bands, limits=reading.limits, bgr=bgr) as raster:
+        features = find_features(raster) if featured else None
+        if known is not None:
+            return known, features
+        view = with_tilt(search_raster(raster, detector, options))
+        return StoredPhotograph.of(view, analyse_view(view)), features
+
+
+def check_options(options: ScaleOptions) -> None:
+    """Check that no option belongs to a single image.
+
+    Raises:
+        InvalidParameterError: a frame, a line of known length, or vehicles by hand.
+    """
+    if options.frame.size is not None:
+        raise InvalidParameterError("a frame belongs to one image: leave it out for a flight")
+    if options.rulers.known_lengths:
+        raise InvalidParameterError("a line of known length belongs to one image: estimate that image by itself")
+    options.by_hand.check_single()
+
+
+def journal_key(taken: InputPhotograph) -> Key | None:
+    """Make the journal key of a photograph from its name and the state of its file; None without a file."""
+    file = taken.image if taken.film is None else taken.film
+    return (taken.name, *Source.of(file)) if isinstance(file, str | os.PathLike) else None
+
+
+def open_journal(
+    path: Path,
+    detector: Detector,
+    options: ScaleOptions,
+    lines: KnownLengthTable,
+    *,
+    anew: bool = False,
+    model_sha256: str = "",
+) -> Journal[StoredPhotograph]:
+    """Open the journal of a flight or of a reconstruction's photographs.
+
+    Args:
+        path: the file.
+        detector: finds the vehicles.
+        options: of the method.
+        lines: lines of known length by photograph.
+        anew: discard its results.
+        model_sha256: checksum of the reconstruction; empty for a flight.
+
+    Raises:
+        InvalidParameterError: the journal has results of other options, or the file is no journal.
+        OutputError: it cannot be read or written.
+    """
+    choices = asdict(options)
+    del choices["frame"]
+    if lines:
+        choices["lines_of"] = lines
+    if model_sha256:
+        choices["reconstruction"] = model_sha256
+    networks = networks_sha256(detector.card)
+    settings = {"vehanchor": version("vehanchor"), "networks_sha256": networks, "flight": 1, **choices}
+    remedy = "move the file away, or name another"
+    codec = photograph_codec()
+    return Journal(path, settings, dump=codec.dump, load=codec.load, sole=True, anew=anew, remedy=remedy)

@@ -1,0 +1,199 @@
+"""Scale of each frame of a running camera: features, one searched window, and the filter."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.analysis.pipeline import checked_detector, conclude, search_raster
+from vehanchor.detection.scene_scale import load_scene_scale
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.imagery.tiles import read_reduced_window
+from vehanchor.options.option import Limits
+from vehanchor.rulers.measurement import measure_all
+from vehanchor.rulers.scene_scale import SceneScale
+from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.scale.density import credible_interval
+from vehanchor.scale.lengths import Z95
+from vehanchor_flight.features import find_features
+from vehanchor_flight.live.filter import FilterState, Measurement, Motion, corrected, predicted
+from vehanchor_flight.live.windows import next_window, reduction_factor
+from vehanchor_flight.matching import match
+from vehanchor_flight.records import LiveScale
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.detection.detector import Detector
+    from vehanchor.detection.scene_scale import SceneScalePrior
+    from vehanchor.imagery.raster import Raster, Window
+    from vehanchor.options import ScaleOptions
+    from vehanchor.rulers.view import View
+    from vehanchor_flight.features import Features
+    from vehanchor_flight.live.frames import Frame
+    from vehanchor_flight.matching import Match
+
+HOLD_S = Limits(above=0, most=3600)
+"""Limits of the seconds without vehicles after which there is no scale."""
+
+_FEATURES_SIDE_PX = 480  # of the reduced copy: a third of the side of 1280 px
+_STRETCH_EVERY = 10  # frames; a camera's proportions do not change in flight
+_PRIOR_FRAMES = 1.0  # new ground, in frames, after which the scene-scale prior is taken again
+_GRID_POINTS = 8  # along each side of a frame, to count its new ground
+
+
+class LiveEstimator:
+    """Estimates the scale of one frame after the other.
+
+    Args:
+        detector: finds the vehicles.
+        options: of the method; the rulers are vehicles and the scene-scale prior.
+        hold_s: seconds without vehicles after which there is no scale.
+
+    Raises:
+        InvalidParameterError: the seconds are invalid, or the model does not know the region.
+    """
+
+    def __init__(self, detector: Detector, options: ScaleOptions, *, hold_s: float = 10.0) -> None:
+        options.by_hand.check_single()
+        rulers = replace(options.rulers, rulers=(Vehicles.kind, SceneScale.kind), metadata=False)
+        self._options = replace(options, rulers=rulers)
+        self._detector = checked_detector(detector, self._options)
+        self._hold_s = HOLD_S.check("hold", hold_s)
+        self._network = load_scene_scale(detector.runtime)
+        self._turn, self._first_s, self._last_s = 0, 0.0, 0.0
+        self._state: FilterState | None = None
+        self._features: Features | None = None
+        self._prior: SceneScalePrior | None = None
+        self._prior_moved = math.inf  # new ground since the prior was taken
+        self._stretch: float | None = None
+        self._cars: NDArray[np.float64] = np.zeros((0, 2))
+
+    def estimate(self, frame: Frame) -> LiveScale:
+        """Estimate the scale of the next frame."""
+        if self._turn == 0:
+            self._first_s = self._last_s = frame.at_s
+        seconds, self._last_s = max(0.0, frame.at_s - self._last_s), frame.at_s
+        with open_raster(frame.image) as raster:
+            linked = self._follow(raster, seconds)
+            analysis = self._search(raster)
+        self._turn += 1
+        return self._record(frame, analysis.estimate.n_vehicles, linked=linked)
+
+    def _follow(self, raster: Raster, seconds: float) -> bool:
+        """Move the state, the prior and the cars from the last frame to this one; tell whether features link them."""
+        features, before = find_features(raster, _FEATURES_SIDE_PX), self._features
+        self._features = features
+        matched = None if before is None else match(before, features)
+        motion = None if matched is None else _motion(matched, raster.width_px, raster.height_px)
+        if self._state is not None:
+            self._state = predicted(self._state, seconds, motion)
+        if self._state is not None and self._state.silent_s > self._hold_s:
+            self._state = None
+        if matched is None or motion is None:
+            self._prior_moved, self._cars = math.inf, np.zeros((0, 2))
+            return False
+        self._prior_moved += motion.moved
+        if self._prior is not None:
+            self._prior = self._prior.scaled(math.exp(motion.log_ratio))
+        cars = self._cars @ matched.turn[:, :2].T + matched.turn[:, 2]
+        self._cars = cars[np.all((cars >= 0) & (cars < (raster.width_px, raster.height_px)), axis=1)]
+        return True
+
+    def _search(self, raster: Raster) -> ScaleAnalysis:
+        """Search one window of the frame, and correct the state by its vehicles."""
+        if self._network is not None and self._prior_moved >= _PRIOR_FRAMES:
+            self._prior, self._prior_moved = self._network.predict(raster), 0.0
+        factor = reduction_factor(self._expected_gsd(), raster.width_px, raster.height_px)
+        window = next_window(raster.width_px, raster.height_px, factor, self._turn, self._cars)
+        prior = None if self._prior is None else self._prior.scaled(factor)
+        with open_raster(read_reduced_window(raster, window, factor)) as part:
+            view = search_raster(part, self._detector, self._options, prior, check_stretch=self._checks_stretch)
+            view = self._with_stretch(view)
+            analysis = conclude(view, *measure_all(view))  # no tilt: the camera looks down
+        measured = measurement(analysis, factor)
+        if measured is not None:
+            self._state = corrected(self._state, measured)
+        self._replace_cars(analysis, window, factor)
+        return analysis
+
+    @property
+    def _checks_stretch(self) -> bool:
+        return self._stretch is None or self._turn % _STRETCH_EVERY == 0
+
+    def _with_stretch(self, view: View) -> View:
+        """Keep the last result of the test for stretch, in frames without the test too."""
+        if view.detections.stretch is not None:
+            self._stretch = view.detections.stretch
+        return replace(view, detections=replace(view.detections, stretch=self._stretch))
+
+    def _expected_gsd(self) -> float | None:
+        """Give the scale by the filter, else by the prior."""
+        if self._state is not None:
+            return self._state.gsd_m_per_px
+        return None if self._prior is None else credible_interval(self._prior.density, probability=0.0).low
+
+    def _replace_cars(self, analysis: ScaleAnalysis, window: Window, factor: int) -> None:
+        """Replace the known cars inside a window by those that were found there."""
+        low = np.array([window.x_px, window.y_px]) * factor
+        high = low + np.array([window.width_px, window.height_px]) * factor
+        outside = ~np.all((self._cars >= low) & (self._cars < high), axis=1)
+        self._cars = np.concatenate([self._cars[outside], analysis.vehicles.fleet.centres * factor + low])
+
+    def _record(self, frame: Frame, n_vehicles: int, *, linked: bool) -> LiveScale:
+        state = self._state
+        interval = None if state is None else state.interval
+        usable = state is not None and state.usable
+        return LiveScale(
+            frame=frame.name,
+            at_s=frame.at_s - self._first_s,
+            status="no_scale" if state is None else "ok" if usable else "low_confidence",
+            gsd_m_per_px=None if state is None else state.gsd_m_per_px,
+            gsd_ci95_low_m_per_px=interval and interval.low,
+            gsd_ci95_high_m_per_px=interval and interval.high,
+            confidence=0.0 if state is None else state.chance,
+            n_vehicles=n_vehicles,
+            seen_s_ago=None if state is None else state.silent_s,
+            linked=linked,
+            n_skipped=frame.n_skipped,
+            latency_s=max(0.0, time.monotonic() - frame.arrived_s),
+            image_width_px=frame.image.shape[1],
+            image_height_px=frame.image.shape[0],
+        )
+
+
+def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
+    """Make the filter's measurement from the analysis of a reduced window.
+
+    Args:
+        analysis: of the window.
+        factor: its reduction.
+
+    Returns:
+        The measurement in pixels of the frame; None without a scale.
+    """
+    estimate, vehicles = analysis.estimate, analysis.vehicles
+    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    if estimate.gsd_m_per_px is None or not low or not high:
+        return None
+    log_sd = math.log(high / low) / (2 * Z95)
+    common = min(log_sd, vehicles.reference.log_sd)
+    own = math.sqrt(max(log_sd**2 - common**2, 0.0))
+    return Measurement(math.log(estimate.gsd_m_per_px / factor), own, common, estimate.confidence)
+
+
+def _motion(matched: Match, width_px: int, height_px: int) -> Motion:
+    """Describe the change from the first frame to the second."""
+    across, down = np.meshgrid(
+        (np.arange(_GRID_POINTS) + 0.5) * width_px / _GRID_POINTS,
+        (np.arange(_GRID_POINTS) + 0.5) * height_px / _GRID_POINTS,
+    )
+    points = np.column_stack([across.ravel(), down.ravel()])
+    earlier = np.linalg.solve(matched.turn[:, :2], (points - matched.turn[:, 2]).T).T
+    shared = np.all((earlier >= 0) & (earlier < (width_px, height_px)), axis=1).mean()
+    return Motion(-matched.log_ratio, matched.log_sd, 1.0 - float(shared))

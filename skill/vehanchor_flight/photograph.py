@@ -1,0 +1,108 @@
+"""Results kept of each photograph of a flight; its pixels are not kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.analysis.pipeline import analyse_view
+from vehanchor.analysis.stored import stored_classes
+from vehanchor.detection.detections import Detections
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.rulers.measurement import with_tilt
+from vehanchor.rulers.view import View
+from vehanchor.storage.codec import Codec
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.scene_scale import SceneScalePrior
+    from vehanchor.options import ScaleOptions
+    from vehanchor.scale.posterior import Witness
+    from vehanchor.tilt.camera_tilt import CameraTilt
+    from vehanchor_flight.features import Features
+
+
+@dataclass(frozen=True, eq=False)
+class StoredPhotograph:
+    """Search result and evidence of one photograph, as the journal keeps them.
+
+    Attributes:
+        image: facts of the image.
+        detections: result of the search, in pixels of the image.
+        resolved: share of the pixels' resolution at which there is detail around its vehicles.
+        others: evidence of the rulers beside vehicles, with the tilt; None if they have not measured.
+        prior: the scene-scale prior; None without one.
+        tilt: of the camera; None at nadir.
+    """
+
+    image: ImageFacts
+    detections: Detections
+    resolved: float
+    others: tuple[Witness, ...] | None = None
+    prior: SceneScalePrior | None = None
+    tilt: CameraTilt | None = None
+
+    @classmethod
+    def of(cls, view: View, analysis: ScaleAnalysis) -> StoredPhotograph:
+        """Take the intermediate results of an analysis."""
+        return cls(view.image, view.detections, analysis.resolved, analysis.others, view.prior, view.tilt)
+
+
+def photograph_codec() -> Codec:
+    """Codec of ``StoredPhotograph`` for journals."""
+    return Codec({**stored_classes(), "photograph_findings": StoredPhotograph})
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """Photograph with its own analysis.
+
+    Attributes:
+        name: as the caller named it.
+        view: input of the rulers, without pixels.
+        analysis: result of the rulers.
+        features: for overlaps with other photographs; None if they are not needed.
+    """
+
+    name: str
+    view: View
+    analysis: ScaleAnalysis
+    features: Features | None = None
+
+    @property
+    def measured(self) -> Detections:
+        """Its detections, rectified in a tilted view."""
+        return self.view.detections if self.analysis.in_image is None else self.analysis.vehicles.fleet.detections
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        kept: StoredPhotograph,
+        card: DetectorCard,
+        options: ScaleOptions,
+        features: Features | None = None,
+    ) -> Photograph:
+        """Analyse the search result of a photograph."""
+        view = View(
+            kept.image,
+            kept.detections,
+            card,
+            options,
+            lambda _centres, _scale: kept.resolved,
+            prior=kept.prior,
+            tilt=kept.tilt,
+        )
+        if kept.others is None:
+            view = with_tilt(view)
+        return cls(name, view, analyse_view(view, kept.others or ()), features)
+
+
+def chief_member(members: Sequence[Photograph]) -> int:
+    """Find the index of the photograph with the most vehicles; the first of equals."""
+    return int(np.argmax([member.analysis.estimate.n_vehicles for member in members]))

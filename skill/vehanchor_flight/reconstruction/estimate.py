@@ -1,0 +1,255 @@
+"""The factor that gives a reconstruction its size: one posterior over the rulers of all its photographs."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from vehanchor.errors import ImageNotFoundError, ReconstructionError, VehAnchorError
+from vehanchor.imagery.identity import Source
+from vehanchor.records import Notice
+from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.known_length_table import with_lines_of
+from vehanchor_flight.estimate import open_journal
+from vehanchor_flight.photograph import chief_member
+from vehanchor_flight.pooling import pool
+from vehanchor_flight.reconstruction.ground import model_plane
+from vehanchor_flight.reconstruction.photograph import SeenPhotograph, distinct, search_photograph
+from vehanchor_flight.reconstruction.verdict import verdict
+from vehanchor_flight.record import Failure
+from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import GsdEstimate
+    from vehanchor.rulers.known_length_table import KnownLengthTable
+    from vehanchor.storage.journal import Journal
+    from vehanchor_flight.photograph import StoredPhotograph
+    from vehanchor_flight.reconstruction.model import Reconstruction
+    from vehanchor_flight.records.model_scale import ModelSource
+_WIDEST_USED = 2.0  # largest ratio of the ends of a photograph's interval, with which it carries the factor
+
+
+class _Scaled(NamedTuple):
+    """Scale over the units of the model.
+
+    Attributes:
+        factor: metres per unit.
+        low: lower end of its 95 % interval.
+        high: upper end.
+    """
+
+    factor: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, estimate: GsdEstimate, gsd: float) -> _Scaled | None:
+        """Divide a scale by ``gsd``, model units per pixel; None without a scale."""
+        found = estimate.gsd_m_per_px, estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+        if found[0] is None or found[1] is None or found[2] is None:
+            return None
+        return cls(found[0] / gsd, found[1] / gsd, found[2] / gsd)
+
+
+def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Failure], images: Path) -> ModelScale:
+    """Make the record of searched photographs.
+
+    Raises:
+        VehAnchorError: none of them can be used.
+    """
+    seen = [each for each in results if isinstance(each, SeenPhotograph)]
+    if not seen:
+        raise _nothing_usable([each for each in results if isinstance(each, Failure)], images)
+    members = distinct(seen)
+    chief = chief_member(members)
+    gsd = seen[chief].sight.gsd
+    pooled = pool(members, np.log([each.sight.gsd for each in seen]), chief).estimate
+    found = _Scaled.of(pooled, gsd)
+    photographs = [_failed(each) if isinstance(each, Failure) else _photograph(each, found) for each in results]
+    warnings = (*pooled.warnings, *_parts_notice(model))
+    said = verdict("model", found, usable=pooled.status == "ok")
+    record = _record(pooled, model.kind, gsd, said, warnings)
+    return record.model_copy(update={"n_photographs": len(model.shots), "photographs": tuple(photographs)})
+
+
+def orthophoto_scale(estimate: GsdEstimate) -> ModelScale:
+    """Compare the scale of an orthophoto with the one that its file states.
+
+    Args:
+        estimate: of the orthophoto, with the scale of its georeference if it has one.
+    """
+    own, true = estimate.georeference_gsd_m_per_px, _Scaled.of(estimate, 1.0)
+    found = None if own is None else _Scaled.of(estimate, own)
+    warnings = [each for each in estimate.warnings if each.code != NoticeCode.GEOREFERENCE_DIFFERS]
+    said = verdict("orthophoto", found, usable=estimate.status == "ok", pixel=true)
+    record = _record(estimate, "orthophoto", own, said, warnings)
+    return record.model_copy(update={"gsd_m_per_px": estimate.gsd_m_per_px})
+
+
+def _record(
+    estimate: GsdEstimate, source: ModelSource, gsd: float | None, said: str, warnings: Iterable[Notice]
+) -> ModelScale:
+    """Divide an estimate by ``gsd``, model units per pixel; None for no factor."""
+    found = None if gsd is None else _Scaled.of(estimate, gsd)
+    return ModelScale(
+        status=estimate.status,
+        source=source,
+        factor=found and found.factor,
+        factor_ci95_low=found and found.low,
+        factor_ci95_high=found and found.high,
+        confidence=estimate.confidence,
+        reason=estimate.reason,
+        verdict=said,
+        n_vehicles=estimate.n_vehicles,
+        rulers=() if gsd is None else _rulers(estimate, gsd),
+        model=estimate.model,
+        model_sha256=estimate.model_sha256,
+        warnings=tuple(warnings),
+    )
+
+
+def _parts_notice(model: Reconstruction) -> list[Notice]:
+    if model.n_parts == 1:
+        return []
+    message = (
+        f"The model has {model.n_parts} parts that are not connected, each with a size of its own. This factor is that "
+        "of the largest part."
+    )
+    return [Notice(code=NoticeCode.NOT_LINKED, message=message)]
+
+
+def photograph_files(model: Reconstruction, images: Path) -> list[Path]:
+    """List the files of a model's photographs.
+
+    Raises:
+        ReconstructionError: a name leads out of the folder.
+    """
+    return [images / _inside(shot.name) for shot in model.shots]
+
+
+def search_model(
+    model: Reconstruction,
+    images: Path,
+    detector: Detector,
+    options: ScaleOptions,
+    lines: KnownLengthTable,
+    journal: Journal[StoredPhotograph] | None = None,
+) -> list[SeenPhotograph | Failure]:
+    """Search the photographs of a model one by one; arguments as in ``rescale``.
+
+    Args:
+        model: the reconstruction.
+        images: folder of its photographs.
+        detector: finds the vehicles.
+        options: of the method, without metadata.
+        lines: lines of known length by photograph.
+        journal: earlier results; each new result is added at once.
+    """
+    files = photograph_files(model, images)
+    tell, silent = detector.runtime.tell, detector.under(replace(detector.runtime, progress=None))
+    tell(0, len(files))
+    whole = model_plane(model)
+    found: list[SeenPhotograph | Failure] = []
+    for number, (shot, file) in enumerate(zip(model.shots, files, strict=True)):
+        tell(number, len(files))
+        key, own = (shot.name, *Source.of(file)), with_lines_of(options, lines, file)
+        points = model.points[shot.sees(model.points)]
+        kept = None if journal is None else journal.get(key)
+        try:
+            result = kept or search_photograph(file, shot, points, whole, silent, own)
+            found.append(SeenPhotograph.of(result, shot, points, whole, detector.card, own))
+        except VehAnchorError as error:
+            found.append(Failure(shot.name, error))
+            continue
+        if journal is not None and kept is None:
+            journal.add(key, result)
+    tell(len(files), len(files))
+    return found
+
+
+def open_model_journal(
+    path: Path, model: Reconstruction, detector: Detector, options: ScaleOptions, lines: KnownLengthTable
+) -> Journal[StoredPhotograph]:
+    """Open the journal of a model; results of another model count as other options."""
+    digest = hashlib.sha256(model.points.tobytes())
+    for shot in model.shots:
+        digest.update(f"{shot.name} {shot.lens}".encode() + shot.rotation.tobytes() + shot.translation.tobytes())
+    return open_journal(path, detector, options, lines, model_sha256=digest.hexdigest())
+
+
+def _inside(name: str) -> str:
+    """Check that the name of a photograph leads to a file inside the folder.
+
+    Raises:
+        ReconstructionError: it does not.
+    """
+    path = PurePosixPath(name)
+    if not path.parts or path.is_absolute() or ".." in path.parts or "\\" in name or "\0" in name:
+        raise ReconstructionError(f"the model names a photograph {name!r}: names must be relative to one folder")
+    return name
+
+
+def _nothing_usable(failures: Sequence[Failure], images: Path) -> VehAnchorError:
+    """Choose the error of a model without a usable photograph."""
+    if failures and all(isinstance(each.error, ImageNotFoundError) for each in failures):
+        return ReconstructionError(
+            f"none of the model's {len(failures)} photographs is in {str(images)!r}, as {failures[0].name!r}: name "
+            "their folder with --images"
+        )
+    return failures[0].error if failures else ReconstructionError("the model has no photographs")
+
+
+def _rulers(estimate: GsdEstimate, gsd: float) -> tuple[ModelRuler, ...]:
+    """List the rulers that can set a scale."""
+    return tuple(
+        ModelRuler(
+            kind=each.kind,
+            label=each.label,
+            factor=each.gsd_m_per_px / gsd,
+            factor_ci95_low=each.gsd_ci95_low_m_per_px / gsd,
+            factor_ci95_high=each.gsd_ci95_high_m_per_px / gsd,
+            n=each.n,
+            p_right=each.p_right,
+        )
+        for each in estimate.rulers
+        if each.sets_scale
+    )
+
+
+def _photograph(seen: SeenPhotograph, whole: _Scaled | None) -> ModelPhotograph:
+    estimate = seen.alone().analysis.estimate
+    own = _Scaled.of(estimate, seen.sight.gsd)
+    return ModelPhotograph(
+        photograph=seen.name,
+        status=_status(own, whole),
+        factor=own and own.factor,
+        factor_ci95_low=own and own.low,
+        factor_ci95_high=own and own.high,
+        rulers=tuple(each.kind for each in estimate.rulers if each.sets_scale),
+        n_vehicles=estimate.n_vehicles,
+        camera_height=seen.sight.height,
+        tilt_deg=seen.sight.tilt.tilt_deg,
+    )
+
+
+def _status(own: _Scaled | None, whole: _Scaled | None) -> Literal["used", "unclear", "outlier", "nothing"]:
+    """Compare a photograph's own factor with that of the model."""
+    if own is None or whole is None:
+        return "nothing"
+    if own.low > whole.high or own.high < whole.low:
+        return "outlier"
+    return "used" if own.high <= _WIDEST_USED * own.low else "unclear"
+
+
+def _failed(failure: Failure) -> ModelPhotograph:
+    return ModelPhotograph(
+        photograph=failure.name, status="error", error_code=failure.error.code, error=str(failure.error)
+    )

@@ -1,0 +1,307 @@
+"""Record of a flight."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.analysis.pipeline import model_id
+from vehanchor.records import KnownScale, Notice
+from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.positions import Positions, places_of
+from vehanchor.rulers.registry import uses
+from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.scale.defaults import USABLE_CHANCE
+from vehanchor.scale.density import TOLERANCE
+from vehanchor.scale.lengths import Z95
+from vehanchor.tilt.camera_tilt import known_plane
+from vehanchor_flight.advice import carried_advice, component_advice
+from vehanchor_flight.pooling import pool
+from vehanchor_flight.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler
+from vehanchor_flight.sorties import number_sorties
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.errors import VehAnchorError
+    from vehanchor.records import GsdEstimate, Reason, Status
+    from vehanchor_flight.components import Component
+    from vehanchor_flight.photograph import Photograph
+    from vehanchor_flight.records import FlightLink
+
+_MOST_RULERS = 4  # listed per photograph
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Photograph that cannot be used.
+
+    Attributes:
+        name: as the caller named it.
+        error: the reason.
+    """
+
+    name: str
+    error: VehAnchorError
+
+
+class _Support(NamedTuple):
+    """Ruler that was measured in a member of a component."""
+
+    ruler: str
+    member: int
+    strength: float
+
+
+def conclude_flight(
+    results: Sequence[Photograph | Failure],
+    components: Sequence[Component],
+    card: DetectorCard,
+    *,
+    same_scale: bool,
+    links: Sequence[FlightLink] = (),
+) -> FlightEstimate:
+    """Make the record of a flight from its components.
+
+    Args:
+        results: the photographs; each usable one belongs to one component.
+        components: the largest first.
+        card: of the detector.
+        same_scale: whether the caller stated one scale for all photographs.
+        links: overlaps.
+
+    Returns:
+        The record.
+    """
+    positions, sorties = _positions(results), _sorties(results)
+    photographs: dict[int, FlightPhotograph] = {
+        place: _failed(each) for place, each in enumerate(results) if isinstance(each, Failure)
+    }
+    pooled_components = []
+    for number, component in enumerate(components):
+        members = [found for place in component.members if not isinstance(found := results[place], Failure)]
+        pooled = pool(members, component.log_scales, component.reference, component.extra)
+        estimate = pooled.estimate
+        advice = component_advice(estimate, unlinked=len(component) == 1 < len(sorties) and not same_scale)
+        of_component = FlightComponent(
+            number=number,
+            n_photographs=len(component),
+            reference=members[component.reference].name,
+            pooled=estimate,
+            advice=advice,
+        )
+        pooled_components.append(of_component)
+        rulers = _supporting_rulers(members, component, pooled)
+        for place, at in enumerate(component.members):
+            record = _photograph(members[place], component, place, of_component, rulers[place])
+            where = _place(component, place, estimate, positions.get(int(at)))
+            photographs[int(at)] = record.model_copy(update={**where, "sortie": sorties[int(at)]})
+    ordered = tuple(photographs[place] for place in range(len(results)))
+    whole = pooled_components[0].pooled if same_scale else None
+    return FlightEstimate(
+        status=_status(ordered),
+        same_scale=same_scale,
+        gsd_m_per_px=whole.gsd_m_per_px if whole else None,
+        gsd_ci95_low_m_per_px=whole.gsd_ci95_low_m_per_px if whole else None,
+        gsd_ci95_high_m_per_px=whole.gsd_ci95_high_m_per_px if whole else None,
+        confidence=min(each.confidence for each in ordered if each.confidence is not None),
+        n_vehicles=sum(each.pooled.n_vehicles for each in pooled_components),
+        photographs=ordered,
+        components=tuple(pooled_components),
+        links=tuple(links),
+        model=card.name,
+        model_sha256=card.sha256,
+        warnings=(*whole.warnings, *_several_sorties(sorties.values())) if whole else (),
+    )
+
+
+def _sorties(results: Sequence[Photograph | Failure]) -> dict[int, int]:
+    """Number the sorties of the usable photographs, by index of the photograph."""
+    usable = [(place, result) for place, result in enumerate(results) if not isinstance(result, Failure)]
+    numbers = number_sorties([result.view.image for _, result in usable])
+    return {place: number for (place, _), number in zip(usable, numbers, strict=True)}
+
+
+def _several_sorties(numbers: Iterable[int]) -> tuple[Notice, ...]:
+    """Warn if photographs of a stated common scale are of several sorties."""
+    sizes = Counter(numbers)
+    if len(sizes) < 2:
+        return ()
+    counts = " and ".join(str(sizes[number]) for number in sorted(sizes))
+    message = (
+        f"By camera and time, these are {len(sizes)} sorties of {counts} photographs. Pool them only if all have the "
+        "same scale; otherwise give each sortie alone, or leave out same_scale."
+    )
+    return (Notice(code=NoticeCode.SEVERAL_SORTIES, message=message),)
+
+
+def _positions(results: Sequence[Photograph | Failure]) -> dict[int, tuple[float, float]]:
+    """Read positions from metadata, metres, by index of the photograph."""
+    usable = [(place, result) for place, result in enumerate(results) if not isinstance(result, Failure)]
+    if not usable or not uses(usable[0][1].view.options.rulers, Positions.kind):
+        return {}
+    places = places_of([result.view.image for _, result in usable])
+    if places is None:
+        return {}
+    return {
+        place: (float(east), float(north))
+        for (place, _), (east, north) in zip(usable, places, strict=True)
+        if math.isfinite(east)
+    }
+
+
+def _place(
+    component: Component, place: int, pooled: GsdEstimate, position: tuple[float, float] | None
+) -> dict[str, float | str]:
+    """Make the position fields of a photograph's record; empty if the position is unknown."""
+    if position is not None:
+        return {"east_m": position[0], "north_m": position[1], "placed_by": "positions"}
+    if component.layout is None or pooled.gsd_m_per_px is None or len(component) < 2:
+        return {}
+    lies = complex(component.layout[place]) * pooled.gsd_m_per_px
+    return {"east_m": lies.real, "north_m": -lies.imag, "placed_by": "overlaps"}
+
+
+def _failed(failure: Failure) -> FlightPhotograph:
+    return FlightPhotograph(
+        photograph=failure.name, status="error", error_code=failure.error.code, error=str(failure.error)
+    )
+
+
+def _photograph(
+    photograph: Photograph,
+    component: Component,
+    place: int,
+    record: FlightComponent,
+    rulers: tuple[FlightRuler, ...],
+) -> FlightPhotograph:
+    """Convert the scale of a component to one of its photographs."""
+    pooled, advice = record.pooled, record.advice
+    reason: Reason | None = pooled.reason
+    gsd = low = high = None
+    status, confidence = pooled.status, pooled.confidence
+    if pooled.gsd_m_per_px is not None:
+        gsd = pooled.gsd_m_per_px * math.exp(component.offsets[place])
+        carried = Z95 * float(component.log_sds[place])
+        if pooled.gsd_ci95_low_m_per_px and pooled.gsd_ci95_high_m_per_px:
+            down = math.log(pooled.gsd_m_per_px / pooled.gsd_ci95_low_m_per_px)
+            up = math.log(pooled.gsd_ci95_high_m_per_px / pooled.gsd_m_per_px)
+            low, high = gsd * math.exp(-math.hypot(down, carried)), gsd * math.exp(math.hypot(up, carried))
+            confidence = _carried_chance(confidence, math.log(high / low), up + down)
+        if status == "ok" and confidence < USABLE_CHANCE:
+            status, reason = "low_confidence", "imprecise"
+            n_between = len(rulers[0].through) + 1 if rulers else 1
+            advice = carried_advice(n_between, maybe_tilted=component.maybe_tilted)
+    return FlightPhotograph(
+        photograph=photograph.name,
+        status=status,
+        gsd_m_per_px=gsd,
+        gsd_ci95_low_m_per_px=low,
+        gsd_ci95_high_m_per_px=high,
+        confidence=confidence,
+        reason=reason,
+        advice=advice,
+        component=record.number,
+        supported_by=rulers,
+        scale=_given_back(photograph, gsd, low, high, confidence),
+        own=photograph.analysis.estimate,
+    )
+
+
+def _carried_chance(chance: float, width: float, pooled_width: float) -> float:
+    """Lower a component's chance by the error of the links to a photograph: the interval's log width grows.
+
+    Args:
+        chance: of the component.
+        width: of the photograph's interval.
+        pooled_width: of the component's interval.
+    """
+    tolerance = 2 * Z95 * math.log1p(TOLERANCE)  # within 20 %, in widths of a normal
+    within, pooled_within = (math.erf(tolerance / max(each, 1e-9) / math.sqrt(2)) for each in (width, pooled_width))
+    return chance * min(1.0, within / pooled_within)
+
+
+def _given_back(
+    photograph: Photograph, gsd: float | None, low: float | None, high: float | None, confidence: float
+) -> KnownScale | None:
+    image_id, tilt = photograph.view.image.image_id, photograph.analysis.estimate.tilt
+    if gsd is None or low is None or high is None or not image_id:
+        return None
+    return KnownScale(
+        gsd_m_per_px=gsd,
+        gsd_ci95_low_m_per_px=low,
+        gsd_ci95_high_m_per_px=high,
+        confidence=confidence,
+        image_id=image_id,
+        model_id=model_id(photograph.view.card),
+        plane=None if tilt is None else known_plane(tilt),
+    )
+
+
+def _status(photographs: Sequence[FlightPhotograph]) -> Status:
+    said = [each.status for each in photographs if each.status != "error"]
+    if all(status == "no_scale" for status in said):
+        return "no_scale"
+    return "ok" if all(status == "ok" for status in said) else "low_confidence"
+
+
+def _supporting_rulers(
+    members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis
+) -> list[tuple[FlightRuler, ...]]:
+    """List each member's supporting rulers, by weight: of the nearest member with rulers, then of the strongest."""
+    measured = _supports(members, component, pooled)
+    of_flight = [each for each in component.extra if each.found]
+    common = [
+        _Support(each.kind, place, 1.0 - each.chance_wrong) for each in of_flight for place in range(len(members))
+    ]
+    supports = measured + common
+    if not supports:
+        return [()] * len(members)
+    chances = {ruler.kind: ruler.p_right for ruler in pooled.estimate.rulers}
+    by_member: dict[int, list[_Support]] = {}
+    for support in sorted(supports, key=lambda each: (-chances.get(each.ruler, 0.0), -each.strength)):
+        by_member.setdefault(support.member, []).append(support)
+    nearest = component.paths(sorted(by_member))
+    strongest = max(measured or common, key=lambda each: each.strength).member
+    to_strongest = component.paths([strongest])
+    named = []
+    for place in range(len(members)):
+        chosen: dict[tuple[str, int], FlightRuler] = {}
+        for way in (nearest[place], to_strongest[place]):
+            if way is None:
+                continue
+            for support in by_member[way[0]]:
+                through = tuple(members[each].name for each in way[1])
+                supporting = FlightRuler(ruler=support.ruler, photograph=members[way[0]].name, through=through)
+                chosen.setdefault((support.ruler, way[0]), supporting)
+        named.append(tuple(chosen.values())[:_MOST_RULERS])
+    return named
+
+
+def _supports(members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis) -> list[_Support]:
+    """List the rulers that support the component's scale, with the photograph of each."""
+    supports = []
+    lengths = pooled.vehicles.fleet.lengths
+    for place, member in enumerate(members):
+        detections = member.measured
+        own = detections.boxes[:, 2] * math.exp(component.offsets[place])
+        among: NDArray[np.bool_] = (
+            (own >= lengths.min()) & (own <= lengths.max()) if len(lengths) else np.zeros(len(own), dtype=bool)
+        )
+        strength = float((detections.scores[among] ** 2).sum())
+        if strength > 0:
+            supports.append(_Support(Vehicles.kind, place, strength))
+        supports += [
+            _Support(other.kind, place, 1.0 - other.chance_wrong)
+            for other in member.analysis.others
+            if other.found and other.sets_scale
+        ]
+    return supports

@@ -1,0 +1,112 @@
+"""The record of a flight: scales of many photographs from their common evidence."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from vehanchor.records.gsd_estimate import GsdEstimate, Status
+from vehanchor.records.known_scale import KnownScale
+from vehanchor.records.notices import Notice
+from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
+from vehanchor.scale.defaults import Reason
+
+
+class FlightRuler(Record):
+    """Ruler that supports a photograph's scale, and the photographs that link it."""
+
+    ruler: str = Field(description="Kind of the ruler: vehicles, camera, positions, ...")
+    photograph: str = Field(description="The photograph where it was measured.")
+    through: tuple[str, ...] = Field(
+        description="Photographs in between, each overlapping the next; empty for a ruler of the photograph or its "
+        "neighbours, and with same_scale."
+    )
+
+
+class FlightPhotograph(Record):
+    """Photograph of a flight: scale from all evidence of the flight, and its own estimate."""
+
+    photograph: str = Field(description="The photograph, as the caller named it.")
+    status: Status | Literal["error"] = Field(
+        description="ok: right within 20 % in at least 9 of 10 such photographs. low_confidence: do not act on the "
+        "scale. no_scale: no scale. error: unreadable."
+    )
+    gsd_m_per_px: float | None = Field(
+        default=None, description="Metres per pixel of this photograph, by all evidence."
+    )
+    gsd_ci95_low_m_per_px: float | None = Field(default=None, description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float | None = Field(default=None, description="Upper end of its 95 % interval.")
+    confidence: float | None = Field(
+        default=None, ge=0, le=1, description="Confidence in the scale; null if unreadable."
+    )
+    reason: Reason | None = Field(
+        default=None, description="Why the scale is not usable; null for ok and for an error."
+    )
+    advice: str | None = Field(
+        default=None, description="The problem and a remedy, one sentence; null for ok and for an error."
+    )
+    sortie: int | None = Field(
+        default=None,
+        description="Number of its sortie: one camera, no pause of more than 20 minutes; null if unreadable.",
+    )
+    component: int | None = Field(default=None, description="Number of its component; null if unreadable.")
+    supported_by: tuple[FlightRuler, ...] = Field(
+        default=(), description="Rulers behind its scale, the strongest first."
+    )
+    scale: KnownScale | None = Field(
+        default=None, description="The scale to give back for measurements in this photograph; null without a scale."
+    )
+    east_m: float | None = Field(default=None, description="Position of its camera, metres east (overlaps: right).")
+    north_m: float | None = Field(default=None, description="Metres north (overlaps: up).")
+    placed_by: Literal["positions", "overlaps"] | None = Field(
+        default=None,
+        description="positions: from metadata, relative to the first known position. overlaps: relative to the "
+        "component's reference, in its orientation. Null: no position.",
+    )
+    own: GsdEstimate | None = Field(default=None, description="The estimate from this photograph alone.")
+    error_code: str | None = Field(default=None, description="Stable code of the error; null without an error.")
+    error: str | None = Field(default=None, description="The error and its remedy.")
+
+
+class FlightComponent(Record):
+    """Photographs that are linked by a common scale or by overlaps, and share their evidence."""
+
+    number: int = Field(ge=0, description="Its number, 0 for the largest component.")
+    n_photographs: int = Field(ge=1, description="Number of its photographs.")
+    reference: str = Field(description="The photograph whose pixels all evidence is converted to.")
+    pooled: GsdEstimate = Field(description="Scale of the reference from all evidence of the component.")
+    advice: str | None = Field(description="If that scale is not usable, the problem and a remedy; null for ok.")
+
+
+class FlightLink(Record):
+    """Overlap of two photographs, and the ratio of their scales."""
+
+    first: str = Field(description="One photograph.")
+    second: str = Field(description="The other photograph.")
+    ratio: float = Field(gt=0, description="Metres per pixel of the first over the second.")
+    ratio_log_sd: float = Field(ge=0, description="Standard deviation of its natural log.")
+    n_matches: int = Field(ge=0, description="Number of matched points.")
+    dropped: str | None = Field(description="Why the link is not used; null for a used link.")
+
+
+class FlightEstimate(Record):
+    """Scales of the photographs of one flight, from their common evidence."""
+
+    status: Status = Field(
+        description="ok: all readable photographs have a usable scale. low_confidence: only some. "
+        "no_scale: none has a scale."
+    )
+    same_scale: bool = Field(description="Whether the caller stated one scale for all photographs.")
+    gsd_m_per_px: float | None = Field(description="With same_scale the common scale, metres per pixel; else null.")
+    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+    confidence: float = Field(ge=0, le=1, description="Of that scale; else the lowest of all photographs.")
+    n_vehicles: int = Field(ge=0, description="Number of vehicles behind the scales.")
+    photographs: tuple[FlightPhotograph, ...] = Field(description="The photographs, in the order of the input.")
+    components: tuple[FlightComponent, ...] = Field(description="The largest first; one with same_scale.")
+    links: tuple[FlightLink, ...] = Field(description="Overlapping photographs; none with same_scale.")
+    model: str = Field(description="Name of the detector.")
+    model_sha256: str = Field(description="SHA-256 of the detector's file.")
+    warnings: tuple[Notice, ...] = Field(description="Further facts about the flight, each with a stable code.")
+    schema_version: SchemaVersion = SCHEMA_VERSION

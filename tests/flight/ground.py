@@ -1,0 +1,58 @@
+"""A piece of ground with detail at every size, and photographs of it from any height."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vehanchor.detection.detections import Detections
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor_flight.features import Features, find_features
+
+_LATITUDE, _METRES_A_DEGREE = 46.0, 111_195.0
+
+
+def ground(side_px: int = 1600, seed: int = 5) -> NDArray[np.uint8]:
+    """Grey patches of all sizes, ``[side, side, 3]``."""
+    rng = np.random.default_rng(seed)
+    image = np.full((side_px, side_px), 110.0, np.float32)
+    for _ in range(2600):
+        x, y = rng.integers(0, side_px, 2)
+        size = rng.uniform(4, 40, 2)
+        box = ((float(x), float(y)), (float(size[0]), float(size[1])), float(rng.uniform(0, 180)))
+        cv2.fillPoly(image, [cv2.boxPoints(box).astype(np.int32)], float(rng.uniform(20, 235)))
+    grey = np.clip(image + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8)
+    return np.repeat(grey[:, :, None], 3, axis=2)
+
+
+def photograph_of(
+    world: NDArray[np.uint8], x: float, y: float, *, turn_deg: float = 0.0, scale: float = 1.0, side_px: int = 500
+) -> NDArray[np.uint8]:
+    """The ground around (x, y): ``scale`` pixels of the ground a pixel, turned."""
+    move = np.array(cv2.getRotationMatrix2D((x, y), turn_deg, 1 / scale), dtype=np.float64)
+    move[:, 2] += side_px / 2 - np.array([x, y])
+    flags = cv2.INTER_AREA if scale > 1 else cv2.INTER_LINEAR
+    blurred = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world
+    return np.asarray(cv2.warpAffine(blurred, move, (side_px, side_px), flags=flags), dtype=np.uint8)
+
+
+def features_of(image: NDArray[np.uint8]) -> Features:
+    """The features of an array."""
+    with open_raster(image) as raster:
+        return find_features(raster)
+
+
+def facts_at(east_m: float, north_m: float, side_px: int = 500) -> ImageFacts:
+    """Facts of a photograph taken there."""
+    latitude = _LATITUDE + north_m / _METRES_A_DEGREE
+    longitude = 7.0 + east_m / (_METRES_A_DEGREE * np.cos(np.radians(_LATITUDE)))
+    return ImageFacts(side_px, side_px, camera=CameraMetadata(latitude_deg=latitude, longitude_deg=float(longitude)))
+
+
+def sighting_of(lengths: NDArray[np.float64]) -> Detections:
+    """Vehicles of these lengths."""
+    boxes = np.column_stack([lengths, lengths, lengths, lengths / 2, np.zeros(len(lengths))])
+    return Detections(boxes, np.full(len(boxes), 0.8))

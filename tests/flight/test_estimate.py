@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+from concurrent.futures import CancelledError
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.flight.photographs import car_park, write_flight
+from tests.models import write_detector
+from tests.tiles import watched_tiles
+from vehanchor.analysis.pipeline import search_raster
+from vehanchor.detection.detector import Detector
+from vehanchor.engine import Cancellation, Engine
+from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError, KnownLengthError
+from vehanchor.imagery.sources.opening import ImageSource
+from vehanchor.options import Reading, ScaleOptions
+from vehanchor_flight import estimate as flight_estimate
+from vehanchor_flight.inputs import InputPhotograph
+from vehanchor_flight.verbs import estimate_flight
+from vehanchor_flight.video import sample_video
+
+FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
+    return Detector(write_detector(tmp_path_factory.mktemp("model") / "painted.onnx"))
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> list[str]:
+    return write_flight(tmp_path, [FLEET[0::3], FLEET[1::3], [], FLEET[2::3]])
+
+
+def test_photographs_of_one_scale_share_it(flight: list[str], detector: Detector) -> None:
+    record = estimate_flight(flight, same_scale=True, detector=detector, rulers=("vehicles",))
+    assert record.status == "ok"
+    assert record.gsd_m_per_px == pytest.approx(5.045 / 30, rel=0.01)
+    assert {each.gsd_m_per_px for each in record.photographs} == {record.gsd_m_per_px}
+    assert record.n_vehicles == 9
+    assert [each.own and each.own.status for each in record.photographs][2] == "no_scale"
+    (component,) = record.components
+    assert (component.n_photographs, component.pooled.n_vehicles) == (4, 9)
+    assert record.confidence > max(each.own.confidence for each in record.photographs if each.own)
+
+
+def test_a_photograph_without_a_car_is_supported_by_those_with_cars(flight: list[str], detector: Detector) -> None:
+    record = estimate_flight(flight, same_scale=True, detector=detector, rulers=("vehicles",))
+    first = [each.supported_by[0] for each in record.photographs]
+    assert [each.ruler for each in first] == ["vehicles"] * 4
+    assert [first[place].photograph for place in (0, 1, 3)] == [flight[0], flight[1], flight[3]]
+    assert first[2].photograph in (flight[0], flight[1], flight[3])
+
+
+def test_a_photograph_that_cannot_be_read_is_told_and_stops_nothing(flight: list[str], detector: Detector) -> None:
+    Path(flight[2]).write_bytes(b"no image")
+    record = estimate_flight(flight, same_scale=True, detector=detector, rulers=("vehicles",))
+    broken = record.photographs[2]
+    assert (broken.status, broken.error_code, broken.gsd_m_per_px) == ("error", "image_undecodable", None)
+    assert record.status == "ok"
+
+
+def test_a_flight_of_nothing_readable_is_an_error(tmp_path: Path, detector: Detector) -> None:
+    (tmp_path / "a.png").write_bytes(b"no image")
+    with pytest.raises(ImageDecodeError):
+        estimate_flight([str(tmp_path / "a.png")], detector=detector)
+    with pytest.raises(ImageError, match="no photograph given"):
+        estimate_flight([], detector=detector)
+
+
+def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
+    images: list[ImageSource | InputPhotograph] = [
+        car_park(FLEET[::2]),
+        InputPhotograph("frame at 3 s", car_park(FLEET[1::2])),
+    ]
+    record = estimate_flight(images, same_scale=True, detector=detector)
+    assert [each.photograph for each in record.photographs] == ["#1", "frame at 3 s"]
+    with pytest.raises(InvalidParameterError, match="given twice"):
+        estimate_flight([images[1], images[1]], detector=detector)
+
+
+@pytest.mark.parametrize(
+    "option",
+    [{"frame_width_px": 4, "frame_height_px": 3}, {"known_lengths": [(0, 0, 50, 0, 5.0)]}, {"drop": [1]}],
+)
+def test_what_belongs_to_one_image_is_refused(flight: list[str], detector: Detector, option: dict[str, Any]) -> None:
+    with pytest.raises(InvalidParameterError, match="one image"):
+        estimate_flight(flight, detector=detector, **option)
+
+
+@pytest.mark.parametrize("one", ["s.png", Path("s.png"), b"png", np.zeros((4, 4, 3), np.uint8), 5])
+def test_one_photograph_is_no_flight(one: Any, tmp_path: Path) -> None:
+    with pytest.raises(InvalidParameterError, match="give a list of photographs"):
+        estimate_flight(one, detector=tmp_path / "nowhere.onnx")
+
+
+def test_an_interrupted_flight_goes_on_where_it_stopped(
+    flight: list[str], detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = estimate_flight(flight, same_scale=True, detector=detector)
+    looked: list[int] = []
+
+    def stop(done: int, _total: int) -> None:
+        looked.append(done)
+        if done == 2:
+            raise KeyboardInterrupt
+
+    journal = tmp_path / "flight.journal"
+    with pytest.raises(KeyboardInterrupt):
+        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=stop)
+    searched: list[object] = []
+
+    def counted(*arguments: Any, **more: Any) -> Any:
+        searched.append(arguments)
+        return search_raster(*arguments, **more)
+
+    monkeypatch.setattr(flight_estimate, "search_raster", counted)
+    again = estimate_flight(flight, same_scale=True, detector=detector, journal=journal)
+    assert len(searched) == 2
+    assert again == whole
+    assert not journal.exists()
+    with pytest.raises(KeyboardInterrupt):
+        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=stop)
+    with pytest.raises(InvalidParameterError, match="unfinished run"):
+        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, alpha=2.0)
+
+
+def test_an_interrupted_flight_of_a_video_goes_on_where_it_stopped(
+    detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    film, journal = tmp_path / "film.avi", tmp_path / "flight.journal"
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 1.0, (480, 360))
+    for _ in range(3):
+        writer.write(car_park(FLEET)[:, :, ::-1])
+    writer.release()
+
+    def stop(done: int, _total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        estimate_flight(
+            sample_video(str(film), 1.0), same_scale=True, detector=detector, journal=journal, progress=stop
+        )
+    searched: list[object] = []
+
+    def counted(*arguments: Any, **more: Any) -> Any:
+        searched.append(arguments)
+        return search_raster(*arguments, **more)
+
+    monkeypatch.setattr(flight_estimate, "search_raster", counted)
+    again = estimate_flight(sample_video(str(film), 1.0), same_scale=True, detector=detector, journal=journal)
+    assert len(searched) == 1
+    assert len(again.photographs) == 3
+
+
+def test_arrays_of_opencv_are_read_as_they_are_and_films_frames_as_we_have_read_them(detector: Detector) -> None:
+    picture = car_park([50.0] * 8)
+    picture[:40] = (200, 90, 10)
+    swapped = np.ascontiguousarray(picture[:, :, ::-1])
+
+    def identity(taken: InputPhotograph, *, bgr: bool) -> str | None:
+        stored, _ = flight_estimate._search(
+            taken, detector, ScaleOptions(reading=Reading(bgr=bgr)), None, featured=False
+        )
+        return stored.image.image_id
+
+    whole = identity(InputPhotograph("a", picture), bgr=False)
+    assert identity(InputPhotograph("a", swapped), bgr=True) == whole
+    assert identity(InputPhotograph("a", picture, "film.mp4"), bgr=True) == whole
+    assert identity(InputPhotograph("a", swapped), bgr=False) != whole
+
+
+def test_a_cancelled_flight_ends_and_its_journal_resumes(flight: list[str], detector: Detector, tmp_path: Path) -> None:
+    cancellation, journal, told = Cancellation(), tmp_path / "flight.journal", []
+    engine = Engine(detector)
+
+    def cancel(done: int, total: int) -> None:
+        told.append((done, total))
+        if done == 2:
+            cancellation.cancel()
+
+    chosen: Any = {"same_scale": True, "engine": engine}
+    with pytest.raises(CancelledError):
+        estimate_flight(flight, journal=journal, progress=cancel, cancellation=cancellation, **chosen)
+    assert told == [(0, 4), (1, 4), (2, 4)], "photographs are counted, not tiles"
+    assert journal.exists()
+    with watched_tiles() as tiles:
+        record = estimate_flight(flight, journal=journal, **chosen)
+    assert tiles.n_begun == 2, "two photographs were known"
+    assert record == estimate_flight(flight, **chosen)
+
+
+def test_lines_of_one_photograph_scale_all_of_one_scale(flight: list[str], detector: Detector, tmp_path: Path) -> None:
+    lines = tmp_path / "lines.csv"
+    lines.write_text("file,x1,y1,x2,y2,metres,basis\n2.png,100,50,400,50,36,measured\n")
+    record = estimate_flight(
+        [flight[2], flight[2].replace("2.png", "0.png")], same_scale=True, detector=detector, known_lengths_table=lines
+    )
+    assert record.gsd_m_per_px == pytest.approx(0.12, rel=0.03)
+    assert record.components[0].pooled.leading_ruler == "known_length"
+    with pytest.raises(InvalidParameterError, match="as paths"):
+        estimate_flight([car_park(FLEET)], detector=detector, known_lengths_table=lines)
+    with pytest.raises(KnownLengthError, match="not one of the images"):
+        estimate_flight(flight[:2], detector=detector, known_lengths_table=lines)

@@ -1,0 +1,218 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.analyses import made_card
+from tests.flight.ground import facts_at, features_of, ground, photograph_of, sighting_of
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.options import ScaleOptions
+from vehanchor.tilt.camera_tilt import CameraTilt
+from vehanchor_flight.features import Features
+from vehanchor_flight.linking import link_photographs
+from vehanchor_flight.matching import match
+from vehanchor_flight.pairs import candidate_pairs
+from vehanchor_flight.photograph import Photograph, StoredPhotograph
+from vehanchor_flight.record import conclude_flight
+
+WORLD, OTHER = ground(seed=5), ground(seed=6)
+GROUND_M_PER_PX = 0.1
+FLEET = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)  # pixels of the ground: a modal length of 5 m
+STATIONS = [(400, 400, 0, 1.0), (560, 420, 140, 1.25), (700, 560, 30, 0.8), (640, 760, 250, 1.0), (460, 800, 70, 1.5)]
+
+
+@pytest.fixture(scope="module")
+def seen() -> list[Features]:
+    """Five photographs that overlap in a chain, and two of another place."""
+    own = [photograph_of(WORLD, x, y, turn_deg=turn, scale=scale) for x, y, turn, scale in STATIONS]
+    others = [photograph_of(OTHER, 500, 500), photograph_of(OTHER, 620, 560, turn_deg=90, scale=1.2)]
+    return [features_of(image) for image in (*own, *others)]
+
+
+def _photograph(name: str, image: ImageFacts, lengths: NDArray[np.float64]) -> Photograph:
+    return Photograph.of(name, StoredPhotograph(image, sighting_of(lengths), 1.0), made_card(5.0), ScaleOptions())
+
+
+def _flight(*, with_cars: tuple[int, ...], placed: bool = False) -> list[Photograph]:
+    flight = []
+    scales = [*(scale for *_, scale in STATIONS), 1.0, 1.2]
+    for number, scale in enumerate(scales):
+        facts = ImageFacts(500, 500)
+        if placed and number < len(STATIONS):
+            x, y, *_ = STATIONS[number]
+            facts = facts_at(x * GROUND_M_PER_PX, -y * GROUND_M_PER_PX)
+        flight.append(_photograph(str(number), facts, FLEET / scale if number in with_cars else np.zeros(0)))
+    return flight
+
+
+@pytest.mark.parametrize(("turn_deg", "scale"), [(0, 1.0), (35, 1.3), (180, 0.7), (275, 1.7)])
+def test_a_match_gives_the_ratio_of_the_scales_and_the_place(turn_deg: float, scale: float) -> None:
+    first = features_of(photograph_of(WORLD, 600, 600))
+    second = features_of(photograph_of(WORLD, 680, 560, turn_deg=turn_deg, scale=scale))
+    found = match(first, second)
+    assert found is not None
+    assert np.exp(found.log_ratio) == pytest.approx(1 / scale, rel=0.02)
+    assert abs(found.log_ratio + np.log(scale)) < 3 * found.log_sd
+    turn = np.radians(turn_deg)
+    expected = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) @ [-80, 40] / scale + 250
+    assert found.turn[:, :2] @ [250, 250] + found.turn[:, 2] == pytest.approx(expected, abs=3)
+
+
+def test_a_match_keeps_only_the_digits_that_do_not_depend_on_threads(seen: list[Features]) -> None:
+    found = match(seen[0], seen[1])
+    assert found is not None
+    assert np.array_equal(found.turn, found.turn.round(9))
+    assert found.log_sd == round(found.log_sd, 9)
+
+
+def test_photographs_of_other_places_do_not_match(seen: list[Features]) -> None:
+    assert match(seen[0], seen[5]) is None
+    nothing = features_of(np.full((200, 200, 3), 90, np.uint8))
+    assert len(nothing) == 0
+    assert match(seen[0], nothing) is None
+
+
+def test_candidates_are_found_by_appearance_and_stay_few() -> None:
+    stations = [(x, y) for y in range(300, 1400, 180) for x in range(300, 1400, 180)]
+    order = np.random.default_rng(3).permutation(len(stations))
+    seen = [features_of(photograph_of(WORLD, *stations[k], turn_deg=37.0 * k, side_px=400)) for k in order]
+    pairs = set(candidate_pairs(seen))
+    near = {
+        (a, b) for a, b in combinations(range(len(order)), 2)
+        if np.hypot(*np.subtract(stations[order[a]], stations[order[b]])) < 190
+    }  # fmt: skip
+    assert len(near & pairs) > 0.85 * len(near)
+    assert len(pairs) <= 10 * len(seen)
+
+
+def test_candidates_are_found_by_position() -> None:
+    nothing = Features(np.zeros((0, 2)), np.zeros((0, 128), np.uint8), 1.0)
+    places = np.array([[0, 0], [500, 0], [900, 0], [5, 0], [float("nan")] * 2, [505, 0], [910, 0]], dtype=np.float64)
+    assert {(0, 3), (1, 5), (2, 6)} <= set(candidate_pairs([nothing] * 7, places))
+
+
+def test_photographs_without_a_car_hang_on_those_that_overlap(seen: list[Features]) -> None:
+    flight = _flight(with_cars=(0,))
+    linked = link_photographs(flight, seen)
+    assert [sorted(component.members) for component in linked.components] == [[0, 1, 2, 3, 4], [5, 6]]
+    record = conclude_flight(flight, linked.components, made_card(5.0), same_scale=False, links=linked.links)
+    for photograph, (*_, scale) in zip(record.photographs, STATIONS, strict=False):
+        assert photograph.gsd_m_per_px == pytest.approx(GROUND_M_PER_PX * scale, rel=0.03)
+        assert photograph.gsd_ci95_low_m_per_px is not None
+        assert photograph.gsd_ci95_high_m_per_px is not None
+        assert photograph.gsd_ci95_low_m_per_px < GROUND_M_PER_PX * scale < photograph.gsd_ci95_high_m_per_px
+    last = record.photographs[4].supported_by[0]
+    assert (last.ruler, last.photograph) == ("vehicles", "0")
+    assert [each.status for each in record.photographs[5:]] == ["no_scale", "no_scale"]
+    assert record.status == "low_confidence"
+
+
+def test_positions_are_a_ruler_where_there_is_no_car(seen: list[Features]) -> None:
+    flight = _flight(with_cars=(), placed=True)
+    (component, *_) = link_photographs(flight, seen).components
+    (positions,) = component.extra
+    _, _, _, scale = STATIONS[int(component.members[component.reference])]
+    assert positions.kind == "positions"
+    assert positions.gsd_m_per_px == pytest.approx(GROUND_M_PER_PX * scale, rel=0.03)
+    assert positions.interval is not None
+    assert positions.interval.low < GROUND_M_PER_PX * scale < positions.interval.high
+
+
+def test_positions_are_listed_beside_three_other_rulers(seen: list[Features]) -> None:
+    flight = _flight(with_cars=(), placed=True)
+    for number, (*_, scale) in enumerate(STATIONS):
+        facts, height_m = flight[number].view.image, 1000.0 * GROUND_M_PER_PX * scale
+        assert facts.camera is not None
+        lens: dict[str, Any] = {"focal_px": 1000.0, "taken_width_px": 500, "taken_height_px": 500, "off_nadir_deg": 0.0}
+        camera = replace(facts.camera, height_m=height_m, height_tag="RelativeAltitude", **lens)
+        stored = StoredPhotograph(facts._replace(camera=camera), sighting_of(FLEET / scale), 1.0)
+        options = ScaleOptions.of({"height_m": 1.03 * height_m})  # nearer, it would repeat the file's
+        flight[number] = Photograph.of(str(number), stored, made_card(5.0), options)
+    linked = link_photographs(flight, seen)
+    record = conclude_flight(flight, linked.components, made_card(5.0), same_scale=False, links=linked.links)
+    for photograph in record.photographs[:5]:
+        own = [each.ruler for each in photograph.supported_by if each.photograph == photograph.photograph]
+        assert sorted(own) == ["camera", "height", "positions", "vehicles"]
+
+
+def test_positions_of_another_flight_are_no_ruler(seen: list[Features]) -> None:
+    flight = _flight(with_cars=(), placed=True)
+    places = [(0, 0), (60, 10), (-20, 5), (10, 44), (35, -30)]
+    for number, place in enumerate(places):
+        flight[number] = _photograph(str(number), facts_at(*place), np.zeros(0))
+    assert link_photographs(flight, seen).components[0].extra == ()
+
+
+def test_an_overlap_with_a_copy_of_the_ground_elsewhere_is_dropped() -> None:
+    copied = WORLD.copy()
+    copied[650:950, 1200:1500] = photograph_of(WORLD, 250, 800, scale=0.92, side_px=300)
+    seen = [features_of(photograph_of(copied, x, 800)) for x in range(250, 1351, 157)]
+    flight = [_photograph(str(number), ImageFacts(500, 500), np.zeros(0)) for number in range(len(seen))]
+    linked = link_photographs(flight, seen)
+    (component,) = linked.components
+    dropped = {(link.first, link.second): link.dropped for link in linked.links if link.dropped is not None}
+    assert "off the shift by the other overlaps" in dropped["0", "7"]
+    assert all((int(link.second) - int(link.first) > 3) == (link.dropped is not None) for link in linked.links)
+    assert np.exp(component.offsets) == pytest.approx(np.ones(len(seen)), abs=0.01)
+
+
+def test_photographs_of_one_height_and_tilt_have_one_scale() -> None:
+    tilt = CameraTilt(35.0, 0.0, 700.0, "metadata")
+    plane = tilt.plane(ImageFacts(500, 500))
+    corners = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
+    flight, seen = [], []
+    for number, y in enumerate((900.0, 800.0, 700.0)):
+        there = plane.from_above(corners) + np.array([800.0, y])
+        move = cv2.getPerspectiveTransform(there.astype(np.float32), corners.astype(np.float32))
+        seen.append(features_of(np.asarray(cv2.warpPerspective(WORLD, move, (500, 500)), dtype=np.uint8)))
+        stored = StoredPhotograph(ImageFacts(500, 500), sighting_of(np.zeros(0)), 1.0, (), tilt=tilt)
+        flight.append(Photograph.of(str(number), stored, made_card(5.0), ScaleOptions()))
+    (component,) = link_photographs(flight, seen).components
+    assert np.exp(component.offsets) == pytest.approx(np.ones(3), abs=0.02)
+    assert component.layout is not None
+    assert np.diff(component.layout.imag) == pytest.approx([-100.0, -100.0], abs=4.0)
+
+
+def test_tilted_photographs_of_different_headings_lie_where_their_cameras_stood() -> None:
+    tilt = CameraTilt(35.0, 0.0, 700.0, "metadata")
+    plane = tilt.plane(ImageFacts(500, 500))
+    corners = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
+    flight, seen, stood = [], [], []
+    for number, heading_deg in enumerate((0.0, 50.0, 100.0)):
+        heading = np.radians(heading_deg)
+        turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+        middle = np.array([800.0, 800.0 - 40.0 * number])
+        there = plane.from_above(corners) @ turn.T + middle
+        stood.append(turn @ plane.foot + middle)
+        move = cv2.getPerspectiveTransform(there.astype(np.float32), corners.astype(np.float32))
+        seen.append(features_of(np.asarray(cv2.warpPerspective(WORLD, move, (500, 500)), dtype=np.uint8)))
+        stored = StoredPhotograph(ImageFacts(500, 500), sighting_of(np.zeros(0)), 1.0, (), tilt=tilt)
+        flight.append(Photograph.of(str(number), stored, made_card(5.0), ScaleOptions()))
+    (component,) = link_photographs(flight, seen).components
+    assert component.layout is not None
+    found = np.column_stack([component.layout.real, component.layout.imag])
+    assert np.linalg.norm(stood[1] - stood[0]) > 200
+    assert found - found[0] == pytest.approx(np.array(stood) - stood[0], abs=12.0)
+
+
+@pytest.mark.parametrize(("tilt_deg", "doubted"), [(0.0, False), (35.0, True)])
+def test_ratios_of_an_unknown_tilt_are_doubted_and_those_of_two_heights_are_not(tilt_deg: float, doubted: bool) -> None:
+    plane = CameraTilt(tilt_deg, 0.0, 500.0, "metadata").plane(ImageFacts(500, 500))
+    corners = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
+    flight, seen = [], []
+    for number in range(6):
+        scale = 1.0 if doubted or number % 2 else 0.75
+        there = plane.from_above(corners) * scale + np.array([800.0, 1050.0 - 90.0 * number])
+        move = cv2.getPerspectiveTransform(there.astype(np.float32), corners.astype(np.float32))
+        seen.append(features_of(np.asarray(cv2.warpPerspective(WORLD, move, (500, 500)), dtype=np.uint8)))
+        flight.append(_photograph(str(number), ImageFacts(500, 500), np.zeros(0)))
+    (component,) = link_photographs(flight, seen).components
+    off = np.abs(component.offsets)
+    assert off.max() > 0.15
+    assert (component.log_sds > off / 2).all() if doubted else (component.log_sds < 0.1).all()

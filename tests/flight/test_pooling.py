@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.analyses import made_card
+from vehanchor.detection.appearance import FleetAppearance
+from vehanchor.detection.detections import NOT_SEARCHED, Detections
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.options import ScaleOptions
+from vehanchor.records import Notice
+from vehanchor.rulers.point import no_evidence, point_witness, prior_witness
+from vehanchor.scale.density import credible_interval, flat, lognormal, shifted
+from vehanchor.scale.reliability import Shared
+from vehanchor_flight.photograph import Photograph, StoredPhotograph
+from vehanchor_flight.pooling import _pooled_witness, combined_density, pool, pooled_detections
+
+
+def _photograph(lengths: NDArray[np.float64], name: str = "one", resolved: float = 1.0) -> Photograph:
+    boxes = np.column_stack([lengths, lengths, lengths, lengths / 2, np.zeros(len(lengths))])
+    found = Detections(boxes, np.full(len(boxes), 0.8))
+    return Photograph.of(name, StoredPhotograph(ImageFacts(800, 600), found, resolved), made_card(5.0), ScaleOptions())
+
+
+_FLEET = 30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3)
+
+
+def test_the_boxes_of_all_photographs_make_one_mode() -> None:
+    parts = [_photograph(_FLEET[k::3]) for k in range(3)]
+    together = pool(parts, np.zeros(3), 0).estimate
+    assert [part.analysis.estimate.aggregation for part in parts] == ["median"] * 3  # three vehicles are too few
+    assert together.n_vehicles == 9
+    assert together.aggregation == "kde"
+    assert together.mode_length_px == pytest.approx(_photograph(_FLEET).analysis.estimate.mode_length_px)
+    assert together.confidence > max(part.analysis.estimate.confidence for part in parts)
+
+
+def test_photographs_of_known_ratio_are_measured_in_the_pixels_of_one() -> None:
+    near, far = _photograph(2 * _FLEET), _photograph(_FLEET)
+    alone = _photograph(np.concatenate([_FLEET, _FLEET])).analysis.estimate
+    together = pool([near, far], np.log([0.08, 0.16]), 1).estimate
+    assert together.gsd_m_per_px == pytest.approx(alone.gsd_m_per_px, rel=1e-3)  # votes lie on a grid
+    in_the_other = pool([near, far], np.log([0.08, 0.16]), 0).estimate
+    assert in_the_other.gsd_m_per_px is not None
+    assert together.gsd_m_per_px == pytest.approx(2 * in_the_other.gsd_m_per_px, rel=1e-3)
+
+
+def test_one_photograph_says_what_it_says_alone() -> None:
+    one = _photograph(_FLEET)
+    assert pool([one], [0.3], 0).estimate == one.analysis.estimate
+
+
+def test_photographs_searched_without_a_car_count_as_searched() -> None:
+    searched = Detections(np.zeros((0, 5)), np.zeros(0), stopped_because="all_searched")
+    assert pooled_detections([searched, searched], np.zeros(2)).stopped_because == "all_searched"
+    assert pooled_detections([NOT_SEARCHED, NOT_SEARCHED], np.zeros(2)).stopped_because is None
+
+
+def test_tiles_and_skipped_candidates_add_up() -> None:
+    first, second = (
+        Detections(np.zeros((0, 5)), np.zeros(0), 3, 1, n_tiles_total=20, n_skipped=5),
+        Detections(np.zeros((0, 5)), np.zeros(0), 4, 0, n_tiles_total=30, n_skipped=2),
+    )
+    pooled = pooled_detections([first, second], np.zeros(2))
+    assert (pooled.n_tiles, pooled.n_capped_tiles, pooled.n_tiles_total, pooled.n_skipped) == (7, 1, 50, 7)
+
+
+def test_looks_at_vehicles_stay_with_their_boxes() -> None:
+    first = Detections(
+        np.full((3, 5), 1.0),
+        np.array([0.9, 0.5, 0.3]),
+        fleet=FleetAppearance(np.array([9.0, 5.0]), np.array([1.9, 1.5])),
+    )
+    second = Detections(
+        np.full((2, 5), 2.0), np.array([0.8, 0.4]), fleet=FleetAppearance(np.array([8.0, 4.0]), np.array([1.8, 1.4]))
+    )
+    both = pooled_detections([first, second], np.zeros(2))
+    assert both.fleet is not None
+    assert list(both.fleet.log_odds) == [9.0, 8.0, 5.0, 4.0]
+    assert list(both.fleet.log_lengths) == [1.9, 1.8, 1.5, 1.4]
+    assert list(both.scores) == [0.9, 0.8, 0.5, 0.4, 0.3]
+    assert list(both.boxes[:, 0]) == [1, 2, 1, 2, 1]
+
+
+def test_boxes_found_in_a_reduced_copy_keep_their_length_in_it() -> None:
+    seen = Detections(np.full((1, 5), 40.0), np.array([0.9]), scales=np.array([0.5]))
+    (pooled,) = pooled_detections([seen], [np.log(2.0)]).boxes
+    scales = pooled_detections([seen], [np.log(2.0)]).scales
+    assert scales is not None
+    assert pooled[2] * scales[0] == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(("gain", "narrower"), [(0.0, 1.0), (0.5, 2.0), (1.0, 4.0)])
+def test_rulers_that_err_alike_gain_less_by_number(gain: float, narrower: float) -> None:
+    one = lognormal(0.1, 0.2)
+    low, high = credible_interval(one)
+    all_low, all_high = credible_interval(combined_density([one] * 16, gain))
+    assert np.log(high / low) / np.log(all_high / all_low) == pytest.approx(narrower, rel=0.02)
+
+
+def test_a_density_moves_with_the_pixels() -> None:
+    moved = shifted(lognormal(0.1, 0.1), np.log(2.0))
+    assert credible_interval(moved, probability=0.0).low == pytest.approx(0.05, rel=1e-3)
+    assert shifted(flat(), 0.0) is not None
+
+
+def test_a_witness_of_the_flight_is_heard() -> None:
+    photographs = [_photograph(_FLEET), _photograph(_FLEET)]
+    extra = point_witness("positions", 0.17, 0.05, 0.05, "{}", n=3)
+    pooled = pool(photographs, np.zeros(2), 0, [extra])
+    assert [other for other in pooled.others if other.found] == [extra]
+    assert [ruler.kind for ruler in pooled.estimate.rulers] == ["vehicles", "positions"]
+
+
+def test_a_prior_counts_once_per_place() -> None:
+    prior = prior_witness("scene_scale", lognormal(0.13, 0.2), 0.7, 24)
+    pooled = _pooled_witness("scene_scale", [(prior, 0.0)] * 10)
+    assert prior.interval is not None
+    assert pooled.interval == pytest.approx(prior.interval)
+    assert (pooled.sets_scale, pooled.chance_wrong) == (False, prior.chance_wrong)
+
+
+def test_photographs_of_one_take_off_share_its_error() -> None:
+    height = Shared("height above take-off", 0.12)
+    each = point_witness("camera", 0.1, 0.02, 0.05, "{}", shared=[height])
+    pooled = _pooled_witness("camera", [(each, 0.0), (each, 0.05)])
+    assert (pooled.shared, pooled.chance_wrong) == ((height,), 0.05)
+    assert pooled.gsd_m_per_px == pytest.approx(0.1 * np.exp(-0.025), rel=0.01)
+
+
+def test_a_stretch_of_the_camera_is_that_of_the_photographs_with_the_vehicles() -> None:
+    few = Detections(np.full((1, 5), 40.0), np.full(1, 0.9), stretch=9.0)
+    many = Detections(np.full((9, 5), 40.0), np.full(9, 0.9), stretch=0.0)
+    assert pooled_detections([few, many], np.zeros(2)).stretch == pytest.approx(0.9)
+    assert pooled_detections([NOT_SEARCHED, NOT_SEARCHED], np.zeros(2)).stretch is None
+
+
+def test_one_ruler_that_speaks_leaves_the_others_notices_in() -> None:
+    told = Notice(code="camera_cropped", message="a crop")
+    spoke = point_witness("camera", 0.1, 0.1, 0.05, "{}")
+    pooled = _pooled_witness("camera", [(spoke, 0.0), (no_evidence("camera", told), 0.0)])
+    assert (pooled.gsd_m_per_px, pooled.notices) == (0.1, (told,))
+
+
+def test_the_detail_is_that_of_the_photographs_with_the_vehicles() -> None:
+    sharp, blurred = _photograph(_FLEET, resolved=1.0), _photograph(_FLEET[:1], resolved=0.2)
+    assert pool([blurred, sharp], np.zeros(2), 1).resolved == 1.0
