@@ -104,7 +104,7 @@ async def chaos(n_calls: int, n_clients: int, period_s: float, minutes: float, s
     with tempfile.TemporaryDirectory() as directory:
         asked = questions(Path(directory).resolve())
         flags = ("--root", directory, "--threads", "1", "--max-concurrency", str(N_PLACES))
-        limits = ("--deadline-s", str(DEADLINE_S), "--max-worker-mb", "512", "--max-connections-per-address", "400")
+        limits = ("--deadline-s", str(DEADLINE_S), "--max-worker-mb", "512")
         with http_server(*flags, *limits) as server:
             async with Client(server.url, read_timeout_seconds=120) as client:
                 expected = [await _final_reply(client, question) for question in asked]
