@@ -169,6 +169,9 @@ class Settings:
     )
     oidc_issuer: str | None = field(default=None, metadata=_words("Issuer of accepted JWTs.", panel=_HTTP))
     oidc_audience: str | None = field(default=None, metadata=_words("Required audience of these JWTs.", panel=_HTTP))
+    oidc_max_key_age_s: float = field(
+        default=86400.0, metadata=_words("Seconds after which the issuer's keys end if it is unreachable.", panel=_HTTP)
+    )
     max_body_mb: float = field(default=32.0, metadata=_words("Largest request, MiB.", panel=_HTTP))
     insecure: bool = field(default=False, metadata=_words("Listen publicly without authentication.", panel=_HTTP))
 
