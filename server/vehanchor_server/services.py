@@ -79,7 +79,7 @@ def create_services(settings: Settings) -> Services:
     workers = None
     if not settings.in_process:
         limits = WorkerLimits(settings.max_worker_bytes, (os.cpu_count() or 1) * settings.deadline_s)
-        workers = WorkerPool(partial(_worker_services, settings), n_calls, limits)
+        workers = WorkerPool(partial(_worker_services, settings), limits)
     seal = ScaleSeal(read_key(settings.scale_key_file) if settings.scale_key_file else None)
     return replace(_services(settings, n_calls, workers), seal=seal)
 

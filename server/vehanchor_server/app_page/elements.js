@@ -33,6 +33,13 @@ function drawing(label, draw) {
   return canvas;
 }
 
+// Steps of 1, 2 or 5 times a power of ten.
+function roundSteps(span, most) {
+  const raw = span / most;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  return [1, 2, 5, 10].map((m) => m * power).find((step) => step >= raw * (1 - 1e-9));
+}
+
 // ---- Numbers and words ----
 
 const threeDigits = new Intl.NumberFormat("en", { minimumSignificantDigits: 3, maximumSignificantDigits: 3 });

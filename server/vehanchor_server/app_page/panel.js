@@ -18,12 +18,9 @@ function show(result) {
   say(textOf(result));
   if (!record) return byId("sections").replaceChildren();
   const scale = scaleOf(record);
-  const histogram = result._meta?.[PANEL_KEY]?.histogram;
   byId("subject").textContent = isArea(record) ? "area of an object" : "metric scale";
   flag(record.status);
   const plan = isArea(record) ? planSection(record) : undefined;
-  const lengths = scale && histogram ? histogramSection(scale, histogram) : undefined;
-  const left = [plan, lengths].filter(Boolean);
   const right = [scale ? confidence(scale) : undefined, recordSection(record)];
   const sections = [
     readings(record),
@@ -32,7 +29,7 @@ function show(result) {
     scale ? rulersSection(scale) : undefined,
     html(
       "div", { class: "columns" },
-      left.length ? html("div", { class: "column seen" }, ...left) : undefined,
+      plan ? html("div", { class: "column seen" }, plan) : undefined,
       html("div", { class: "column" }, ...right),
     ),
   ];

@@ -58,7 +58,7 @@ function framed(record, result, { url, plain, drawing }) {
       note(isArea(record), "object", "measured object"),
       note(scale?.n_vehicles, "kept", "measured vehicle"),
       note(dropped, "outlier", "outlier, excluded"),
-      note(has("stated"), "stated", "confirmed or added by hand"),
+      note(has("stated"), "stated", "added by hand"),
       note(has("removed"), "removed", "dropped by hand"),
       note(drawing?.lines.length, "ruler-line", "other ruler"),
       note(drawing?.vehicles_left_out, "", `${counted(drawing?.vehicles_left_out ?? 0, "vehicle")} not drawn`),

@@ -11,11 +11,10 @@ const TOOLS = {
     words: "Draw a known length", first: "Click both ends of a known length on the ground.",
     then: "Click the other end.",
   },
-  confirm: { words: "Confirm", first: "Click vehicles that are cars, or draw a box around several.", then: "Release after the last vehicle." },
   drop: { words: "Drop", first: "Click boxes that are no cars, or draw a box around several.", then: "Release after the last box." },
   add: { words: "Add", first: "Click both bumpers of a car without a box, or drag along it.", then: "Click the other bumper." },
 };
-const picks = (tool) => tool === "confirm" || tool === "drop"; // vehicles, not points
+const picks = (tool) => tool === "drop"; // vehicles, not points
 const isBox = (tool) => tool === "area" || picks(tool);
 const measures = (tool) => tool === "distance" || tool === "area";
 
@@ -84,7 +83,7 @@ function toolbar(record, view, canvas, redraw) {
   const pick = (vehicles) => {
     sketch();
     first = undefined;
-    words.textContent = vehicles.length ? correct(tool, vehicles) : "No vehicle here.";
+    words.textContent = vehicles.length ? dropVehicles(vehicles) : "No vehicle here.";
     refresh();
   };
   const pickAt = (point) => pick([vehicleAt(point, NEAR_PX / view.perPixel)].filter(Boolean));
@@ -124,16 +123,6 @@ function toolbar(record, view, canvas, redraw) {
     sketchTo(point);
     words.textContent = TOOLS[tool].then;
     refresh();
-  };
-  const nextVehicle = (step) => {
-    const vehicles = correctedVehicles();
-    if (!vehicles.length) return;
-    const under = vehicleAt(cross.at, 0);
-    const i = vehicles.findIndex(({ box }) => box === under?.box);
-    const [x, y] = vehicles.at(i < 0 ? 0 : (i + step) % vehicles.length).box;
-    cross.show();
-    cross.goTo([x, y]);
-    tellPlace(cross.at);
   };
   const tellPlace = (point) => {
     if (first) sketchTo(point);
@@ -178,7 +167,7 @@ function toolbar(record, view, canvas, redraw) {
   });
   const keys = {
     Escape: () => choose(undefined, ""), Enter: () => setPoint(cross.at), " ": () => setPoint(cross.at),
-    Backspace: undo, n: () => nextVehicle(1), p: () => nextVehicle(-1),
+    Backspace: undo,
   };
   view.frame.addEventListener("keydown", (event) => {
     const isUndo = (event.ctrlKey || event.metaKey) && event.key === "z";
@@ -190,14 +179,14 @@ function toolbar(record, view, canvas, redraw) {
 
   const offered = {
     distance: knownScale(record), area: knownScale(record), known: scaleOf(record),
-    ...(isArea(record) ? {} : { confirm: correctedVehicles().length, drop: correctedVehicles().length, add: true }),
+    ...(isArea(record) ? {} : { drop: correctedVehicles().length, add: true }),
   };
   for (const name of Object.keys(TOOLS).filter((each) => offered[each])) {
     const act = (event) => {
       const isKey = event.detail === 0;
       const next = tool === name ? undefined : name;
       form.hide();
-      choose(next, next ? `${TOOLS[next].first}${isKey ? ` ${BY_KEYS}${picks(next) ? " N goes to the next vehicle." : ""}` : ""}` : "");
+      choose(next, next ? `${TOOLS[next].first}${isKey ? ` ${BY_KEYS}` : ""}` : "");
       if (!next) return;
       view.frame.focus({ preventScroll: !isKey });
       if (isKey) cross.show();
@@ -211,10 +200,10 @@ function toolbar(record, view, canvas, redraw) {
   };
   refresh();
   return {
-    groups: [group("Measure", ["distance", "area", "known"]), group("Vehicles", ["confirm", "drop", "add"]), undoButton],
+    groups: [group("Measure", ["distance", "area", "known"]), group("Vehicles", ["drop", "add"]), undoButton],
     below: [words, form.row, corrections?.row, list],
     placed: cross.place,
   };
 }
 
-const STATES = { kept: "measured", outlier: "outlier", stated: "confirmed", removed: "dropped" };
+const STATES = { kept: "measured", outlier: "outlier", stated: "added", removed: "dropped" };

@@ -59,7 +59,7 @@ class Targets:
     server: int
 
 
-@work(Targets, Value)
+@work(Value)
 def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Answer[Value]:
     """Everything that a worker should be kept from, and some things that it needs; in a worker."""
     root, secret, server = services.settings.roots[0], targets.secret, targets.server
@@ -188,7 +188,7 @@ def test_every_right_that_a_kernel_does_not_hold_is_named(version: int) -> None:
     assert sandbox._missing_rights(version, seccomp=True) == [], "the filter of system calls refuses them"
 
 
-@work(None, Value)
+@work(Value)
 def inherited(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     """The descriptors and the environment variables of a worker."""
     folder = Path("/proc/self/fd")
