@@ -28,7 +28,7 @@ import numpy as np
 from research.results.record import add_record_option, recording, values_table
 from tests.fuzz.drive import Checked, Slow, mutated
 from tests.fuzz.targets import CORPUS, TARGETS
-from vehanchor_server.calls.sandbox import confine
+from vehanchor_server.sandbox.confinement import confine
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -26,6 +26,7 @@ from mcp.server.mcpserver.exceptions import ToolError
 
 from vehanchor.records.foreign_text import on_one_line
 
+WORKER_KILLED = "worker_killed"
 _SHOWN_CHARS = 80
 
 

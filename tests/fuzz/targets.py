@@ -51,9 +51,7 @@ from vehanchor_server.calls.messages import (
     MAX_RECORDS,
     RECORD,
     Answered,
-    Broken,
     Entered,
-    Exhausted,
     Failed,
     Loaded,
     MessageError,
@@ -356,11 +354,9 @@ def _messages() -> list[bytes]:
     header = Answered(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
     plain = [
         Loaded(failure=None, landlock=6, seccomp=True, lacks=""),
-        Broken(traceback="Traceback"),
         Entered(stage="decode"),
         Progressed(percent=50, message="searched 1 of 2 tiles"),
         Refused(code="image_too_large", message="smaller"),
-        Exhausted(),
         Failed(traceback="Traceback"),
     ]
     box = {"x_min": 0, "y_min": 0, "x_max": 20, "y_max": 20}

@@ -220,6 +220,7 @@ def test_a_request_that_a_replica_did_not_take_is_sent_to_the_other(tmp_path: Pa
         listener.shutdown(socket.SHUT_RDWR)
 
 
+@pytest.mark.promise("proxy")
 def test_idle_connections_lock_nobody_out(tmp_path: Path) -> None:
     """Send 40 honest calls at a time beside 512 silent connections and 512 that stay after an answer."""
 

@@ -12,7 +12,7 @@ import pytest
 CHMOD, TRUNCATE, OPEN, KILL = 90, 76, 2, 62  # on x86_64
 _RUN = """
 from research.benchmarks import server_lost_worker as harness
-from vehanchor_server.calls.sandbox import Confinement
+from vehanchor_server.sandbox.confinement import Confinement
 {before}
 found = harness.try_system_calls([{numbers}])
 print(found["effects outside"])
@@ -40,7 +40,7 @@ def test_an_effect_outside_is_found_without_the_border() -> None:
 
 def test_behind_the_border_there_is_none(tmp_path: Path) -> None:
     held = subprocess.run(
-        [sys.executable, "-c", "from vehanchor_server.calls.sandbox import confine; print(confine([]).lacks)"],
+        [sys.executable, "-c", "from vehanchor_server.sandbox.confinement import confine; print(confine([]).lacks)"],
         capture_output=True,
         text=True,
         check=True,

@@ -58,13 +58,6 @@ class Loaded(FrozenModel):
     lacks: str = Field(max_length=MAX_WORDS)
 
 
-class Broken(FrozenModel):
-    """The worker cannot start."""
-
-    kind: Literal["broken"] = "broken"
-    traceback: str = Field(max_length=MAX_WORDS)
-
-
 class Entered(FrozenModel):
     """A stage of the call began."""
 
@@ -88,14 +81,8 @@ class Refused(FrozenModel):
     message: str = Field(max_length=MAX_WORDS)
 
 
-class Exhausted(FrozenModel):
-    """The worker ran out of memory."""
-
-    kind: Literal["exhausted"] = "exhausted"
-
-
 class Failed(FrozenModel):
-    """The work has a bug."""
+    """The work has a bug, or the worker cannot start."""
 
     kind: Literal["failed"] = "failed"
     traceback: str = Field(max_length=MAX_WORDS)
@@ -111,7 +98,7 @@ class Answered(FrozenModel):
     page_picture: bool
 
 
-WorkerMessage: TypeAlias = Loaded | Broken | Entered | Progressed | Refused | Exhausted | Failed | Answered
+WorkerMessage: TypeAlias = Loaded | Entered | Progressed | Refused | Failed | Answered
 _WORKER_MESSAGE: TypeAdapter[WorkerMessage] = TypeAdapter(Annotated[WorkerMessage, Field(discriminator="kind")])
 
 

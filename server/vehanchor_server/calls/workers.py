@@ -24,9 +24,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor_server.calls.messages import (
     Answered,
-    Broken,
     Entered,
-    Exhausted,
     Failed,
     Loaded,
     MessageError,
@@ -35,11 +33,11 @@ from vehanchor_server.calls.messages import (
     receive,
     receive_answer,
 )
-from vehanchor_server.calls.worker_environment import minimal_environment
 from vehanchor_server.calls.worker_log import forward_log
 from vehanchor_server.calls.worker_process import serve_tasks
-from vehanchor_server.errors import CallError
+from vehanchor_server.errors import WORKER_KILLED, CallError
 from vehanchor_server.models import SLOW_IMPORTS
+from vehanchor_server.sandbox.environment import minimal_environment
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -290,7 +288,7 @@ class _Worker:
             self._fail(f"it ended with exit code {self.process.exitcode} during startup")
             return
         if not isinstance(message, Loaded):
-            self._fail(message.traceback if isinstance(message, Broken) else f"it sent {message.kind}")
+            self._fail(message.traceback if isinstance(message, Failed) else f"it sent {message.kind}")
             return
         self._pool.failure = message.failure
         self._pool.log_once(*_confinement_message(message))
@@ -333,7 +331,7 @@ class _Worker:
     @staticmethod
     def _ended() -> CallError:
         return CallError(
-            "worker_killed",
+            WORKER_KILLED,
             "the worker process ended: it used too much memory or time, or crashed. Try again, or send another image.",
         )
 
@@ -356,16 +354,11 @@ class _Worker:
                     self._waits = True
                     return answer
                 case Refused():
-                    self._waits = True
+                    self._waits = message.code != WORKER_KILLED
                     raise CallError(message.code, message.message)
                 case Failed():
                     self._waits = True
                     raise WorkerFailedError(message.traceback)
-                case Exhausted():
-                    raise CallError(
-                        "worker_killed",
-                        "the image needs more memory than this server allows. Send a smaller image.",
-                    )
                 case _:
                     raise MessageError(f"{message.kind} during a call")
 

@@ -105,6 +105,7 @@ def sent_over(pipe: tuple[Connection, Connection], *parts: bytes) -> Iterator[No
         sender.join()
 
 
+@pytest.mark.promise("messages")
 @pytest.mark.parametrize(
     "sent",
     [
@@ -142,12 +143,14 @@ def test_no_bytes_do_anything_but_be_refused(sent: bytes) -> None:
                 receive(ours) if kind is None else receive_answer(ours, ONE_RECORD, kind)
 
 
+@pytest.mark.promise("messages")
 @pytest.mark.parametrize("record", [b"[]", b"1", b'{"value":1,"other":2}', b"[" * 1_000, b'[{"value":1}]'])
 def test_an_answer_of_another_form_is_refused(pipe: tuple[Connection, Connection], record: bytes) -> None:
     with sent_over(pipe, record), pytest.raises(MessageError):
         receive_answer(pipe[0], ONE_RECORD, Value)
 
 
+@pytest.mark.promise("messages")
 @pytest.mark.parametrize("items", [b"{}", b"0", b"[]"])
 @pytest.mark.parametrize("field", ["outline", "warnings", "alternatives", "estimate", "vehicles", "lines"])
 def test_a_worker_that_was_taken_over_does_not_freeze_the_server(field: str, items: bytes) -> None:
@@ -230,7 +233,7 @@ def foreign_bytes(services: Services, job: Job, source: Any, hexadecimal: str) -
     [
         pickle.dumps(("value", os.system)),
         b"[" * 1_000_000,
-        b'{"kind":"broken","traceback":""}',
+        b'{"kind":"loaded","failure":null,"landlock":0,"seccomp":true,"lacks":""}',
     ],
 )
 def test_a_worker_that_sends_other_bytes_is_ended(running: Services, sent: bytes) -> None:

@@ -148,6 +148,7 @@ def test_a_worker_that_ends_slowly_gets_no_further_call(isolated: Services, monk
         done(isolated, number)
 
 
+@pytest.mark.promise("deadline")
 def test_a_worker_is_replaced_before_the_next_call(isolated: Services) -> None:
     assert isolated.workers is not None
     with pytest.raises(CallError, match="worker_killed"):
@@ -179,6 +180,7 @@ def test_a_stop_after_the_call_harms_no_other(isolated: Services) -> None:
     assert done(isolated, number) == worker
 
 
+@pytest.mark.promise("memory")
 def test_memory_is_limited(isolated: Services) -> None:
     with pytest.raises(CallError, match=r"worker_killed: .*memory"):
         done(isolated, fill)
@@ -202,6 +204,7 @@ def test_a_bug_comes_with_its_traceback_and_keeps_the_worker(isolated: Services)
     assert done(isolated, number) == worker
 
 
+@pytest.mark.promise("deadline")
 async def test_the_deadline_is_kept_by_a_worker_that_does_not_listen(
     images: Path, detector_path: Path, tmp_path: Path
 ) -> None:

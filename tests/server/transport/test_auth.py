@@ -129,6 +129,7 @@ async def test_the_issuers_tokens_are_accepted(issuer: Issuer) -> None:
     assert await issuer.verifier().verify_token(issuer.token(aud=["https://other.test", AUDIENCE])) is not None
 
 
+@pytest.mark.promise("issuer")
 @pytest.mark.parametrize(
     "claims",
     [
@@ -157,6 +158,7 @@ def forged(token: str, alg: str, secret: bytes) -> str:
     return signed + "." + base64.urlsafe_b64encode(signature).rstrip(b"=").decode()
 
 
+@pytest.mark.promise("issuer")
 async def test_other_keys_and_algorithms_are_refused(issuer: Issuer) -> None:
     verifier = issuer.verifier()
     public = issuer.key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
@@ -199,6 +201,7 @@ async def test_an_issuer_that_is_not_itself_or_not_there_is_told_in_the_log(
     assert [word in caplog.text for word in ("evil.test", "not https", "unreachable")] == [True] * 3
 
 
+@pytest.mark.promise("issuer")
 async def test_a_slow_issuer_makes_only_the_stranger_wait(issuer: Issuer, monkeypatch: pytest.MonkeyPatch) -> None:
     verifier = issuer.verifier()
     assert await verifier.verify_token(issuer.token()) is not None
@@ -237,6 +240,7 @@ async def test_a_fetch_goes_on_if_its_caller_hangs_up(issuer: Issuer) -> None:
     assert await verifier.verify_token(issuer.token()) is not None
 
 
+@pytest.mark.promise("issuer")
 async def test_keys_of_a_dead_issuer_end(
     issuer: Issuer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -63,6 +63,7 @@ def with_unknown(unknown: bytes, *, modern: bool, nested: bool) -> dict[str, Any
     return request
 
 
+@pytest.mark.promise("requests")
 @pytest.mark.parametrize("modern", [True, False])
 @pytest.mark.parametrize("nested", [True, False])
 def test_a_million_unknown_arguments_are_refused(base: str, unknown: bytes, modern: bool, nested: bool) -> None:
@@ -121,6 +122,7 @@ async def test_the_application_gets_no_more_of_a_body_than_may_be_parsed(part: b
     assert answers[0]["status"] == 400
 
 
+@pytest.mark.promise("requests")
 @pytest.mark.parametrize("modern", [True, False])
 @pytest.mark.parametrize("depth", [MAX_NESTED, 5_000, 1_000_000])
 def test_deep_json_is_refused(base: str, modern: bool, depth: int) -> None:
@@ -159,6 +161,7 @@ def test_long_names_are_not_sent_back(base: str, modern: bool) -> None:
             assert "n" * 200 not in answer.text
 
 
+@pytest.mark.promise("origins")
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
@@ -184,6 +187,7 @@ def test_hosts_and_origins_are_compared_whole(base: str, headers: dict[str, str]
         assert client.post(f"{base}/mcp", **discover(**headers)).status_code == status
 
 
+@pytest.mark.promise("places")
 def test_bodies_beyond_the_places_are_refused_before_they_are_read(base: str) -> None:
     host, port = base.removeprefix("http://").split(":")
     head = (
