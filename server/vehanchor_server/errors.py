@@ -52,7 +52,3 @@ class CallError(ToolError):
     def explanation(self) -> str:
         """The message without the code."""
         return str(self).removeprefix(f"{self.code}: ")
-
-    def __reduce__(self) -> tuple[type[CallError], tuple[str, str]]:
-        """Support pickling between a worker and the server."""
-        return type(self), (self.code, self.explanation)

@@ -20,7 +20,6 @@ function readCorrections(record, drawing) {
     drop: new Set(numbersIn(drop)),
     add: (add ?? []).map(({ x1, y1, x2, y2 }) => ({ ends: [[x1 * across, y1 * down], [x2 * across, y2 * down]] })),
     boxes: new Map(), // of all detections, also of dropped ones
-    earlier: [],
   };
   const { boxes, add: added } = call.corrections;
   const vehicles = drawing?.vehicles ?? [];
@@ -58,14 +57,12 @@ function vehicleAt([x, y], margin) {
 const vehiclesWithin = ([[x1, y1], [x2, y2]]) => correctedVehicles().filter(({ box: [x, y] }) =>
   (x - x1) * (x - x2) <= 0 && (y - y1) * (y - y2) <= 0);
 
-const remember = () => call.corrections.earlier.push({ drop: new Set(call.corrections.drop), add: [...call.corrections.add] });
 
 // Drop vehicles; if all of them are dropped, take it back. Say what was done.
 function dropVehicles(vehicles) {
   const { drop } = call.corrections;
   const numbers = vehicles.filter((each) => each.number).map((each) => each.number);
   const added = vehicles.filter((each) => each.added).map((each) => each.added);
-  remember();
   const isBack = numbers.length > 0 && numbers.every((n) => drop.has(n));
   for (const n of numbers) isBack ? drop.delete(n) : drop.add(n);
   call.corrections.add = call.corrections.add.filter((each) => !added.includes(each));
@@ -74,13 +71,9 @@ function dropVehicles(vehicles) {
 }
 
 function addVehicle(ends) {
-  remember();
   call.corrections.add = [...call.corrections.add, { ends, box: boxAlong(ends) }];
 }
 
-const ranges = (numbers) => [...numbers].sort((a, b) => a - b)
-  .reduce((runs, n) => (runs.length && runs.at(-1)[1] === n - 1 ? [...runs.slice(0, -1), [runs.at(-1)[0], n]] : [...runs, [n, n]]), [])
-  .map(([first, last]) => (first === last ? `${first}` : `${first}-${last}`)).join(",");
 const numbersIn = (text) => (text ?? "").split(/[\s,]+/).filter(Boolean).flatMap((part) => {
   const [first, last = first] = part.split("-").map(Number);
   return Array.from({ length: last - first + 1 }, (_, i) => first + i);
@@ -88,7 +81,7 @@ const numbersIn = (text) => (text ?? "").split(/[\s,]+/).filter(Boolean).flatMap
 
 function withCorrections(record, asked) {
   const { drop, add } = call.corrections;
-  const given = { drop: ranges(drop), add: add.map(({ ends }) => lineOf(record, ends)) };
+  const given = { drop: [...drop].sort((a, b) => a - b).join(","), add: add.map(({ ends }) => lineOf(record, ends)) };
   const rest = { ...asked };
   for (const [name, value] of Object.entries(given)) {
     if (value.length) rest[name] = value;
@@ -116,7 +109,6 @@ function correctionRow(record, words, changed) {
     }
   });
   discard.addEventListener("click", () => {
-    remember();
     Object.assign(call.corrections, { drop: new Set(), add: [] });
     changed();
     words.textContent = "All corrections taken back.";

@@ -36,7 +36,6 @@ _SHARED = (
     "crosshair",
     "tools",
     "rulers",
-    "plan",
     "record",
     "panel",
 )

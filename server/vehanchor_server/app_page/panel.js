@@ -20,18 +20,12 @@ function show(result) {
   const scale = scaleOf(record);
   byId("subject").textContent = isArea(record) ? "area of an object" : "metric scale";
   flag(record.status);
-  const plan = isArea(record) ? planSection(record) : undefined;
-  const right = [scale ? confidence(scale) : undefined, recordSection(record)];
   const sections = [
     readings(record),
     warningSection(record),
     pictureSection(record, result),
     scale ? rulersSection(scale) : undefined,
-    html(
-      "div", { class: "columns" },
-      plan ? html("div", { class: "column seen" }, plan) : undefined,
-      html("div", { class: "column" }, ...right),
-    ),
+    html("div", { class: "columns" }, scale ? confidence(scale) : undefined, recordSection(record)),
   ];
   byId("sections").replaceChildren(...sections.filter(Boolean));
 }

@@ -22,12 +22,6 @@ function vehicleReadings(scale) {
       "Vehicles measured", whole(scale.n_vehicles), "",
       dropped ? `of ${whole(scale.n_detections)} detected; ${counted(dropped, "outlier")}` : scale.n_detections ? "all detected vehicles" : "none detected",
     ),
-    scale.mode_length_px === null
-      ? undefined
-      : reading(
-          "Modal length P_mode", scale.mode_length_px.toFixed(1), "px",
-          `represents ${number(scale.reference_length_m)} m`,
-        ),
   ];
 }
 
@@ -60,45 +54,19 @@ function trusted(record, tile) {
   return tile;
 }
 
-const TERMS = [ // the paper's weights, section III-D
-  ["sample", "Number of vehicles", 0.35],
-  ["concentration", "Agreement of lengths", 0.35],
-  ["quality", "Detection scores", 0.2],
-  ["plausibility", "Plausible length", 0.1],
-];
-
-// The confidence is p_within_20; the terms are those of the paper's composite C, from the vehicles.
-function meaning(scale, fused) {
-  const chance = `Chance of an error below 20 %${fused ? ", from all rulers" : ""}: ${scale.p_within_20.toFixed(2)}.`;
-  return scale.n_vehicles ? `${chance} Composite C of the vehicles: ${scale.composite_confidence.toFixed(2)}, with its terms:` : chance;
-}
-
 function confidence(scale) {
-  const value = scale.confidence;
-  const fused = hasOtherRulers(scale);
-  const tick = (at, kind, ...words) => html("div", { class: `tick ${kind}`, left_share: at }, html("span", {}, ...words));
   const track = html(
     "div",
     {
       class: `track ${scale.status}`, role: "meter", "aria-label": "Confidence", "aria-valuemin": 0, "aria-valuemax": 1,
-      "aria-valuenow": value.toFixed(2), "aria-valuetext": `${value.toFixed(2)}; 0.5 or more is safe to use`,
+      "aria-valuenow": scale.confidence.toFixed(2), "aria-valuetext": `${scale.confidence.toFixed(2)}; 0.5 or more is safe to use`,
     },
-    html("div", { class: "fill", width_share: value }),
-    scale.resolution_guard && !fused ? tick(0.3, "cap", "0.3", html("br"), "guard") : undefined,
-    tick(0.5, "", "0.5", html("br"), "usable"),
+    html("div", { class: "fill", width_share: scale.confidence }),
+    html("div", { class: "tick", left_share: 0.5 }, html("span", {}, "0.5", html("br"), "usable")),
   );
-  const terms = TERMS.map(([key, words, weight]) => [
-    html("dt", {}, `${words} (${100 * weight} %)`),
-    html(
-      "dd", {},
-      html("div", { class: "bar", "aria-hidden": "true" }, html("div", { width_share: scale.confidence_terms[key] })),
-      html("span", { class: "number" }, scale.confidence_terms[key].toFixed(2)),
-    ),
-  ]);
   return section(
     "Confidence", "",
-    html("div", { class: "gauge" }, html("p", { class: `reading ${scale.status}` }, value.toFixed(2)), track),
-    scale.p_within_20 === null ? undefined : html("p", { class: "note" }, meaning(scale, fused)),
-    scale.n_vehicles ? html("dl", { class: "terms" }, ...terms.flat()) : undefined,
+    html("div", { class: "gauge" }, html("p", { class: `reading ${scale.status}` }, scale.confidence.toFixed(2)), track),
+    scale.p_within_20 === null ? undefined : html("p", { class: "note" }, `Chance of an error below 20 %: ${scale.p_within_20.toFixed(2)}.`),
   );
 }

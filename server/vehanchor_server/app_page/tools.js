@@ -16,13 +16,11 @@ const TOOLS = {
 };
 const picks = (tool) => tool === "drop"; // vehicles, not points
 const isBox = (tool) => tool === "area" || picks(tool);
-const measures = (tool) => tool === "distance" || tool === "area";
 
 function toolbar(record, view, canvas, redraw) {
   const words = html("p", { class: "legend", role: "status" }, "");
   const list = html("ol", { class: "measured" });
   const form = lengthForm(record, words);
-  const undoButton = html("button", { type: "button", on: { click: () => undo() } }, "Undo");
   const buttons = {};
   let tool, first, pressed, preview;
   let choices = 0; // number of tool changes
@@ -54,28 +52,12 @@ function toolbar(record, view, canvas, redraw) {
       (list.querySelectorAll("button")[Math.min(i, call.measured.length - 1)] ?? view.frame).focus({ preventScroll: true });
     };
     list.replaceChildren(...call.measured.map((each, i) => measuredRow(each, () => removed(each, i))));
-    undoButton.hidden = !tool;
-    undoButton.disabled = !(first || (measures(tool) ? lastMeasured() : tool !== "known" && call.corrections.earlier.length));
   };
-  const lastMeasured = () => call.measured.findLast(({ kind }) => kind === tool);
 
-  // Take back the open point; without one, reopen the last measurement at its second point, or take back a correction.
+  // Take back the open point.
   const undo = () => {
-    if (first) {
-      cross.at = first;
-      choose(tool, TOOLS[tool].first);
-    } else if (measures(tool) && lastMeasured()) {
-      const { ends } = lastMeasured();
-      call.measured.splice(call.measured.indexOf(lastMeasured()), 1);
-      choose(tool, TOOLS[tool].then);
-      [first, cross.at] = ends;
-      sketchTo(cross.at);
-      refresh();
-    } else if (tool && tool !== "known" && call.corrections.earlier.length) {
-      Object.assign(call.corrections, call.corrections.earlier.pop());
-      words.textContent = "Last correction taken back.";
-      refresh();
-    }
+    cross.at = first ?? cross.at;
+    choose(tool, TOOLS[tool].first);
     view.frame.focus({ preventScroll: true });
     cross.goTo(cross.at);
   };
@@ -126,10 +108,7 @@ function toolbar(record, view, canvas, redraw) {
   };
   const tellPlace = (point) => {
     if (first) sketchTo(point);
-    const vehicle = picks(tool) ? vehicleAt(point, NEAR_PX / view.perPixel) : undefined;
-    if (!first && picks(tool)) sketch(vehicle && corners(vehicle.box), true);
-    const name = vehicle && (vehicle.number ? `vehicle ${vehicle.number}, ${STATES[vehicle.state]}` : "added vehicle");
-    words.textContent = `x ${whole(Math.round(point[0]))}, y ${whole(Math.round(point[1]))}${name ? `: ${name}` : ""}`;
+    words.textContent = `x ${whole(Math.round(point[0]))}, y ${whole(Math.round(point[1]))}`;
   };
   const size = [record.image_width_px, record.image_height_px];
   const cross = crosshair(view, size, tellPlace);
@@ -170,8 +149,7 @@ function toolbar(record, view, canvas, redraw) {
     Backspace: undo,
   };
   view.frame.addEventListener("keydown", (event) => {
-    const isUndo = (event.ctrlKey || event.metaKey) && event.key === "z";
-    const act = isUndo ? undo : event.ctrlKey || event.metaKey || event.altKey ? undefined : keys[event.key];
+    const act = event.ctrlKey || event.metaKey || event.altKey ? undefined : keys[event.key];
     if (!tool || !act) return;
     event.preventDefault();
     act();
@@ -200,10 +178,8 @@ function toolbar(record, view, canvas, redraw) {
   };
   refresh();
   return {
-    groups: [group("Measure", ["distance", "area", "known"]), group("Vehicles", ["drop", "add"]), undoButton],
+    groups: [group("Measure", ["distance", "area", "known"]), group("Vehicles", ["drop", "add"])],
     below: [words, form.row, corrections?.row, list],
     placed: cross.place,
   };
 }
-
-const STATES = { kept: "measured", outlier: "outlier", stated: "added", removed: "dropped" };

@@ -20,8 +20,6 @@ from mcp.types import CallToolResult, ImageContent, TextResourceContents
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path
-from vehanchor.records import ConfidenceTerms
-from vehanchor.rulers.confidence import composite
 from vehanchor_server.app_page import APP_URI, PANEL_KEY, page, page_html, view_html
 
 CAR_AXIS = {"x1": 100.0, "y1": 480.0, "x2": 132.0, "y2": 480.0}  # where cars.png has none
@@ -172,12 +170,3 @@ def test_the_page_names_no_other_place_and_its_policy_allows_nothing_but_its_own
 def hash_of(page: str, tag: str) -> str:
     [text] = re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
-
-
-def test_the_page_shows_the_papers_weights() -> None:
-    shown = {name: float(weight) for name, weight in re.findall(r'\["(\w+)", "[\w ]+", ([\d.]+)\]', page_html())}
-    nothing = dict.fromkeys(ConfidenceTerms.model_fields, 0.0)
-    assert shown == {
-        name: composite(ConfidenceTerms(**{**nothing, name: 1.0}), guarded=False)
-        for name in ConfidenceTerms.model_fields
-    }

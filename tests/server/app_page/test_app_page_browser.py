@@ -222,7 +222,7 @@ def test_a_good_estimate_is_shown_in_words_and_numbers(
     assert image.evaluate("(image) => image.naturalWidth") > 0
 
 
-def test_the_guard_and_its_cap_are_shown(
+def test_a_scale_not_to_be_used_is_small_and_has_no_bar(
     host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
 ) -> None:
     assert results["guarded"]["structuredContent"]["resolution_guard"]
@@ -236,7 +236,6 @@ def test_the_guard_and_its_cap_are_shown(
     host.says(".readings > div:first-child .warn", "do not use")
     assert host.in_page(size) < 0.7 * trusted
     assert host.page.locator(".scale-bar").count() == 0
-    host.says(".tick.cap", "0.3guard")
     meter = host.page.get_by_role("meter", name="Confidence")
     assert meter.get_attribute("aria-valuenow") == "0.30"
 
@@ -264,7 +263,7 @@ def test_no_anchor_shows_no_number(host: Host, calls: dict[str, Call], results: 
     assert "null" not in host.page.locator("main").inner_text()
 
 
-def test_an_area_is_drawn_to_scale_with_the_largest_circle_inside(
+def test_an_area_is_shown_with_its_outline_and_the_largest_circle_inside(
     host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
 ) -> None:
     record = results["area"]["structuredContent"]
@@ -273,16 +272,7 @@ def test_an_area_is_drawn_to_scale_with_the_largest_circle_inside(
     host.says("#subject", "area of an object")
     host.says(".readings > div:first-child .value", f"{record['area_m2']:.3g}m²")
     host.says(".readings > div:nth-child(2) .value", f"⌀ {record['inscribed_diameter_m']:.3g}m")
-    shape, circle = host.page.locator(".shape"), host.page.locator(".circle")
-    drawn = shape.evaluate("(shape) => { const box = shape.getBBox(); return [box.width, box.height]; }")
-    box = record["bounding_box"]
-    zoom = drawn[0] / (box["x2_px"] - box["x1_px"])
-    assert drawn[1] == pytest.approx(zoom * (box["y2_px"] - box["y1_px"]), abs=1)
-    radius = record["inscribed_diameter_m"] / record["gsd_m_per_px"] / 2
-    assert float(circle.get_attribute("r")) == pytest.approx(zoom * radius, rel=0.02)
-    ruler = host.page.locator(".ruler").evaluate("(line) => line.getBBox().width")
-    metres = float(host.page.locator(".ruler + text").text_content().removesuffix(" m"))
-    assert ruler == pytest.approx(zoom * metres / record["gsd_m_per_px"], abs=1)
+    assert host.page.locator(".drawn path.object").count() == 1
 
 
 def test_an_area_of_a_given_scale_shows_no_confidence(
@@ -292,7 +282,6 @@ def test_an_area_of_a_given_scale_shows_no_confidence(
     host.result(calls["area, scale given"], results["area, scale given"])
     host.says(".readings > div:last-child", "Scale0.2m/pxgiven by the caller")
     assert host.page.get_by_role("meter").count() == 0
-    assert host.page.locator(".shape").count() == 1
 
 
 def test_an_area_without_a_scale_is_in_pixels(
@@ -302,8 +291,6 @@ def test_an_area_without_a_scale_is_in_pixels(
     host.show()
     host.result(calls["area, no ruler"], results["area, no ruler"])
     host.says(".readings > div:first-child", f"Area{pixels:,}pxno scale: pixels only")
-    assert host.page.locator(".shape").count() == 1
-    assert host.page.locator(".circle, .ruler").count() == 0
 
 
 def test_what_went_wrong_is_told(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
@@ -328,35 +315,6 @@ def test_a_host_that_passes_on_the_text_alone_still_shows_it(host: Host, calls: 
     for_the_model = {"type": "text", "text": "give back scale {}", "annotations": {"audience": ["assistant"]}}
     host.result(calls["good"], {"content": [{"type": "text", "text": "0.1 m/px"}, for_the_model]})
     host.says("#sentence", "0.1 m/px")
-
-
-def test_a_picture_in_the_content_is_shown_where_there_is_no_other(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
-    data = results["good"]["_meta"][PANEL_KEY]["picture_jpeg"]
-    picture = {"type": "image", "mimeType": "image/jpeg", "data": data}
-    result = without_picture(results["good"])
-    host.show()
-    host.result(calls["good"], {**result, "content": [*result["content"], picture]})
-    assert host.page.locator(".picture img").get_attribute("src") == f"data:image/jpeg;base64,{data}"
-
-
-def test_a_missing_picture_is_asked_for_through_the_host(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
-    tool, arguments = calls["area"]
-    host.show(tools=True)
-    host.result(calls["area"], without_picture(results["area"]))
-    button = host.page.get_by_role("button", name="Show the picture")
-    host.tab.evaluate("(text) => { answer = { error: { code: -32000, message: text } }; }", "the user said no")
-    button.click()
-    host.says(".picture [role=status]", "No picture: the user said no")
-    host.tab.evaluate("(result) => { answer = { result }; }", results["area"])
-    button.click()
-    host.page.get_by_role("button", name="Zoom in").wait_for()
-    assert host.page.locator(".frame").count() == 1
-    asked = [message["params"] for message in host.heard() if message.get("method") == "tools/call"]
-    assert asked == [{"name": tool, "arguments": {**arguments, "include_overlay": True}}] * 2
 
 
 def test_without_a_way_to_a_picture_nothing_is_offered(
@@ -400,13 +358,9 @@ def test_every_ruler_is_listed_with_what_it_says_and_who_disagrees(
         assert f"{significant(ruler['gsd_m_per_px'])} m/px" in row
         assert ("disagrees" in row) == (not ruler["agrees"])
     assert [ruler["agrees"] for ruler in rulers].count(False) == 1
-    chance = r"Chance of an error below 20 %, from all rulers: 0\.\d\d\. "
-    by_all = host.page.get_by_text(re.compile(chance + r"Composite C of the vehicles: 0\.\d\d, with its terms:"))
-    assert by_all.count() == 1
     host.result(calls["good"], results["good"])
     host.says("#sentence", results["good"]["content"][0]["text"])
     assert rows.count() == 0
-    assert by_all.count() == 0
 
 
 @pytest.mark.parametrize("copy", [None, {"width_px": 320, "height_px": 256}])
@@ -517,7 +471,8 @@ def test_vehicles_are_dropped_and_added_by_clicks(
     click_at(host, 232, 480)
     host.says(".row.asked span", f"Vehicles by hand: 2 added, {len({1, 7, *row})} dropped")
     assert host.page.locator(".drawn path.stated").get_attribute("d").count("Z") == 2
-    press(host, "Undo")
+    press(host, "Drop")
+    click_at(host, 216, 480)
     press(host, "Measure again")
     host.says("#sentence", results["corrected"]["content"][0]["text"])
     (asked,) = tool_calls(host)
@@ -558,13 +513,11 @@ def test_points_are_set_moved_and_taken_back_by_keys(
     keys(host, *["ArrowRight"] * 8, "Shift+ArrowDown", "Enter")
     metres = results["distance"]["structuredContent"]["distance_m"]
     host.says("ol.measured li .number", f"{metres:.3g} m")
-    keys(host, "Backspace", "ArrowUp", "Enter")  # moves the second point
-    host.says("ol.measured li .number", f"{metres:.3g} m")
-    first, second = (each["arguments"]["lines"][0]["points"] for each in tool_calls(host))
+    (call,) = tool_calls(host)
+    start, end = call["arguments"]["lines"][0]["points"]
     pixel = 640 / host.page.locator(".sheet").bounding_box()["width"]
-    for (start, end), down in ((first, 1), (second, -9)):
-        assert (start["x"], start["y"]) == pytest.approx((320 - 30 * pixel, 256), abs=0.5)
-        assert (end["x"], end["y"]) == pytest.approx((320 + 50 * pixel, 256 + down * pixel), abs=0.5)
+    assert (start["x"], start["y"]) == pytest.approx((320 - 30 * pixel, 256), abs=0.5)
+    assert (end["x"], end["y"]) == pytest.approx((320 + 50 * pixel, 256 + pixel), abs=0.5)
     keys(host, "Escape")
     assert host.page.get_by_role("button", name="Distance").get_attribute("aria-pressed") == "false"
 
