@@ -22,6 +22,7 @@ import tempfile
 import threading
 from typing import TYPE_CHECKING
 
+from vehanchor_server.calls.capacity import CallStoppedError
 from vehanchor_server.calls.messages import (
     Answered,
     Entered,
@@ -167,8 +168,11 @@ class WorkerPool:
             try:
                 worker.start()
                 worker.await_loaded(stop)
-            except BaseException:
+            except CallStoppedError:  # loading continues
                 self._put(worker)
+                raise
+            except Exception:  # no thread, for example
+                self._end(worker)
                 raise
             if worker.usable:
                 return worker

@@ -349,28 +349,13 @@ def test_a_worker_that_is_killed_while_it_starts_is_started_again_for_the_same_c
         workers.close()
 
 
-def test_the_first_call_is_answered_where_nobody_has_looked_yet_whether_its_worker_is_ready(
-    tmp_path: Path, detector_path: Path
-) -> None:
+def test_a_call_waits_for_the_worker_that_starts_and_starts_no_other(tmp_path: Path, detector_path: Path) -> None:
     settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
     workers = WorkerPool(partial(create_services, settings), WorkerLimits(1 << 30, 10))
     workers.start()
     try:
-        while not workers.processes:
-            time.sleep(0.01)
-        connection = workers._workers[0]._connection
-        assert connection is not None
-        assert connection.poll(60)  # its models are loaded, and that is the first that the call hears of it
-        answers: list[Answer[Value]] = []
-        call = threading.Thread(
-            target=lambda: answers.append(
-                workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
-            ),
-            daemon=True,
-        )
-        call.start()
-        call.join(20)
-        assert len(answers) == 1
+        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+        assert workers.processes == [answer.record.value]
     finally:
         workers.close()
 
