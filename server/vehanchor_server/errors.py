@@ -26,6 +26,7 @@ from mcp.server.mcpserver.exceptions import ToolError
 
 from vehanchor.records.foreign_text import on_one_line
 
+WORKER_KILLED = "worker_killed"
 _SHOWN_CHARS = 80
 
 
@@ -51,7 +52,3 @@ class CallError(ToolError):
     def explanation(self) -> str:
         """The message without the code."""
         return str(self).removeprefix(f"{self.code}: ")
-
-    def __reduce__(self) -> tuple[type[CallError], tuple[str, str]]:
-        """Support pickling between a worker and the server."""
-        return type(self), (self.code, self.explanation)

@@ -76,7 +76,7 @@ def create_services(settings: Settings) -> Services:
     workers = None
     if not settings.in_process:
         limits = WorkerLimits(settings.max_worker_bytes, (os.cpu_count() or 1) * settings.deadline_s)
-        workers = WorkerPool(partial(_worker_services, settings), n_calls, limits)
+        workers = WorkerPool(partial(_worker_services, settings), limits)
     return _services(settings, n_calls, workers)
 
 

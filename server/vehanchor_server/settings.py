@@ -162,16 +162,10 @@ class Settings:
     )
     oidc_issuer: str | None = field(default=None, metadata=_words("Issuer of accepted JWTs.", panel=_HTTP))
     oidc_audience: str | None = field(default=None, metadata=_words("Required audience of these JWTs.", panel=_HTTP))
+    oidc_max_key_age_s: float = field(
+        default=86400.0, metadata=_words("Seconds after which the issuer's keys end if it is unreachable.", panel=_HTTP)
+    )
     max_body_mb: float = field(default=32.0, metadata=_words("Largest request, MiB.", panel=_HTTP))
-    body_timeout_s: float = field(
-        default=60.0, metadata=_words("Time limit for receiving a request, seconds.", panel=_HTTP)
-    )
-    max_connections: int = field(
-        default=512, metadata=_words("Concurrent connections per process; further ones are closed.", panel=_HTTP)
-    )
-    max_connections_per_address: int = field(  # a proxy is one address
-        default=256, metadata=_words("Concurrent connections per address.", panel=_HTTP)
-    )
     insecure: bool = field(default=False, metadata=_words("Listen publicly without authentication.", panel=_HTTP))
 
     def __post_init__(self) -> None:

@@ -96,8 +96,8 @@ def test_how_much_longer_cars_are_in_north_america_is_said_once_and_as_the_model
     assert not [path for path in others if re.search(pattern, path.read_text("utf-8"))]
 
 
-def test_the_container_reports_nothing_to_others_as_the_security_notes_say() -> None:
-    assert "VehAnchor turns that off before it loads ONNX Runtime" in (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+@pytest.mark.promise("telemetry")
+def test_the_container_reports_nothing_to_others() -> None:
     code = "import os, vehanchor.models.session; print(os.environ['ORT_DISABLE_TELEMETRY'])"
     free = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
     told = subprocess.run([sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True)

@@ -68,6 +68,7 @@ def test_every_offered_container_is_read(tmp_path: Path, suffix: str) -> None:
     assert only.image.shape == (48, 64, 3)
 
 
+@pytest.mark.promise("video")
 @pytest.mark.parametrize("before", [None, "threads;1"])
 def test_a_playlist_opens_no_other_file(
     film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str | None
@@ -86,6 +87,7 @@ def test_a_playlist_opens_no_other_file(
     assert os.environ.get("OPENCV_FFMPEG_CAPTURE_OPTIONS") == before
 
 
+@pytest.mark.promise("video")
 def test_the_signature_chooses_the_demuxer_and_not_ffmpeg(film: Path, tmp_path: Path) -> None:
     disguised = tmp_path / "a.mp4"
     disguised.write_bytes(b"ffco" + b"ftyp" + b"ncat version 1.0\nfile film.avi\n" + film.read_bytes())

@@ -12,7 +12,6 @@ import io
 import json
 import logging
 import math
-import struct
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -43,30 +42,30 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.files import external_locations
 from vehanchor.options import ImageLimits
-from vehanchor.records import GsdEstimate
+from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.scale.calibration import Calibration, load_calibration
 from vehanchor_server.calls.messages import (
-    MAX_ANSWER_BYTES,
-    MAX_WORDS,
+    DRAWING,
+    HEADER,
+    MAX_PICTURE_BYTES,
+    MAX_RECORDS,
+    RECORD,
     Answered,
-    Broken,
     Entered,
-    Exhausted,
     Failed,
     Loaded,
     MessageError,
     Progressed,
     Refused,
-    read_answer,
     receive,
+    receive_answer,
 )
-from vehanchor_server.calls.task import Task, named_work
 from vehanchor_server.errors import CallError
-from vehanchor_server.images.argument import PathImage
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
+from vehanchor_server.tools.view_image import ViewedImage
 
 FUZZ_LIMITS = ImageLimits(
     max_bytes=1 << 20, max_pixels=1 << 20, max_windowed_pixels=1 << 22, max_decoded_bytes=64 << 20
@@ -322,56 +321,46 @@ def _metadata() -> list[bytes]:
 
 
 class _Lost:
-    """A connection on which a worker that was taken over has sent bytes."""
+    """A connection on which a worker that was taken over has sent parts."""
 
-    def __init__(self, sent: bytes) -> None:
-        self._sent = sent
+    def __init__(self, parts: list[bytes]) -> None:
+        self._parts = parts
 
     def recv_bytes(self, most: int) -> bytes:
-        if len(self._sent) > most:
+        if not self._parts:
+            raise EOFError
+        part = self._parts.pop(0)
+        if len(part) > most:
             raise OSError("bad message length")  # as the connection does
-        return self._sent
+        return part
 
 
 def messages(data: bytes) -> None:
-    """Take a worker's message, as its bytes and as parts with right lengths; the parts end at zero bytes."""
-    parts = data.split(b"\0")
-    lengths = struct.pack(f"<{1 + len(parts)}Q", len(parts), *map(len, parts))
-    for sent in (data, lengths + b"".join(parts)):
-        try:
-            message, rest = receive(_Lost(sent))  # type: ignore[arg-type] # as far as it is used
+    """Take a worker's message; its parts end at zero bytes."""
+    for record in (GsdEstimate, AreaMeasurement, DistanceMeasurement, ViewedImage):
+        lost: Any = _Lost(data.split(b"\0"))
+        with contextlib.suppress(MessageError, OSError, EOFError):
+            message = receive(lost)
             if not isinstance(message, Answered):
-                assert len(message.model_dump_json()) <= 12 * MAX_WORDS
-                continue
-        except MessageError:
-            continue
-        for task in _tasks():
-            with contextlib.suppress(MessageError):
-                answer = read_answer(message, rest, task)
-                assert len(answer.to_result("found").model_dump_json()) <= 8 * MAX_ANSWER_BYTES
-
-
-@cache
-def _tasks() -> list[Task[Any]]:
-    names = ("estimate_gsd:_estimate", "measure_area:_measure", "measure_distance:_measure", "view_image:_view")
-    image = PathImage(kind="path", path="/images/a.png")
-    return [Task(named_work(f"vehanchor_server.tools.{name}"), None, image, None) for name in names]
+                assert len(message.model_dump_json()) <= HEADER.n_bytes
+                return
+            answer = receive_answer(lost, message, record)
+            most = 8 * (MAX_RECORDS * RECORD.n_bytes + DRAWING.n_bytes + 2 * MAX_PICTURE_BYTES)
+            assert len(answer.to_result("found").model_dump_json()) <= most
 
 
 def _messages() -> list[bytes]:
-    header = Answered(overlay=True, page_picture=False, histogram=None, drawing=None).model_dump_json().encode()
+    header = Answered(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
     plain = [
         Loaded(failure=None, landlock=6, seccomp=True, lacks=""),
-        Broken(traceback="Traceback"),
         Entered(stage="decode"),
         Progressed(percent=50, message="searched 1 of 2 tiles"),
         Refused(code="image_too_large", message="smaller"),
-        Exhausted(),
         Failed(traceback="Traceback"),
     ]
     box = {"x_min": 0, "y_min": 0, "x_max": 20, "y_max": 20}
     seen = {"image_width_px": 20, "image_height_px": 20, "part": box, "grid_px": 5}
-    records = [json.dumps([record]).encode() for record in (seen, _estimate().model_dump(mode="json"))]
+    records = [json.dumps(record).encode() for record in (seen, _estimate().model_dump(mode="json"))]
     return [
         *(each.model_dump_json().encode() for each in plain),
         *(header + b"\0" + record + b"\0\xff\xd8\xff" for record in records),

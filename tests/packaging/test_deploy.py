@@ -40,6 +40,7 @@ def test_a_misspelt_field_would_be_found() -> None:
         kubernetes_validate.validate(wrong, KUBERNETES_VERSIONS[0], strict=True)
 
 
+@pytest.mark.promise("deployment")
 def test_the_pod_is_probed_limited_and_locked_down() -> None:
     pod = of_kind("Deployment")["spec"]["template"]["spec"]
     (container,) = pod["containers"]
@@ -111,6 +112,7 @@ def test_the_server_understands_the_variables_that_are_set(tmp_path: Path) -> No
     assert service["environment"]["VEHANCHOR_TOKEN_FILE"] == f"/run/secrets/{service['secrets'][0]}"
 
 
+@pytest.mark.promise("deployment")
 def test_compose_runs_two_replicas_locked_down_and_shows_only_nginx_on_loopback() -> None:
     services = COMPOSE["services"]
     assert services["vehanchor"]["deploy"]["replicas"] == 2

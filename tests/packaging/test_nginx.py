@@ -12,7 +12,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from mcp import Client, MCPError
 from tests.conftest import ROOT
 from tests.needs import needed_program
 from tests.packaging.server_calls import free_port
+from tests.server.transport.test_http import discover
 from tests.server_process import http_server, write_images
 from vehanchor import estimate_gsd
 
@@ -32,6 +34,8 @@ pytestmark = [pytest.mark.nginx, pytest.mark.timeout(900)]
 
 N_CALLS, N_CLIENTS = 96, 6
 LONGEST_S = 400
+N_HONEST, N_IDLE = 40, 512  # calls at a time; connections of each kind
+IDLE_FOR_S, LONGEST_WAIT_S = 30.0, 1.0
 Call = tuple[dict[str, Any], float | None]  # the image argument, and the scale that must come back
 
 
@@ -214,3 +218,64 @@ def test_a_request_that_a_replica_did_not_take_is_sent_to_the_other(tmp_path: Pa
         url = stack.enter_context(nginx_before(addresses, tmp_path))
         assert {httpx2.post(url, json={}).status_code for _ in range(4)} == {200}
         listener.shutdown(socket.SHUT_RDWR)
+
+
+@pytest.mark.promise("proxy")
+def test_idle_connections_lock_nobody_out(tmp_path: Path) -> None:
+    """Send 40 honest calls at a time beside 512 silent connections and 512 that stay after an answer."""
+
+    def call(place: int) -> float:
+        started = time.perf_counter()
+        with httpx2.Client(transport=httpx2.HTTPTransport(local_address=f"127.0.0.{4 + place % 2}")) as client:
+            assert client.post(url, timeout=60, **discover()).status_code == 200
+        return time.perf_counter() - started
+
+    with ExitStack() as stack:
+        servers = [stack.enter_context(http_server("--threads", "1")) for _ in range(2)]
+        addresses = [server.url.removeprefix("http://").removesuffix("/mcp") for server in servers]
+        url = stack.enter_context(nginx_before(addresses, tmp_path))
+        pool = stack.enter_context(ThreadPoolExecutor(N_HONEST))
+        alone = [second for _ in range(3) for second in pool.map(call, range(N_HONEST))]
+        idle = stack.enter_context(closing(IdleConnections(url)))
+        beside: list[float] = []
+        ends = time.monotonic() + IDLE_FOR_S
+        while time.monotonic() < ends:
+            idle.renew()
+            beside += pool.map(call, range(N_HONEST))
+        assert idle.n_closed > N_IDLE, "nginx closes them"
+    print(f"slowest call {max(alone):.2f} s alone, {max(beside):.2f} s beside {idle.n_closed} closed connections")
+    assert max(beside) < 2 * max(alone) + LONGEST_WAIT_S  # the machine may be busy
+
+
+class IdleConnections:
+    """Connections of one stranger at two addresses: half say nothing, half stay after an answer."""
+
+    def __init__(self, url: str) -> None:
+        host, port = url.removeprefix("http://").removesuffix("/mcp").split(":")
+        self._address = host, int(port)
+        self._open: list[socket.socket] = []
+        self.n_closed = 0
+
+    def renew(self) -> None:
+        """Replace those that nginx has closed."""
+        for each in list(self._open):
+            with suppress(BlockingIOError):
+                with suppress(ConnectionResetError):
+                    if each.recv(4096):
+                        continue
+                self._open.remove(each)
+                each.close()
+                self.n_closed += 1
+        for i in range(2 * N_IDLE - len(self._open)):
+            connection = socket.socket()
+            connection.bind((f"127.0.0.{2 + i // 2 % 2}", 0))
+            connection.connect(self._address)
+            if i % 2:
+                connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            connection.setblocking(False)
+            self._open.append(connection)
+
+    def close(self) -> None:
+        """Close all."""
+        for each in self._open:
+            each.close()

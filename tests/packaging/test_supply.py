@@ -28,6 +28,7 @@ def supply() -> ModuleType:
     return module
 
 
+@pytest.mark.promise("audit")
 def test_a_vulnerability_and_a_package_that_nobody_looked_up_both_fail_the_audit(supply: ModuleType) -> None:
     known = {"name": "a", "version": "1", "vulns": [{"id": "PYSEC-1", "fix_versions": ["2"]}]}
     clean: dict[str, Any] = {"name": "b", "version": "1", "vulns": []}

@@ -34,6 +34,7 @@ async def test_it_greets_with_its_name_and_an_icon_that_needs_no_network(server:
     assert len(icon.src) < 2000, "it is sent with every greeting"
 
 
+@pytest.mark.promise("text")
 @pytest.mark.parametrize("where", ["tool", "argument", "path", "file"])
 async def test_a_hostile_name_reaches_a_model_on_one_line(server: MCPServer[object], images: Path, where: str) -> None:
     calls: dict[str, tuple[str, dict[str, Any]]] = {

@@ -22,6 +22,7 @@ def lines_of(caplog: pytest.LogCaptureFixture) -> list[dict[str, Any]]:
     ]
 
 
+@pytest.mark.promise("log")
 @pytest.mark.anyio
 async def test_every_call_is_a_line_with_its_outcome_and_nothing_of_the_image(
     server: MCPServer[object], images: Path, caplog: pytest.LogCaptureFixture
@@ -78,6 +79,7 @@ def test_logs_go_to_stderr_only(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(captured.err)["message"] == "hello"
 
 
+@pytest.mark.promise("log")
 def test_a_line_that_is_repeated_is_shown_a_few_times_and_then_counted() -> None:
     limit = RepeatLimit(n_lines=3, period_s=10)
 

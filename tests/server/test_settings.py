@@ -58,6 +58,7 @@ def test_roots_are_resolved_once(tmp_path: Path) -> None:
     assert Settings(roots=(tmp_path / "link",)).roots == ((tmp_path / "real").resolve(),)
 
 
+@pytest.mark.promise("tokens")
 @pytest.mark.parametrize(
     ("options", "allowed"),
     [

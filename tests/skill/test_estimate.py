@@ -61,6 +61,7 @@ def test_the_record_follows_the_papers_equations(detector: Detector) -> None:
     assert analysis.detections.boxes[~analysis.kept, 2] == pytest.approx([70.0])
 
 
+@pytest.mark.promise("no-guess")
 def test_no_vehicles_mean_no_scale_and_no_confidence(detector: Detector) -> None:
     e = estimate_gsd(blank_image(200, 100), detector=detector)
     assert (e.status, e.gsd_m_per_px, e.mode_length_px, e.confidence) == ("no_scale", None, None, 0.0)

@@ -1,11 +1,11 @@
-// ---- Corrections: vehicles that a person confirms, drops or adds ----
+// ---- Corrections: vehicles that a person drops or adds ----
 
 const CAR_LENGTH_OVER_WIDTH = 2.21; // of vehanchor.scale.defaults
 const NEAR_PX = 6; // screen pixels beside a box that still pick it
-const BY_HAND = { none: 0, confirmed: 1, added: 2 }; // of Drawing.vehicles
+const ADDED = 2; // of Drawing.vehicles
 
 const numberOf = (vehicle) => vehicle[6];
-const byHand = (vehicle) => vehicle[7];
+const isAdded = (vehicle) => vehicle[7] === ADDED;
 const boxAlong = ([[x1, y1], [x2, y2]]) => {
   const length = Math.hypot(x2 - x1, y2 - y1);
   const degrees = (Math.atan2(y2 - y1, x2 - x1) * 180) / Math.PI;
@@ -14,32 +14,30 @@ const boxAlong = ([[x1, y1], [x2, y2]]) => {
 
 // Read the corrections of the call, once, and the vehicles of its result.
 function readCorrections(record, drawing) {
-  const { confirm, drop, add } = call.arguments ?? {};
+  const { drop, add } = call.arguments ?? {};
   const [across, down] = callerUnits(record);
   call.corrections ??= {
-    confirm: new Set(numbersIn(confirm)), drop: new Set(numbersIn(drop)),
+    drop: new Set(numbersIn(drop)),
     add: (add ?? []).map(({ x1, y1, x2, y2 }) => ({ ends: [[x1 * across, y1 * down], [x2 * across, y2 * down]] })),
     boxes: new Map(), // of all detections, also of dropped ones
-    earlier: [],
   };
   const { boxes, add: added } = call.corrections;
   const vehicles = drawing?.vehicles ?? [];
-  call.corrections.detected = vehicles.filter((each) => byHand(each) !== BY_HAND.added);
+  call.corrections.detected = vehicles.filter((each) => !isAdded(each));
   for (const each of call.corrections.detected) boxes.set(numberOf(each), each);
-  const found = vehicles.filter((each) => byHand(each) === BY_HAND.added);
+  const found = vehicles.filter(isAdded);
   added.forEach((each, i) => { each.box = found[i] ?? boxAlong(each.ends); });
 }
 
 // Vehicles as corrected: each has a box, its state in the picture, and a number or an entry of `add`.
 function correctedVehicles() {
-  const { confirm, drop, add, boxes, detected } = call.corrections;
+  const { drop, add, boxes, detected } = call.corrections;
   const gone = [...drop].filter((n) => boxes.has(n) && !detected.some((each) => numberOf(each) === n)).map((n) => boxes.get(n));
   const measured = (box) => (box[5] ? "kept" : "outlier");
   return [
     ...[...detected, ...gone].map((box) => {
       const n = numberOf(box);
-      const confirmed = confirm.has(n) && (box[5] || byHand(box) !== BY_HAND.confirmed); // it can stay an outlier
-      return { box, number: n, state: drop.has(n) ? "removed" : confirmed ? "stated" : measured(box) };
+      return { box, number: n, state: drop.has(n) ? "removed" : measured(box) };
     }),
     ...add.map((added) => ({ box: added.box, added, state: added.box[5] ? "stated" : "outlier" })),
   ];
@@ -59,44 +57,31 @@ function vehicleAt([x, y], margin) {
 const vehiclesWithin = ([[x1, y1], [x2, y2]]) => correctedVehicles().filter(({ box: [x, y] }) =>
   (x - x1) * (x - x2) <= 0 && (y - y1) * (y - y2) <= 0);
 
-const copied = ({ confirm, drop, add }) => ({ confirm: new Set(confirm), drop: new Set(drop), add: [...add] });
-const remember = () => call.corrections.earlier.push(copied(call.corrections));
 
-// Confirm or drop vehicles; if all of them are, take it back. Say what was done.
-function correct(kind, vehicles) {
-  const { confirm, drop } = call.corrections;
-  const [to, from] = kind === "confirm" ? [confirm, drop] : [drop, confirm];
+// Drop vehicles; if all of them are dropped, take it back. Say what was done.
+function dropVehicles(vehicles) {
+  const { drop } = call.corrections;
   const numbers = vehicles.filter((each) => each.number).map((each) => each.number);
   const added = vehicles.filter((each) => each.added).map((each) => each.added);
-  if (kind === "confirm" && !numbers.length) return "An added vehicle is confirmed already.";
-  remember();
-  const isBack = numbers.length > 0 && numbers.every((n) => to.has(n));
-  for (const n of numbers) {
-    from.delete(n);
-    if (isBack) to.delete(n);
-    else to.add(n);
-  }
-  if (kind === "drop") call.corrections.add = call.corrections.add.filter((each) => !added.includes(each));
+  const isBack = numbers.length > 0 && numbers.every((n) => drop.has(n));
+  for (const n of numbers) isBack ? drop.delete(n) : drop.add(n);
+  call.corrections.add = call.corrections.add.filter((each) => !added.includes(each));
   const who = numbers.length === 1 && !added.length ? `Vehicle ${numbers[0]}` : counted(numbers.length + added.length, "vehicle");
-  return `${who} ${isBack ? "as found" : kind === "confirm" ? "confirmed" : "dropped"}.`;
+  return `${who} ${isBack ? "as found" : "dropped"}.`;
 }
 
 function addVehicle(ends) {
-  remember();
   call.corrections.add = [...call.corrections.add, { ends, box: boxAlong(ends) }];
 }
 
-const ranges = (numbers) => [...numbers].sort((a, b) => a - b)
-  .reduce((runs, n) => (runs.length && runs.at(-1)[1] === n - 1 ? [...runs.slice(0, -1), [runs.at(-1)[0], n]] : [...runs, [n, n]]), [])
-  .map(([first, last]) => (first === last ? `${first}` : `${first}-${last}`)).join(",");
 const numbersIn = (text) => (text ?? "").split(/[\s,]+/).filter(Boolean).flatMap((part) => {
   const [first, last = first] = part.split("-").map(Number);
   return Array.from({ length: last - first + 1 }, (_, i) => first + i);
 });
 
 function withCorrections(record, asked) {
-  const { confirm, drop, add } = call.corrections;
-  const given = { confirm: ranges(confirm), drop: ranges(drop), add: add.map(({ ends }) => lineOf(record, ends)) };
+  const { drop, add } = call.corrections;
+  const given = { drop: [...drop].sort((a, b) => a - b).join(","), add: add.map(({ ends }) => lineOf(record, ends)) };
   const rest = { ...asked };
   for (const [name, value] of Object.entries(given)) {
     if (value.length) rest[name] = value;
@@ -124,14 +109,12 @@ function correctionRow(record, words, changed) {
     }
   });
   discard.addEventListener("click", () => {
-    remember();
-    Object.assign(call.corrections, { confirm: new Set(), drop: new Set(), add: [] });
+    Object.assign(call.corrections, { drop: new Set(), add: [] });
     changed();
     words.textContent = "All corrections taken back.";
   });
   const refresh = () => {
-    const { confirm, drop, add } = call.corrections;
-    const counts = { confirmed: confirm.size, added: add.length, dropped: drop.size };
+    const counts = { added: call.corrections.add.length, dropped: call.corrections.drop.size };
     const parts = Object.entries(counts).filter(([, n]) => n).map(([kind, n]) => `${whole(n)} ${kind}`);
     summary.textContent = `Vehicles by hand: ${parts.join(", ") || "none"}`;
     measure.hidden = given() === applied;

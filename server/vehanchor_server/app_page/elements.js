@@ -17,20 +17,11 @@ function element(namespace, name, attributes, children) {
 const html = (name, attributes = {}, ...children) => element(null, name, attributes, children);
 const svg = (name, attributes = {}, ...children) => element(SVG, name, attributes, children);
 
-// Redraw at the current width, so that the font size stays constant.
-function drawing(label, draw) {
-  const canvas = svg("svg", { role: "img", "aria-label": label });
-  let drawn = 0;
-  new ResizeObserver(([entry]) => {
-    const width = Math.round(entry.contentRect.width);
-    if (!width || width === drawn) return;
-    drawn = width;
-    const { height, shapes } = draw(width);
-    canvas.setAttribute("viewBox", `0 0 ${width} ${height}`);
-    canvas.setAttribute("height", height);
-    canvas.replaceChildren(...shapes);
-  }).observe(canvas);
-  return canvas;
+// Steps of 1, 2 or 5 times a power of ten.
+function roundSteps(span, most) {
+  const raw = span / most;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  return [1, 2, 5, 10].map((m) => m * power).find((step) => step >= raw * (1 - 1e-9));
 }
 
 // ---- Numbers and words ----
@@ -40,7 +31,6 @@ const roundNumber = new Intl.NumberFormat("en", { maximumSignificantDigits: 3 })
 const number = (value) => threeDigits.format(value); // measured: its zeros say how exactly
 const round = (value) => roundNumber.format(value); // chosen: ticks and scale bars
 const whole = (value) => new Intl.NumberFormat("en").format(value);
-const pixels = (value) => `${value.toFixed(1)} px`;
 const counted = (n, noun) => `${whole(n)} ${noun}${n === 1 ? "" : "s"}`;
 const interval = (low, high, unit) =>
   low === null || high === null ? undefined : `95 %: ${number(low)} to ${number(high)} ${unit}`;

@@ -6,16 +6,10 @@ async function callTool(name, asked) {
   return result;
 }
 
-// Repeat the call. Request an overlay only if the page gets no image.
-const askAgain = (record, asked) => {
-  const pictured = call.result._meta?.[PANEL_KEY]?.picture_jpeg ? {} : { include_overlay: true };
-  return callTool(call.tool ?? (isArea(record) ? "measure_area" : "estimate_gsd"), { ...asked, ...pictured });
-};
-
 // Repeat the call with more arguments and the corrections, then all measurements with its scale.
 async function measureAgain(record, more) {
   const asked = withCorrections(record, { ...call.arguments, ...more });
-  const result = await askAgain(record, asked);
+  const result = await callTool(call.tool ?? (isArea(record) ? "measure_area" : "estimate_gsd"), asked);
   call.arguments = asked;
   call.result = result;
   await measureAllAgain(result);

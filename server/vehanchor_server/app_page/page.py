@@ -36,8 +36,6 @@ _SHARED = (
     "crosshair",
     "tools",
     "rulers",
-    "histogram",
-    "plan",
     "record",
     "panel",
 )
@@ -53,7 +51,7 @@ def app_extension() -> Apps:
         page_html(),
         name="panel",
         title="VehAnchor panel",
-        description="Shows a result: the picture, all rulers, the histogram of vehicle lengths, the record.",
+        description="Shows a result: the picture, all rulers, the record.",
         csp=ResourceCsp(connect_domains=[], resource_domains=[]),  # the page loads nothing
         prefers_border=True,
     )

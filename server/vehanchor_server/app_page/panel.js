@@ -18,23 +18,14 @@ function show(result) {
   say(textOf(result));
   if (!record) return byId("sections").replaceChildren();
   const scale = scaleOf(record);
-  const histogram = result._meta?.[PANEL_KEY]?.histogram;
   byId("subject").textContent = isArea(record) ? "area of an object" : "metric scale";
   flag(record.status);
-  const plan = isArea(record) ? planSection(record) : undefined;
-  const lengths = scale && histogram ? histogramSection(scale, histogram) : undefined;
-  const left = [plan, lengths].filter(Boolean);
-  const right = [scale ? confidence(scale) : undefined, recordSection(record)];
   const sections = [
     readings(record),
     warningSection(record),
     pictureSection(record, result),
     scale ? rulersSection(scale) : undefined,
-    html(
-      "div", { class: "columns" },
-      left.length ? html("div", { class: "column seen" }, ...left) : undefined,
-      html("div", { class: "column" }, ...right),
-    ),
+    html("div", { class: "columns" }, scale ? confidence(scale) : undefined, recordSection(record)),
   ];
   byId("sections").replaceChildren(...sections.filter(Boolean));
 }

@@ -1,4 +1,4 @@
-"""Page data besides the record: the image, the shapes over it, and the histogram of lengths.
+"""Page data besides the record: the image and the shapes over it.
 
 The data is in the result's ``_meta``, which hosts hide from the model (MCP Apps, 2026-01-26, "Data Passing").
 """
@@ -6,10 +6,9 @@ The data is in the result's ``_meta``, which hosts hide from the model (MCP Apps
 from __future__ import annotations
 
 import base64
-import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field
+from pydantic import FailFast
 
 from vehanchor_server.frozen import FrozenModel
 
@@ -18,38 +17,14 @@ if TYPE_CHECKING:
 
 PANEL_KEY = "vehanchor/panel"
 
-_MAX_BINS = 40
-_CURVE_POINTS = 121
-_MAX_VEHICLES = 2000  # limit of drawn vehicles
+MAX_VEHICLES, MAX_LINES = 2000, 500  # limits of what is drawn
 _ADDED = 2
-_LONGEST_SHOWN = 2.5  # medians; longer outliers are only counted, so that one false alarm does not compress the axis
-
-
-class LengthBin(FrozenModel):
-    """One bar of the histogram."""
-
-    kept: int = Field(description="Vehicles used for the scale.")
-    dropped: int = Field(description="Outliers.")
-
-
-class LengthHistogram(FrozenModel):
-    """Histogram of vehicle lengths with a bounded number of bins."""
-
-    start_px: float = Field(description="Start of the first bin.")
-    bin_px: float = Field(description="Width of a bin.")
-    bins: tuple[LengthBin, ...]
-    beyond: int = Field(description="Outliers longer than the last bin.")
-    density: tuple[float, ...] = Field(
-        description="The kernel density of the kept lengths in vehicles per bin, at points evenly spaced over all bins "
-        "and both ends; empty if the scale is not the mode of a density."
-    )
-    guard_px: float = Field(description="P_thresh: below it the resolution guard applies.")
 
 
 class DrawnLine(FrozenModel):
     """A line that a ruler measured."""
 
-    points: tuple[tuple[float, float], ...]
+    points: Annotated[tuple[tuple[float, float], ...], FailFast()]
     label: str
     closed: bool
 
@@ -65,36 +40,33 @@ class Drawing(FrozenModel):
         lines: lines of other rulers.
     """
 
-    vehicles: tuple[tuple[float, float, float, float, float, int, int, int], ...]
+    vehicles: Annotated[tuple[tuple[float, float, float, float, float, int, int, int], ...], FailFast()]
     vehicles_left_out: int
-    lines: tuple[DrawnLine, ...]
+    lines: Annotated[tuple[DrawnLine, ...], FailFast()]
 
 
 class PanelData(FrozenModel):
     """Page data of one result.
 
     Attributes:
-        histogram: vehicle lengths behind the scale; null without vehicles.
         picture_jpeg: the reduced image in base64; null if the host shows no pages.
         drawing: shapes over the image; null if the host shows no pages, or for a given scale.
         record: the whole record, if the result is compact and the host shows pages.
     """
 
-    histogram: LengthHistogram | None = None
     picture_jpeg: str | None = None
     drawing: Drawing | None = None
     record: dict[str, Any] | None = None
 
 
 def panel_meta(
-    histogram: LengthHistogram | None,
     picture: bytes | None = None,
     drawing: Drawing | None = None,
     record: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Build the ``_meta`` of a result; see ``PanelData``."""
     encoded = None if picture is None else base64.b64encode(picture).decode()
-    data = PanelData(histogram=histogram, picture_jpeg=encoded, drawing=drawing, record=record)
+    data = PanelData(picture_jpeg=encoded, drawing=drawing, record=record)
     return {PANEL_KEY: data.model_dump(mode="json")}
 
 
@@ -103,7 +75,7 @@ def drawing_of(analysis: ScaleAnalysis) -> Drawing:
     import numpy as np  # late, to start the server quickly
 
     detections = analysis.detections
-    boxes = detections.boxes[:_MAX_VEHICLES]
+    boxes = detections.boxes[:MAX_VEHICLES]
     rows = np.round(np.column_stack([boxes[:, :4], np.rad2deg(boxes[:, 4])]), 1)
     by_hand = detections.stated.astype(int)
     if detections.corrections is not None and detections.corrections.n_added:
@@ -121,51 +93,6 @@ def drawing_of(analysis: ScaleAnalysis) -> Drawing:
                 label=mark.label,
                 closed=mark.closed,
             )
-            for mark in analysis.marks
+            for mark in analysis.marks[:MAX_LINES]
         ),
     )
-
-
-def length_histogram(analysis: ScaleAnalysis) -> LengthHistogram | None:
-    """Build the histogram of all lengths with the density whose peak is P_mode.
-
-    Returns:
-        The histogram, or None without vehicles.
-    """
-    import numpy as np  # late, to start the server quickly
-
-    from vehanchor.scale.lengths import modal_density
-
-    lengths = analysis.detections.boxes[:, 2]
-    if not len(lengths):
-        return None
-    kept, guard = analysis.kept, analysis.guard_length_px
-    measured = lengths[kept]
-    longest = max(float(measured.max()), min(float(lengths.max()), _LONGEST_SHOWN * float(np.median(measured))))
-    high = max(guard, longest)
-    low = min(guard, float(lengths.min()))
-    margin = 0.08 * (high - low) or 0.08 * high
-    low, high = max(0.0, low - margin), high + margin
-    width = _round_up((high - low) / _MAX_BINS)
-    first, last = math.floor(low / width), math.ceil(high / width)
-    edges = np.arange(first, last + 1) * width
-    counts = [np.histogram(lengths[chosen], edges)[0] for chosen in (kept, ~kept)]
-    density = np.empty(0)
-    if analysis.estimate.aggregation in ("kde", "weighted_kde"):
-        points = np.linspace(edges[0], edges[-1], _CURVE_POINTS)
-        scores = analysis.detections.scores[kept]
-        density = modal_density(points, measured, scores, analysis.estimate.aggregation) * len(measured) * width
-    return LengthHistogram(
-        start_px=float(edges[0]),
-        bin_px=width,
-        bins=tuple(LengthBin(kept=int(k), dropped=int(d)) for k, d in zip(*counts, strict=True)),
-        beyond=int((lengths > edges[-1]).sum()),
-        density=tuple(round(float(value), 3) for value in density) if density.any() else (),
-        guard_px=guard,
-    )
-
-
-def _round_up(width: float) -> float:
-    """Round up to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(width))
-    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= width * (1 - 1e-9))

@@ -4,16 +4,11 @@ const SHARPEN_AFTER_MS = 250;
 const PART_SIDE_PX = 1568; // the server's limit
 
 function pictureSection(record, result) {
-  const shown = html("div", {});
-  const place = section("Picture", "picture", shown);
   const source = pictureOf(result);
-  if (source) shown.replaceChildren(...framed(record, result, source));
-  else if (canCallTools && call.arguments) shown.replaceChildren(asker(record, shown));
-  else return undefined;
-  return place;
+  return source?.plain ? section("Picture", "picture", ...framed(record, result, source)) : undefined;
 }
 
-// The plain image, over which the page draws; otherwise the overlay.
+// The plain image, over which the page draws; otherwise the picture for models.
 function pictureOf(result) {
   const { picture_jpeg: jpeg, drawing } = result._meta?.[PANEL_KEY] ?? {};
   if (jpeg) return { url: `data:image/jpeg;base64,${jpeg}`, plain: true, drawing };
@@ -24,7 +19,7 @@ function pictureOf(result) {
 const usable = (record) => record.status === "ok" && record.gsd_m_per_px !== null;
 const barred = (record) => usable(record) && !scaleOf(record)?.tilt;  // a tilted view has no single scale
 
-function framed(record, result, { url, plain, drawing }) {
+function framed(record, result, { url, drawing }) {
   const scale = scaleOf(record);
   const dropped = scale ? scale.n_detections - scale.n_vehicles : 0;
   const drawn = [];
@@ -36,9 +31,9 @@ function framed(record, result, { url, plain, drawing }) {
   const [width, height] = [record.image_width_px, record.image_height_px];
   const part = html("img", { class: "part", alt: "", hidden: true, draggable: "false" });
   const canvas = svg("svg", { class: "drawn", "aria-hidden": "true", viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none" });
-  const sheet = html("div", { class: "sheet" }, image, plain ? part : undefined, plain ? canvas : undefined);
-  const bar = plain && barred(record) ? scaleBar(record.gsd_m_per_px) : undefined;
-  const sharpen = plain && SHARPENS ? sharpener(record, image, part) : undefined;
+  const sheet = html("div", { class: "sheet" }, image, part, canvas);
+  const bar = barred(record) ? scaleBar(record.gsd_m_per_px) : undefined;
+  const sharpen = SHARPENS ? sharpener(record, image, part) : undefined;
   let crossed;
   const view = zoomable(width, height, sheet, (placed) => {
     bar?.fit(placed);
@@ -46,7 +41,6 @@ function framed(record, result, { url, plain, drawing }) {
     crossed?.();
   });
   if (bar) view.frame.append(bar.bar);
-  if (!plain) image.addEventListener("load", () => { view.frame.style.aspectRatio = image.naturalWidth / image.naturalHeight; });
   readCorrections(record, drawing);
   const legend = html("p", { class: "legend" });
   const redraw = () => {
@@ -58,7 +52,7 @@ function framed(record, result, { url, plain, drawing }) {
       note(isArea(record), "object", "measured object"),
       note(scale?.n_vehicles, "kept", "measured vehicle"),
       note(dropped, "outlier", "outlier, excluded"),
-      note(has("stated"), "stated", "confirmed or added by hand"),
+      note(has("stated"), "stated", "added by hand"),
       note(has("removed"), "removed", "dropped by hand"),
       note(drawing?.lines.length, "ruler-line", "other ruler"),
       note(drawing?.vehicles_left_out, "", `${counted(drawing?.vehicles_left_out ?? 0, "vehicle")} not drawn`),
@@ -66,34 +60,17 @@ function framed(record, result, { url, plain, drawing }) {
     legend.replaceChildren(...notes.filter(Boolean));
   };
   redraw();
-  const boxes = drawing?.vehicles.length ? toggle("Boxes", (on) => canvas.classList.toggle("bare", !on)) : undefined;
-  const tools = plain && canCallTools && call.arguments ? toolbar(record, view, canvas, redraw) : undefined;
+  const toggle = ({ target }) => target.setAttribute("aria-pressed", String(!canvas.classList.toggle("bare")));
+  const boxes = drawing?.vehicles.length ? html("button", { type: "button", "aria-pressed": "true", on: { click: toggle } }, "Boxes") : undefined;
+  const tools = canCallTools && call.arguments ? toolbar(record, view, canvas, redraw) : undefined;
   crossed = tools?.placed;
   return [
     html("div", { class: "row tools" }, ...(tools?.groups ?? []), html("div", { class: "group" }, boxes), zoomButtons(view)),
     view.frame,
     legend,
     ...(tools?.below ?? []),
-    ...(plain ? exporters.map((row) => row(record, result, image, drawing)) : []),
+    ...exporters.map((row) => row(record, result, image, drawing)),
   ];
-}
-
-function toggle(words, act) {
-  const button = html(
-    "button",
-    {
-      type: "button", "aria-pressed": "true",
-      on: {
-        click: () => {
-          const on = button.getAttribute("aria-pressed") !== "true";
-          button.setAttribute("aria-pressed", String(on));
-          act(on);
-        },
-      },
-    },
-    words,
-  );
-  return button;
 }
 
 // If the zoom exceeds the picture's resolution, request the visible part.
@@ -124,31 +101,3 @@ function sharpener(record, image, part) {
   };
 }
 
-// The result has no picture: offer to repeat the call with one.
-function asker(record, shown) {
-  const words = html("p", { class: "legend", role: "status" }, "");
-  const button = html(
-    "button",
-    {
-      type: "button",
-      on: {
-        click: async () => {
-          button.disabled = true;
-          words.textContent = "Measuring again for the picture.";
-          try {
-            const result = await askAgain(record, call.arguments);
-            const source = pictureOf(result);
-            if (!source) throw new Error("the server sent no picture");
-            shown.replaceChildren(...framed(record, result, source));
-            shown.querySelector("button").focus();
-          } catch (error) {
-            words.textContent = `No picture: ${error.message}`;
-            button.disabled = false;
-          }
-        },
-      },
-    },
-    "Show the picture",
-  );
-  return html("div", { class: "row" }, button, words);
-}

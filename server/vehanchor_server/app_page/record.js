@@ -15,9 +15,7 @@ function recordSection(record) {
   if (scale) {
     const origin = { appearance: "from the vehicles' appearance", region: "of the region", given: "given", calibration: "calibrated" }[scale.reference_source];
     add("Reference length L_ref", `${number(scale.reference_length_m)} m${origin ? `, ${origin}` : ""}`);
-    if (scale.n_vehicles) add("Aggregation", { kde: "mode of the kernel density", weighted_kde: "mode of the density, weighted by score and length" }[scale.aggregation] ?? scale.aggregation);
     if (scale.working_scale && scale.working_scale < 1) add("Vehicles found at", `a resolution of ${100 * scale.working_scale} %`);
-    if (scale.n_vehicles) add("Resolution guard", scale.resolution_guard ? "active: the vehicles are too coarse" : "not active");
     if (scale.georeference_gsd_m_per_px !== null) add("Georeference of the file", `${number(scale.georeference_gsd_m_per_px)} m/px, not used`);
     add("Detector", `${scale.model} (${scale.model_sha256.slice(0, 12)})`);
   }

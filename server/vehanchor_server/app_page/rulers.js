@@ -1,10 +1,8 @@
 // ---- Rulers and their scales ----
 
-const hasOtherRulers = (scale) => (scale.rulers ?? []).some(({ kind, sets_scale }) => sets_scale && kind !== "vehicles");
-
 // Vehicles alone, or with the scene-scale prior, need no list.
 function rulersSection(scale) {
-  if (!hasOtherRulers(scale)) return undefined;
+  if (!(scale.rulers ?? []).some(({ kind, sets_scale }) => sets_scale && kind !== "vehicles")) return undefined;
   const rows = scale.rulers.map((ruler) => {
     const name = ruler.label[0].toUpperCase() + ruler.label.slice(1);
     const lead = ruler.kind === scale.leading_ruler ? ", leading" : "";

@@ -22,12 +22,6 @@ function vehicleReadings(scale) {
       "Vehicles measured", whole(scale.n_vehicles), "",
       dropped ? `of ${whole(scale.n_detections)} detected; ${counted(dropped, "outlier")}` : scale.n_detections ? "all detected vehicles" : "none detected",
     ),
-    scale.mode_length_px === null
-      ? undefined
-      : reading(
-          "Modal length P_mode", scale.mode_length_px.toFixed(1), "px",
-          `represents ${number(scale.reference_length_m)} m`,
-        ),
   ];
 }
 
@@ -61,20 +55,18 @@ function trusted(record, tile) {
 }
 
 function confidence(scale) {
-  const value = scale.confidence;
-  const tick = (at, kind, ...words) => html("div", { class: `tick ${kind}`, left_share: at }, html("span", {}, ...words));
   const track = html(
     "div",
     {
       class: `track ${scale.status}`, role: "meter", "aria-label": "Confidence", "aria-valuemin": 0, "aria-valuemax": 1,
-      "aria-valuenow": value.toFixed(2), "aria-valuetext": `${value.toFixed(2)}; 0.9 or more is safe to use`,
+      "aria-valuenow": scale.confidence.toFixed(2), "aria-valuetext": `${scale.confidence.toFixed(2)}; 0.9 or more is safe to use`,
     },
-    html("div", { class: "fill", width_share: value }),
-    tick(0.9, "", "0.9", html("br"), "usable"),
+    html("div", { class: "fill", width_share: scale.confidence }),
+    html("div", { class: "tick", left_share: 0.9 }, html("span", {}, "0.9", html("br"), "usable")),
   );
   return section(
     "Confidence", "",
-    html("div", { class: "gauge" }, html("p", { class: `reading ${scale.status}` }, value.toFixed(2)), track),
+    html("div", { class: "gauge" }, html("p", { class: `reading ${scale.status}` }, scale.confidence.toFixed(2)), track),
     html("p", { class: "note" }, "Chance that the scale is right within 20 %, by all rulers."),
   );
 }

@@ -11,19 +11,16 @@ const TOOLS = {
     words: "Draw a known length", first: "Click both ends of a known length on the ground.",
     then: "Click the other end.",
   },
-  confirm: { words: "Confirm", first: "Click vehicles that are cars, or draw a box around several.", then: "Release after the last vehicle." },
   drop: { words: "Drop", first: "Click boxes that are no cars, or draw a box around several.", then: "Release after the last box." },
   add: { words: "Add", first: "Click both bumpers of a car without a box, or drag along it.", then: "Click the other bumper." },
 };
-const picks = (tool) => tool === "confirm" || tool === "drop"; // vehicles, not points
+const picks = (tool) => tool === "drop"; // vehicles, not points
 const isBox = (tool) => tool === "area" || picks(tool);
-const measures = (tool) => tool === "distance" || tool === "area";
 
 function toolbar(record, view, canvas, redraw) {
   const words = html("p", { class: "legend", role: "status" }, "");
   const list = html("ol", { class: "measured" });
   const form = lengthForm(record, words);
-  const undoButton = html("button", { type: "button", on: { click: () => undo() } }, "Undo");
   const buttons = {};
   let tool, first, pressed, preview;
   let choices = 0; // number of tool changes
@@ -55,28 +52,12 @@ function toolbar(record, view, canvas, redraw) {
       (list.querySelectorAll("button")[Math.min(i, call.measured.length - 1)] ?? view.frame).focus({ preventScroll: true });
     };
     list.replaceChildren(...call.measured.map((each, i) => measuredRow(each, () => removed(each, i))));
-    undoButton.hidden = !tool;
-    undoButton.disabled = !(first || (measures(tool) ? lastMeasured() : tool !== "known" && call.corrections.earlier.length));
   };
-  const lastMeasured = () => call.measured.findLast(({ kind }) => kind === tool);
 
-  // Take back the open point; without one, reopen the last measurement at its second point, or take back a correction.
+  // Take back the open point.
   const undo = () => {
-    if (first) {
-      cross.at = first;
-      choose(tool, TOOLS[tool].first);
-    } else if (measures(tool) && lastMeasured()) {
-      const { ends } = lastMeasured();
-      call.measured.splice(call.measured.indexOf(lastMeasured()), 1);
-      choose(tool, TOOLS[tool].then);
-      [first, cross.at] = ends;
-      sketchTo(cross.at);
-      refresh();
-    } else if (tool && tool !== "known" && call.corrections.earlier.length) {
-      Object.assign(call.corrections, call.corrections.earlier.pop());
-      words.textContent = "Last correction taken back.";
-      refresh();
-    }
+    cross.at = first ?? cross.at;
+    choose(tool, TOOLS[tool].first);
     view.frame.focus({ preventScroll: true });
     cross.goTo(cross.at);
   };
@@ -84,7 +65,7 @@ function toolbar(record, view, canvas, redraw) {
   const pick = (vehicles) => {
     sketch();
     first = undefined;
-    words.textContent = vehicles.length ? correct(tool, vehicles) : "No vehicle here.";
+    words.textContent = vehicles.length ? dropVehicles(vehicles) : "No vehicle here.";
     refresh();
   };
   const pickAt = (point) => pick([vehicleAt(point, NEAR_PX / view.perPixel)].filter(Boolean));
@@ -125,22 +106,9 @@ function toolbar(record, view, canvas, redraw) {
     words.textContent = TOOLS[tool].then;
     refresh();
   };
-  const nextVehicle = (step) => {
-    const vehicles = correctedVehicles();
-    if (!vehicles.length) return;
-    const under = vehicleAt(cross.at, 0);
-    const i = vehicles.findIndex(({ box }) => box === under?.box);
-    const [x, y] = vehicles.at(i < 0 ? 0 : (i + step) % vehicles.length).box;
-    cross.show();
-    cross.goTo([x, y]);
-    tellPlace(cross.at);
-  };
   const tellPlace = (point) => {
     if (first) sketchTo(point);
-    const vehicle = picks(tool) ? vehicleAt(point, NEAR_PX / view.perPixel) : undefined;
-    if (!first && picks(tool)) sketch(vehicle && corners(vehicle.box), true);
-    const name = vehicle && (vehicle.number ? `vehicle ${vehicle.number}, ${STATES[vehicle.state]}` : "added vehicle");
-    words.textContent = `x ${whole(Math.round(point[0]))}, y ${whole(Math.round(point[1]))}${name ? `: ${name}` : ""}`;
+    words.textContent = `x ${whole(Math.round(point[0]))}, y ${whole(Math.round(point[1]))}`;
   };
   const size = [record.image_width_px, record.image_height_px];
   const cross = crosshair(view, size, tellPlace);
@@ -178,11 +146,10 @@ function toolbar(record, view, canvas, redraw) {
   });
   const keys = {
     Escape: () => choose(undefined, ""), Enter: () => setPoint(cross.at), " ": () => setPoint(cross.at),
-    Backspace: undo, n: () => nextVehicle(1), p: () => nextVehicle(-1),
+    Backspace: undo,
   };
   view.frame.addEventListener("keydown", (event) => {
-    const isUndo = (event.ctrlKey || event.metaKey) && event.key === "z";
-    const act = isUndo ? undo : event.ctrlKey || event.metaKey || event.altKey ? undefined : keys[event.key];
+    const act = event.ctrlKey || event.metaKey || event.altKey ? undefined : keys[event.key];
     if (!tool || !act) return;
     event.preventDefault();
     act();
@@ -190,14 +157,14 @@ function toolbar(record, view, canvas, redraw) {
 
   const offered = {
     distance: knownScale(record), area: knownScale(record), known: scaleOf(record),
-    ...(isArea(record) ? {} : { confirm: correctedVehicles().length, drop: correctedVehicles().length, add: true }),
+    ...(isArea(record) ? {} : { drop: correctedVehicles().length, add: true }),
   };
   for (const name of Object.keys(TOOLS).filter((each) => offered[each])) {
     const act = (event) => {
       const isKey = event.detail === 0;
       const next = tool === name ? undefined : name;
       form.hide();
-      choose(next, next ? `${TOOLS[next].first}${isKey ? ` ${BY_KEYS}${picks(next) ? " N goes to the next vehicle." : ""}` : ""}` : "");
+      choose(next, next ? `${TOOLS[next].first}${isKey ? ` ${BY_KEYS}` : ""}` : "");
       if (!next) return;
       view.frame.focus({ preventScroll: !isKey });
       if (isKey) cross.show();
@@ -211,10 +178,8 @@ function toolbar(record, view, canvas, redraw) {
   };
   refresh();
   return {
-    groups: [group("Measure", ["distance", "area", "known"]), group("Vehicles", ["confirm", "drop", "add"]), undoButton],
+    groups: [group("Measure", ["distance", "area", "known"]), group("Vehicles", ["drop", "add"])],
     below: [words, form.row, corrections?.row, list],
     placed: cross.place,
   };
 }
-
-const STATES = { kept: "measured", outlier: "outlier", stated: "confirmed", removed: "dropped" };

@@ -13,7 +13,7 @@ from vehanchor_server.app_page import panel_meta
 from vehanchor_server.calls.compact import short_answer
 
 if TYPE_CHECKING:
-    from vehanchor_server.app_page.panel import Drawing, LengthHistogram
+    from vehanchor_server.app_page.panel import Drawing
 
 Record = TypeVar("Record", bound=BaseModel, covariant=True)
 
@@ -44,14 +44,12 @@ class Answer(Generic[Record]):
     Attributes:
         records: the results, one per line or target.
         overlay: the overlay as JPEG, if requested.
-        histogram: vehicle lengths behind the scale; None without vehicles or for a given scale.
         page_picture: the image as JPEG, if the host shows a page.
         drawing: shapes that the page draws over the image.
     """
 
     records: tuple[Record, ...]
     overlay: bytes | None = None
-    histogram: LengthHistogram | None = None
     page_picture: bytes | None = None
     drawing: Drawing | None = None
 
@@ -77,7 +75,5 @@ class Answer(Generic[Record]):
         return CallToolResult(
             content=content,
             structured_content=full if short is None else short,
-            _meta=panel_meta(
-                self.histogram, self.page_picture, self.drawing, whole[0] if paged and detail == "short" else None
-            ),
+            _meta=panel_meta(self.page_picture, self.drawing, whole[0] if paged and detail == "short" else None),
         )

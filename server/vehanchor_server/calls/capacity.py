@@ -7,9 +7,9 @@ counts. There is no queue: beyond the capacity, calls are refused at once.
 from __future__ import annotations
 
 import threading
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
 
 import anyio
 import anyio.lowlevel
@@ -40,10 +40,10 @@ class Stop:
     def request(self) -> None:
         """Request the stop."""
         with self._lock:
-            self._requested = True
-            actions, self._actions = self._actions, []
-        for action in actions:
-            action()
+            if not self._requested:
+                self._requested = True
+                for action in self._actions:
+                    action()
 
     def check(self) -> None:
         """Raise if a stop was requested.
@@ -54,21 +54,18 @@ class Stop:
         if self._requested:
             raise CallStoppedError
 
-    def on_request(self, action: Callable[[], None]) -> None:
-        """Run an action when a stop is requested; at once if it already was."""
+    @contextmanager
+    def calling(self, action: Callable[[], None]) -> Iterator[None]:
+        """Run an action if a stop is requested within the context, or was before; never after it."""
         with self._lock:
-            if not self._requested:
-                self._actions.append(action)
-                return
-        action()
-
-
-@dataclass(frozen=True)
-class _Outcome(Generic[T]):
-    """Result of a thread's work, as a value, so that its exception does not collide with a cancellation."""
-
-    value: T | None = None
-    error: Exception | None = None
+            if self._requested:
+                action()
+            self._actions.append(action)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._actions.remove(action)
 
 
 class Capacity:
@@ -84,7 +81,6 @@ class Capacity:
         self.deadline_s = deadline_s
         self._stops: set[Stop] = set()
         self._closed = False
-        self._limiter: anyio.CapacityLimiter | None = None
 
     @property
     def running(self) -> int:
@@ -124,29 +120,26 @@ class Capacity:
         Raises:
             CallError: ``server_stopping``, if the work was stopped by ``close``.
         """
-        if self._limiter is None:  # needs the event loop, which does not exist in __init__
-            self._limiter = anyio.CapacityLimiter(self.max_concurrency)
-
         ended = threading.Event()
 
-        def guarded() -> _Outcome[T]:
+        def guarded() -> tuple[T | None, Exception | None]:  # as a value: it must not collide with a cancellation
             try:
-                return _Outcome(value=work())
+                return work(), None
             except Exception as error:
-                return _Outcome(error=error)
+                return None, error
             finally:
                 ended.set()
 
         async with anyio.create_task_group() as group:
             group.start_soon(_request_when_cancelled, stop, ended)
-            outcome = await anyio.to_thread.run_sync(guarded, limiter=self._limiter)
+            value, error = await anyio.to_thread.run_sync(guarded, limiter=anyio.CapacityLimiter(1))
             group.cancel_scope.cancel()
         await anyio.lowlevel.checkpoint_if_cancelled()
-        if outcome.error is not None and stop.requested:  # CallStoppedError, or the error of a terminated model
+        if error is not None and stop.requested:  # CallStoppedError, or the error of a terminated model
             raise CallError("server_stopping", "the server is shutting down. Try again in a while.")
-        if outcome.error is not None:
-            raise outcome.error
-        return outcome.value  # type: ignore[return-value] # there is one where there is no error
+        if error is not None:
+            raise error
+        return value  # type: ignore[return-value] # there is one where there is no error
 
     def close(self) -> None:
         """Refuse new calls and stop the running ones."""

@@ -57,6 +57,7 @@ class Job:
 
     def __init__(self, stop: Stop, report: Callable[[float, str], None], entered: Callable[[str], None]) -> None:
         self.stop = stop
+        self.cancellation = Cancellation()
         self._report = report
         self._entered = entered
         self._reported = -1
@@ -64,9 +65,7 @@ class Job:
     @cached_property
     def runtime(self) -> Runtime:
         """Runtime for models: it reports tiles, and a stop request ends a run within a layer."""
-        cancellation = Cancellation()
-        self.stop.on_request(cancellation.cancel)
-        return Runtime(progress=self.searched, cancellation=cancellation)
+        return Runtime(progress=self.searched, cancellation=self.cancellation)
 
     def enter(self, stage: str) -> None:
         """Begin a stage (``decode``, ``segment``, ``detect``, ``scale``, ...) and end the previous one.

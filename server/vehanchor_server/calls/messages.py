@@ -1,35 +1,46 @@
-"""Messages between the server and its workers: data with a fixed schema and limits.
+"""Messages between the server and its workers.
 
-An image can compromise the worker that decodes it, so a worker's message must not run code in the server. A message
-has a few parts with their lengths: JSON that pydantic models validate, and pictures as raw bytes. The number and size
-of the parts are checked before parsing; pydantic's parser limits the depth.
+An image can compromise the worker that decodes it, so its messages are data: JSON that pydantic models validate, and
+pictures as raw bytes. Size and number of separators are checked before parsing, because an error for each of 200,000
+empty objects takes gigabytes. A task goes the other way, pickled, because workers trust the server.
 """
 
 from __future__ import annotations
 
-import struct
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from vehanchor_server.app_page.panel import Drawing, LengthHistogram
+from vehanchor_server.app_page.panel import Drawing
 from vehanchor_server.calls.answer import Answer
-from vehanchor_server.calls.task import Task, named_work
 from vehanchor_server.frozen import FrozenModel
-from vehanchor_server.images.argument import AnyImage, Base64Image, PathImage, UrlImage
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable
     from multiprocessing.connection import Connection
 
     from pydantic import BaseModel
 
-MAX_HEADER_BYTES = 256 << 10
-MAX_RECORDS_BYTES = 8 << 20  # an outline of 16 objects has 1 MiB
+Parsed = TypeVar("Parsed")
+
+
+class Limit(NamedTuple):
+    """Limit on JSON: at most twice the largest honest one (``tests/server/calls/test_messages.py``).
+
+    Attributes:
+        n_bytes: its size.
+        n_marks: commas and opening brackets and braces in it.
+    """
+
+    n_bytes: int
+    n_marks: int
+
+
+HEADER = Limit(64 << 10, 4_000)
+RECORD = Limit(20 << 10, 1_400)
+DRAWING = Limit(320 << 10, 48_000)
+MAX_RECORDS = 16
 MAX_PICTURE_BYTES = 2 << 20
-MAX_ANSWER_BYTES = MAX_HEADER_BYTES + MAX_RECORDS_BYTES + 2 * MAX_PICTURE_BYTES
-_MAX_PARTS = 256
-_LENGTH = struct.Struct("<Q")
 MAX_WORDS = 8000  # characters of a message for people
 
 
@@ -45,13 +56,6 @@ class Loaded(FrozenModel):
     landlock: int = Field(ge=0, le=1000)
     seccomp: bool
     lacks: str = Field(max_length=MAX_WORDS)
-
-
-class Broken(FrozenModel):
-    """The worker cannot start."""
-
-    kind: Literal["broken"] = "broken"
-    traceback: str = Field(max_length=MAX_WORDS)
 
 
 class Entered(FrozenModel):
@@ -77,178 +81,87 @@ class Refused(FrozenModel):
     message: str = Field(max_length=MAX_WORDS)
 
 
-class Exhausted(FrozenModel):
-    """The worker ran out of memory."""
-
-    kind: Literal["exhausted"] = "exhausted"
-
-
 class Failed(FrozenModel):
-    """The work has a bug."""
+    """The work has a bug, or the worker cannot start."""
 
     kind: Literal["failed"] = "failed"
     traceback: str = Field(max_length=MAX_WORDS)
 
 
 class Answered(FrozenModel):
-    """The work is done; records and pictures are further parts of the message."""
+    """The work is done; records, drawing and pictures follow."""
 
     kind: Literal["answered"] = "answered"
+    n_records: int = Field(ge=1, le=MAX_RECORDS)
+    drawing: bool
     overlay: bool
     page_picture: bool
-    histogram: LengthHistogram | None
-    drawing: Drawing | None
 
 
-WorkerMessage: TypeAlias = Loaded | Broken | Entered | Progressed | Refused | Exhausted | Failed | Answered
+WorkerMessage: TypeAlias = Loaded | Entered | Progressed | Refused | Failed | Answered
 _WORKER_MESSAGE: TypeAdapter[WorkerMessage] = TypeAdapter(Annotated[WorkerMessage, Field(discriminator="kind")])
 
 
-class _NamedImage(FrozenModel):
-    """An image of a task; the bytes of a sent or fetched image are a separate part."""
-
-    kind: Literal["path", "base64", "url"]
-    name: str = ""
-    attached: bool
-
-
-class _TaskHeader(FrozenModel):
-    """A task for a worker; the question and the images' bytes are further parts of the message."""
-
-    work: str
-    images: tuple[_NamedImage, ...] = Field(min_length=1)
-
-
-def send(connection: Connection, message: WorkerMessage) -> None:
-    """Send a message without an answer."""
-    connection.send_bytes(_pack([message.model_dump_json().encode()]))
+def send(connection: Connection, message: BaseModel) -> None:
+    """Send a message or a part of an answer."""
+    connection.send_bytes(message.model_dump_json().encode())
 
 
 def send_answer(connection: Connection, answer: Answer[BaseModel]) -> None:
     """Send the answer of a call."""
+    pictures = [picture for picture in (answer.overlay, answer.page_picture) if picture is not None]
     header = Answered(
+        n_records=len(answer.records),
+        drawing=answer.drawing is not None,
         overlay=answer.overlay is not None,
         page_picture=answer.page_picture is not None,
-        histogram=answer.histogram,
-        drawing=answer.drawing,
     )
-    records = b"[" + b",".join(record.model_dump_json().encode() for record in answer.records) + b"]"
-    pictures = [picture for picture in (answer.overlay, answer.page_picture) if picture is not None]
-    connection.send_bytes(_pack([header.model_dump_json().encode(), records, *pictures]))
+    for part in (header, *answer.records, *([answer.drawing] if answer.drawing else [])):
+        send(connection, part)
+    for picture in pictures:
+        connection.send_bytes(picture)
 
 
-def receive(connection: Connection) -> tuple[WorkerMessage, list[bytes]]:
+def receive(connection: Connection) -> WorkerMessage:
     """Receive the next message of a worker.
-
-    Returns:
-        The message and the parts after its header.
 
     Raises:
         EOFError: the process ended.
         OSError: the pipe broke, or the message is too large.
         MessageError: the bytes are not a message.
     """
-    header, *parts = _unpack(connection.recv_bytes(MAX_ANSWER_BYTES))
-    if len(header) > MAX_HEADER_BYTES:
-        raise MessageError(f"a header of {len(header)} bytes")
-    try:
-        return _WORKER_MESSAGE.validate_json(header), parts
-    except ValidationError as error:
-        raise MessageError(_summary(error)) from None
+    return _parsed(connection, HEADER, _WORKER_MESSAGE.validate_json)
 
 
-def read_answer(header: Answered, parts: Sequence[bytes], task: Task[Any]) -> Answer[Any]:
-    """Validate the answer to a task.
+def receive_answer(connection: Connection, header: Answered, record: type[BaseModel]) -> Answer[Any]:
+    """Receive the parts of an answer.
 
-    Raises:
-        MessageError: the message is not an answer to this task.
-    """
-    if len(parts) != 1 + header.overlay + header.page_picture or len(parts[0]) > MAX_RECORDS_BYTES:
-        raise MessageError("an answer whose parts contradict its header")
-    if any(len(picture) > MAX_PICTURE_BYTES for picture in parts[1:]):
-        raise MessageError("a picture above the size limit")
-    try:
-        records = task.work.records.validate_json(parts[0])
-    except ValidationError as error:
-        raise MessageError(_summary(error)) from None
-    if not records:
-        raise MessageError("an answer without a record")
-    pictures = iter(parts[1:])
-    overlay = next(pictures) if header.overlay else None
-    page_picture = next(pictures) if header.page_picture else None
-    return Answer(records, overlay, header.histogram, page_picture, header.drawing)
-
-
-def send_task(connection: Connection, task: Task[Any]) -> None:
-    """Send a task to a worker."""
-    named, attached = [], []
-    for image, fetched in ((task.image, task.fetched), *task.more):
-        content = image.data.encode() if isinstance(image, Base64Image) else fetched
-        name = image.path if isinstance(image, PathImage) else image.url if isinstance(image, UrlImage) else ""
-        named.append(_NamedImage(kind=image.kind, name=name, attached=content is not None))
-        attached += [content] if content is not None else []
-    header = _TaskHeader(work=task.work.name, images=tuple(named))
-    question = task.work.question.dump_json(task.question)
-    connection.send_bytes(_pack([header.model_dump_json().encode(), question, *attached]))
-
-
-def receive_task(connection: Connection) -> Task[Any]:
-    """Receive the next task, in a worker.
+    Args:
+        connection: the connection to the worker.
+        header: the message before the parts.
+        record: type of the records.
 
     Raises:
-        EOFError: the server ended.
-        MessageError: the bytes are not a task.
+        EOFError: the process ended.
+        OSError: the pipe broke, or a part is too large.
+        MessageError: a part is not of its type.
     """
-    header_json, question_json, *attached = _unpack(connection.recv_bytes())
+    return Answer(
+        records=tuple(_parsed(connection, RECORD, record.model_validate_json) for _ in range(header.n_records)),
+        drawing=_parsed(connection, DRAWING, Drawing.model_validate_json) if header.drawing else None,
+        overlay=connection.recv_bytes(MAX_PICTURE_BYTES) if header.overlay else None,
+        page_picture=connection.recv_bytes(MAX_PICTURE_BYTES) if header.page_picture else None,
+    )
+
+
+def _parsed(connection: Connection, limit: Limit, parse: Callable[[bytes], Parsed]) -> Parsed:
+    data = connection.recv_bytes(limit.n_bytes)
+    n_marks = sum(map(data.count, (b",", b"[", b"{")))
+    if n_marks > limit.n_marks:
+        raise MessageError(f"{n_marks} separators where {limit.n_marks} are the most")
     try:
-        header = _TaskHeader.model_validate_json(header_json)
-        work = named_work(header.work)
-        question = work.question.validate_json(question_json)
+        return parse(data)
     except ValidationError as error:
-        raise MessageError(_summary(error)) from None
-    contents = iter(attached)
-    images = [_image(named, next(contents) if named.attached else None) for named in header.images]
-    (image, fetched), *more = images
-    return Task(work, question, image, fetched, tuple(more))
-
-
-def _image(named: _NamedImage, content: bytes | None) -> tuple[AnyImage, bytes | None]:
-    if named.kind == "path":
-        return PathImage(kind="path", path=named.name), None
-    if named.kind == "url":
-        return UrlImage(kind="url", url=named.name), content
-    return Base64Image(kind="base64", data=(content or b"").decode()), None
-
-
-def _pack(parts: Sequence[bytes]) -> bytes:
-    """Join parts after their number and lengths."""
-    lengths = [_LENGTH.pack(len(parts)), *(_LENGTH.pack(len(part)) for part in parts)]
-    return b"".join((*lengths, *parts))
-
-
-def _unpack(message: bytes) -> list[bytes]:
-    """Split a message into its parts.
-
-    Raises:
-        MessageError: the lengths contradict the bytes.
-    """
-    size = _LENGTH.size
-    if len(message) < size or not 1 <= (n_parts := _LENGTH.unpack_from(message)[0]) <= _MAX_PARTS:
-        raise MessageError("no number of parts")
-    at = size * (1 + n_parts)
-    if len(message) < at:
-        raise MessageError("fewer lengths than parts")
-    lengths = [_LENGTH.unpack_from(message, size * (1 + place))[0] for place in range(n_parts)]
-    if at + sum(lengths) != len(message):
-        raise MessageError("parts of other lengths than announced")
-    parts = []
-    for length in lengths:
-        parts.append(message[at : at + length])
-        at += length
-    return parts
-
-
-def _summary(error: ValidationError) -> str:
-    """Return the first problem, without the possibly hostile input."""
-    first = error.errors(include_input=False, include_url=False)[0]
-    return f"{error.title}: {'.'.join(map(str, first['loc']))[:200]}: {first['type']}"
+        first = error.errors(include_input=False, include_url=False)[0]  # without the possibly hostile input
+        where = ".".join(map(str, first["loc"]))[:200]
+        raise MessageError(f"{error.title}: {where}: {first['type']}") from None

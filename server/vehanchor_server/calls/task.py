@@ -1,13 +1,11 @@
-"""Work of a call: its function, the types of its messages to a worker, and its execution in this process."""
+"""Work of a call: its function, the type of its records, and its execution in this process."""
 
 from __future__ import annotations
 
-import pkgutil
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
-from pydantic import BaseModel, TypeAdapter
+from pydantic import BaseModel
 
 from vehanchor_server.images.source import library_errors
 
@@ -41,55 +39,30 @@ class Parts(Protocol):
 
 
 class Work(Generic[Record]):
-    """A kind of work on an image; the decorator ``work`` creates one from a function.
-
-    Args:
-        function: function of services, job, opened image and question; other images are a fifth argument.
-        question: type of the question, a dataclass or pydantic model.
-        record: type of the records in the answer.
+    """A kind of work on an image; the decorator ``work`` creates one from a module-level function.
 
     Attributes:
-        function: the function.
-        name: module and name by which a worker finds this object.
+        function: function of services, job, opened image and question; other images are a fifth argument.
+        record: type of the records in the answer.
     """
 
-    def __init__(self, function: Callable[..., Answer[Record]], question: Any, record: type[Record]) -> None:
+    def __init__(self, function: Callable[..., Answer[Record]], record: type[Record]) -> None:
         self.function = function
-        self.name = f"{function.__module__}:{function.__name__}"
-        self._question: Any = question
-        self._records: Any = tuple[record, ...]  # type: ignore[valid-type]
+        self.record = record
+        self.__module__ = function.__module__
 
-    @cached_property
-    def question(self) -> TypeAdapter[Any]:
-        """Type adapter of the question."""
-        return TypeAdapter(self._question)
-
-    @cached_property
-    def records(self) -> TypeAdapter[tuple[Record, ...]]:
-        """Type adapter of the answer's records."""
-        return TypeAdapter(self._records)
+    def __reduce__(self) -> str:
+        """Pickle by name, like a function."""
+        return self.function.__name__
 
 
-def work(question: Any, record: type[Record]) -> Callable[[Callable[..., Answer[Record]]], Work[Record]]:
+def work(record: type[Record]) -> Callable[[Callable[..., Answer[Record]]], Work[Record]]:
     """Decorate a module-level function as work for workers.
 
     Args:
-        question: type of the question.
         record: type of the records in the answer.
     """
-    return lambda function: Work(function, question, record)
-
-
-def named_work(name: str) -> Work[Any]:
-    """Find work by its name, in a worker.
-
-    Raises:
-        TypeError: the name belongs to another object.
-    """
-    found = pkgutil.resolve_name(name)
-    if not isinstance(found, Work):
-        raise TypeError(f"{name} is a {type(found).__name__}, not a kind of work")
-    return found
+    return lambda function: Work(function, record)
 
 
 @dataclass(frozen=True)
@@ -117,5 +90,9 @@ def perform(services: Parts, task: Task[Record], job: Job) -> Answer[Record]:
     Raises:
         CallError: the work failed with a remedy for the caller.
     """
-    with services.sources.open(task.image, task.fetched) as source, library_errors(source):
+    with (
+        job.stop.calling(job.cancellation.cancel),
+        services.sources.open(task.image, task.fetched) as source,
+        library_errors(source),
+    ):
         return task.work.function(services, job, source, task.question, *((task.more,) if task.more else ()))

@@ -20,20 +20,17 @@ from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.messages import (
     MAX_WORDS,
-    Broken,
     Entered,
-    Exhausted,
     Failed,
     Loaded,
     Progressed,
     Refused,
-    receive_task,
     send,
     send_answer,
 )
-from vehanchor_server.calls.sandbox import Confinement, confine
 from vehanchor_server.calls.task import perform
-from vehanchor_server.errors import CallError
+from vehanchor_server.errors import WORKER_KILLED, CallError
+from vehanchor_server.sandbox.confinement import Confinement, confine
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -82,7 +79,7 @@ def serve_tasks(
         threading.Thread(target=_end_with_server, args=(connection,), name="vehanchor-server", daemon=True).start()
         services.models.load_all()
     except Exception:
-        send(connection, Broken(traceback=_traceback()))
+        send(connection, Failed(traceback=_traceback()))
         return
     _limit_memory(limits.memory_bytes)
     send(
@@ -98,7 +95,7 @@ def serve_tasks(
         while True:
             if not connection.poll(_IDLE_S):
                 _give_back_memory()
-            task = receive_task(connection)
+            task = connection.recv()
             _limit_cpu(limits.cpu_s)
             failure = _outcome(services, task, connection)
             if failure is not None:
@@ -143,7 +140,8 @@ def _outcome(services: Parts, task: Task[Any], connection: Connection) -> Worker
     except Exception as error:
         if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
             _logger.warning("a worker ran out of memory", exc_info=True)
-            return Exhausted()
+            needs = "the image needs more memory than this server allows. Send a smaller image."
+            return Refused(code=WORKER_KILLED, message=needs)
         if isinstance(error, CallError):
             return Refused(code=error.code, message=error.explanation[:MAX_WORDS])
         return Failed(traceback=_traceback())

@@ -22,25 +22,23 @@ import tempfile
 import threading
 from typing import TYPE_CHECKING
 
+from vehanchor_server.calls.capacity import CallStoppedError
 from vehanchor_server.calls.messages import (
     Answered,
-    Broken,
     Entered,
-    Exhausted,
     Failed,
     Loaded,
     MessageError,
     Progressed,
     Refused,
-    read_answer,
     receive,
-    send_task,
+    receive_answer,
 )
-from vehanchor_server.calls.worker_environment import minimal_environment
 from vehanchor_server.calls.worker_log import forward_log
 from vehanchor_server.calls.worker_process import serve_tasks
-from vehanchor_server.errors import CallError
+from vehanchor_server.errors import WORKER_KILLED, CallError
 from vehanchor_server.models import SLOW_IMPORTS
+from vehanchor_server.sandbox.environment import minimal_environment
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,7 +51,6 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.task import Parts, Record, Task
     from vehanchor_server.calls.worker_process import WorkerLimits
 
-_MIB = 1 << 20
 _ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
 _POLL_S = 0.05  # interval at which a waiting thread checks for a stop request
 _logger = logging.getLogger(__name__)
@@ -68,65 +65,49 @@ class WorkerPool:
 
     Args:
         make_services: creates a worker's parts: a module-level function or a ``functools.partial`` of one.
-        n_workers: maximum number of workers.
         limits: resource limits of each worker.
 
     Attributes:
+        make_services: as given.
+        limits: as given.
         closed: whether all workers were ended.
+        failure: error code of the last failed load of the models, or None.
     """
 
-    def __init__(self, make_services: Callable[[], Parts], n_workers: int, limits: WorkerLimits) -> None:
-        self._make_services = make_services
-        self._limits = limits
-        self._workers = [_Worker(self) for _ in range(n_workers)]
-        self._lock = threading.Lock()
-        self._idle = list(self._workers)
+    def __init__(self, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
+        self.make_services = make_services
+        self.limits = limits
         self.closed = False
+        self.failure: str | None = None
+        self._lock = threading.Lock()
+        self._workers = [_Worker(self)]  # all that have not ended
+        self._idle = list(self._workers)
         self._logged: set[str] = set()
-        self._log_lock = threading.Lock()  # separate: the holder of _lock may log
 
     @property
     def ready(self) -> bool:
         """Whether a call can start at once."""
-        for worker in self._workers:
-            worker.poll_loaded()
-        return any(worker.loaded and worker.failure is None for worker in self._workers)
-
-    @property
-    def failure(self) -> str | None:
-        """Error code of a failed load of the models, or None."""
-        return next((worker.failure for worker in self._workers if worker.failure), None)
+        return self.failure is None and any(worker.loaded for worker in tuple(self._workers))
 
     @property
     def processes(self) -> list[int]:
         """Process ids of the workers."""
-        return [worker.process.pid for worker in self._workers if worker.process and worker.process.pid]
+        return [worker.process.pid for worker in tuple(self._workers) if worker.process and worker.process.pid]
 
     def log_once(self, level: int, text: str) -> None:
         """Log a message that all workers share once."""
-        with self._log_lock:
-            if text in self._logged:
-                return
+        if text not in self._logged:
             self._logged.add(text)
-        _logger.log(level, text)
+            _logger.log(level, text)
 
     def start(self, delay_s: float = 0.0) -> None:
         """Start the first worker in the background after a delay."""
-
-        def start_first() -> None:
-            if not self.closed:
-                self._workers[0].start()
-
-        timer = threading.Timer(delay_s, start_first)
+        timer = threading.Timer(delay_s, self._workers[0].start)
         timer.name, timer.daemon = "vehanchor-workers", True
         timer.start()
 
     def run(
-        self,
-        task: Task[Record],
-        stop: Stop,
-        report: Callable[[float, str], None],
-        enter: Callable[[str], None],
+        self, task: Task[Record], stop: Stop, report: Callable[[float, str], None], enter: Callable[[str], None]
     ) -> Answer[Record]:
         """Run a task in a worker; blocks, so call it in a thread.
 
@@ -141,21 +122,22 @@ class WorkerPool:
             CallStoppedError: a stop was requested.
             WorkerFailedError: a bug in the worker.
         """
-        with self._lock:
-            worker = max(self._idle, key=_Worker.readiness)  # never empty: admitted calls do not exceed workers
-            self._idle.remove(worker)
+        worker = self._take(stop)
         try:
             return worker.run(task, stop, report, enter)
         finally:
-            if not self.closed:
-                worker.renew()
-            with self._lock:
-                self._idle.append(worker)
+            if worker.usable:
+                self._put(worker)
+            else:
+                self._end(worker)
+                successor = self._new()
+                successor.start()
+                self._put(successor)
 
     def close(self) -> None:
         """End all workers."""
         self.closed = True
-        for worker in self._workers:
+        for worker in tuple(self._workers):
             worker.kill()
 
     def remove_socket(self) -> None:
@@ -165,44 +147,104 @@ class WorkerPool:
             with contextlib.suppress(OSError):  # a read-only file system has none
                 shutil.rmtree(multiprocessing.util.get_temp_dir(), ignore_errors=True)
 
+    def _take(self, stop: Stop) -> _Worker:
+        """Take an idle worker and wait for its models; start another one if the system kills it meanwhile.
+
+        Raises:
+            CallError: no process starts.
+            CallStoppedError: a stop was requested; loading continues.
+        """
+        for _ in range(2):
+            with self._lock:
+                ended = [each for each in self._idle if each.has_failed]
+                self._idle = [each for each in self._idle if each not in ended]
+                worker = max(self._idle, key=lambda each: (each.loaded, each.process is not None), default=None)
+                if worker is not None:
+                    self._idle.remove(worker)
+            for each in ended:
+                self._end(each)
+            worker = worker or self._new()
+            try:
+                worker.start()
+                worker.await_loaded(stop)
+            except CallStoppedError:  # loading continues
+                self._put(worker)
+                raise
+            except Exception:  # no thread, for example
+                self._end(worker)
+                raise
+            if worker.usable:
+                return worker
+            self._end(worker)
+            if not worker.was_killed or self.closed:
+                break
+        raise CallError(
+            "worker_unavailable",
+            "this server's worker process does not start; the image is not the cause. Try again in a while; if that "
+            "does not help, its operator must check the server's log.",
+        )
+
+    def _new(self) -> _Worker:
+        worker = _Worker(self)
+        with self._lock:
+            self._workers.append(worker)
+        return worker
+
+    def _put(self, worker: _Worker) -> None:
+        with self._lock:
+            self._idle.append(worker)
+
+    def _end(self, worker: _Worker) -> None:
+        with self._lock:
+            self._workers.remove(worker)
+        worker.end()
+
 
 class _Worker:
-    """One worker: a process and its successors."""
+    """One worker: a process that is started once."""
 
     def __init__(self, pool: WorkerPool) -> None:
         self._pool = pool
-        self._lock = threading.RLock()
+        self._lock = threading.Lock()
+        self._settled = threading.Event()  # its models are loaded, or it has failed
+        self._waits = self._killed = False
         self._connection: Connection | None = None
         self.process: BaseProcess | None = None
         self.loaded = False
-        self.failure: str | None = None
-        self._lost = False  # killed or ended during a call, even if the system still counts it as alive
 
     @property
-    def _runs(self) -> bool:
-        return self.process is not None and self.process.is_alive() and not self._lost
+    def usable(self) -> bool:
+        """Whether the process waits for a task."""
+        return self._waits and not self._killed and self.process is not None and self.process.is_alive()
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether it will run no task any more."""
+        return self._settled.is_set() and not self.usable
+
+    @property
+    def was_killed(self) -> bool:
+        """Whether a signal ended the process."""
+        return self.process is not None and (self.process.exitcode or 0) < 0
 
     def start(self) -> None:
-        """Start a process if none runs, or if the models of the running one failed to load."""
+        """Start the process, once."""
         with self._lock:
-            if self._runs and not self.failure:
+            if self.process is not None or self._settled.is_set() or self._pool.closed:
                 return
-            self.kill()
-            self._reap()
             context = _start_context()
-            ours, theirs = context.Pipe()
+            self._connection, theirs = context.Pipe()
             log, written = context.Pipe(duplex=False)
             process = context.Process(
                 target=serve_tasks,
-                args=(theirs, written, self._pool._make_services, self._pool._limits),
+                args=(theirs, written, self._pool.make_services, self._pool.limits),
                 name="vehanchor-worker",
+                daemon=True,
             )
-            process.daemon = True
             try:
                 with minimal_environment():
                     process.start()
             except (OSError, EOFError) as error:  # no memory, no free process, or a missing fork server
-                ours.close()
                 log.close()
                 self._fail(f"no process can be started: {error!r}")
                 return
@@ -210,140 +252,89 @@ class _Worker:
                 theirs.close()
                 written.close()
             forward_log(log, process.pid or 0)
-            self.process, self._connection = process, ours
+            self.process = process
+            if self._pool.closed:
+                self.kill()
+        threading.Thread(target=self._load, name="vehanchor-loading", daemon=True).start()
 
     def kill(self) -> None:
         """Kill the process."""
-        process = self.process
-        if process is not None:
-            process.kill()
+        self._killed = True
+        if self.process is not None:
+            self.process.kill()
 
-    def renew(self) -> None:
-        """Replace an ended process; one that never loaded is replaced by the next call."""
-        if self.process is not None and not self._runs and self.loaded:
-            self.start()
-
-    def readiness(self) -> int:
-        """Return 2 for loaded models, 1 for a running process, 0 for none."""
-        if not self._runs:
-            return 0
-        self.poll_loaded()
-        return 2 if self.loaded else 1
-
-    def poll_loaded(self) -> None:
-        """Check, without blocking, whether the models are loaded."""
-        if not self.loaded and self._lock.acquire(blocking=False):
-            try:
-                with contextlib.suppress(EOFError):
-                    self._receive_loaded(0)
-            finally:
-                self._lock.release()
+    def end(self) -> None:
+        """Kill the process and release what it held."""
+        self.kill()
+        if self.process is not None:
+            self.process.join(_ENDS_WITHIN_S)
+        if self._connection is not None:
+            self._connection.close()
 
     def await_loaded(self, stop: Stop) -> None:
-        """Wait until the models are loaded.
+        """Wait until the models are loaded, or the process has failed.
 
         Raises:
-            CallStoppedError: a stop was requested; loading continues.
-            EOFError: the process ended.
+            CallStoppedError: a stop was requested.
         """
-        while not self.loaded:
+        while not self._settled.wait(_POLL_S):
             stop.check()
-            with self._lock:
-                self._receive_loaded(_POLL_S)
 
-    def _receive_loaded(self, wait_s: float) -> None:
-        if self.loaded:
-            return
+    def _load(self) -> None:
+        """Wait for the worker's first message, in a thread."""
+        assert self.process is not None
+        assert self._connection is not None
         try:
-            if self._connection is None:  # not started
-                if self.failure:
-                    raise EOFError
-                return
-            if self._connection.poll(wait_s):
-                message, _ = receive(self._connection)
-                if not isinstance(message, Loaded):
-                    self._fail(message.traceback if isinstance(message, Broken) else f"it sent {message.kind}")
-                    raise EOFError
-                self.failure = message.failure
-                self.loaded = True
-                self._pool.log_once(*_confinement_message(message))
+            message = receive(self._connection)
         except (EOFError, OSError, MessageError):
-            self._fail("")
-            raise EOFError from None
+            self.process.join(_ENDS_WITHIN_S)
+            self._fail(f"it ended with exit code {self.process.exitcode} during startup")
+            return
+        if not isinstance(message, Loaded):
+            self._fail(message.traceback if isinstance(message, Failed) else f"it sent {message.kind}")
+            return
+        self._pool.failure = message.failure
+        self._pool.log_once(*_confinement_message(message))
+        self.loaded = self._waits = True
+        self._settled.set()
 
     def _fail(self, reason: str) -> None:
-        """Record and log that the process failed before its first task."""
-        if self.failure is None:
-            self.failure = "worker_unavailable"
-            if not reason and self.process is not None:
-                self.process.join(_ENDS_WITHIN_S)
-                reason = f"it ended with exit code {self.process.exitcode} during startup"
+        if not self._pool.closed:
+            self._pool.failure = "worker_unavailable"
             self._pool.log_once(logging.ERROR, f"a worker cannot start: {reason}")
+        self._settled.set()
 
     def run(
-        self,
-        task: Task[Record],
-        stop: Stop,
-        report: Callable[[float, str], None],
-        enter: Callable[[str], None],
+        self, task: Task[Record], stop: Stop, report: Callable[[float, str], None], enter: Callable[[str], None]
     ) -> Answer[Record]:
-        """Run a task.
+        """Run a task; a stop request kills the process.
 
         Raises:
             CallError: the process ended, or the work failed.
             CallStoppedError: a stop was requested.
             WorkerFailedError: a bug in the worker.
         """
-        self._start_and_wait(stop)
         assert self.process is not None
         assert self._connection is not None
-        turn = _KillOnStop(self.process, stop)
-        try:
-            with turn:
-                stop.check()
-                try:
-                    send_task(self._connection, task)
-                    return self._listen(self._connection, task, turn, report, enter)
-                except MessageError as error:
-                    _logger.error("a worker sent an invalid message: %s", error)
-                    self.process.kill()
-                    raise self._ended() from error
-                except (EOFError, OSError) as error:  # a broken pipe: the process ended
-                    self.process.join(_ENDS_WITHIN_S)
-                    stop.check()
-                    raise self._ended() from error
-        finally:
-            self._lost = turn.killed
-
-    def _start_and_wait(self, stop: Stop) -> None:
-        """Start the process and wait for its models; retry once if it is killed from outside.
-
-        Raises:
-            CallError: the process does not start.
-            CallStoppedError: a stop was requested.
-        """
-        for last in (False, True):
+        self._waits = False
+        with stop.calling(self.kill):
             stop.check()
-            self.start()
             try:
-                self.await_loaded(stop)
-                return
-            except EOFError:
-                killed = self.process is not None and (self.process.exitcode or 0) < 0
-                if last or not killed or self._pool.closed:
-                    break
-        raise CallError(
-            "worker_unavailable",
-            "this server's worker process does not start; the image is not the cause. Try again in a while; if that "
-            "does not help, its operator must check the server's log.",
-        )
+                self._connection.send(task)
+                return self._listen(self._connection, task, report, enter)
+            except MessageError as error:
+                _logger.error("a worker sent an invalid message: %s", error)
+                raise self._ended() from error
+            except (EOFError, OSError) as error:  # a broken pipe: the process ended
+                self.process.join(_ENDS_WITHIN_S)
+                stop.check()
+                _logger.warning("a worker ended during a call: exit code %s", self.process.exitcode)
+                raise self._ended() from error
 
-    def _ended(self) -> CallError:
-        if self.process is not None:
-            self.process.join(_ENDS_WITHIN_S)
-            _logger.warning("a worker ended during a call: exit code %s", self.process.exitcode)
+    @staticmethod
+    def _ended() -> CallError:
         return CallError(
-            "worker_killed",
+            WORKER_KILLED,
             "the worker process ended: it used too much memory or time, or crashed. Try again, or send another image.",
         )
 
@@ -351,44 +342,28 @@ class _Worker:
         self,
         connection: Connection,
         task: Task[Record],
-        turn: _KillOnStop,
         report: Callable[[float, str], None],
         enter: Callable[[str], None],
     ) -> Answer[Record]:
         while True:
-            message, parts = receive(connection)
+            message = receive(connection)
             match message:
                 case Progressed():
                     report(message.percent, message.message)
                 case Entered():
                     enter(message.stage)
                 case Answered():
-                    answer = read_answer(message, parts, task)
-                    turn.over = True
+                    answer = receive_answer(connection, message, task.work.record)
+                    self._waits = True
                     return answer
                 case Refused():
-                    turn.over = True
+                    self._waits = message.code != WORKER_KILLED
                     raise CallError(message.code, message.message)
                 case Failed():
-                    turn.over = True
+                    self._waits = True
                     raise WorkerFailedError(message.traceback)
-                case Exhausted():
-                    raise CallError(
-                        "worker_killed",
-                        "the image needs more memory than this server allows. Send a smaller image.",
-                    )
                 case _:
                     raise MessageError(f"{message.kind} during a call")
-
-    def _reap(self) -> None:
-        """Release an ended process."""
-        if self.process is not None:
-            self.process.join()
-            self.process.close()
-        if self._connection is not None:
-            self._connection.close()
-        self.process = self._connection = self.failure = None
-        self.loaded = self._lost = False
 
 
 def _confinement_message(loaded: Loaded) -> tuple[int, str]:
@@ -410,39 +385,3 @@ def _start_context() -> ForkServerContext | SpawnContext:
             context.set_forkserver_preload([serve_tasks.__module__, "vehanchor_server.services", *SLOW_IMPORTS])
             return context
     return multiprocessing.get_context("spawn")
-
-
-class _KillOnStop:
-    """Context manager of one call in a process: a stop request kills the process, but not after the call.
-
-    If the block ends before the process has answered, the state of the process is unknown; it is killed too.
-
-    Attributes:
-        over: whether the process has answered and waits for the next call.
-        killed: whether the process was killed, or had ended by itself.
-    """
-
-    def __init__(self, process: BaseProcess, stop: Stop) -> None:
-        self._process = process
-        self._lock = threading.Lock()
-        self._has_turn = True
-        self.killed = False
-        self.over = False
-        stop.on_request(self._kill)
-
-    def __enter__(self) -> _KillOnStop:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if not self.over:
-            self._kill()
-        with self._lock:
-            self._has_turn = False
-        if self.killed:
-            self._process.join(_ENDS_WITHIN_S)
-
-    def _kill(self) -> None:
-        with self._lock:
-            if self._has_turn:
-                self.killed = True
-                self._process.kill()

@@ -138,7 +138,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
     )
 
 
-@work(_Question, GsdEstimate)
+@work(GsdEstimate)
 def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Question) -> Answer[GsdEstimate]:
     """Search the image and estimate its scale, in a worker process or thread.
 

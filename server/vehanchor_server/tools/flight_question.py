@@ -66,7 +66,7 @@ class FlightQuestion:
     same_scale: bool
 
 
-@work(FlightQuestion, GsdEstimate)
+@work(GsdEstimate)
 def estimate_with_flight(
     services: Services,
     job: Job,

@@ -164,7 +164,7 @@ def _size(record: AreaMeasurement) -> tuple[int, int]:
     return record.image_width_px, record.image_height_px
 
 
-@work(_Question, AreaMeasurement)
+@work(AreaMeasurement)
 def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[AreaMeasurement]:
     """Segment the objects and measure them, in a worker process or thread.
 
@@ -176,7 +176,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.area import analyse_objects
     from vehanchor.pictures.area import cut_to_objects, draw_area
-    from vehanchor_server.app_page.panel import drawing_of, length_histogram
+    from vehanchor_server.app_page.panel import drawing_of
     from vehanchor_server.calls.overlay import draw_pictures
 
     prompts = [_prompt(target) for target in question.targets]  # refuse invalid prompts before the work
@@ -196,10 +196,9 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
         first = found[0]
         cut = cut_to_objects(found, question.wanted.long_side_px)
         pictures = draw_pictures(raster, job, question.wanted, lambda seen: draw_area(seen, *found, cut=cut), cut.part)
-    histogram = None if first.scale is None else length_histogram(first.scale)
     drawing = drawing_of(first.scale) if question.wanted.page and first.scale is not None else None
     measured = tuple(each.measurement for each in found)
-    return Answer(measured, pictures.overlay, histogram, pictures.page, drawing)
+    return Answer(measured, pictures.overlay, pictures.page, drawing)
 
 
 def _prompt(target: Target) -> "Prompt":

@@ -147,7 +147,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
     )
 
 
-@work(_Question, DistanceMeasurement)
+@work(DistanceMeasurement)
 def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[DistanceMeasurement]:
     """Measure the lines, in a worker process or thread.
 
@@ -159,7 +159,6 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.distance import analyse_paths, read_path
     from vehanchor.pictures.distance import cut_to_lines, draw_distance
-    from vehanchor_server.app_page.panel import length_histogram
     from vehanchor_server.calls.overlay import draw_pictures
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
@@ -178,8 +177,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
         overlay = draw_pictures(
             raster, job, question.wanted, lambda seen: draw_distance(seen, *found, cut=cut), cut.part
         ).overlay
-    histogram = None if found[0].scale is None else length_histogram(found[0].scale)
-    return Answer(measured, overlay, histogram)
+    return Answer(measured, overlay)
 
 
 def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> str:

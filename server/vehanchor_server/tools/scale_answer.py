@@ -29,11 +29,11 @@ def scale_answer(
         CallStoppedError: the call was stopped.
     """
     from vehanchor.pictures.scale import draw_overlay
-    from vehanchor_server.app_page.panel import drawing_of, length_histogram
+    from vehanchor_server.app_page.panel import drawing_of
     from vehanchor_server.calls.overlay import Pictures, draw_pictures
 
     pictures = Pictures()
     if raster is not None:
         pictures = draw_pictures(raster, job, wanted, lambda seen: draw_overlay(seen, analysis))
     drawing = drawing_of(analysis) if wanted.page else None
-    return Answer((analysis.estimate,), pictures.overlay, length_histogram(analysis), pictures.page, drawing)
+    return Answer((analysis.estimate,), pictures.overlay, pictures.page, drawing)

@@ -128,7 +128,7 @@ def _result(words: str, seen: ViewedImage, jpeg: bytes | None) -> CallToolResult
     return CallToolResult(content=content, structured_content=seen.model_dump(mode="json", exclude_none=True))
 
 
-@work(_ViewRequest, ViewedImage)
+@work(ViewedImage)
 def _view(services: Services, job: Job, source: OpenedImage, request: _ViewRequest) -> Answer[ViewedImage]:
     """Draw the picture, in a worker process or thread.
 

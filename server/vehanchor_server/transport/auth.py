@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
+import json
 import logging
+import math
 import os
 import stat
 import time
@@ -22,11 +25,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MIN_TOKEN_CHARS = 16  # shorter tokens can be guessed
-KEYS_AGE_S = 3600.0  # maximum age of fetched keys
-KEYS_RETRY_S = 30.0  # minimum interval between fetches, also for unknown keys
+KEYS_REFRESH_S = 3600.0  # age at which keys are fetched again, beside the calls
+KEYS_RETRY_S = 30.0  # minimum interval between fetches, also for unknown keys and after a failure
+FETCH_S = 5.0  # for both documents together
+MAX_DOCUMENT_BYTES = 64 << 10
 _ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "EdDSA")
 _LEEWAY_S = 30
-_FETCH_TIMEOUT_S = 10.0
 
 _logger = logging.getLogger(__name__)
 
@@ -40,7 +44,7 @@ def token_verifier(settings: Settings) -> TokenVerifier | None:
     if settings.token_file is not None:
         return StaticTokenVerifier(read_tokens(settings.token_file))
     if settings.oidc_issuer is not None and settings.oidc_audience is not None:
-        return OidcVerifier(settings.oidc_issuer, settings.oidc_audience)
+        return OidcVerifier(settings.oidc_issuer, settings.oidc_audience, max_key_age_s=settings.oidc_max_key_age_s)
     return None
 
 
@@ -91,10 +95,17 @@ def _digest(token: str) -> bytes:
 
 
 async def _get_json(url: str) -> dict[str, Any]:
-    async with httpx.AsyncClient(timeout=_FETCH_TIMEOUT_S, follow_redirects=False) as client:
-        answer = await client.get(url)
+    body = b""
+    async with (
+        httpx.AsyncClient(timeout=FETCH_S, follow_redirects=False) as client,
+        client.stream("GET", url, headers={"Accept-Encoding": "identity"}) as answer,
+    ):
         answer.raise_for_status()
-        document = answer.json()
+        async for part in answer.aiter_raw():
+            body += part
+            if len(body) > MAX_DOCUMENT_BYTES:
+                raise ValueError(f"a document of more than {MAX_DOCUMENT_BYTES} bytes")
+    document = json.loads(body)
     if not isinstance(document, dict):
         raise ValueError("not a JSON object")
     return document
@@ -103,21 +114,31 @@ async def _get_json(url: str) -> dict[str, Any]:
 class OidcVerifier(TokenVerifier):
     """Verifier of JWTs that an OpenID Connect issuer signed for this server.
 
+    A caller whose key is known never waits for the issuer. An unknown key makes its caller wait for a fetch, unless one
+    runs or ran a moment ago.
+
     Args:
         issuer: the issuer's URL; ``/.well-known/openid-configuration`` below it has the address of the keys.
         audience: required member of ``aud``.
+        max_key_age_s: seconds after which keys end if they cannot be fetched again.
         get_json: fetches a JSON document.
     """
 
     def __init__(
-        self, issuer: str, audience: str, *, get_json: Callable[[str], Awaitable[dict[str, Any]]] = _get_json
+        self,
+        issuer: str,
+        audience: str,
+        *,
+        max_key_age_s: float = 86400.0,
+        get_json: Callable[[str], Awaitable[dict[str, Any]]] = _get_json,
     ) -> None:
         self._issuer = issuer
         self._audience = audience
+        self._max_key_age_s = max_key_age_s
         self._get_json = get_json
         self._keys: dict[str | None, jwt.PyJWK] = {}
-        self._fetched_at = -KEYS_AGE_S
-        self._lock: anyio.Lock | None = None
+        self._fetched_at = self._tried_at = -math.inf
+        self._fetch: asyncio.Task[None] | None = None
 
     async def verify_token(self, token: str) -> AccessToken | None:
         """Return the access of a token, or None; the log has the cause."""
@@ -151,30 +172,41 @@ class OidcVerifier(TokenVerifier):
         )
 
     async def _key(self, kid: str | None) -> jwt.PyJWK:
-        """Return the issuer's key; fetch the keys again for an unknown one, at a limited rate."""
-        if self._lock is None:
-            self._lock = anyio.Lock()
-        async with self._lock:
-            age = time.monotonic() - self._fetched_at
-            if age > KEYS_AGE_S or (kid not in self._keys and age > KEYS_RETRY_S):
-                await self._fetch_keys()
+        """Return the issuer's key.
+
+        Raises:
+            jwt.InvalidKeyError: the issuer has no such key, or its keys ended.
+        """
+        if self._keys and time.monotonic() - self._fetched_at > self._max_key_age_s:
+            _logger.warning("the keys of %s ended %g s after their last fetch", self._issuer, self._max_key_age_s)
+            self._keys = {}
+        known, fetch, now = kid in self._keys, self._fetch, time.monotonic()
+        if now - self._tried_at > KEYS_RETRY_S and (not known or now - self._fetched_at > KEYS_REFRESH_S):
+            self._tried_at = now
+            fetch = self._fetch = asyncio.create_task(self._fetch_keys())  # goes on if its caller hangs up
+        elif self._keys:
+            fetch = None
+        if fetch is not None and not known:
+            await asyncio.shield(fetch)
         if kid not in self._keys:
             raise jwt.InvalidKeyError("the issuer has no such key")
         return self._keys[kid]
 
     async def _fetch_keys(self) -> None:
-        self._fetched_at = time.monotonic()
+        address = self._issuer.rstrip("/") + "/.well-known/openid-configuration"
         try:
-            configuration = await self._get_json(self._issuer.rstrip("/") + "/.well-known/openid-configuration")
-            if configuration.get("issuer") != self._issuer:
-                raise ValueError(f"the document belongs to {configuration.get('issuer')!r}")
-            address = str(configuration["jwks_uri"])
-            if not address.startswith("https://"):
-                raise ValueError("jwks_uri is not https")
-            found = jwt.PyJWKSet.from_dict(await self._get_json(address)).keys
+            with anyio.fail_after(FETCH_S):
+                configuration = await self._get_json(address)
+                if configuration.get("issuer") != self._issuer:
+                    raise ValueError(f"the document belongs to {configuration.get('issuer')!r}")
+                address = str(configuration["jwks_uri"])
+                if not address.startswith("https://"):
+                    raise ValueError("jwks_uri is not https")
+                found = jwt.PyJWKSet.from_dict(await self._get_json(address)).keys
             self._keys = {key.key_id: key for key in found if key.public_key_use in (None, "sig")}
-        except (httpx.HTTPError, jwt.PyJWTError, KeyError, ValueError, OSError) as error:
-            _logger.error("the keys of %s cannot be fetched: %s", self._issuer, error)
+            self._fetched_at = time.monotonic()
+        except Exception as error:  # whatever the issuer sends
+            _logger.error("the keys of %s cannot be fetched: %r", self._issuer, error)
 
 
 def _scopes(claim: object) -> list[str]:

@@ -22,24 +22,17 @@ from starlette.routing import Route
 
 from vehanchor_server.app import create_server
 from vehanchor_server.request_log import configure_logging
-from vehanchor_server.services import Services, concurrent_calls, create_services
+from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.auth import token_verifier
-from vehanchor_server.transport.connections import (
-    MAX_HEAD_BYTES,
-    ConnectionLimits,
-    LimitedProtocol,
-    within_open_files,
-)
-from vehanchor_server.transport.lingering_close import LingeringClose
 from vehanchor_server.transport.request_guard import RequestGuard
-from vehanchor_server.transport.supervisor import end_with_supervisor
 
 MCP_PATH = "/mcp"
 _SETTINGS_OF_WORKERS = "VEHANCHOR_SETTINGS_OF_WORKERS"  # JSON in one variable, because lists need no separators there
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 _SHUTDOWN_S = 5  # time for running calls after a stop
-_KEEP_ALIVE_S = 30
+_KEEP_ALIVE_S = 5  # above the proxy's 3 s in examples/deploy/nginx.conf, so that no call meets a closed connection
+_MAX_HEAD_BYTES = 32 << 10
 _SPARE_BODIES = 2  # besides one per call: a call's slot is free shortly before its body
 
 
@@ -55,7 +48,6 @@ def create_app(settings: Settings | None = None) -> Starlette:
     """
     if settings is None:
         configure_logging()
-        end_with_supervisor()
         handed_down = os.environ.get(_SETTINGS_OF_WORKERS)
         settings = Settings.from_json(handed_down) if handed_down else Settings.from_environment()
     settings.check_exposure()
@@ -86,7 +78,6 @@ def create_app(settings: Settings | None = None) -> Starlette:
         origins=security.allowed_origins,
         max_large_bodies=services.capacity.max_concurrency + _SPARE_BODIES,
     )
-    app.add_middleware(LingeringClose, max_bytes=2 * settings.max_body_bytes)  # outermost: any layer can answer early
     app.router.lifespan_context = partial(_closing, services, app.router.lifespan_context)
     app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # probes have no token
     return app
@@ -117,7 +108,6 @@ def serve_http(settings: Settings) -> None:
     settings.check_exposure()
     token_verifier(settings)  # report an invalid token file before listening
     configure_logging()
-    limits, backlog = within_open_files(_connection_limits(settings), concurrent_calls(settings))
     os.environ[_SETTINGS_OF_WORKERS] = settings.to_json()
     try:
         uvicorn.run(
@@ -126,9 +116,8 @@ def serve_http(settings: Settings) -> None:
             host=settings.host,
             port=settings.port,
             workers=settings.workers,
-            http=partial(LimitedProtocol, limits=limits),  # type: ignore[arg-type] # as it is called
-            backlog=backlog,
-            h11_max_incomplete_event_size=MAX_HEAD_BYTES,
+            http="h11",  # httptools has no limit on the head
+            h11_max_incomplete_event_size=_MAX_HEAD_BYTES,
             log_config=None,
             access_log=False,
             server_header=False,
@@ -137,14 +126,6 @@ def serve_http(settings: Settings) -> None:
         )
     finally:
         del os.environ[_SETTINGS_OF_WORKERS]
-
-
-def _connection_limits(settings: Settings) -> ConnectionLimits:
-    return ConnectionLimits(
-        total=settings.max_connections,
-        per_address=settings.max_connections_per_address,
-        body_s=settings.body_timeout_s,
-    )
 
 
 def _auth(settings: Settings) -> AuthSettings:

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING
 from starlette.datastructures import Headers
 from starlette.responses import Response
 
-from vehanchor_server.transport.connections import MAX_HEAD_BYTES
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -24,7 +22,6 @@ if TYPE_CHECKING:
 
 MAX_SEPARATORS = 10_000  # commas and colons; a path has up to 4,096, a call with 32 points about 250
 MAX_NESTED = 150  # opening braces and brackets; a call with 32 points has about 40, pydantic's limit is 200
-_HEADER_MARKS = 4  # colon, space and line end
 _SMALL_BYTES = 64 << 10  # a body that needs no slot; uvicorn buffers as much in any case
 _INVALID_REQUEST, _BUSY = -32600, -32000  # of JSON-RPC
 _AUTHORITY = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(:(?P<port>[0-9]{1,5}))?", re.ASCII)
@@ -72,7 +69,7 @@ class _Body:
 
 
 class RequestGuard:
-    """ASGI middleware of the MCP endpoint. Other paths pass unless the request head is too large.
+    """ASGI middleware of the MCP endpoint. Other paths pass.
 
     Args:
         app: the application.
@@ -94,10 +91,6 @@ class RequestGuard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] == "http" and _head_bytes(scope) > MAX_HEAD_BYTES:  # uvicorn limits incomplete heads only
-            too_large = {"Connection": "close"}
-            await Response("Request head too large", status_code=431, headers=too_large)(scope, receive, send)
-            return
         if scope["type"] != "http" or scope["path"].rstrip("/") != self._path:
             await self._app(scope, receive, send)
             return
@@ -145,7 +138,7 @@ class RequestGuard:
             refusal = _refusal(refused)
         finally:
             self._n_large_bodies -= body.has_place
-        if refusal is not None and not answered:  # the slot is free; the rest of the body is discarded
+        if refusal is not None and not answered:  # the slot is free; uvicorn discards the rest of the body
             await refusal(scope, receive, send)
 
     def _ask_for_place(self, body: _Body, n_bytes: int) -> None:
@@ -162,18 +155,10 @@ class RequestGuard:
         body.has_place = True
 
 
-def _head_bytes(scope: Scope) -> int:
-    """Return the size of a request's target and headers."""
-    target = len(scope.get("raw_path") or b"") + len(scope.get("query_string") or b"")
-    return target + sum(len(name) + len(value) + _HEADER_MARKS for name, value in scope["headers"])
-
-
 def _refusal(refused: _RefusedError) -> Response:
     """Build the answer to a refused request, whose id is unknown."""
     error = {"jsonrpc": "2.0", "id": None, "error": {"code": refused.code, "message": str(refused)}}
-    headers = {"Connection": "close"}
-    if refused.status == 503:
-        headers["Retry-After"] = "2"
+    headers = {"Retry-After": "2"} if refused.status == 503 else None
     return Response(json.dumps(error), refused.status, headers, "application/json")
 
 

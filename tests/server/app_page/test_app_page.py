@@ -18,11 +18,9 @@ from mcp.server import MCPServer
 from mcp.server.apps import APP_MIME_TYPE, EXTENSION_ID
 from mcp.types import CallToolResult, ImageContent, TextResourceContents
 
-from tests.analyses import make_analysis
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path
 from vehanchor_server.app_page import APP_URI, PANEL_KEY, page, page_html, view_html
-from vehanchor_server.app_page.panel import LengthHistogram, length_histogram
 
 CAR_AXIS = {"x1": 100.0, "y1": 480.0, "x2": 132.0, "y2": 480.0}  # where cars.png has none
 SHOWS_PAGES = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
@@ -78,7 +76,6 @@ async def test_the_page_gets_the_image_and_what_belongs_over_it_and_the_model_a_
     assert isinstance(asked.content[1], ImageContent)
     assert plain.content == shown.content == asked.content[::2]
     assert plain.structured_content == shown.structured_content == asked.structured_content
-    assert panel_of(plain)["histogram"]["bins"]
 
 
 def decoded(jpeg: str) -> np.ndarray:
@@ -147,104 +144,10 @@ async def test_the_page_gets_the_whole_record_where_the_model_gets_a_short_one(
     assert panel_of(plain)["record"] is None
 
 
-@pytest.mark.anyio
-async def test_a_measured_scale_has_no_histogram(server: MCPServer[object], images: Path) -> None:
-    arguments = {
-        **by_path(images / "pool.png"),
-        "target": {"box": POOL_BOX},
-        "gsd_m_per_px": 0.2,
-        "gsd_basis": "measured",
-    }
-    async with Client(server) as client:
-        result = await client.call_tool("measure_area", arguments)
-    assert panel_of(result)["histogram"] is None
-
-
 def panel_of(result: CallToolResult) -> dict[str, Any]:
     assert result.meta is not None
     panel: dict[str, Any] = result.meta[PANEL_KEY]
     return panel
-
-
-# --- The histogram ---------------------------------------------------------------------------------------------------
-
-
-def boxes_of(*lengths: float) -> np.ndarray:
-    rows = np.zeros((len(lengths), 5))
-    rows[:, :2] = 500
-    rows[:, 2] = lengths
-    rows[:, 3] = 10
-    return rows
-
-
-def histogram_of(*lengths: float, **options: Any) -> LengthHistogram:
-    histogram = length_histogram(make_analysis(boxes_of(*lengths), 1000, 1000, **options))
-    assert histogram is not None
-    return histogram
-
-
-def edges_of(histogram: LengthHistogram) -> np.ndarray:
-    return histogram.start_px + histogram.bin_px * np.arange(len(histogram.bins) + 1)
-
-
-def test_every_length_is_in_its_bin() -> None:
-    lengths = np.random.default_rng(1).normal(33, 2, 60)
-    histogram = histogram_of(*lengths)
-    assert [each.kept for each in histogram.bins] == list(np.histogram(lengths, edges_of(histogram))[0])
-    assert all(each.dropped == 0 for each in histogram.bins)
-    assert histogram.beyond == 0
-
-
-def test_the_density_peaks_at_the_modal_length_and_counts_vehicles() -> None:
-    lengths = np.random.default_rng(2).normal(33, 2, 60)
-    histogram = histogram_of(*lengths)
-    edges = edges_of(histogram)
-    points = np.linspace(edges[0], edges[-1], len(histogram.density))
-    mode = make_analysis(boxes_of(*lengths), 1000, 1000).estimate.mode_length_px
-    assert points[np.argmax(histogram.density)] == pytest.approx(mode, abs=points[1] - points[0])
-    assert np.trapezoid(histogram.density, points) / histogram.bin_px == pytest.approx(60, rel=0.01)
-
-
-def test_outliers_are_counted_apart_and_the_longest_beside_the_axis() -> None:
-    histogram = histogram_of(*[30.0 + 0.1 * i for i in range(20)], 50, 60, 900)
-    assert sum(each.kept for each in histogram.bins) == 20
-    assert sum(each.dropped for each in histogram.bins) == 2
-    assert histogram.beyond == 1
-    assert edges_of(histogram)[-1] < 100
-
-
-@pytest.mark.parametrize("length", [8.0, 60.0])
-def test_the_guards_length_is_on_the_axis(length: float) -> None:
-    histogram = histogram_of(*[length + 0.1 * i for i in range(20)])
-    edges = edges_of(histogram)
-    assert histogram.guard_px == pytest.approx(5.045 / 0.3)
-    assert edges[0] < histogram.guard_px < edges[-1]
-    assert sum(each.kept for each in histogram.bins) == 20
-
-
-@pytest.mark.parametrize("lengths", [(33.0,), (33.0, 33.0, 33.0), (5.045 / 0.3,), (33.0,) * 8])
-def test_lengths_without_a_spread_have_bins_and_no_density(lengths: tuple[float, ...]) -> None:
-    histogram = histogram_of(*lengths)
-    assert sum(each.kept for each in histogram.bins) == len(lengths)
-    assert histogram.density == ()
-
-
-def test_a_median_has_no_density_and_a_weighted_mode_has() -> None:
-    lengths = [30.0, 31, 32, 33, 34, 35]
-    assert histogram_of(*lengths, aggregation="median").density == ()
-    plain, weighted = (histogram_of(*lengths, aggregation=name).density for name in ("kde", "weighted_kde"))
-    assert len(weighted) == len(plain) > 0
-    assert max(weighted) < max(plain)  # it is the smoother of the two
-
-
-def test_no_vehicles_have_no_histogram() -> None:
-    assert length_histogram(make_analysis(boxes_of(), 1000, 1000)) is None
-
-
-def test_the_histogram_is_small_however_many_vehicles_there_are() -> None:
-    histogram = histogram_of(*np.random.default_rng(3).lognormal(3.5, 0.6, 20_000))
-    assert len(histogram.bins) <= 42
-    assert len(histogram.model_dump_json()) < 4000
 
 
 # --- The document ----------------------------------------------------------------------------------------------------

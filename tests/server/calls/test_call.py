@@ -47,6 +47,7 @@ async def test_progress_is_reported_three_to_five_times_and_rises(
     assert reports[-1] == 100
 
 
+@pytest.mark.promise("places")
 async def test_over_capacity_a_call_is_refused_at_once(
     settings: Settings, images: Path, tiles: Tiles, era: str
 ) -> None:

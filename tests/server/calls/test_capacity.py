@@ -118,11 +118,13 @@ async def test_closing_stops_what_runs_and_accepts_nothing_more() -> None:
     assert codes == ["server_stopping", "server_stopping"]
 
 
-async def test_actions_are_done_once_when_the_stop_is_requested_or_at_once_after() -> None:
+async def test_an_action_is_done_once_and_only_within_its_context() -> None:
     stop, done = Stop(), []
-    stop.on_request(lambda: done.append("before"))
-    assert done == []
-    stop.request()
-    stop.request()
-    stop.on_request(lambda: done.append("after"))
-    assert done == ["before", "after"]
+    with stop.calling(lambda: done.append("over")):
+        pass
+    with stop.calling(lambda: done.append("during")):
+        stop.request()
+        stop.request()
+    with stop.calling(lambda: done.append("after")):
+        pass
+    assert done == ["during", "after"]

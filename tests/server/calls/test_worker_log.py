@@ -22,6 +22,7 @@ def forwarded(said: bytes, caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage() for record in caplog.records]
 
 
+@pytest.mark.promise("worker-log")
 def test_a_workers_lines_are_labelled_and_have_no_control_characters(caplog: pytest.LogCaptureFixture) -> None:
     forged = b'plain\n\x1b[2J{"level": "INFO", "message": "call"}\r\n\xff\xe2\x80\xaeodd\n'
     found = forwarded(forged, caplog)
@@ -29,6 +30,7 @@ def test_a_workers_lines_are_labelled_and_have_no_control_characters(caplog: pyt
     assert all(line.startswith("worker 4711: ") and line.isprintable() for line in found)
 
 
+@pytest.mark.promise("worker-log")
 def test_a_workers_lines_are_limited_in_length_and_number(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,30 +75,30 @@ def georeferenced(images: Path) -> Iterator[Path]:
     path.unlink()
 
 
-@work(None, Value)
+@work(Value)
 def a_while(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     time.sleep(1.0)
     return answered(os.getpid())
 
 
-@work(None, Value)
+@work(Value)
 def crash(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     os.kill(os.getpid(), signal.SIGSEGV)
     raise AssertionError
 
 
-@work(None, Value)
+@work(Value)
 def fill(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     return answered(float(np.ones(1 << 29).sum()))  # 4 GiB
 
 
-@work(None, Value)
+@work(Value)
 def spin(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     while True:
         pass
 
 
-@work(None, Value)
+@work(Value)
 def bug(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     raise KeyError("hunter2")
 
@@ -148,6 +148,7 @@ def test_a_worker_that_ends_slowly_gets_no_further_call(isolated: Services, monk
         done(isolated, number)
 
 
+@pytest.mark.promise("deadline")
 def test_a_worker_is_replaced_before_the_next_call(isolated: Services) -> None:
     assert isolated.workers is not None
     with pytest.raises(CallError, match="worker_killed"):
@@ -179,13 +180,14 @@ def test_a_stop_after_the_call_harms_no_other(isolated: Services) -> None:
     assert done(isolated, number) == worker
 
 
+@pytest.mark.promise("memory")
 def test_memory_is_limited(isolated: Services) -> None:
     with pytest.raises(CallError, match=r"worker_killed: .*memory"):
         done(isolated, fill)
     assert done(isolated, number) > 0
 
 
-@work(None, Value)
+@work(Value)
 def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     raise CallError("image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes.")
 
@@ -202,6 +204,7 @@ def test_a_bug_comes_with_its_traceback_and_keeps_the_worker(isolated: Services)
     assert done(isolated, number) == worker
 
 
+@pytest.mark.promise("deadline")
 async def test_the_deadline_is_kept_by_a_worker_that_does_not_listen(
     images: Path, detector_path: Path, tmp_path: Path
 ) -> None:
@@ -280,7 +283,7 @@ def killed() -> Services:  # as a system does that has no memory left
 def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
     make_services: Any, words: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    workers = WorkerPool(make_services, 1, WorkerLimits(1 << 30, 10))
+    workers = WorkerPool(make_services, WorkerLimits(1 << 30, 10))
     workers.start()
     for _ in range(2):
         with pytest.raises(CallError, match=r"worker_unavailable: .* the image is not the cause"):
@@ -314,7 +317,7 @@ def endless() -> Services:  # as a model that computes for ever while it is load
 
 
 def test_a_call_to_a_worker_that_loads_for_ever_ends_at_its_deadline() -> None:
-    workers = WorkerPool(endless, 1, WorkerLimits(1 << 30, 10))
+    workers = WorkerPool(endless, WorkerLimits(1 << 30, 10))
     stop = Stop()
     timer = threading.Timer(0.5, stop.request)
     timer.start()
@@ -338,7 +341,7 @@ def test_a_worker_that_is_killed_while_it_starts_is_started_again_for_the_same_c
     tmp_path: Path, detector_path: Path
 ) -> None:
     settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
-    workers = WorkerPool(partial(lost_once, tmp_path / "mark", settings), 1, WorkerLimits(1 << 30, 10))
+    workers = WorkerPool(partial(lost_once, tmp_path / "mark", settings), WorkerLimits(1 << 30, 10))
     try:
         answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
         assert answer.record.value > 0
@@ -346,28 +349,13 @@ def test_a_worker_that_is_killed_while_it_starts_is_started_again_for_the_same_c
         workers.close()
 
 
-def test_the_first_call_is_answered_where_nobody_has_looked_yet_whether_its_worker_is_ready(
-    tmp_path: Path, detector_path: Path
-) -> None:
+def test_a_call_waits_for_the_worker_that_starts_and_starts_no_other(tmp_path: Path, detector_path: Path) -> None:
     settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
-    workers = WorkerPool(partial(create_services, settings), 1, WorkerLimits(1 << 30, 10))
+    workers = WorkerPool(partial(create_services, settings), WorkerLimits(1 << 30, 10))
     workers.start()
     try:
-        while not workers.processes:
-            time.sleep(0.01)
-        connection = workers._workers[0]._connection
-        assert connection is not None
-        assert connection.poll(60)  # its models are loaded, and that is the first that the call hears of it
-        answers: list[Answer[Value]] = []
-        call = threading.Thread(
-            target=lambda: answers.append(
-                workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
-            ),
-            daemon=True,
-        )
-        call.start()
-        call.join(20)
-        assert len(answers) == 1
+        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+        assert workers.processes == [answer.record.value]
     finally:
         workers.close()
 

@@ -51,7 +51,7 @@ def done(services: Services, work: Work[Value], question: Any = None, stop: Stop
     return services.workers.run(task, stop or Stop(), lambda *_: None, lambda *_: None).record.value
 
 
-@work(None, Value)
+@work(Value)
 def number(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     """The process's; a work."""
     return answered(os.getpid())

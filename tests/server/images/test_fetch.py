@@ -119,11 +119,13 @@ async def test_a_redirect_on_an_allowed_host_is_followed(fetcher: Fetcher, web_s
     assert await fetcher.fetch(web_server.url(f"/to/{web_server.url()}")) == PICTURE
 
 
+@pytest.mark.promise("no-sources")
 async def test_without_hosts_urls_are_off() -> None:
     error = await refusal(Fetcher((), 100, 1), "https://images.test/a.png")
     assert error.code == "source_disabled"
 
 
+@pytest.mark.promise("fetch")
 @pytest.mark.parametrize(
     "url",
     [
@@ -206,6 +208,7 @@ async def test_one_private_address_among_public_ones_is_enough(fetcher: Fetcher,
     assert (await refusal(mixed, web_server.url())).code == "url_not_allowed"
 
 
+@pytest.mark.promise("fetch")
 async def test_the_checked_address_is_the_one_connected_to(fetcher: Fetcher, web_server: WebServer) -> None:
     answers = iter([["127.0.0.1"], ["10.0.0.1"], ["10.0.0.1"]])
 
@@ -216,6 +219,7 @@ async def test_the_checked_address_is_the_one_connected_to(fetcher: Fetcher, web
     assert next(answers) == ["10.0.0.1"], "the name was looked up a second time"
 
 
+@pytest.mark.promise("fetch")
 @pytest.mark.parametrize(
     "target",
     [
@@ -256,11 +260,13 @@ async def test_the_certificate_is_verified_for_the_name(fetcher: Fetcher, web_se
     assert web_server.requests == []
 
 
+@pytest.mark.promise("fetch")
 async def test_size_is_capped_whether_declared_or_not(fetcher: Fetcher, web_server: WebServer) -> None:
     assert (await refusal(replace(fetcher, max_bytes=100), web_server.url())).code == "image_too_large"
     assert (await refusal(fetcher, web_server.url("/endless"))).code == "image_too_large"
 
 
+@pytest.mark.promise("fetch")
 async def test_time_is_capped(fetcher: Fetcher, web_server: WebServer) -> None:
     _Handler.may_answer.clear()
     try:

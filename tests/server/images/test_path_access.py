@@ -59,6 +59,7 @@ def test_files_below_a_root_are_opened(root: Path) -> None:
     assert read(root, f"{root}//./a.png") == b"inside"
 
 
+@pytest.mark.promise("links")
 def test_links_that_stay_below_the_root_are_followed(root: Path) -> None:
     (root / "link.png").symlink_to(root / "a.png")
     (root / "linked").symlink_to(root / "deep", target_is_directory=True)
@@ -88,6 +89,7 @@ def test_a_sibling_whose_name_begins_like_the_root_is_outside(root: Path) -> Non
     assert refusal(root, str(twin / "secret.png")).code == "path_not_allowed"
 
 
+@pytest.mark.promise("links")
 def test_links_out_of_the_root_are_refused(root: Path, outside: Path) -> None:
     (root / "file.png").symlink_to(outside / "secret.png")
     (root / "relative.png").symlink_to("../outside/secret.png")
@@ -103,6 +105,7 @@ def test_loops_of_links_are_refused(root: Path) -> None:
     assert refusal(root, str(root / "x")).code in ("path_not_allowed", "image_not_found")
 
 
+@pytest.mark.promise("walk")
 def test_a_file_replaced_by_a_link_between_check_and_opening_is_refused(
     root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -134,6 +137,7 @@ def test_a_directory_replaced_by_a_link_between_check_and_opening_is_refused(
     assert refused.code in ("path_not_allowed", "image_not_found")  # Linux calls the link no directory
 
 
+@pytest.mark.promise("walk")
 def test_a_file_replaced_by_a_fifo_between_check_and_opening_neither_blocks_nor_is_read(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,6 +160,7 @@ def test_an_opened_file_stays_the_one_that_was_checked(root: Path, outside: Path
         assert content(opened) == b"inside"
 
 
+@pytest.mark.promise("roots")
 @pytest.mark.parametrize(
     "named",
     [
@@ -301,6 +306,7 @@ def test_directories_fifos_sockets_and_devices_are_no_images(root: Path) -> None
     assert refusal(Path("/dev").resolve(), "/dev/zero").code == "image_not_found"
 
 
+@pytest.mark.promise("roots")
 def test_outside_the_roots_what_exists_and_what_does_not_are_refused_alike(root: Path, outside: Path) -> None:
     there, missing = (refusal(root, str(outside / name)) for name in ("secret.png", "missing.png"))
     assert str(there) == str(missing)

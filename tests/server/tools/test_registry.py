@@ -48,7 +48,7 @@ def image_size_tool(services: Services) -> StrictTool:
     return StrictTool.read_only(image_size, title="Tell an image's size", description="Tells the size of an image.")
 
 
-@work(None, Size)
+@work(Size)
 def _image_size(services: Services, job: Job, source: OpenedImage, _: None) -> Answer[Size]:
     job.enter("decode")
     with open_raster(source, limits=services.settings.image_limits) as raster:

@@ -8,13 +8,22 @@ import time
 from pathlib import Path
 from typing import Any
 
+import anyio
 import jwt
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
+from tests.server.serving import listening, serving
 from vehanchor_server.settings import Settings, SettingsError
-from vehanchor_server.transport.auth import OidcVerifier, StaticTokenVerifier, read_tokens, token_verifier
+from vehanchor_server.transport.auth import (
+    KEYS_RETRY_S,
+    OidcVerifier,
+    StaticTokenVerifier,
+    _get_json,
+    read_tokens,
+    token_verifier,
+)
 
 pytestmark = pytest.mark.anyio
 
@@ -79,9 +88,11 @@ class Issuer:
         self.says_it_is = ISSUER
         self.jwks_uri = "https://issuer.test/keys"
         self.broken = False
+        self.answers_after_s = 0.0
 
     async def get_json(self, url: str) -> dict[str, Any]:
         self.fetched.append(url)
+        await anyio.sleep(self.answers_after_s)
         if self.broken:
             raise OSError("unreachable")
         if url == f"{ISSUER}/.well-known/openid-configuration":
@@ -118,6 +129,7 @@ async def test_the_issuers_tokens_are_accepted(issuer: Issuer) -> None:
     assert await issuer.verifier().verify_token(issuer.token(aud=["https://other.test", AUDIENCE])) is not None
 
 
+@pytest.mark.promise("issuer")
 @pytest.mark.parametrize(
     "claims",
     [
@@ -146,6 +158,7 @@ def forged(token: str, alg: str, secret: bytes) -> str:
     return signed + "." + base64.urlsafe_b64encode(signature).rstrip(b"=").decode()
 
 
+@pytest.mark.promise("issuer")
 async def test_other_keys_and_algorithms_are_refused(issuer: Issuer) -> None:
     verifier = issuer.verifier()
     public = issuer.key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
@@ -186,6 +199,80 @@ async def test_an_issuer_that_is_not_itself_or_not_there_is_told_in_the_log(
     issuer.broken = True
     assert await issuer.verifier().verify_token(issuer.token()) is None
     assert [word in caplog.text for word in ("evil.test", "not https", "unreachable")] == [True] * 3
+
+
+@pytest.mark.promise("issuer")
+async def test_a_slow_issuer_makes_only_the_stranger_wait(issuer: Issuer, monkeypatch: pytest.MonkeyPatch) -> None:
+    verifier = issuer.verifier()
+    assert await verifier.verify_token(issuer.token()) is not None
+    monkeypatch.setattr("vehanchor_server.transport.auth.KEYS_RETRY_S", -1)
+    monkeypatch.setattr("vehanchor_server.transport.auth.KEYS_REFRESH_S", -1)  # every call would fetch, too
+    issuer.answers_after_s = 30
+    monkeypatch.setattr("vehanchor_server.transport.auth.FETCH_S", 0.5)
+    async with anyio.create_task_group() as group:
+        group.start_soon(verifier.verify_token, issuer.token(kid="a-stranger's"))
+        await anyio.sleep(0.1)
+        started = time.monotonic()
+        for _ in range(5):
+            assert await verifier.verify_token(issuer.token()) is not None
+        assert time.monotonic() - started < 0.2
+    assert time.monotonic() - started < 3
+
+
+async def test_a_second_unknown_key_is_refused_at_once(issuer: Issuer) -> None:
+    verifier = issuer.verifier()
+    assert await verifier.verify_token(issuer.token()) is not None
+    verifier._tried_at = -KEYS_RETRY_S
+    issuer.answers_after_s = 0.5
+    async with anyio.create_task_group() as group:
+        group.start_soon(verifier.verify_token, issuer.token(kid="first"))
+        await anyio.sleep(0.1)
+        with anyio.fail_after(0.2):
+            assert await verifier.verify_token(issuer.token(kid="second")) is None
+    assert len(issuer.fetched) == 4
+
+
+async def test_a_fetch_goes_on_if_its_caller_hangs_up(issuer: Issuer) -> None:
+    verifier = issuer.verifier()
+    issuer.answers_after_s = 0.1
+    with anyio.move_on_after(0.05):
+        await verifier.verify_token(issuer.token())
+    assert await verifier.verify_token(issuer.token()) is not None
+
+
+@pytest.mark.promise("issuer")
+async def test_keys_of_a_dead_issuer_end(
+    issuer: Issuer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    verifier = OidcVerifier(ISSUER, AUDIENCE, max_key_age_s=0.5, get_json=issuer.get_json)
+    monkeypatch.setattr("vehanchor_server.transport.auth.KEYS_RETRY_S", 0)
+    assert await verifier.verify_token(issuer.token()) is not None
+    issuer.broken = True
+    assert await verifier.verify_token(issuer.token()) is not None
+    await anyio.sleep(0.6)
+    assert await verifier.verify_token(issuer.token()) is None
+    assert "ended 0.5 s after their last fetch" in caplog.text
+    issuer.broken = False
+    assert await verifier.verify_token(issuer.token()) is not None
+
+
+@pytest.mark.parametrize(("pause_s", "word"), [(0.1, "Timeout"), (0.0, "bytes")])
+async def test_a_dripping_issuer_has_so_much_time_and_so_many_bytes(
+    issuer: Issuer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, pause_s: float, word: str
+) -> None:
+    async def drip(scope: Any, receive: Any, send: Any) -> None:
+        await send({"type": "http.response.start", "status": 200})
+        while True:
+            await send({"type": "http.response.body", "body": b" " * 1000, "more_body": True})
+            await anyio.sleep(pause_s)
+
+    with listening() as listener, serving(drip, listener):
+        dripping = f"http://127.0.0.1:{listener.getsockname()[1]}"
+        monkeypatch.setattr("vehanchor_server.transport.auth.FETCH_S", 1.0)
+        verifier = OidcVerifier(ISSUER, AUDIENCE, get_json=lambda _: _get_json(dripping))
+        with anyio.fail_after(10):
+            assert await verifier.verify_token(issuer.token()) is None
+    assert word in caplog.text
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other permissions")

@@ -141,6 +141,7 @@ async def test_health_tells_alive_from_ready(settings: Settings) -> None:
         assert answer.json() == {"status": "loading", "error": "model_not_found"}
 
 
+@pytest.mark.promise("tokens")
 async def test_without_the_token_nothing_but_health_answers(
     settings: Settings, token_file: Path, images: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -212,6 +213,7 @@ def test_foreign_hosts_and_origins_are_refused(guarded: str, headers: dict[str, 
         assert client.post(f"{guarded}/mcp", **discover(**headers)).status_code == status
 
 
+@pytest.mark.promise("requests")
 @pytest.mark.parametrize("modern", [True, False])
 async def test_bodies_over_the_limit_are_refused(base: str, modern: bool) -> None:
     request = discover()
@@ -242,6 +244,7 @@ async def test_an_image_of_some_megabytes_fits_a_request(base: str, tmp_path: Pa
     assert not result.is_error, text_of(result)
 
 
+@pytest.mark.promise("no-sources")
 async def test_without_roots_paths_are_off(settings: Settings, images: Path) -> None:
     with served(replace(settings, roots=())) as base:
         async with Client(f"{base}/mcp") as client:

@@ -44,6 +44,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.promise("listener")
 @pytest.mark.slow
 def test_no_decoder_is_imported_after_every_tool_was_called(
     images: Path, detector_path: Path, segmenter_paths: tuple[Path, Path], tmp_path: Path

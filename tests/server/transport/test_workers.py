@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
 import time
 from collections import Counter
@@ -132,12 +133,12 @@ def test_sigterm_ends_all_of_them_cleanly(serving: HttpServer) -> None:
     assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()]
 
 
-def test_killing_the_supervisor_ends_its_workers(serving: HttpServer) -> None:
-    workers = child_processes(serving.pid)
-    assert len(workers) == 2
-    os.kill(serving.pid, signal.SIGKILL)
-    serving.process.wait(5)
-    deadline = time.monotonic() + 8
-    while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()]
+def test_a_head_without_an_end_is_refused_and_an_idle_connection_closed(serving: HttpServer) -> None:
+    host, port = serving.url.removeprefix("http://").removesuffix("/mcp").split(":")
+    with socket.create_connection((host, int(port)), timeout=10) as endless:
+        endless.sendall(b"GET /healthz HTTP/1.1\r\nX: " + b"a" * (33 << 10))
+        assert endless.recv(4096).startswith(b"HTTP/1.1 400")
+    with socket.create_connection((host, int(port)), timeout=10) as idle:
+        idle.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        while idle.recv(4096):
+            pass

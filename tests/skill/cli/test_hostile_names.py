@@ -59,6 +59,7 @@ def is_harmless(text: str) -> bool:
     return shown and not any(line.lstrip().startswith("SYSTEM") for line in text.split("\n"))
 
 
+@pytest.mark.promise("text")
 @pytest.mark.parametrize("json_too", [False, True])
 @pytest.mark.parametrize(
     "command",
@@ -86,6 +87,7 @@ def test_no_command_prints_what_a_terminal_obeys(run: Any, command: tuple[str, .
     assert is_harmless(result.stderr), result.stderr
 
 
+@pytest.mark.promise("text")
 def test_no_cell_of_a_table_is_a_formula(run: Any, tmp_path: Path) -> None:
     result = run("batch", CARS, BROKEN, "-o", "t.csv", "--detector", "detector.onnx", "--workers", "1")
     assert result.exit_code == 0, result.output
@@ -96,6 +98,7 @@ def test_no_cell_of_a_table_is_a_formula(run: Any, tmp_path: Path) -> None:
     assert not [cell for row in rows for cell in row.values() if cell[:1] in ("=", "@", "\t", "\r")]
 
 
+@pytest.mark.promise("text")
 def test_no_page_has_a_tag_of_a_name(run: Any, tmp_path: Path) -> None:
     arguments = ["--report", "page.html", "--out", "flight.json", "--detector", "detector.onnx"]
     assert run("flight", CARS, BROKEN, "--same-scale", *arguments).exit_code == 0

@@ -112,6 +112,7 @@ def test_a_png_is_the_same_picture_without_its_metadata(capfd: pytest.CaptureFix
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.promise("two-readers")
 @pytest.mark.parametrize(
     ("data", "message"),
     [
@@ -133,6 +134,7 @@ def test_what_two_readers_may_take_differently_is_refused(data: bytes, message: 
         open_raster(data)
 
 
+@pytest.mark.promise("bombs")
 @pytest.mark.parametrize(
     ("make", "decoded_bytes"),
     [

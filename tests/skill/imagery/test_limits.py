@@ -55,6 +55,7 @@ HUGE = [
 ]
 
 
+@pytest.mark.promise("bombs")
 @pytest.mark.parametrize(("make", "side_px"), HUGE)
 def test_a_huge_declared_size_is_refused_before_decoding(
     make: Callable[[int, int], bytes], side_px: int, tmp_path: Path
@@ -100,6 +101,7 @@ def test_the_smallest_measurable_image_opens() -> None:
     np.testing.assert_array_equal(read_all(encoded(".png", smallest)), smallest)
 
 
+@pytest.mark.promise("bombs")
 def test_the_byte_limit_holds_for_every_kind_of_source(tmp_path: Path) -> None:
     data = encoded(".png", NOISE)
     path = tmp_path / "a.png"

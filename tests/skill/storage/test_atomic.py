@@ -93,6 +93,7 @@ def test_a_killed_process_leaves_the_old_file(tmp_path: Path, n_bytes: int) -> N
     assert path.read_bytes() == b"new"
 
 
+@pytest.mark.promise("files")
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="Windows has no limit of a file's size")
 def test_no_file_is_half_written_wherever_the_disk_is_full_or_the_process_killed(tmp_path: Path) -> None:

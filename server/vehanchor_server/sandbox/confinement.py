@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING
 
 import vehanchor
 import vehanchor_server
-from vehanchor_server.calls.system_calls import checked, filter_system_calls, last_error
-from vehanchor_server.calls.worker_environment import absolute_folders
+from vehanchor_server.sandbox.environment import absolute_folders
+from vehanchor_server.sandbox.system_calls import checked, filter_system_calls, last_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

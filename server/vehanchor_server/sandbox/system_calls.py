@@ -1,7 +1,7 @@
 """System calls that a worker can make: those of decoders and networks in a trace.
 
-The seccomp filter allows the calls in ``_ALLOWED``, some with certain arguments only, and refuses all others with
-an error. ``strace`` of a worker that read JPEG, PNG, WebP, AVIF, JPEG 2000, BMP and GeoTIFF, ran all networks, measured
+The seccomp filter allows the calls in ``ALLOWED``, some with certain arguments only, and refuses all others with
+an error. ``trace`` of a worker that read JPEG, PNG, WebP, AVIF, JPEG 2000, BMP and GeoTIFF, ran all networks, measured
 and drew, showed 49 of them. The others are their equivalents in other C libraries and on other processors.
 """
 
@@ -46,7 +46,7 @@ _DESCRIPTOR_COMMANDS = (0, 1, 2, 3, 4, 1030)  # F_DUPFD F_GETFD F_SETFD F_GETFL 
 _THREAD_NAMES = (15, 16, 0x53564D41)  # PR_SET_NAME PR_GET_NAME PR_SET_VMA
 
 # Call: numbers on x86_64 and aarch64 (None if missing), and a rule on its arguments.
-_ALLOWED: dict[str, tuple[int | None, int | None, _Rule | None]] = {
+ALLOWED: dict[str, tuple[int | None, int | None, _Rule | None]] = {
     # memory
     "mmap": (9, 222, None),
     "mprotect": (10, 226, None),
@@ -176,7 +176,7 @@ def _instructions(column: int, machine: int, pid: int) -> list[tuple[int, int, i
         (_AT_LEAST, 0, 1, _OTHER_NUMBERS),
         forbidden,
     ]
-    for *numbers, rule in _ALLOWED.values():
+    for *numbers, rule in ALLOWED.values():
         number = numbers[column]
         if number is None:
             continue

@@ -21,18 +21,18 @@ from typing import Any
 import pytest
 
 from tests.server.calls.working import Value, answered, done
-from vehanchor_server.calls import sandbox
 from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import work
-from vehanchor_server.calls.worker_environment import KEPT, SEARCH_PATHS
+from vehanchor_server.sandbox import confinement
+from vehanchor_server.sandbox.environment import KEPT, SEARCH_PATHS
 from vehanchor_server.services import Services
 
 CONFINE = """
 import json, platform, sys
-from vehanchor_server.calls import sandbox
+from vehanchor_server.sandbox import confinement
 {before}
-found = sandbox.confine([])
+found = confinement.confine([])
 print(json.dumps([found.landlock, found.seccomp, found.lacks]))
 """
 
@@ -59,7 +59,7 @@ class Targets:
     server: int
 
 
-@work(Targets, Value)
+@work(Value)
 def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Answer[Value]:
     """Everything that a worker should be kept from, and some things that it needs; in a worker."""
     root, secret, server = services.settings.roots[0], targets.secret, targets.server
@@ -138,6 +138,7 @@ def started(thread: threading.Thread) -> None:
     thread.join()
 
 
+@pytest.mark.promise("confinement")
 @pytest.mark.slow
 def test_a_worker_can_do_its_work_and_nothing_else(
     running: Services, held: tuple[int, bool, str], tmp_path: Path
@@ -157,12 +158,13 @@ def test_a_worker_can_do_its_work_and_nothing_else(
     assert outcomes["open a TCP socket"] == outcomes["run a program"] == outcomes["fork"] == "EPERM"
 
 
+@pytest.mark.promise("warning")
 @pytest.mark.skipif(sys.platform != "linux", reason="made for what a Linux may lack")
 @pytest.mark.parametrize(
     ("before", "words", "landlock", "seccomp"),
     [
         (
-            "sandbox._CREATE_RULESET = 4095",
+            "confinement._CREATE_RULESET = 4095",
             "Landlock: Function not implemented, so that a worker can read",
             False,
             True,
@@ -183,12 +185,12 @@ def test_what_a_system_lacks_is_told_and_the_rest_is_done(
 @pytest.mark.parametrize("version", range(1, 8))
 def test_every_right_that_a_kernel_does_not_hold_is_named(version: int) -> None:
     words = {3: "empty files", 4: "connect over TCP", 5: "control devices", 6: "signal other processes"}
-    (missing,) = sandbox._missing_rights(version, seccomp=False) or [""]
+    (missing,) = confinement._missing_rights(version, seccomp=False) or [""]
     assert {since for since, what in words.items() if what in missing} == {each for each in words if each > version}
-    assert sandbox._missing_rights(version, seccomp=True) == [], "the filter of system calls refuses them"
+    assert confinement._missing_rights(version, seccomp=True) == [], "the filter of system calls refuses them"
 
 
-@work(None, Value)
+@work(Value)
 def inherited(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     """The descriptors and the environment variables of a worker."""
     folder = Path("/proc/self/fd")
@@ -196,6 +198,7 @@ def inherited(services: Services, job: Job, source: Any, _: None) -> Answer[Valu
     return answered({"descriptors": names, "variables": dict(os.environ)})
 
 
+@pytest.mark.promise("inheritance")
 @pytest.mark.slow
 def test_a_worker_inherits_its_socket_and_its_log_and_no_secret(running: Services) -> None:
     found = done(running, inherited)
