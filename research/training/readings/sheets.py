@@ -123,6 +123,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--places", default="", help="places to draw, comma between; all without it")
+    parser.add_argument("--only", default="", help="regular expression of the files; all without it")
     parser.add_argument("--name", help="name of the sheets and of their table; the word above without it")
     parser.add_argument("--most", type=int, help="cars of one photograph")
     parser.add_argument("--limit", type=int, default=10_000, help="cars")
@@ -131,7 +132,7 @@ def main() -> None:
     places = options.places.split(",") if options.places else sorted({car.place for car in everything})
     rng = np.random.default_rng(zlib.crc32(options.places.encode()))
     name = options.name or options.what
-    cars = [car for place in places for car in everything if car.place == place]
+    cars = [car for place in places for car in everything if car.place == place and re.search(options.only, car.file)]
     if options.what == "ends":
         wide = [car for car in cars if car.width >= _LEAST_WIDTH_PX and car.score < 1 and _COARSE not in car.file]
         if any(place in _OVERLAPPING for place in places):
@@ -140,7 +141,8 @@ def main() -> None:
         views, layout = [end_view(car, rng) for car in chosen], ENDS
     else:
         medians = median_lengths(everything)
-        chosen = at_most(distinct(cars), options.most or _MOST_KINDS)[: options.limit]
+        chosen = at_most(distinct(cars), options.most or _MOST_KINDS)
+        chosen = chosen[:: max(1, len(chosen) // options.limit)][: options.limit]
         views, layout = [kind_view(car, medians[car.file], rng) for car in chosen], KINDS
     write_sheets(chips_of(name, chosen, views, layout), layout, options.folder, options.data, name)
 
