@@ -11,7 +11,7 @@ import argparse
 import csv
 import re
 import zlib
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -62,13 +62,29 @@ def distinct(cars: Iterable[Candidate]) -> list[Candidate]:
     return out
 
 
-def at_most(cars: Iterable[Candidate], count: int) -> list[Candidate]:
-    """Take so many cars of each photograph, in an order that neither score nor place decides."""
+def at_most(cars: Iterable[Candidate], count: int, drawn: Sequence[Candidate] = ()) -> list[Candidate]:
+    """Take so many cars of each photograph, drawn ones included, in an order that neither score nor place decides."""
     of_file: dict[str, list[Candidate]] = defaultdict(list)
+    left = Counter({car.file: -sum(other.file == car.file for other in drawn) for car in drawn})
     for car in sorted(cars, key=lambda car: zlib.crc32(f"{car.file} {car.x} {car.y}".encode())):
-        if len(of_file[car.file]) < count:
+        if len(of_file[car.file]) < count + left[car.file]:
             of_file[car.file].append(car)
     return [car for file in sorted(of_file) for car in of_file[file]]
+
+
+def choose_ends(cars: Sequence[Candidate], drawn: Sequence[Candidate], count: int, data: Path) -> list[Candidate]:
+    """Choose cars of one place for ends and sides that no earlier sheet shows; images that overlap show each once."""
+    wide = [car for car in cars if car.width >= _LEAST_WIDTH_PX and car.score < 1 and _COARSE not in car.file]
+    both = [*drawn, *wide]
+    if cars and cars[0].place in _OVERLAPPING:
+        both = seen_once(both, data)
+    if both and ground_position(both[0]):
+        out: list[Candidate] = []
+        for file in sorted({car.file for car in wide}):
+            new = [car for car in distinct([*drawn, *out, *(w for w in wide if w.file == file)]) if car.file == file]
+            out += at_most([car for car in new if car not in drawn], count, drawn)
+        return out
+    return at_most([car for car in both if car not in drawn], count, drawn)
 
 
 def end_view(car: Candidate, rng: np.random.Generator, flip: int = 1, factor: float = 1.0) -> View:
@@ -134,10 +150,14 @@ def main() -> None:
     name = options.name or options.what
     cars = [car for place in places for car in everything if car.place == place and re.search(options.only, car.file)]
     if options.what == "ends":
-        wide = [car for car in cars if car.width >= _LEAST_WIDTH_PX and car.score < 1 and _COARSE not in car.file]
-        if any(place in _OVERLAPPING for place in places):
-            wide = seen_once(wide, options.data)
-        chosen = at_most(distinct(wide), options.most or _MOST_ENDS)[: options.limit]
+        tables = [read_chips(path) for path in options.folder.glob("ends*.csv")]
+        known = [Candidate(chip.file, chip.place, *chip.box, chip.score) for table in tables for chip in table]
+        chosen = []
+        for place in places:
+            drawn = [car for car in known if car.place == place]
+            of_place = [car for car in cars if car.place == place]
+            chosen += choose_ends(of_place, drawn, options.most or _MOST_ENDS, options.data)
+        chosen = chosen[: options.limit]
         views, layout = [end_view(car, rng) for car in chosen], ENDS
     else:
         medians = median_lengths(everything)

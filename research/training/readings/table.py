@@ -45,32 +45,47 @@ class Reading(NamedTuple):
     lean: str  # up, down, none: the side that the camera sees, on the chip
 
 
-def read_ends(folder: Path) -> Iterator[Reading]:
+def parse_ends(notes: Path, chips: list[Chip]) -> Iterator[Reading]:
     """Read the notes on sheets of ends, without duplicates."""
-    chips = {(chip.sheet, chip.number): chip for path in folder.glob("ends*.csv") for chip in read_chips(path)}
+    known = {(chip.sheet, chip.number): chip for chip in chips}
+    sheet = ""
+    for line in notes.read_text(encoding="utf-8").splitlines():
+        first, *rest = line.split()
+        if not rest:
+            sheet = first
+        elif rest[0] != _DUPLICATE:
+            edges = tuple(None if cell == _MISSING else float(cell) for cell in rest[: len(_EDGES)])
+            yield Reading(known[sheet, int(first)], edges, rest[4], rest[5])
+
+
+def parse_kinds(notes: Path, chips: list[Chip]) -> Iterator[tuple[Chip, str]]:
+    """Read the notes on sheets of kinds, duplicates included."""
+    for line in notes.read_text(encoding="utf-8").splitlines():
+        sheet, *kinds = line.split()
+        of_sheet = [chip for chip in chips if chip.sheet == sheet]
+        yield from zip(of_sheet, kinds, strict=True)
+
+
+def _chips(folder: Path, pattern: str) -> list[Chip]:
+    return [chip for path in sorted(folder.glob(pattern)) for chip in read_chips(path)]
+
+
+def read_ends(folder: Path) -> Iterator[Reading]:
+    """Read all notes on sheets of ends."""
+    chips = _chips(folder, "ends*.csv")
     for path in sorted((folder / "readings").glob("ends*.txt")):
-        sheet = ""
-        for line in path.read_text(encoding="utf-8").splitlines():
-            first, *rest = line.split()
-            if not rest:
-                sheet = first
-            elif rest[0] != _DUPLICATE:
-                edges = tuple(None if cell == _MISSING else float(cell) for cell in rest[:4])
-                yield Reading(chips[sheet, int(first)], edges, rest[4], rest[5])
+        yield from parse_ends(path, chips)
 
 
 def read_kinds(folder: Path) -> Iterator[tuple[Chip, str]]:
-    """Read the notes on sheets of kinds, without duplicates."""
-    chips = {(chip.sheet, chip.number): chip for path in folder.glob("k_*.csv") for chip in read_chips(path)}
+    """Read all notes on sheets of kinds, each car once."""
+    chips = _chips(folder, "k_*.csv")
+    read: set[tuple[str, tuple[float, ...]]] = set()
     for path in sorted((folder / "readings").glob("kinds*.txt")):
-        for line in path.read_text(encoding="utf-8").splitlines():
-            sheet, *kinds = line.split()
-            expected = sum(name == sheet for name, _ in chips)
-            if len(kinds) != expected:
-                raise ValueError(f"{sheet}: {len(kinds)} kinds for {expected} chips")
-            for number, kind in enumerate(kinds, start=1):
-                if kind != _DUPLICATE:
-                    yield chips[sheet, number], kind
+        for chip, kind in parse_kinds(path, chips):
+            if kind != _DUPLICATE and (chip.file, chip.box) not in read:
+                yield chip, kind
+            read.add((chip.file, chip.box))
 
 
 def in_image(reading: Reading) -> list[float | None]:
@@ -143,7 +158,9 @@ def ends_row(reading: Reading) -> list[object]:
     length, width = difference(offsets[:2]), difference(offsets[2:])
     gsd = gsd_of(chip)
     kind = kind_of(reading.body, length * gsd if length and gsd else None, chip.place)
-    missing = " ".join(name for name, value in zip(("end1", "end2", "side1", "side2"), offsets, strict=True) if not value)
+    missing = " ".join(
+        name for name, value in zip(("end1", "end2", "side1", "side2"), offsets, strict=True) if value is None
+    )
     lean = {"up": "side1", "down": "side2"}.get(reading.lean, "")
     return [
         chip.file, chip.place.removesuffix("_found"), *chip.box, *map(_written, offsets), _written(length),
