@@ -11,8 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from research.training.readings.candidates import Candidate, read_candidates
-from research.training.readings.sheets import chips_of, end_view, kind_view, median_lengths, read_chips, write_sheets
+from research.training.readings.candidates import read_candidates
+from research.training.readings.sheets import (
+    candidate_of,
+    chips_of,
+    end_view,
+    kind_view,
+    median_lengths,
+    read_chips,
+    write_sheets,
+)
 from research.training.readings.table import (
     Reading,
     difference,
@@ -22,7 +30,7 @@ from research.training.readings.table import (
     read_ends,
     read_kinds,
 )
-from research.training.readings.views import ENDS, KINDS, Chip
+from research.training.readings.views import ENDS, KINDS
 
 _ENDS, _KINDS = 36, 48
 _END_FACTOR, _KIND_FACTOR = 0.9, 1.2
@@ -36,21 +44,17 @@ def group_of_kind(kind: str) -> str:
     return _GROUPS.get(kind, "other")
 
 
-def _candidate(chip: Chip) -> Candidate:
-    return Candidate(chip.file, chip.place, *chip.box, chip.score)
-
-
 def draw(folder: Path, data: Path) -> None:
     """Draw both sets of sheets."""
     rng = np.random.default_rng(1)
     complete = [reading for reading in read_ends(folder) if None not in reading.edges]
-    chosen = [_candidate(complete[k].chip) for k in rng.choice(len(complete), _ENDS, replace=False)]
+    chosen = [candidate_of(complete[k].chip) for k in rng.choice(len(complete), _ENDS, replace=False)]
     views = [end_view(car, rng, flip=-1, factor=_END_FACTOR) for car in chosen]
     write_sheets(chips_of("again_ends", chosen, views, ENDS), ENDS, folder, data, "again_ends")
     groups = sorted(set(_GROUPS.values()))
     by_group = {group: [chip for chip, kind in read_kinds(folder) if group_of_kind(kind) == group] for group in groups}
     cars = [
-        _candidate(chips[k])
+        candidate_of(chips[k])
         for chips in by_group.values()
         for k in rng.choice(len(chips), min(len(chips), _KINDS // len(groups)), replace=False)
     ]

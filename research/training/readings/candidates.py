@@ -45,7 +45,8 @@ class Candidate(NamedTuple):
 
 def _candidates(file: str, place: str, boxes: NDArray[np.float64], scores: NDArray[np.float64]) -> Iterator[Candidate]:
     for box, score in zip(boxes, scores, strict=True):
-        yield Candidate(file, place, *np.round(box[:4], 2), round(float(box[4]), 4), round(float(score), 3))
+        x, y, length, width = (round(float(value), 2) for value in box[:4])
+        yield Candidate(file, place, x, y, length, width, round(float(box[4]), 4), round(float(score), 3))
 
 
 def labelled(data: Path) -> Iterator[Candidate]:

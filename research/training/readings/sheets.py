@@ -27,7 +27,7 @@ _KIND_PX = 105.0  # of the median car of a photograph on sheets of kinds
 _SHIFT_PX = (16.0, 10.0)
 _LEAST_WIDTH_PX = 20.0  # of a box, which is some 15 % wider than the body
 _MOST_ENDS, _MOST_KINDS = 6, 16  # of one photograph
-_SAME_CAR = 0.4  # of a length: two boxes nearer than that on the ground are one car
+SAME_CAR = 0.4  # of a length: two boxes nearer than that on the ground are one car
 _OVERLAPPING = ("chia", "garfield", "jekhor_found")  # without a map's position in their names
 _COARSE = "mashiki_z20"  # shows the ground of the finer images
 _TILES_PX = 256  # side of a tile of a web map
@@ -54,7 +54,7 @@ def distinct(cars: Iterable[Candidate]) -> list[Candidate]:
     seen: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     for car in cars:
         at = ground_position(car)
-        if at and any(np.hypot(at[0] - x, at[1] - y) < _SAME_CAR * length for x, y, length in seen[car.place]):
+        if at and any(np.hypot(at[0] - x, at[1] - y) < SAME_CAR * length for x, y, length in seen[car.place]):
             continue
         if at:
             seen[car.place].append(at)
@@ -108,6 +108,12 @@ def median_lengths(cars: Sequence[Candidate]) -> dict[str, float]:
     return {file: float(np.median(values)) for file, values in lengths.items()}
 
 
+def candidate_of(chip: Chip) -> Candidate:
+    """Return the candidate that a chip shows."""
+    x, y, length, width, angle = chip.box
+    return Candidate(chip.file, chip.place, x, y, length, width, angle, chip.score)
+
+
 def chips_of(name: str, cars: Sequence[Candidate], views: Sequence[View], layout: Layout) -> list[Chip]:
     """Number cars over as many sheets as they need."""
     per_sheet = layout.columns * layout.rows
@@ -151,7 +157,7 @@ def main() -> None:
     cars = [car for place in places for car in everything if car.place == place and re.search(options.only, car.file)]
     if options.what == "ends":
         tables = [read_chips(path) for path in options.folder.glob("ends*.csv")]
-        known = [Candidate(chip.file, chip.place, *chip.box, chip.score) for table in tables for chip in table]
+        known = [candidate_of(chip) for table in tables for chip in table]
         chosen = []
         for place in places:
             drawn = [car for car in known if car.place == place]

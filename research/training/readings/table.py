@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from research.training.detector.data import group_of
-from research.training.readings.sheets import read_chips
+from research.training.readings.sheets import SAME_CAR, candidate_of, ground_position, read_chips
 from research.training.readings.views import Chip
 
 KINDS = (
@@ -27,7 +27,7 @@ KINDS = (
 )  # fmt: skip
 HERE = Path(__file__).parent
 _CHECKED_PLACES = ("fuji", "bergamo", "rotterdam")  # every reading there is kept for checking
-_CHECKED_EVERY = 6  # group of photographs of the large sets
+_CHECKED_EVERY = 3  # group of photographs of the large sets
 _LARGE = ("ucm", "cannes", "saopaulo", "estonia")
 _DUPLICATE, _MISSING = "dup", "-"
 _GSD = {"mashiki_z20": 0.12547, "mashiki_z21": 0.06273, "fuji": 0.03045, "bergamo": 0.05211, "garfield": 0.047}
@@ -168,6 +168,25 @@ def ends_row(reading: Reading) -> list[object]:
     ]  # fmt: skip
 
 
+def kind_rows(folder: Path) -> Iterator[list[object]]:
+    """Rows of ``kinds.csv``; a car that was measured at a known scale has the kind of its measurement."""
+    measured: dict[str, list[tuple[float, float, float, str]]] = {}
+    for reading in read_ends(folder):
+        row = dict(zip(ENDS_COLUMNS, ends_row(reading), strict=True))
+        at = ground_position(candidate_of(reading.chip))
+        if at and row["length_px"] and gsd_of(reading.chip) and row["kind"] != "unclear":
+            measured.setdefault(reading.chip.place, []).append((*at, str(row["kind"])))
+    for chip, read in read_kinds(folder):
+        at = ground_position(candidate_of(chip))
+        near = [
+            kind
+            for x, y, length, kind in measured.get(chip.place, [])
+            if at and np.hypot(at[0] - x, at[1] - y) < SAME_CAR * length
+        ]
+        kind = near[0] if near and read not in ("roof", "unclear") else read
+        yield [chip.file, chip.place, chip.box[0], chip.box[1], chip.box[2], kind, use_of(chip)]
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -180,8 +199,7 @@ def main() -> None:
     with (HERE / "kinds.csv").open("w", newline="") as handle:
         writer = csv.writer(handle, lineterminator="\n")
         writer.writerow(KINDS_COLUMNS)
-        for chip, kind in read_kinds(options.folder):
-            writer.writerow([chip.file, chip.place, chip.box[0], chip.box[1], chip.box[2], kind, use_of(chip)])
+        writer.writerows(kind_rows(options.folder))
 
 
 ENDS_COLUMNS = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -48,7 +48,7 @@ class View(NamedTuple):
         """Draw the chip; what lies outside of the image is grey."""
         half = math.hypot(width, height) / self.zoom
         left, top = max(0, int(self.x - half)), max(0, int(self.y - half))
-        part = image[top : int(self.y + half) + 1, left : int(self.x + half) + 1]
+        part: NDArray[Any] = image[top : int(self.y + half) + 1, left : int(self.x + half) + 1]
         if self.zoom < 1:
             part = cv2.GaussianBlur(part, (0, 0), 0.4 / self.zoom)
         matrix = np.column_stack([self._linear(), self.to_chip(np.array([[left, top]], np.float64))[0]])
@@ -76,7 +76,8 @@ class Chip(NamedTuple):
     def of_row(cls, row: list[str]) -> Chip:
         """Read a row of the sheet's table."""
         numbers = [float(cell) for cell in row[4:]]
-        view = View(*numbers[6:10], int(numbers[10]), *numbers[11:])
+        x, y, angle, zoom, flip, u, v = numbers[6:]
+        view = View(x, y, angle, zoom, int(flip), u, v)
         return cls(row[0], int(row[1]), row[2], row[3], tuple(numbers[:5]), numbers[5], view)
 
 
