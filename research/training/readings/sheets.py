@@ -1,8 +1,8 @@
-"""Draw sheets for readings: ``python -m research.training.readings.sheets kinds|ends|again FOLDER``.
+"""Draw sheets for readings: ``python -m research.training.readings.sheets kinds|ends FOLDER``.
 
 ``FOLDER`` has ``candidates.csv`` (``research.training.readings.candidates``); the sheets and one table of their chips,
-``kinds.csv`` or ``ends.csv``, go there. ``again`` draws chosen chips once more, flipped and rescaled. No box is drawn,
-and the boxes set neither the place nor the size of a chip exactly, so that a reading does not follow them.
+``kinds_NAME.csv`` or ``ends_NAME.csv``, go there. Cars of earlier tables are not drawn again. No box is drawn, and the
+boxes set neither the place nor the size of a chip exactly, so that a reading does not follow them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import argparse
 import csv
 import re
 import zlib
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -62,29 +62,23 @@ def distinct(cars: Iterable[Candidate]) -> list[Candidate]:
     return out
 
 
-def at_most(cars: Iterable[Candidate], count: int, drawn: Sequence[Candidate] = ()) -> list[Candidate]:
-    """Take so many cars of each photograph, drawn ones included, in an order that neither score nor place decides."""
+def choose(cars: Sequence[Candidate], drawn: Sequence[Candidate], count: int) -> list[Candidate]:
+    """Choose at most so many cars of each photograph, drawn ones included; neither score nor place decides which."""
+    out: list[Candidate] = []
     of_file: dict[str, list[Candidate]] = defaultdict(list)
-    left = Counter({car.file: -sum(other.file == car.file for other in drawn) for car in drawn})
     for car in sorted(cars, key=lambda car: zlib.crc32(f"{car.file} {car.x} {car.y}".encode())):
-        if len(of_file[car.file]) < count + left[car.file]:
-            of_file[car.file].append(car)
-    return [car for file in sorted(of_file) for car in of_file[file]]
+        of_file[car.file].append(car)
+    known = set(drawn)
+    for file in sorted(of_file):
+        before = [car for car in (*drawn, *out) if car.place == of_file[file][0].place]
+        new = [car for car in distinct([*before, *of_file[file]])[len(distinct(before)) :] if car not in known]
+        out += new[: max(0, count - sum(car.file == file for car in drawn))]
+    return out
 
 
-def choose_ends(cars: Sequence[Candidate], drawn: Sequence[Candidate], count: int, data: Path) -> list[Candidate]:
-    """Choose cars of one place for ends and sides that no earlier sheet shows; images that overlap show each once."""
-    wide = [car for car in cars if car.width >= _LEAST_WIDTH_PX and car.score < 1 and _COARSE not in car.file]
-    both = [*drawn, *wide]
-    if cars and cars[0].place in _OVERLAPPING:
-        both = seen_once(both, data)
-    if both and ground_position(both[0]):
-        out: list[Candidate] = []
-        for file in sorted({car.file for car in wide}):
-            new = [car for car in distinct([*drawn, *out, *(w for w in wide if w.file == file)]) if car.file == file]
-            out += at_most([car for car in new if car not in drawn], count, drawn)
-        return out
-    return at_most([car for car in both if car not in drawn], count, drawn)
+def wide_enough(cars: Sequence[Candidate]) -> list[Candidate]:
+    """Select the cars whose sides can be read."""
+    return [car for car in cars if car.width >= _LEAST_WIDTH_PX and car.score < 1 and _COARSE not in car.file]
 
 
 def end_view(car: Candidate, rng: np.random.Generator, flip: int = 1, factor: float = 1.0) -> View:
@@ -141,34 +135,33 @@ def read_chips(path: Path) -> list[Chip]:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("kinds", "ends", "again"))
+    parser.add_argument("what", choices=("kinds", "ends"))
     parser.add_argument("folder", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--places", default="", help="places to draw, comma between; all without it")
     parser.add_argument("--only", default="", help="regular expression of the files; all without it")
-    parser.add_argument("--name", help="name of the sheets and of their table; the word above without it")
+    parser.add_argument("--name", required=True, help="name of the sheets")
     parser.add_argument("--most", type=int, help="cars of one photograph")
     parser.add_argument("--limit", type=int, default=10_000, help="cars")
     options = parser.parse_args()
     everything = read_candidates(options.folder / "candidates.csv")
     places = options.places.split(",") if options.places else sorted({car.place for car in everything})
     rng = np.random.default_rng(zlib.crc32(options.places.encode()))
-    name = options.name or options.what
+    name = f"{options.what}_{options.name}"
     cars = [car for place in places for car in everything if car.place == place and re.search(options.only, car.file)]
+    drawn = [candidate_of(chip) for path in options.folder.glob(f"{options.what}*.csv") for chip in read_chips(path)]
     if options.what == "ends":
-        tables = [read_chips(path) for path in options.folder.glob("ends*.csv")]
-        known = [candidate_of(chip) for table in tables for chip in table]
-        chosen = []
-        for place in places:
-            drawn = [car for car in known if car.place == place]
-            of_place = [car for car in cars if car.place == place]
-            chosen += choose_ends(of_place, drawn, options.most or _MOST_ENDS, options.data)
-        chosen = chosen[: options.limit]
+        cars = wide_enough(cars)
+        for place in set(places).intersection(_OVERLAPPING):
+            before = [car for car in drawn if car.place == place]
+            seen = set(seen_once([*before, *(car for car in cars if car.place == place)], options.data))
+            cars = [car for car in cars if car.place != place or car in seen]
+    chosen = choose(cars, drawn, options.most or (_MOST_ENDS if options.what == "ends" else _MOST_KINDS))
+    chosen = chosen[:: max(1, len(chosen) // options.limit)][: options.limit]
+    if options.what == "ends":
         views, layout = [end_view(car, rng) for car in chosen], ENDS
     else:
         medians = median_lengths(everything)
-        chosen = at_most(distinct(cars), options.most or _MOST_KINDS)
-        chosen = chosen[:: max(1, len(chosen) // options.limit)][: options.limit]
         views, layout = [kind_view(car, medians[car.file], rng) for car in chosen], KINDS
     write_sheets(chips_of(name, chosen, views, layout), layout, options.folder, options.data, name)
 

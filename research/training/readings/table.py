@@ -79,7 +79,7 @@ def read_ends(folder: Path) -> Iterator[Reading]:
 
 def read_kinds(folder: Path) -> Iterator[tuple[Chip, str]]:
     """Read all notes on sheets of kinds, each car once."""
-    chips = _chips(folder, "k_*.csv")
+    chips = _chips(folder, "kinds*.csv")
     read: set[tuple[str, tuple[float, ...]]] = set()
     for path in sorted((folder / "readings").glob("kinds*.txt")):
         for chip, kind in parse_kinds(path, chips):

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("torch")
 
 from research.training.readings.candidates import Candidate
-from research.training.readings.sheets import at_most, distinct, ground_position
+from research.training.readings.sheets import choose, distinct, ground_position
 from research.training.readings.table import (
     ENDS_COLUMNS,
     HERE,
@@ -113,8 +113,8 @@ def test_images_of_one_ground_show_each_car_once() -> None:
 
 def test_a_photograph_gives_no_more_cars_than_asked_for_with_those_drawn_before() -> None:
     cars = [Candidate("a.jpg", "place", 50.0 * k, 10.0, 40.0, 18.0, 0.0, 0.9) for k in range(9)]
-    assert len(at_most(cars, 6)) == 6
-    assert len(at_most(cars[4:], 6, cars[:4])) == 2
+    assert len(choose(cars, [], 6)) == 6
+    assert len(choose(cars, cars[:4], 6)) == 2
 
 
 @pytest.mark.parametrize(
