@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 
 from research.training.readings.candidates import Candidate, read_candidates
-from research.training.readings.overlap import seen_once
 from research.training.readings.views import ENDS, KINDS, Chip, Layout, View, draw_sheet
 
 _END_PX = (340.0, 420.0)  # of a car's length on sheets of ends
@@ -28,7 +27,6 @@ _SHIFT_PX = (16.0, 10.0)
 _LEAST_WIDTH_PX = 20.0  # of a box, which is some 15 % wider than the body
 _MOST_ENDS, _MOST_KINDS = 6, 16  # of one photograph
 SAME_CAR = 0.4  # of a length: two boxes nearer than that on the ground are one car
-_OVERLAPPING = ("chia", "garfield", "jekhor_found")  # without a map's position in their names
 _COARSE = "mashiki_z20"  # shows the ground of the finer images
 _TILES_PX = 256  # side of a tile of a web map
 _PIXELS_NAME = re.compile(r"_z(\d+)(x2|[bc])?_\d+_(\d+)_(\d+)$")
@@ -49,7 +47,7 @@ def ground_position(car: Candidate) -> tuple[float, float, float] | None:
 
 
 def distinct(cars: Iterable[Candidate]) -> list[Candidate]:
-    """Leave out cars that an earlier one of the same place shows already."""
+    """Leave out cars of a web map that an earlier image of the place shows; elsewhere the reader marks duplicates."""
     out: list[Candidate] = []
     seen: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     for car in cars:
@@ -152,10 +150,6 @@ def main() -> None:
     drawn = [candidate_of(chip) for path in options.folder.glob(f"{options.what}*.csv") for chip in read_chips(path)]
     if options.what == "ends":
         cars = wide_enough(cars)
-        for place in set(places).intersection(_OVERLAPPING):
-            before = [car for car in drawn if car.place == place]
-            seen = set(seen_once([*before, *(car for car in cars if car.place == place)], options.data))
-            cars = [car for car in cars if car.place != place or car in seen]
     chosen = choose(cars, drawn, options.most or (_MOST_ENDS if options.what == "ends" else _MOST_KINDS))
     chosen = chosen[:: max(1, len(chosen) // options.limit)][: options.limit]
     if options.what == "ends":
