@@ -1,0 +1,1 @@
+"""Readings of cars by eye: kinds, ends and sides."""
