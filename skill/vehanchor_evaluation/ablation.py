@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from vehanchor.detection.card import REFERENCE_LENGTH_M
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import Reference
+from vehanchor.options.method import Method
 from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 from vehanchor_evaluation.gsd import ErrorRow, ScaleTrial
@@ -148,6 +149,7 @@ def _repeat(
     if trial.searched is None:
         raise InvalidParameterError(f"the trial of {trial.image.path} lacks its vehicles: use benchmark_scale")
     options = variant.changed(trial.analysis, options_of(trial.image))
+    options = replace(options, method=Method(preset="paper"))  # the published scale, L_ref / P_mode
     return replace(trial, analysis=trial.searched.analysis(benchmark.detector, options))
 
 

@@ -128,7 +128,7 @@ def test_the_ablation_repeats_the_second_half_with_one_choice_changed(tmp_path: 
 
     def expected(**options: Any) -> float:
         chosen = ScaleOptions.of(options)
-        found = analyse_scale(tmp_path / "images" / "a.png", chosen, detector=detector).estimate.gsd_m_per_px
+        found = analyse_scale(tmp_path / "images" / "a.png", chosen, detector=detector).vehicles.gsd_m_per_px
         assert found is not None
         return abs(found / truth - 1)
 

@@ -21,7 +21,7 @@ from vehanchor.records import Reason
 SCENES = ROOT / "examples" / "scenes"
 _README = (SCENES / "README.md").read_text(encoding="utf-8")
 _ROWS = re.findall(r"^\| `(\w+\.jpg)` .*`--zone ([\d ]+)` \| `(\w+)` \|$", _README, flags=re.MULTILINE)
-_RENDERINGS = re.findall(r"^\$ vehanchor (scene (\w+\.jpg) .*)$", _README, flags=re.MULTILINE)
+_RENDERINGS = re.findall(r"^\$ python -m research\.scenes ((\w+\.jpg) .*)$", _README, flags=re.MULTILINE)
 
 
 def _record(**changes: Any) -> dict[str, Any]:
@@ -148,7 +148,9 @@ def test_an_error_of_the_server_holds_altitude_and_is_told() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "name"), _RENDERINGS)
 def test_each_scene_is_what_its_command_renders(command: str, name: str, tmp_path: Path) -> None:
-    subprocess.run([sys.executable, "-m", "vehanchor", *shlex.split(command)], cwd=tmp_path, check=True)
+    subprocess.run(
+        [sys.executable, "-m", "research.scenes", str(tmp_path / name), *shlex.split(command)[1:]], cwd=ROOT, check=True
+    )
     rendered, shipped = cv2.imread(str(tmp_path / name)), cv2.imread(str(SCENES / name))
     assert rendered is not None
     assert shipped is not None

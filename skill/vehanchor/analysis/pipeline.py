@@ -46,7 +46,8 @@ from vehanchor.rulers.view import View
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import product
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX, MIN_KDE_VEHICLES, statistical_log_sds
-from vehanchor.scale.posterior import Answer, answer, judged
+from vehanchor.scale.posterior import Answer, answer, judged, sharing
+from vehanchor.scale.reliability import STRETCH
 from vehanchor.tilt.camera_tilt import metadata_tilt
 from vehanchor.tilt.estimate import tilt_notice
 
@@ -202,7 +203,9 @@ def conclude(
         others: witnesses of the other rulers.
         notices: of the tilt.
     """
-    witnesses = _without_repetition((vehicles, *others))
+    witnesses: tuple[Witness, ...] = _without_repetition((vehicles, *others))
+    if vehicles.stretched:
+        witnesses = tuple(sharing(each, STRETCH, "disagree") if each.found else each for each in witnesses)
     if view.options.method.preset == "paper":
         found, decided = None, _by_paper(vehicles)
     else:

@@ -16,7 +16,7 @@ def refusal(record: GsdEstimate) -> str | None:
     if record.scale is None:
         return "there is no scale"
     if record.status != "ok":
-        return "the scale's confidence is below 0.5"
+        return "the scale is not usable"
     if record.scale.plane is not None:
         return f"the camera was tilted by {record.scale.plane.tilt_deg:.0f} degrees, and the scale varies"
     return None

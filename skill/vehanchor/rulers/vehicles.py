@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _LEAST_SCORE = 1e-3  # floor of the scores, so that a detection counts
 _LOOK_ALIKE_LENGTHS = 1.5  # of cars: vans, caravans, lorries, containers, boats; a choice
-_DOUBTED_LOG_SD = 0.4  # of the scale around that of doubted vehicles, if they are wrong; a choice
+_LOOK_ALIKE_LOG_SD = 0.4  # of the scale, if the vehicles are look-alikes; a choice
 _COARSEST = 2.9  # metres per pixel, on the grid
 _CLEAR_SCORE = 1.0  # of a car that nobody doubts
 
@@ -139,6 +139,7 @@ class VehicleWitness(Witness):
         guard_length_px: ``P_thresh`` of the resolution guard.
         resolved: share of the pixels' resolution at which there is detail.
         doubted: whether the vehicles may be look-alikes, the image stretched, or the vehicles too coarse.
+        stretched: whether width and height of the image seem to have different scales.
     """
 
     fleet: Fleet
@@ -147,6 +148,7 @@ class VehicleWitness(Witness):
     guard_length_px: float
     resolved: float
     doubted: bool = False
+    stretched: bool = False
 
 
 class Vehicles(Ruler):
@@ -207,7 +209,8 @@ class Vehicles(Ruler):
             paper=paper,
             guard_length_px=guard_px,
             resolved=resolved,
-            doubted=votes.chance_wrong > _Votes(fleet, card, reference).chance_wrong,
+            doubted=bool(doubts) or votes.chance_wrong > _Votes(fleet, card, reference).chance_wrong,
+            stretched=NoticeCode.STRETCHED in doubts,
         )
 
     def not_measured(self, view: View) -> VehicleWitness:
@@ -242,7 +245,8 @@ class _Votes(NamedTuple):
             chances = [uncalibrated_wrong(int(likely.sum()))]
         else:
             chances = [RELIABILITY["vehicles"].chance_wrong]
-        chances += [RELIABILITY[_RELIABILITY_OF[doubt]].chance_wrong for doubt in self.doubts]
+        if NoticeCode.LOOK_ALIKES in self.doubts:
+            chances.append(RELIABILITY["vehicles, look-alikes"].chance_wrong)
         rival_odds = self.fleet.rival_share**2  # that the other group is the fleet; a choice
         rival_wrong = rival_odds / (1.0 + rival_odds)
         return 1.0 - (1.0 - max(*chances, rival_wrong)) * (1.0 - unresolved(self.coarseness).chance_wrong)
@@ -250,13 +254,12 @@ class _Votes(NamedTuple):
     def wrong(self, gsd_m_per_px: float | None) -> NDArray[np.float64]:
         """Return the density ``[g]`` of the scale if the vehicles are wrong.
 
-        Flat without doubts. Look-alikes are longer than cars, and a stretched image has scales on either side: both
-        lie near the vehicles' scale, so that a prior which agrees with it does not remove the doubt.
+        Flat without doubts. Look-alikes are longer than cars; their scale lies near the vehicles' scale, so that a
+        prior which agrees with it does not remove the doubt.
         """
-        if gsd_m_per_px is None or not on_grid(gsd_m_per_px) or not self.doubts:
+        if gsd_m_per_px is None or not on_grid(gsd_m_per_px) or NoticeCode.LOOK_ALIKES not in self.doubts:
             return flat()
-        lengths = _LOOK_ALIKE_LENGTHS if NoticeCode.LOOK_ALIKES in self.doubts else 1.0
-        return (lognormal(min(gsd_m_per_px * lengths, _COARSEST), _DOUBTED_LOG_SD) + flat()) / 2
+        return (lognormal(min(gsd_m_per_px * _LOOK_ALIKE_LENGTHS, _COARSEST), _LOOK_ALIKE_LOG_SD) + flat()) / 2
 
     def density(self, *, cars: int = 0, clear: bool = False, fleet_known: bool = False) -> NDArray[np.float64]:
         """Compute the density ``[g]`` of the scale, widened by the errors of the fleet and of too coarse vehicles.
@@ -286,10 +289,7 @@ class _Votes(NamedTuple):
         """List what would raise the vehicles' weight: detail, cars without doubt, one car more, a known fleet."""
         sharp = self._replace(coarseness=0.0)
         alike = self._replace(doubts=tuple(doubt for doubt in self.doubts if doubt != NoticeCode.LOOK_ALIKES))
-        true = self._replace(
-            fleet=replace(self.fleet, rival_share=0.0),
-            doubts=tuple(doubt for doubt in self.doubts if doubt != NoticeCode.STRETCHED),
-        )
+        true = self._replace(fleet=replace(self.fleet, rival_share=0.0))
         return (
             Lack("too_coarse", Witness(Vehicles.kind, None, sharp.density(), sharp.chance_wrong)),
             Lack("not_cars", Witness(Vehicles.kind, None, self.density(clear=True), alike.chance_wrong)),
@@ -304,10 +304,6 @@ def _expected(view: View) -> NDArray[np.float64] | None:
     return view.expected if view.prior is None or view.plane is not None else view.prior.density
 
 
-_RELIABILITY_OF = {
-    NoticeCode.STRETCHED: "vehicles, stretched",
-    NoticeCode.LOOK_ALIKES: "vehicles, look-alikes",
-}
 _DOUBTS = {
     NoticeCode.STRETCHED: Notice(
         code=NoticeCode.STRETCHED,

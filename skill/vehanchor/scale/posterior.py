@@ -145,6 +145,13 @@ class Witness:
         return np.asarray(self.wrong * float((factor / self.wrong).min()))
 
 
+def sharing(witness: Witness, error: Shared, removes: Reason) -> Witness:
+    """Give a witness an error that it shares; its lack ``removes`` is the witness without that error."""
+    lacks = [each for each in witness.lacks if each.reason != removes]
+    kept = tuple(Lack(each.reason, replace(each.without, shared=(*each.without.shared, error))) for each in lacks)
+    return replace(witness, shared=(*witness.shared, error), lacks=(*kept, Lack(removes, witness)))
+
+
 @dataclass(frozen=True, eq=False)
 class Answer:
     """Scale by all witnesses.

@@ -49,7 +49,6 @@ RELIABILITY: dict[str, Reliability] = {
     "vehicles": Reliability(CAR_LOG_SD, 0.01, 1191, _PLACES),
     "vehicles, uncalibrated": Reliability(CAR_LOG_SD, 0.05, 0, "a choice for detectors without fitted votes"),
     "vehicles, look-alikes": Reliability(CAR_LOG_SD, 0.5, 90, "harbours, tanks, aprons: 0 of 90 usable and wrong"),
-    "vehicles, stretched": Reliability(CAR_LOG_SD, 0.5, 9, "5 of 9 photographs that the check doubts are stretched"),
     "vehicles, too coarse": Reliability(0.5, 0.33, 136, "per log of coarseness; 70 photographs at 0.3 to 0.6 m/px"),
     "courts": Reliability(0.006, 0.08, 8, "1 of 8 finds in 1,006 random photographs is false; 30 known ones"),
     "parking_bays": Reliability(0.09, 0.12, 35, "5 of 35 finds are more than a fifth off"),
@@ -101,6 +100,9 @@ CALLER = Shared("caller", 0.0, 0.11)
 
 RECOGNITION = Shared("caller", 0.0, 0.05)
 """A caller mistakes all things of known size in an image. A choice."""
+
+STRETCH = Shared("stretched image", 0.0, 0.5)
+"""A stretched image has no one scale for any ruler: 5 of 9 photographs that the check doubts are stretched."""
 
 PAINT = Shared("paint", 0.05)
 """One country's widths of bays and lanes. A choice."""

@@ -64,7 +64,7 @@ def test_json_is_the_record_and_nothing_else(run: Any) -> None:
 
 def test_an_orthophoto_without_scale_gets_one(run: Any) -> None:
     rasterio = pytest.importorskip("rasterio")
-    done = run("ortho.png", "--geotiff", "metric.tif")
+    done = run("ortho.png", "--geotiff", "metric.tif", "--rulers", "vehicles")
     assert done.exit_code == 0, done.output
     assert "states no scale" in " ".join(done.stdout.split())
     with rasterio.open("metric.tif") as copy:

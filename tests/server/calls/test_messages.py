@@ -150,6 +150,7 @@ def test_an_answer_of_another_form_is_refused(pipe: tuple[Connection, Connection
         receive_answer(pipe[0], ONE_RECORD, Value)
 
 
+@pytest.mark.slow
 @pytest.mark.promise("messages")
 @pytest.mark.parametrize("items", [b"{}", b"0", b"[]"])
 @pytest.mark.parametrize("field", ["outline", "warnings", "alternatives", "estimate", "vehicles", "lines"])

@@ -201,6 +201,7 @@ async def test_an_issuer_that_is_not_itself_or_not_there_is_told_in_the_log(
     assert [word in caplog.text for word in ("evil.test", "not https", "unreachable")] == [True] * 3
 
 
+@pytest.mark.slow
 @pytest.mark.promise("issuer")
 async def test_a_slow_issuer_makes_only_the_stranger_wait(issuer: Issuer, monkeypatch: pytest.MonkeyPatch) -> None:
     verifier = issuer.verifier()

@@ -63,7 +63,7 @@ def test_a_scale_that_varies_or_is_unsure_is_refused_with_the_reason(image: Path
     tilted = record.model_copy(update={"scale": record.scale.model_copy(update={"plane": plane})})
     assert refusal(tilted) == "the camera was tilted by 35 degrees, and the scale varies"
     unsure = record.model_copy(update={"status": "low_confidence"})
-    assert refusal(unsure) == "the scale's confidence is below 0.5"
+    assert refusal(unsure) == "the scale is not usable"
 
 
 def test_the_image_itself_is_never_overwritten(image: Path) -> None:
