@@ -19,12 +19,10 @@ import sys
 import sysconfig
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import vehanchor
-import vehanchor_flight
-import vehanchor_server
 from vehanchor_server.sandbox.environment import absolute_folders
 from vehanchor_server.sandbox.system_calls import checked, filter_system_calls, last_error
 
@@ -116,9 +114,10 @@ def _needed_files() -> Iterator[Path]:
     yield from map(Path, _SYSTEM_FILES)
     yield from map(Path, absolute_folders(os.environ.get("LD_LIBRARY_PATH", "")))
     yield from map(Path, {sys.prefix, sys.base_prefix, sys.exec_prefix, *sysconfig.get_paths().values()})
-    yield from (
-        Path(folder) for package in (vehanchor, vehanchor_flight, vehanchor_server) for folder in package.__path__
-    )
+    for package in ("vehanchor", "vehanchor_flight", "vehanchor_server"):
+        with suppress(ModuleNotFoundError):  # each but the first and the last may be missing
+            found = find_spec(package)
+            yield from map(Path, (found and found.submodule_search_locations) or ())
     working, home = Path.cwd(), Path.home()
     for entry in map(Path, filter(None, sys.path)):
         if not (working.is_relative_to(entry) or home.is_relative_to(entry)):  # Python may have added them itself

@@ -503,7 +503,7 @@ def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert "60 rows (60 ok), " in done.stderr
+    assert "60 rows (60 low_confidence), " in done.stderr
     assert " of them from an earlier run; " in done.stderr
     with (tmp_path / "t.csv").open(newline="") as file:
         assert [row["file"] for row in csv.DictReader(file)] == [f"{n:02}.png" for n in range(60)]
