@@ -36,7 +36,7 @@ def test_everything_public_is_in_the_reference(site: Path) -> None:
 
 def test_fields_are_explained_by_the_records_own_descriptions(site: Path) -> None:
     page = (site / "reference/index.html").read_text(encoding="utf-8")
-    assert "Below 0.5 use another source of scale" in page
+    assert "Chance that the scale is right within 20 %" in page
 
 
 def test_every_bundled_model_has_its_card(site: Path) -> None:
