@@ -202,7 +202,7 @@ async def test_what_strict_mode_makes_a_model_send_is_accepted(
     }
     if tool == "estimate_gsd":
         left_out |= {"more_images": None, "same_scale": False}
-        left_out |= {"confirm": None, "drop": None, "add": None}
+        left_out |= {"drop": None, "add": None}
         left_out |= {"effort": None, "max_tiles": None, "max_seconds": None}
     else:
         left_out |= {"targets": None, "object_height_m": None, "overlay_side_px": 1000}

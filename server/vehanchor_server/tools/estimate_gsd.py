@@ -47,7 +47,6 @@ from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import (
     UNLISTED_ARGUMENTS,
     AddArgument,
-    ConfirmArgument,
     CoordinatesArgument,
     DetailArgument,
     DropArgument,
@@ -72,7 +71,7 @@ _DESCRIPTION = (
     f"0.3 m/px or finer, or another ruler. {POLICY}"
 )
 
-_CHECK = "look at include_overlay, then confirm the boxes that are cars and drop the others"
+_CHECK = "look at include_overlay, then drop the boxes that are no cars"
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,6 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         focal_35mm: FocalLengthArgument = None,
         height_basis: HeightBasisArgument = "assumed",
         height_tolerance_m: HeightToleranceArgument = None,
-        confirm: ConfirmArgument = None,
         drop: DropArgument = None,
         add: AddArgument = None,
         coordinates: CoordinatesArgument = "pixels",
@@ -112,7 +110,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         facts = (region, reference_length_m, frame, known_lengths)
         height = (height_m, height_basis, height_tolerance_m, focal_35mm)
         search = (coordinates, effort, max_tiles, max_seconds)
-        told = ScaleQuestion(*facts, *height, *search, confirm, drop, add)
+        told = ScaleQuestion(*facts, *height, *search, drop, add)
         question, paged = with_user_input(ctx, told), client_supports_apps(ctx)
         wanted = PictureRequest(include_overlay, paged)
         if more_images:

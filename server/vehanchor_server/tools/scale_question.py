@@ -111,7 +111,6 @@ HeightArgument: TypeAlias = Annotated[Number | None, option_field("height_m")]
 HeightBasisArgument: TypeAlias = Annotated[Basis, option_field("height_basis")]
 HeightToleranceArgument: TypeAlias = Annotated[Number | None, option_field("height_tolerance_m")]
 FocalLengthArgument: TypeAlias = Annotated[Number | None, option_field("focal_35mm")]
-ConfirmArgument: TypeAlias = Annotated[str | None, Field(max_length=_MOST_NUMBERS_TEXT), option_field("confirm")]
 DropArgument: TypeAlias = Annotated[str | None, Field(max_length=_MOST_NUMBERS_TEXT), option_field("drop")]
 AddArgument: TypeAlias = Annotated[tuple[CarAxis, ...] | None, Field(max_length=_MOST_ADDED), option_field("add")]
 ObjectHeightArgument: TypeAlias = Annotated[Number | None, option_field(OBJECT_HEIGHT)]
@@ -162,8 +161,7 @@ class ScaleQuestion:
         effort: extent of the search in large images; None for the operator's setting.
         max_tiles: maximum number of tiles; the operator's limit also applies.
         max_seconds: maximum search time; the operator's limit also applies.
-        confirm: numbers of vehicles that are cars, as "1-20,23".
-        drop: numbers of vehicles that are no cars.
+        drop: numbers of vehicles that are no cars, as "1-20,23".
         add: cars that were not found.
         stated: a scale from elsewhere.
     """
@@ -180,7 +178,6 @@ class ScaleQuestion:
     effort: Effort | None = None
     max_tiles: int | None = None
     max_seconds: float | None = None
-    confirm: str | None = None
     drop: str | None = None
     add: tuple[CarAxis, ...] | None = None
     stated: StatedScale | None = None
@@ -193,7 +190,6 @@ class ScaleQuestion:
             InvalidParameterError: a number is invalid.
         """
         return ByHand(
-            confirm=vehicle_numbers("confirm", self.confirm or ""),
             drop=vehicle_numbers("drop", self.drop or ""),
             add=tuple(AddedVehicle(each.x1, each.y1, each.x2, each.y2) for each in self.add or ()),
         )

@@ -314,7 +314,7 @@ def _record(
 
 def _by_hand(detections: Detections) -> VehiclesByHand | None:
     told = detections.corrections
-    return told and VehiclesByHand(confirmed=told.n_confirmed, dropped=told.n_dropped, added=told.n_added)
+    return told and VehiclesByHand(dropped=told.n_dropped, added=told.n_added)
 
 
 def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:

@@ -258,7 +258,7 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
     ]
     if fused:
         facts += [("" if row else "rulers", _ruler_text(ruler)) for row, ruler in enumerate(record.rulers)]
-    if advice := advice_for(record, "look at --overlay, then --confirm the cars and --drop the others"):
+    if advice := advice_for(record, "look at --overlay, then --drop what is no car"):
         facts.append(("not usable", f"{advice.why}: {advice.helps}"))
     size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is not None and record.mode_length_px is not None:

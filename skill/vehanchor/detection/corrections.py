@@ -1,4 +1,4 @@
-"""Corrections of a search by the caller: vehicles that are confirmed, dropped or added by hand."""
+"""Corrections of a search by the caller: vehicles that are dropped or added by hand."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _POINTED_SD_PX = 2.0  # error of an end, in pixels where it was pointed at; our 
 def corrected(
     detections: Detections, by_hand: ByHand, frame: Frame, size_px: tuple[int, int], nms_iou: float
 ) -> Detections:
-    """Confirm, drop and add vehicles after a search.
+    """Drop and add vehicles after a search.
 
     An added vehicle replaces the detections that it overlaps.
 
@@ -46,10 +46,8 @@ def corrected(
     if by_hand.given is None:
         return detections
     found = len(detections.boxes)
-    for name in ("confirm", "drop"):
-        _check_numbers(name, getattr(by_hand, name), found)
+    _check_numbers(by_hand.drop, found)
     numbers = np.arange(1, found + 1)
-    confirmed = np.isin(numbers, by_hand.confirm)
     added, pointed_log_sds = _added_boxes(by_hand, frame, size_px)
     overlaps = oriented_iou(detections.boxes, added).max(axis=1, initial=0.0) > nms_iou
     kept = ~np.isin(numbers, by_hand.drop) & ~overlaps
@@ -61,15 +59,13 @@ def corrected(
     return replace(
         detections,
         boxes=np.concatenate([detections.boxes[kept], added]),
-        scores=_joined(np.where(confirmed, _STATED_SCORE, detections.scores)[kept], n_added, _STATED_SCORE),
+        scores=_joined(detections.scores[kept], n_added, _STATED_SCORE),
         scales=None if detections.scales is None else _joined(detections.scales[kept], n_added, 1.0),
         fleet=None if fleet is None else fleet.take(kept[: len(fleet.log_odds)]),
         classes=classes,
         corrections=Corrections(
             numbers=np.concatenate([numbers[kept], found + 1 + np.arange(n_added)]),
-            stated=np.concatenate([confirmed[kept], np.ones(n_added, bool)]),
             pointed_log_sds=np.concatenate([np.zeros(int(kept.sum())), pointed_log_sds]),
-            n_confirmed=int((confirmed & kept).sum()),
             n_dropped=len(by_hand.drop),
             n_added=n_added,
         ),
@@ -80,11 +76,11 @@ def _joined(found: NDArray[np.float64], n_added: int, value: float) -> NDArray[n
     return np.concatenate([found, np.full(n_added, value)])
 
 
-def _check_numbers(name: str, numbers: tuple[int, ...], found: int) -> None:
+def _check_numbers(numbers: tuple[int, ...], found: int) -> None:
     missing = [each for each in numbers if each > found]
     if missing:
         have = f"they are 1 to {found}" if found else "none was found"
-        raise InvalidParameterError(f"{name} has number {missing[0]}, which is no vehicle of this image: {have}")
+        raise InvalidParameterError(f"drop has number {missing[0]}, which is no vehicle of this image: {have}")
 
 
 def _added_boxes(

@@ -52,17 +52,13 @@ class Corrections(NamedTuple):
 
     Attributes:
         numbers: ``[n]`` int, numbers of the vehicles in pictures; added ones follow the last detection.
-        stated: ``[n]`` bool, vehicles that the caller confirmed or added.
         pointed_log_sds: ``[n]`` float64, standard deviation of the log of each length by pointing; 0 for detections.
-        n_confirmed: number of confirmed vehicles.
         n_dropped: number of dropped vehicles.
         n_added: number of added vehicles.
     """
 
     numbers: NDArray[np.intp]
-    stated: NDArray[np.bool_]
     pointed_log_sds: NDArray[np.float64]
-    n_confirmed: int
     n_dropped: int
     n_added: int
 
@@ -126,8 +122,9 @@ class Detections:
 
     @property
     def stated(self) -> NDArray[np.bool_]:
-        """``[n]`` bool, vehicles that the caller confirmed or added."""
-        return np.zeros(len(self.boxes), bool) if self.corrections is None else self.corrections.stated
+        """``[n]`` bool, vehicles that the caller added: the last ones."""
+        n = len(self.boxes)
+        return np.arange(n) >= n - (0 if self.corrections is None else self.corrections.n_added)
 
 
 NOT_SEARCHED = Detections(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)

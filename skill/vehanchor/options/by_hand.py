@@ -1,4 +1,4 @@
-"""The option group ``ByHand``: vehicles that the caller confirms, drops or adds."""
+"""The option group ``ByHand``: vehicles that the caller drops or adds."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any, ClassVar, NamedTuple
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.option import Limits, option, set_frozen
 
-BY_HAND = ("confirm", "drop", "add")
+BY_HAND = ("drop", "add")
 """Names of the options, which belong to one image."""
 
 MOST_BY_HAND = 1000
-"""Largest number of vehicles in each of the three lists."""
+"""Largest number of vehicles in each of the two lists."""
 
 _NUMBER = Limits(1, 1_000_000, whole=True)
 _COORDINATE = Limits()
@@ -44,30 +44,21 @@ class AddedVehicle(NamedTuple):
 
 @dataclass(frozen=True)
 class ByHand:
-    """Vehicles that the caller confirms, drops or adds.
+    """Vehicles that the caller drops or adds.
 
     The numbers are those of the pictures: 1 is the best detection. They hold for one image, one detector and the same
     options of the search.
 
     Attributes:
-        confirm: numbers of vehicles that are cars.
         drop: numbers of vehicles that are no cars.
         add: cars that were not found: x1, y1, x2, y2 of the long axis, from bumper to bumper.
 
     Raises:
-        InvalidParameterError: a number or an axis is invalid, or a vehicle is confirmed and dropped.
+        InvalidParameterError: a number or an axis is invalid.
     """
 
     panel: ClassVar[str] = "Vehicles by hand"
 
-    confirm: tuple[int, ...] = field(
-        default=(),
-        metadata=option(
-            "Overlay boxes that are cars, as 1-20,23.",
-            metavar="N,N-N",
-            read=lambda text: vehicle_numbers("confirm", text),
-        ),
-    )
     drop: tuple[int, ...] = field(
         default=(),
         metadata=option(
@@ -85,12 +76,8 @@ class ByHand:
     )
 
     def __post_init__(self) -> None:
-        set_frozen(self, "confirm", _numbers("confirm", self.confirm))
         set_frozen(self, "drop", _numbers("drop", self.drop))
         set_frozen(self, "add", _axes(self.add))
-        both = sorted({*self.confirm} & {*self.drop})
-        if both:
-            raise InvalidParameterError(f"vehicle {both[0]} is in confirm and in drop: choose one")
 
     @property
     def given(self) -> str | None:

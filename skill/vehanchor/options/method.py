@@ -36,7 +36,6 @@ PRESETS: dict[str, dict[str, Any]] = {
         "height_basis": "assumed",
         "height_tolerance_m": None,
         "focal_35mm": None,
-        "confirm": (),
         "drop": (),
         "add": (),
     }

@@ -33,7 +33,7 @@ class ScaleOptions:
         frame: the caller's resized copy.
         reading: reading of the image.
         rulers: rulers to use, and known facts about the scale.
-        by_hand: vehicles that the caller confirms, drops or adds.
+        by_hand: vehicles that the caller drops or adds.
         method: preset of all options.
     """
 

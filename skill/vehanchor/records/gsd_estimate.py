@@ -46,16 +46,15 @@ class SceneScaleEstimate(Record):
 
 
 class VehiclesByHand(Record):
-    """Vehicles that the caller confirmed, dropped and added: the caller's word, not the image's."""
+    """Vehicles that the caller dropped and added: the caller's word, not the image's."""
 
-    confirmed: int = Field(ge=0, description="Detections that the caller says are cars.")
     dropped: int = Field(ge=0, description="Detections that the caller says are no cars.")
     added: int = Field(ge=0, description="Cars that the caller pointed at.")
 
     @property
     def summary(self) -> str:
-        """Counts above 0, as "2 confirmed, 1 added"."""
-        counts = {"confirmed": self.confirmed, "added": self.added, "dropped": self.dropped}
+        """Counts above 0, as "2 added, 1 dropped"."""
+        counts = {"added": self.added, "dropped": self.dropped}
         return ", ".join(f"{n} {each}" for each, n in counts.items() if n)
 
 

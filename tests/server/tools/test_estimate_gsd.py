@@ -128,17 +128,17 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPSe
         plain = (await client.call_tool("estimate_gsd", photo)).structured_content
         assert plain is not None
         n = plain["n_detections"]
-        told = {"confirm": f"1-{n - 1}", "drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
+        told = {"drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
         frame = {"width_px": plain["image_width_px"] // 2, "height_px": plain["image_height_px"] // 2}
         result = await client.call_tool("estimate_gsd", {**photo, **told, "frame": frame})
         missing = await client.call_tool("estimate_gsd", {**photo, "drop": f"1,{n + 1}"})
-        unreadable = await client.call_tool("estimate_gsd", {**photo, "confirm": "all"})
-    assert {"confirm", "drop"} < set(listed["estimate_gsd"]["properties"])
+        unreadable = await client.call_tool("estimate_gsd", {**photo, "drop": "all"})
+    assert "drop" in listed["estimate_gsd"]["properties"]
     assert not result.is_error, text_of(result)
     assert result.structured_content is not None
-    assert result.structured_content["by_hand"] == {"confirmed": n - 1, "dropped": 1, "added": 1}
+    assert result.structured_content["by_hand"] == {"dropped": 1, "added": 1}
     assert result.structured_content["confidence"] <= 0.99
-    assert f"by hand: {n - 1} confirmed, 1 added, 1 dropped" in text_of(result)
+    assert "by hand: 1 added, 1 dropped" in text_of(result)
     assert missing.is_error
     assert f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}" in text_of(missing)
     assert "use numbers and ranges with commas, as 1-20,23" in text_of(unreadable)
@@ -224,10 +224,9 @@ def test_only_vehicles_of_too_few_pixels_are_a_reason_to_fly_lower(doubtful: Gsd
 def test_doubts_about_the_fleet_are_told_with_their_warning(doubtful: GsdEstimate) -> None:
     notice = Notice(code=NoticeCode.LOOK_ALIKES, message="They are all alike.")
     words = describe_estimate(doubtful.model_copy(update={"warnings": (notice,), "reason": "not_cars"}))
-    assert "(the vehicles may not be cars); look at include_overlay, then confirm the boxes that are cars" in words
+    assert "(the vehicles may not be cars); look at include_overlay, then drop the boxes that are no cars" in words
     measuring = unusable_scale(doubtful.model_copy(update={"reason": "not_cars"}))
     assert "check what was taken for cars" in measuring
-    assert "confirm" not in measuring, "the measuring tools take none"
     assert words.endswith("Warning look_alikes: They are all alike.")
 
 

@@ -534,19 +534,19 @@ def test_lines_of_known_length_are_given_again_and_again_and_heard(run: Any) -> 
     assert "known_length" not in said.stdout
 
 
-def test_vehicles_are_confirmed_dropped_and_added_by_hand(run: Any) -> None:
+def test_vehicles_are_dropped_and_added_by_hand(run: Any) -> None:
     n = json.loads(_estimate(run, "--json", "cars.png").stdout)["n_detections"]
-    told = ["--confirm", f"1-{n - 1}", "--drop", n, "--add", 0, 0, 20, 0, "--add", "0,60,20,60"]
+    told = ["--drop", n, "--add", 0, 0, 20, 0, "--add", "0,60,20,60"]
     result = _estimate(run, "--json", "cars.png", *told)
     assert result.exit_code == 0, result.output
     record = json.loads(result.stdout)
-    assert record["by_hand"] == {"confirmed": n - 1, "dropped": 1, "added": 2}
+    assert record["by_hand"] == {"dropped": 1, "added": 2}
     assert record["n_detections"] == n + 1
     missing = _estimate(run, "cars.png", "--drop", n + 1)
     assert f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}" in missing.stderr
     several = _estimate(run, "cars.png", "none.png", "--drop", 1)
     assert "drop belongs to one image" in several.stderr
-    assert "--confirm" not in run("batch", "--help").stdout
+    assert "--drop" not in run("batch", "--help").stdout
 
 
 def test_a_line_may_be_one_text_and_one_with_a_number_missing_is_named_whole(run: Any) -> None:

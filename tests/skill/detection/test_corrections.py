@@ -1,4 +1,4 @@
-"""Vehicles that the caller confirms, drops or adds, from the search to the record."""
+"""Vehicles that the caller drops or adds, from the search to the record."""
 
 from __future__ import annotations
 
@@ -47,36 +47,11 @@ def _analysis(found: Detections, **told: Any) -> ScaleAnalysis:
     return analyse_found(made, made_card(), ScaleOptions(), image_width_px=_SIDE, image_height_px=_SIDE)
 
 
-@pytest.fixture
-def alike() -> Detections:
-    """Thirty vehicles that look alike."""
-    odds = 0.5 + 0.5 * np.array([NormalDist().inv_cdf((k + 0.5) / 30) for k in range(30)])
-    return _found([(40.0, 30)], score=0.9, fleet=FleetAppearance(odds, np.zeros(30)), spread=0.055)
-
-
 def test_without_corrections_nothing_changes() -> None:
     found = _found([(40.0, 12)])
     assert _corrected(found) is found
     assert _analysis(found).estimate.by_hand is None
     assert found.numbers.tolist() == list(range(1, 13))
-
-
-def test_a_confirmation_of_most_vehicles_lifts_the_doubt_of_their_looks(alike: Detections) -> None:
-    doubted, few, most = (_analysis(alike, confirm=range(1, n + 1)).estimate for n in (0, 15, 16))
-    for record in (doubted, few):
-        assert (record.status, record.reason) == ("low_confidence", "not_cars")
-        assert [w.code for w in record.warnings] == ["look_alikes"]
-    assert (most.status, most.warnings) == ("ok", ())
-    assert most.confidence <= 0.99
-    assert most.by_hand is not None
-    assert most.by_hand.model_dump() == {"confirmed": 16, "dropped": 0, "added": 0}
-    assert most.gsd_m_per_px == pytest.approx(doubted.gsd_m_per_px, rel=0.05)
-
-
-def test_a_confirmation_does_not_lift_the_resolution_guard() -> None:
-    small = _analysis(_found([(9.0, 30)]), confirm=range(1, 31)).estimate
-    assert small.resolution_guard
-    assert (small.status, small.reason) == ("low_confidence", "too_coarse")
 
 
 def test_dropped_vehicles_are_no_evidence_and_the_others_keep_their_numbers() -> None:
@@ -93,14 +68,11 @@ def test_dropped_vehicles_are_no_evidence_and_the_others_keep_their_numbers() ->
     assert [each["properties"]["number"] for each in some.__geo_interface__["features"]][:2] == [2, 4]
 
 
-def test_confirmed_vehicles_choose_the_fleet_and_pass_the_outlier_filter() -> None:
-    found = _found([(40.0, 20), (100.0, 4)])
-    assert _analysis(found).estimate.mode_length_px == pytest.approx(40, rel=0.03)
-    told = _analysis(found, confirm=[21, 22, 23])
-    assert told.estimate.mode_length_px == pytest.approx(100, rel=0.1)
-    assert told.kept.tolist() == [False] * 20 + [True] * 4
-    outlier = _analysis(_found([(40.0, 20), (70.0, 1)]), confirm=[21])
-    assert outlier.kept[20]
+def test_added_vehicles_choose_the_fleet_and_pass_the_outlier_filter() -> None:
+    found = _found([(40.0, 20)])
+    told = _analysis(found, add=[(3000, y, 3100 + y / 100, y) for y in (3000, 3200, 3400)])
+    assert told.estimate.mode_length_px == pytest.approx(132, rel=0.05)
+    assert told.kept.tolist() == [False] * 20 + [True] * 3
 
 
 def test_an_added_vehicle_counts_and_has_the_next_number() -> None:
@@ -112,7 +84,7 @@ def test_an_added_vehicle_counts_and_has_the_next_number() -> None:
     assert (width, angle) == pytest.approx((40 / 2.21, np.arctan2(4, 3)))
     assert told.estimate.n_vehicles == 12
     assert told.estimate.by_hand is not None
-    assert told.estimate.by_hand.model_dump() == {"confirmed": 0, "dropped": 1, "added": 1}
+    assert told.estimate.by_hand.model_dump() == {"dropped": 1, "added": 1}
 
 
 def test_an_added_vehicle_replaces_the_detections_that_it_overlaps() -> None:
@@ -137,12 +109,11 @@ def test_an_added_vehicle_of_a_coarse_copy_is_less_certain() -> None:
     assert not fine.corrections.pointed_log_sds[:-1].any()
 
 
-@pytest.mark.parametrize("name", ["confirm", "drop"])
-def test_a_number_that_does_not_exist_says_how_many_there_are(name: str) -> None:
-    with pytest.raises(InvalidParameterError, match=f"{name} has number 13, which is no vehicle .* they are 1 to 12"):
-        _corrected(_found([(40.0, 12)]), **{name: [2, 13]})
+def test_a_number_that_does_not_exist_says_how_many_there_are() -> None:
+    with pytest.raises(InvalidParameterError, match="drop has number 13, which is no vehicle .* they are 1 to 12"):
+        _corrected(_found([(40.0, 12)]), drop=[2, 13])
     with pytest.raises(InvalidParameterError, match="none was found"):
-        _corrected(_found([]), **{name: [1]})
+        _corrected(_found([]), drop=[1])
 
 
 # --- With the bundled model ------------------------------------------------------------------------------------------
@@ -158,21 +129,10 @@ def hire_cars() -> Any:
     return paint_yard("equal cars", EQUAL_CARS[0] / 25, 500, seed=1)
 
 
-def test_confirmed_hire_cars_of_one_make_give_the_scale_again_and_again(engine: Engine, hire_cars: Any) -> None:
-    doubted = engine.estimate(hire_cars)
-    assert (doubted.status, doubted.reason) == ("low_confidence", "not_cars")
-    told = ScaleOptions.of({"confirm": range(1, doubted.n_detections + 1)})
-    sure, again = engine.estimate(hire_cars, told), engine.estimate(hire_cars, told)
-    assert sure == again
-    assert sure.status == "ok"
-    assert sure.confidence <= 0.99
-    assert sure.gsd_m_per_px == pytest.approx(EQUAL_CARS[0] / 25, rel=0.1)
-
-
 def test_what_belongs_to_one_image_or_needs_a_search_is_refused(engine: Engine, hire_cars: Any, tmp_path: Path) -> None:
     with pytest.raises(InvalidParameterError, match="add belongs to one image"):
         run_batch([str(tmp_path)], tmp_path / "t.csv", options=ScaleOptions.of({"add": [(0, 0, 9, 0)]}))
-    with pytest.raises(InvalidParameterError, match="confirm needs the ruler vehicles"):
-        engine.estimate(hire_cars, rulers=("known_length",), confirm=[1])
+    with pytest.raises(InvalidParameterError, match="drop needs the ruler vehicles"):
+        engine.estimate(hire_cars, rulers=("known_length",), drop=[1])
     with pytest.raises(InvalidParameterError, match="give gsd_m_per_px or drop, not both"):
         engine.measure_distance(hire_cars, [(0, 0), (50, 0)], gsd_m_per_px=0.1, drop=[1])

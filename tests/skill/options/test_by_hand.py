@@ -12,14 +12,13 @@ from vehanchor.options.by_hand import MOST_BY_HAND, axis_of_text, vehicle_number
 @pytest.mark.parametrize(
     ("told", "message"),
     [
-        ({"confirm": "12"}, "confirm is '12': give a list of numbers of vehicles"),
+        ({"drop": "12"}, "drop is '12': give a list of numbers of vehicles"),
         ({"drop": [0]}, "drop is 0: use a whole number from 1"),
         ({"drop": [1.5]}, "drop is 1.5: use a whole number"),
-        ({"confirm": [2, 5], "drop": [5]}, "vehicle 5 is in confirm and in drop"),
         ({"add": [(1, 2, 3)]}, "give axes of x1, y1, x2, y2"),
         ({"add": [(1, 2, 3, float("nan"))]}, "add is nan"),
         ({"add": 7}, "give axes of x1, y1, x2, y2"),
-        ({"confirm": range(1, MOST_BY_HAND + 2)}, "give at most 1000"),
+        ({"drop": range(1, MOST_BY_HAND + 2)}, "give at most 1000"),
     ],
 )
 def test_wrong_vehicles_are_refused_with_what_to_give(told: dict[str, Any], message: str) -> None:
