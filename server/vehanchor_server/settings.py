@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options import DECODED_BYTES_PER_PIXEL, ImageLimits, Search, declared_option, models
-from vehanchor.options.option import Option, metadata_of, option, option_of
+from vehanchor.options import DECODED_BYTES_PER_PIXEL, ImageLimits, Search, declared_options, models
+from vehanchor.options.option import Option
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -45,7 +45,7 @@ def _words(help_text: str, *, panel: str, metavar: str = "", flag: str = "", if_
         flag: name of the option; empty for the field's own.
         if_unset: meaning of a default of None.
     """
-    return {**option(help_text, metavar=metavar, flag=flag), "panel": panel, "if_unset": if_unset}
+    return {"option": Option(help_text, metavar=metavar, flag=flag), "panel": panel, "if_unset": if_unset}
 
 
 def _declared(declared: str | Option, *, panel: str) -> dict[str, Any]:
@@ -55,12 +55,9 @@ def _declared(declared: str | Option, *, panel: str) -> dict[str, Any]:
         declared: the option, or its keyword.
         panel: heading in ``--help``.
     """
-    found = declared_option(declared) if isinstance(declared, str) else declared
-    return {
-        **metadata_of(found),
-        "panel": panel,
-        "if_unset": "",
-    }
+    found = declared_options()[declared] if isinstance(declared, str) else None
+    option = declared if isinstance(declared, Option) else declared_options()[declared].option
+    return {"option": option, "declared": found, "panel": panel, "if_unset": ""}
 
 
 @dataclass(frozen=True)
@@ -183,9 +180,12 @@ class Settings:
 
     def _check_numbers(self) -> None:
         for each in fields(self):
-            value, declared = getattr(self, each.name), option_of(each)
-            if declared is not None and declared.takes is not None and value is not None:
-                _check(declared, each.name, value)
+            value, declared = getattr(self, each.name), each.metadata.get("declared")
+            if declared is not None and value is not None:
+                try:
+                    declared.check(each.name, value)
+                except InvalidParameterError as error:
+                    raise SettingsError(str(error)) from None
                 continue
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 continue
@@ -299,19 +299,6 @@ class Settings:
             elif values[name] is not None:
                 values[name] = form.type(values[name])
         return cls(**values)
-
-
-def _check(declared: Option, name: str, value: Any) -> None:
-    """Check a value as the library does.
-
-    Raises:
-        SettingsError: the option takes no such value.
-    """
-    assert declared.takes is not None
-    try:
-        declared.takes.check(name, value)
-    except InvalidParameterError as error:
-        raise SettingsError(str(error)) from None
 
 
 def _is_web_address(text: str) -> bool:

@@ -56,7 +56,7 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     records = set(GsdEstimate.model_fields) | set(AreaMeasurement.model_fields)
     measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
     choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
-    choices |= {*signature(Engine.analyse_area).parameters, *KnownLength._fields}
+    choices |= {*signature(Engine.analyse_area).parameters, *(each.name for each in fields_of(KnownLength))}
     choices |= set(json.loads((ROOT / "schemas/measure_area.input.json").read_text(encoding="utf-8"))["properties"])
     if document.name != "records-names.md":  # has former names; test_records_names.py reads it
         assert not set(measured) - records - choices

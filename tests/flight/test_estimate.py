@@ -84,7 +84,7 @@ def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
 
 @pytest.mark.parametrize(
     "option",
-    [{"frame_width_px": 4, "frame_height_px": 3}, {"known_lengths": [(0, 0, 50, 0, 5.0)]}, {"drop": [1]}],
+    [{"frame": (4, 3)}, {"known_lengths": [(0, 0, 50, 0, 5.0)]}, {"drop": [1]}],
 )
 def test_what_belongs_to_one_image_is_refused(flight: list[str], detector: Detector, option: dict[str, Any]) -> None:
     with pytest.raises(InvalidParameterError, match="one image"):

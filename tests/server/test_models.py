@@ -17,7 +17,7 @@ from vehanchor_server import models as models_module
 from vehanchor_server.errors import CallError
 from vehanchor_server.models import Models
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools.scale_question import ScaleQuestion
+from vehanchor_server.tools.scale_arguments import scale_options
 
 
 def wait_for(condition: Callable[[], Any]) -> None:
@@ -110,13 +110,13 @@ def test_the_calibration_sets_the_reference_length_of_callers_who_know_nothing_b
     settings = replace(settings, calibration=calibration_file(tmp_path / "c.json"))
     models = Models(settings)
 
-    def reference(question: ScaleQuestion) -> float | None:
-        calibration = question.options(settings, models).reference.calibration
+    def reference(**given: Any) -> float | None:
+        calibration = scale_options(given, settings, models).reference.calibration
         return None if calibration is None else calibration.reference_length_m
 
-    assert reference(ScaleQuestion()) == 4.31
-    assert reference(ScaleQuestion(region="europe")) is None
-    assert reference(ScaleQuestion(reference_length_m=4.8)) is None
+    assert reference() == 4.31
+    assert reference(region="europe") is None
+    assert reference(reference_length_m=4.8) is None
     assert Models(replace(settings, calibration=None)).calibration() is None
 
 

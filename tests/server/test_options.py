@@ -4,41 +4,43 @@ from __future__ import annotations
 
 import inspect
 import typing
+from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
+from pydantic import TypeAdapter
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.errors import InvalidParameterError
 from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.options import ScaleOptions, declared_options
-from vehanchor.options.frame import FRAME, FRAME_SIDE
-from vehanchor.options.given_scale import GSD, GSD_M_PER_PX, OBJECT_HEIGHT
-from vehanchor.options.option import Limits, Option, Words, option_of
-from vehanchor.options.rulers import LINE_LENGTH_M
+from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT
+from vehanchor.options.option import Limits
 from vehanchor.rulers.registry import rulers_help
-from vehanchor.scale.calibration import Calibration
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings, SettingsError
 from vehanchor_server.tools.registry import create_tools
 
-DECLARED = {each.keyword: each for each in declared_options()}
-BESIDE: dict[str, Option] = {"object_height_m": OBJECT_HEIGHT}  # an option of measurements alone
-STATED = {"stated_scale"}  # three arguments of the measuring tools
-LIMITED = {
-    keyword: each.declared.takes
-    for keyword, each in DECLARED.items()
-    if each.declared is not None and isinstance(each.declared.takes, Limits)
-}
-NEEDED = {
+DECLARED = declared_options()
+NEEDED: dict[str, dict[str, Any]] = {
     "focal_35mm": {"height_m": 50},
     "height_tolerance_m": {"height_m": 50},
-    "frame_width_px": {"frame_height_px": 1},
-    "frame_height_px": {"frame_width_px": 1},
+    "gsd_tolerance": {"gsd_m_per_px": 999.9},
 }
 SETTINGS = {"min_score": "min_score", "effort": "effort", "max_tiles": "max_tiles", "max_search_s": "max_seconds"}
-JSON_NAMES = {"ge": "minimum", "le": "maximum", "gt": "exclusiveMinimum"}
+
+
+def _limits(annotation: Any) -> Limits | None:
+    """Limits of the numbers of an option."""
+    for part in typing.get_args(annotation):
+        found = part if isinstance(part, Limits) else _limits(part)
+        if found is not None and found != Limits() and "tuple" not in str(annotation):
+            return found
+    return None
+
+
+LIMITED = {keyword: limits for keyword, each in DECLARED.items() if (limits := _limits(each.annotation)) is not None}
 
 
 def _beyond(limits: Limits) -> list[Any]:
@@ -53,105 +55,101 @@ def _within(limits: Limits) -> list[Any]:
     return [each for each in (limits.least, limits.most) if each is not None] or [(limits.above or 0) + 1]
 
 
-def _hints(group: type[Any]) -> dict[str, Any]:
-    return typing.get_type_hints(group, localns={"Calibration": Calibration})
-
-
 @pytest.mark.parametrize("keyword", LIMITED)
 def test_the_library_takes_what_an_option_declares_and_nothing_beyond(keyword: str) -> None:
     more = NEEDED.get(keyword, {})
     for value in _within(LIMITED[keyword]):
-        ScaleOptions.of({keyword: value, **more})
+        if keyword != "gsd_tolerance" or value < 1:
+            ScaleOptions.of({keyword: value, **more})
     for value in _beyond(LIMITED[keyword]):
         with pytest.raises(InvalidParameterError, match=keyword):
             ScaleOptions.of({keyword: value, **more})
 
 
+def test_numbers_are_read_from_texts_and_lengths_with_their_units() -> None:
+    options = ScaleOptions.of({"min_score": " 0.2", "height_m": "30 ft", "focal_35mm": "24 mm", "alpha": "none"})
+    assert options.search.min_score == 0.2
+    assert options.rulers.height_m == pytest.approx(9.144)
+    assert options.rulers.focal_35mm == 24
+    assert options.lengths.alpha is None
+    for wrong in ("30 kg", "3.0.1", "nan", ""):
+        with pytest.raises(InvalidParameterError, match="height_m"):
+            ScaleOptions.of({"height_m": wrong})
+
+
 def test_a_measurement_takes_a_scale_within_its_limits() -> None:
-    assert isinstance(GSD.takes, Limits)
-    for value in _within(GSD.takes):
+    for value in _within(GSD_M_PER_PX):
         assert given_scale(value, None, ScaleOptions()) == value
-    for value in _beyond(GSD.takes):
+    for value in _beyond(GSD_M_PER_PX):
         with pytest.raises(InvalidParameterError, match="gsd_m_per_px"):
             given_scale(value, None, ScaleOptions())
 
 
-def test_the_command_line_has_every_option_with_its_help_and_default() -> None:
-    def command(*, chosen: ParsedOptions) -> None:
-        raise NotImplementedError
+def _command(*, chosen: ParsedOptions) -> None:
+    raise NotImplementedError
 
-    parameters = inspect.signature(scale_command()(command)).parameters
-    shown = {keyword: each for keyword, each in DECLARED.items() if each.declared is not None and each.declared.cli}
-    beside = {"frame_width_px", "frame_height_px", "limits", "bgr", "verify"}
-    assert set(DECLARED) - set(shown) == beside | STATED
-    for keyword, each in shown.items():
-        assert each.declared is not None
-        parameter = parameters[keyword]
-        kind, option = typing.get_args(parameter.annotation)
-        assert isinstance(option, typer.models.OptionInfo)
-        assert option.help == (rulers_help() if keyword == "rulers" else each.declared.help)
-        default = None if each.field.default in ((), None) else each.field.default
-        assert parameter.default == (str(default) if keyword == "alpha" else default), keyword
-        if isinstance(each.declared.takes, Words):
-            first = typing.get_args(kind)[0]
-            words = typing.get_args(kind) if isinstance(first, str) else [word.value for word in first]
-            assert set(each.declared.takes.words) == set(words)
-    assert typing.get_args(parameters["frame"].annotation)[1].help == FRAME.help
+
+def test_the_command_line_has_every_option_with_its_help_and_shows_the_first() -> None:
+    parameters = inspect.signature(scale_command()(_command)).parameters
+    shown = {keyword: each.option for keyword, each in DECLARED.items() if each.option.cli}
+    assert set(DECLARED) - set(shown) == {"limits", "bgr", "verify", "gsd_m_per_px", "gsd_basis", "gsd_tolerance"}
+    for keyword, option in shown.items():
+        _, info = typing.get_args(parameters[keyword].annotation)
+        assert isinstance(info, typer.models.OptionInfo)
+        assert info.help == (rulers_help() if keyword == "rulers" else option.help)
+        assert info.hidden is not option.first
+        assert parameters[keyword].default is None
+
+
+def test_a_file_has_options_by_keyword_and_the_command_line_overrides_it(tmp_path: Path) -> None:
+    file = tmp_path / "options.toml"
+    file.write_text('effort = "full"\nheight_m = 40\nknown_lengths = ["0 0 30 0 5"]\nthreads = 1\n')
+    names = {"effort", "height_m", "known_lengths", "threads"}
+    chosen = ParsedOptions({"height_m": "50"}, file, names)
+    assert chosen.options().search.effort == "full"
+    assert chosen.options().rulers.height_m == 50
+    assert chosen.options().rulers.known_lengths[0].metres == 5
+    assert chosen.runtime().threads == 1
+    with pytest.raises(InvalidParameterError, match="has 'effort': the options of this command are height_m"):
+        ParsedOptions({}, file, names - {"effort"}).options()
+    file.write_text("effort: full")
+    with pytest.raises(InvalidParameterError, match=r"--options .* cannot be read"):
+        ParsedOptions({}, file, names).options()
 
 
 def test_the_tools_have_the_limits_and_the_help_of_the_options() -> None:
-    seen = set()
     for tool in create_tools(create_services(Settings())):
-        for name, schema in tool.full_parameters["properties"].items():
-            declared = BESIDE.get(name) or (DECLARED[name].declared if name in DECLARED else None)
-            if declared is None:
-                continue
-            seen.add(name)
-            assert schema["description"] == declared.help, (tool.name, name)
-            if isinstance(declared.takes, Limits):
-                (number,) = (each for each in schema["anyOf"] if each["type"] in ("number", "integer"))
-                expected = {JSON_NAMES[limit]: value for limit, value in declared.takes.schema.items()}
-                assert {key: value for key, value in number.items() if key != "type"} == expected, (tool.name, name)
-                assert number["type"] == ("integer" if declared.takes.whole else "number")
-            if isinstance(declared.takes, Words):
-                words = next(each["enum"] for each in (schema, *schema.get("anyOf", ())) if "enum" in each)
-                assert words == list(declared.takes.words)
-    assert {"region", "reference_length_m", "known_lengths", "height_m", "focal_35mm"} < seen
-    assert {"object_height_m", "effort", "max_tiles", "max_seconds", "coordinates"} < seen
-
-
-def test_the_parts_of_a_tools_arguments_have_the_limits_of_the_library() -> None:
-    tools = {each.name: each.full_parameters["properties"] for each in create_tools(create_services(Settings()))}
-    properties = tools["estimate_gsd"]
-    (frame,) = (each for each in properties["frame"]["anyOf"] if each["type"] == "object")
-    (lines,) = (each for each in properties["known_lengths"]["anyOf"] if each["type"] == "array")
-    for schema, limits in (
-        (frame["properties"]["width_px"], FRAME_SIDE),
-        (frame["properties"]["height_px"], FRAME_SIDE),
-        (lines["items"]["properties"]["metres"]["anyOf"][0], LINE_LENGTH_M),
-        *((tools["measure_area"][name]["anyOf"][0], GSD_M_PER_PX) for name in ("gsd_m_per_px", "gsd_tolerance")),
-    ):
-        expected = {JSON_NAMES[limit]: value for limit, value in limits.schema.items()}
-        assert {key: value for key, value in schema.items() if "imum" in key.lower()} == expected
+        if tool.name == "view_image":
+            continue
+        arguments = tool.full_parameters["properties"]
+        kind = "estimate" if tool.name == "estimate_gsd" else "measure"
+        expected = {keyword: each for keyword, each in DECLARED.items() if each.option.tools in ("all", kind)}
+        assert set(expected) <= set(arguments)
+        for name, each in expected.items():
+            assert arguments[name]["description"] == each.option.help
+            if name in LIMITED:
+                (number,) = (part for part in arguments[name]["anyOf"] if part["type"] in ("number", "integer"))
+                assert {key: value for key, value in number.items() if key != "type"} == LIMITED[name].schema
+        if kind == "measure":
+            assert arguments["object_height_m"]["description"] == OBJECT_HEIGHT.help
 
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_a_setting_has_the_help_the_default_and_the_limits_of_its_option(name: str) -> None:
     option = DECLARED[SETTINGS[name]]
     setting = Settings.__dataclass_fields__[name]
-    assert option_of(setting) == option.declared
-    assert setting.default == option.field.default
-    assert option.declared is not None
-    takes = option.declared.takes
-    assert takes is not None
-    if isinstance(takes, Words):
-        most: dict[str, Any] = {name: "most"}
+    assert setting.metadata["option"] == option.option
+    assert setting.default == option.default
+    limits = LIMITED.get(option.keyword)
+    make: Any = Settings
+    for value in _within(limits) if limits else ["fast"]:
+        make(**{name: value})
+    for value in _beyond(limits) if limits else ["most"]:
         with pytest.raises(SettingsError, match=name):
-            Settings(**most)
-        return
-    assert isinstance(takes, Limits)
-    for value in _within(takes):
-        Settings(**{name: value})
-    for value in _beyond(takes):
-        with pytest.raises(SettingsError, match=name):
-            Settings(**{name: value})
+            make(**{name: value})
+
+
+def test_the_schema_of_an_option_says_what_it_takes() -> None:
+    annotation: Any = DECLARED["min_score"].annotation
+    schema = TypeAdapter(annotation).json_schema()
+    assert schema["anyOf"][0] == {"type": "number", "minimum": 0, "maximum": 1}

@@ -154,7 +154,7 @@ def test_keywords_change_single_fields_of_the_engines_options(files: Path) -> No
     image = _place()
     chosen = Engine(files / "m.onnx", options=ScaleOptions.of({"reference_length_m": 4.0, "alpha": None}))
     assert chosen.estimate(image).reference_length_m == 4.0
-    assert chosen.estimate(image, frame_width_px=400, frame_height_px=300).reference_length_m == 4.0
+    assert chosen.estimate(image, frame=(400, 300)).reference_length_m == 4.0
     assert chosen.estimate(image, reference_length_m=5.0).reference_length_m == 5.0
     assert chosen.estimate(image, ScaleOptions()) == Engine(files / "m.onnx").estimate(image)
     with pytest.raises(InvalidParameterError, match="there is no option 'regoin'"):

@@ -124,15 +124,15 @@ def test_a_named_region_narrows_the_interval(detector: Detector) -> None:
 
 def test_the_frame_gives_the_scale_of_the_callers_copy(detector: Detector) -> None:
     image = _car_park(_fleet())  # 480 x 360
-    e = estimate_gsd(image, detector=detector, frame_width_px=240, frame_height_px=180)
+    e = estimate_gsd(image, detector=detector, frame=(240, 180))
     assert e.frame is not None
     assert e.gsd_m_per_px is not None
     assert e.frame.gsd_m_per_px == pytest.approx(2 * e.gsd_m_per_px)
     assert e.frame.gsd_ci95_low_m_per_px == pytest.approx(2 * (e.gsd_ci95_low_m_per_px or 0))
-    estimate_gsd(image, detector=detector, frame_width_px=333, frame_height_px=250)  # rounded
+    estimate_gsd(image, detector=detector, frame=(333, 250))  # rounded
     with pytest.raises(FrameError, match="180"):
-        estimate_gsd(image, detector=detector, frame_width_px=240, frame_height_px=240)
-    empty = estimate_gsd(blank_image(480, 360), detector=detector, frame_width_px=240, frame_height_px=180)
+        estimate_gsd(image, detector=detector, frame=(240, 240))
+    empty = estimate_gsd(blank_image(480, 360), detector=detector, frame=(240, 180))
     assert empty.frame is not None
     assert empty.frame.gsd_m_per_px is None
 
@@ -154,8 +154,8 @@ def test_the_frame_gives_the_scale_of_the_callers_copy(detector: Detector) -> No
         {"tile_px": 0},
         {"tile_px": -1024},
         {"stride_px": 4096},
-        {"frame_width_px": 100},
-        {"frame_width_px": 0, "frame_height_px": 10},
+        {"frame": (100,)},
+        {"frame": (0, 10)},
         {"threads": 0, "detector": None},
     ],
 )

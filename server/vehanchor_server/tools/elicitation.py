@@ -7,8 +7,7 @@ arguments. Clients of older revisions, and those without forms, get the low-conf
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from mcp.server.elicitation import render_elicitation_schema
 from mcp.types import ElicitRequest, ElicitRequestFormParams, ElicitResult, InputRequiredResult
@@ -17,16 +16,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from vehanchor.errors import KnownLengthError
 from vehanchor.options import Basis, KnownLength
+from vehanchor.options.rulers import FocalLength, Height
 from vehanchor.scale.defaults import REGIONS
 from vehanchor_server.errors import CallError
-from vehanchor_server.tools.option_field import limits_field
-from vehanchor_server.tools.scale_question import KnownLine
 
 if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
 
     from vehanchor.records import GsdEstimate
-    from vehanchor_server.tools.scale_question import ScaleQuestion
+    from vehanchor_server.tools.scale_arguments import Given
 
 _KEY = "scale"  # of the only input request
 _FIRST_REVISION = "2026-07-28"
@@ -44,13 +42,13 @@ class _ScaleInput(BaseModel):
     model_config = ConfigDict(extra="forbid", str_strip_whitespace=True)
 
     region: Literal[REGIONS] | None = Field(None, title="Region", description="Where the image was taken.")  # type: ignore[valid-type]
-    height_m: Annotated[float | None, limits_field("height_m")] = Field(
+    height_m: Height | None = Field(
         None,
         title="Height, m",
         description="Camera height above ground, for a nadir view.",
     )
     height_basis: Basis | None = Field(None, title="Height known by", description="measured: above this ground.")
-    focal_35mm: Annotated[float | None, limits_field("focal_35mm")] = Field(
+    focal_35mm: FocalLength | None = Field(
         None,
         title="Focal length, mm",
         description="With the height: 35 mm equivalent, if missing in the file.",
@@ -64,20 +62,20 @@ class _ScaleInput(BaseModel):
 
 
 def request_scale_input(
-    ctx: Context[Any, Any], question: ScaleQuestion, estimate: GsdEstimate, answer: str
+    ctx: Context[Any, Any], given: Given, estimate: GsdEstimate, answer: str
 ) -> InputRequiredResult | None:
     """Ask for data that would make the scale usable.
 
     Args:
         ctx: the call's context.
-        question: the caller's arguments, without the user's answers.
+        given: the caller's arguments, without the user's answers.
         estimate: the result.
         answer: the result in words.
 
     Returns:
         None if the scale is usable, if the user was asked before, or if the client has no forms.
     """
-    form = _form(question, estimate)
+    form = _form(given, estimate)
     if estimate.status == "ok" or not form["properties"] or ctx.input_responses is not None or not _supports_forms(ctx):
         return None
     message = (
@@ -87,59 +85,53 @@ def request_scale_input(
     return InputRequiredResult(input_requests={_KEY: request})
 
 
-def with_user_input(ctx: Context[Any, Any], question: ScaleQuestion) -> ScaleQuestion:
-    """Merge the user's answer to ``request_scale_input`` into the question; without an answer, return it unchanged.
+def with_user_input(ctx: Context[Any, Any], given: Given) -> Given:
+    """Merge the user's answer to ``request_scale_input`` into the arguments; without an answer, return it unchanged.
 
     Raises:
         CallError: ``invalid_answer``, an answer is invalid.
     """
     answered = (ctx.input_responses or {}).get(_KEY)
     if not isinstance(answered, ElicitResult) or answered.action != "accept":
-        return question
-    given = {name: value for name, value in (answered.content or {}).items() if value not in (None, "")}
+        return given
+    content = {name: value for name, value in (answered.content or {}).items() if value not in (None, "")}
     try:
-        answers = _ScaleInput.model_validate(given)
-        added = (_line(answers.known_length),) if answers.known_length else ()
+        answers = _ScaleInput.model_validate(content)
+        added = (KnownLength.of(answers.known_length),) if answers.known_length else ()
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         raise _invalid_answer(f"{first['loc'][0]}: {first['msg']}") from error
     except KnownLengthError as error:
         raise _invalid_answer(f"known_length: {error}") from error
     known = answers.model_dump(exclude={"known_length"}, exclude_none=True)
-    lines = (*(question.known_lengths or ()), *added)
-    return replace(question, **known, known_lengths=lines or None)
+    lines = (*given.get("known_lengths", ()), *added)
+    return {**given, **known, **({"known_lengths": lines} if lines else {})}
 
 
 def _invalid_answer(complaint: str) -> CallError:
     return CallError("invalid_answer", f"{complaint}. Repeat the call with it as an argument, or correct the answer.")
 
 
-def _form(question: ScaleQuestion, estimate: GsdEstimate) -> dict[str, Any]:
+def _form(given: Given, estimate: GsdEstimate) -> dict[str, Any]:
     """Return the JSON Schema of the missing values that would help for this image."""
     form = render_elicitation_schema(_ScaleInput)
     fields: dict[str, Any] = form["properties"]
-    if question.region is not None or question.reference_length_m is not None or estimate.n_vehicles == 0:
+    if "region" in given or "reference_length_m" in given or estimate.n_vehicles == 0:
         del fields["region"]
-    if question.height_m is not None:
+    if "height_m" in given:
         del fields["height_m"], fields["height_basis"]
-    if question.height_m is not None or question.focal_35mm is not None:
+    if "height_m" in given or "focal_35mm" in given:
         del fields["focal_35mm"]
-    if question.known_lengths and estimate.reason not in _SECOND_LINE_HELPS:
+    if given.get("known_lengths") and estimate.reason not in _SECOND_LINE_HELPS:
         del fields["known_length"]
     else:
-        size = question.frame
+        size = given.get("frame")
         width_px, height_px = (
             (size.width_px, size.height_px) if size else (estimate.image_width_px, estimate.image_height_px)
         )
-        places = _PLACES[question.coordinates].format(width_px, height_px)
+        places = _PLACES[given.get("coordinates", "pixels")].format(width_px, height_px)
         fields["known_length"]["description"] += f", its ends in {places}."
     return form
-
-
-def _line(text: str) -> KnownLine:
-    line = KnownLength.from_text(text)._asdict()
-    what = line.pop("what")
-    return KnownLine.model_validate(line if what is None else {**line, "metres": what})
 
 
 def _supports_forms(ctx: Context[Any, Any]) -> bool:

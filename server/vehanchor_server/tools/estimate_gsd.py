@@ -44,24 +44,12 @@ from vehanchor_server.tools.messages import (
 )
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_answer import scale_answer
-from vehanchor_server.tools.scale_question import (
+from vehanchor_server.tools.scale_arguments import (
     UNLISTED_ARGUMENTS,
-    AddArgument,
-    CoordinatesArgument,
     DetailArgument,
-    DropArgument,
-    EffortArgument,
-    FocalLengthArgument,
-    FrameArgument,
-    HeightArgument,
-    HeightBasisArgument,
-    HeightToleranceArgument,
-    KnownLengthsArgument,
-    MaxSecondsArgument,
-    MaxTilesArgument,
-    ReferenceLengthArgument,
-    RegionArgument,
-    ScaleQuestion,
+    Given,
+    scale_options,
+    with_options,
 )
 from vehanchor_server.tools.strict_tool import StrictTool
 
@@ -78,40 +66,24 @@ _CHECK = "look at include_overlay, then drop the boxes that are no cars"
 class _Question:
     """Scale arguments of a call and the requested pictures."""
 
-    scale: ScaleQuestion
+    scale: Given
     wanted: PictureRequest
 
 
 def estimate_gsd_tool(services: Services) -> StrictTool:
     """Create the tool for a server."""
 
+    @with_options("estimate")
     async def estimate_gsd(
         image: ImageArgument,
         ctx: Context[Any, Any],
-        region: RegionArgument = None,
-        reference_length_m: ReferenceLengthArgument = None,
-        frame: FrameArgument = None,
-        known_lengths: KnownLengthsArgument = None,
-        height_m: HeightArgument = None,
-        focal_35mm: FocalLengthArgument = None,
-        height_basis: HeightBasisArgument = "assumed",
-        height_tolerance_m: HeightToleranceArgument = None,
-        drop: DropArgument = None,
-        add: AddArgument = None,
-        coordinates: CoordinatesArgument = "pixels",
+        given: Given,
         include_overlay: Annotated[Flag, Field(description="Also return a picture; boxes numbered.")] = False,
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
-        effort: EffortArgument = None,
-        max_tiles: MaxTilesArgument = None,
-        max_seconds: MaxSecondsArgument = None,
     ) -> Annotated[CallToolResult, GsdEstimate] | InputRequiredResult:
-        facts = (region, reference_length_m, frame, known_lengths)
-        height = (height_m, height_basis, height_tolerance_m, focal_35mm)
-        search = (coordinates, effort, max_tiles, max_seconds)
-        told = ScaleQuestion(*facts, *height, *search, drop, add)
-        question, paged = with_user_input(ctx, told), client_supports_apps(ctx)
+        question, paged = with_user_input(ctx, given), client_supports_apps(ctx)
         wanted = PictureRequest(include_overlay, paged)
         if more_images:
             check_flight_question(question)
@@ -149,7 +121,7 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
     from vehanchor.imagery.sources.opening import open_raster
 
     detector = services.models.detector(job.runtime)
-    options = asked.scale.options(services.settings, services.models)
+    options = scale_options(asked.scale, services.settings, services.models)
     checked_detector(detector, options)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:

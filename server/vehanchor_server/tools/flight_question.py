@@ -19,7 +19,7 @@ from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
 from vehanchor_server.tools.scale_answer import scale_answer
-from vehanchor_server.tools.scale_question import ScaleQuestion
+from vehanchor_server.tools.scale_arguments import Given, scale_options
 
 if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
@@ -43,25 +43,22 @@ SameScaleArgument: TypeAlias = Annotated[
 ]
 
 
-def check_flight_question(question: ScaleQuestion) -> None:
+def check_flight_question(given: Given) -> None:
     """Refuse arguments that belong to a single image.
 
     Raises:
         CallError: ``invalid_arguments``.
     """
-    if question.known_lengths:
-        raise CallError(
-            "invalid_arguments", "known_lengths belong to a single image. Omit more_images or known_lengths."
-        )
-    if by_hand := question.by_hand.given:
-        raise CallError("invalid_arguments", f"{by_hand} belongs to a single image. Omit more_images or {by_hand}.")
+    single = next((name for name in ("known_lengths", "drop", "add") if given.get(name)), None)
+    if single is not None:
+        raise CallError("invalid_arguments", f"{single} belongs to a single image. Omit more_images or {single}.")
 
 
 @dataclass(frozen=True)
 class FlightQuestion:
     """Scale arguments of a call with more images."""
 
-    scale: ScaleQuestion
+    scale: Given
     wanted: PictureRequest
     same_scale: bool
 
@@ -87,7 +84,7 @@ def estimate_with_flight(
 
     progress = partial(_report_photograph, job, 1 + len(more))
     detector = services.models.detector(replace(job.runtime, progress=progress))
-    asked = question.scale.options(services.settings, services.models)
+    asked = scale_options(question.scale, services.settings, services.models)
     options = replace(asked, frame=Frame())
     checked_detector(detector, options)
     job.enter("decode")

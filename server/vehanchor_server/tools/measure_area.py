@@ -24,13 +24,6 @@ from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.measuring import (
-    OVERLAY_SIDE_PX,
-    OverlayArgument,
-    OverlaySideArgument,
-    ScaleArguments,
-    copy_hint,
-)
 from vehanchor_server.tools.messages import (
     STATUS_RULES,
     interval,
@@ -42,26 +35,16 @@ from vehanchor_server.tools.messages import (
     warnings_of,
 )
 from vehanchor_server.tools.portable_schema import Listing
-from vehanchor_server.tools.scale_question import (
+from vehanchor_server.tools.scale_arguments import (
+    OVERLAY_SIDE_PX,
     UNLISTED_ARGUMENTS,
-    AddArgument,
-    CoordinatesArgument,
     DetailArgument,
-    DropArgument,
-    FocalLengthArgument,
-    FrameArgument,
-    GsdArgument,
-    GsdBasisArgument,
-    GsdToleranceArgument,
-    HeightArgument,
-    HeightBasisArgument,
-    HeightToleranceArgument,
-    KnownLengthsArgument,
-    ObjectHeightArgument,
-    ReferenceLengthArgument,
-    RegionArgument,
-    ScaleQuestion,
-    stated_scale,
+    Given,
+    OverlayArgument,
+    OverlaySideArgument,
+    copy_hint,
+    resolve_source,
+    with_options,
 )
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import MAX_TARGETS, Target
@@ -84,53 +67,35 @@ class _Question:
     """Targets and scale arguments of a call."""
 
     targets: tuple[Target, ...]
-    scale: ScaleArguments
+    scale: Given
     wanted: PictureRequest
 
 
 def measure_area_tool(services: Services) -> StrictTool:
     """Create the tool for a server."""
 
+    @with_options("measure")
     async def measure_area(
         image: ImageArgument,
         ctx: Context[Any, Any],
+        given: Given,
         target: Annotated[Target | None, Field(description="The object: box or points.", examples=_EXAMPLE)] = None,
         targets: Annotated[
             tuple[Target, ...] | None,
             Field(min_length=1, max_length=MAX_TARGETS, description="Box or points of each.", examples=[_EXAMPLE]),
         ] = None,
-        coordinates: CoordinatesArgument = "pixels",
-        frame: FrameArgument = None,
-        gsd_m_per_px: GsdArgument = None,
-        gsd_basis: GsdBasisArgument = "assumed",
-        gsd_tolerance: GsdToleranceArgument = None,
-        region: RegionArgument = None,
-        reference_length_m: ReferenceLengthArgument = None,
-        known_lengths: KnownLengthsArgument = None,
-        height_m: HeightArgument = None,
-        focal_35mm: FocalLengthArgument = None,
-        height_basis: HeightBasisArgument = "assumed",
-        height_tolerance_m: HeightToleranceArgument = None,
-        object_height_m: ObjectHeightArgument = None,
-        drop: DropArgument = None,
-        add: AddArgument = None,
         include_overlay: OverlayArgument = False,
         overlay_side_px: OverlaySideArgument = OVERLAY_SIDE_PX,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
-        height = (height_m, height_basis, height_tolerance_m, focal_35mm)
-        stated = stated_scale(gsd_m_per_px, gsd_basis, gsd_tolerance)
-        facts = (region, reference_length_m, frame, known_lengths, *height, coordinates)
-        question = ScaleQuestion(*facts, drop=drop, add=add, stated=stated)
         paged = client_supports_apps(ctx)
         wanted = PictureRequest(include_overlay, paged, overlay_side_px)
-        by = ScaleArguments(question, object_height_m)
-        asked = _Question(_merge_targets(target, targets), by, wanted)
+        asked = _Question(_merge_targets(target, targets), given, wanted)
         answer = await run_call(services, ctx, image, _measure, asked)
         words = [
             numbered([_area_of_object(record) for record in answer.records]),
             *warnings_of(answer.records, detail),
-            *copy_hint(_places(asked.targets), question, *_size(answer.record)),
+            *copy_hint(_places(asked.targets), given, *_size(answer.record)),
         ]
         return answer.to_result(" ".join(words), detail=detail, paged=paged)
 
@@ -181,7 +146,8 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
 
     prompts = [_prompt(target) for target in question.targets]  # refuse invalid prompts before the work
     segmenter = services.models.segmenter(job.runtime)
-    options, scale = question.scale.resolve(services, job)
+    known = resolve_source(question.scale, services, job)
+    options = known.options
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
@@ -189,9 +155,9 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
             raster,
             prompts,
             segmenter,
-            scale,
+            known.scale,
             options,
-            object_height_m=question.scale.object_height_m,
+            object_height_m=known.object_height_m,
         )
         first = found[0]
         cut = cut_to_objects(found, question.wanted.long_side_px)

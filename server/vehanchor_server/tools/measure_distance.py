@@ -9,22 +9,16 @@ from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult
 from pydantic import Field
 
+from vehanchor.options.option import Number
 from vehanchor.records import DistanceMeasurement
 from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import work
-from vehanchor_server.frozen import FrozenModel, Number
+from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.measuring import (
-    OVERLAY_SIDE_PX,
-    OverlayArgument,
-    OverlaySideArgument,
-    ScaleArguments,
-    copy_hint,
-)
 from vehanchor_server.tools.messages import (
     STATUS_RULES,
     interval,
@@ -36,26 +30,16 @@ from vehanchor_server.tools.messages import (
     warnings_of,
 )
 from vehanchor_server.tools.portable_schema import Listing
-from vehanchor_server.tools.scale_question import (
+from vehanchor_server.tools.scale_arguments import (
+    OVERLAY_SIDE_PX,
     UNLISTED_ARGUMENTS,
-    AddArgument,
-    CoordinatesArgument,
     DetailArgument,
-    DropArgument,
-    FocalLengthArgument,
-    FrameArgument,
-    GsdArgument,
-    GsdBasisArgument,
-    GsdToleranceArgument,
-    HeightArgument,
-    HeightBasisArgument,
-    HeightToleranceArgument,
-    KnownLengthsArgument,
-    ObjectHeightArgument,
-    ReferenceLengthArgument,
-    RegionArgument,
-    ScaleQuestion,
-    stated_scale,
+    Given,
+    OverlayArgument,
+    OverlaySideArgument,
+    copy_hint,
+    resolve_source,
+    with_options,
 )
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import MAX_POINTS, MAX_TARGETS
@@ -87,13 +71,14 @@ class _Question:
     """Lines and scale arguments of a call, and the requested picture."""
 
     lines: tuple[Line, ...]
-    scale: ScaleArguments
+    scale: Given
     wanted: PictureRequest
 
 
 def measure_distance_tool(services: Services) -> StrictTool:
     """Create the tool for a server."""
 
+    @with_options("measure")
     async def measure_distance(
         image: ImageArgument,
         lines: Annotated[
@@ -103,38 +88,19 @@ def measure_distance_tool(services: Services) -> StrictTool:
             ),
         ],
         ctx: Context[Any, Any],
-        coordinates: CoordinatesArgument = "pixels",
-        frame: FrameArgument = None,
-        gsd_m_per_px: GsdArgument = None,
-        gsd_basis: GsdBasisArgument = "assumed",
-        gsd_tolerance: GsdToleranceArgument = None,
-        region: RegionArgument = None,
-        reference_length_m: ReferenceLengthArgument = None,
-        known_lengths: KnownLengthsArgument = None,
-        height_m: HeightArgument = None,
-        focal_35mm: FocalLengthArgument = None,
-        height_basis: HeightBasisArgument = "assumed",
-        height_tolerance_m: HeightToleranceArgument = None,
-        object_height_m: ObjectHeightArgument = None,
-        drop: DropArgument = None,
-        add: AddArgument = None,
+        given: Given,
         include_overlay: OverlayArgument = False,
         overlay_side_px: OverlaySideArgument = OVERLAY_SIDE_PX,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
-        height = (height_m, height_basis, height_tolerance_m, focal_35mm)
-        stated = stated_scale(gsd_m_per_px, gsd_basis, gsd_tolerance)
-        facts = (region, reference_length_m, frame, known_lengths, *height, coordinates)
-        question = ScaleQuestion(*facts, drop=drop, add=add, stated=stated)
-        by = ScaleArguments(question, object_height_m)
-        asked = _Question(lines, by, PictureRequest(include_overlay, False, overlay_side_px))
+        asked = _Question(lines, given, PictureRequest(include_overlay, False, overlay_side_px))
         answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record
         places = ((point.x, point.y) for line in lines for point in line.points)
         words = [
             numbered([_distance_in_words(record) for record in answer.records]),
             *warnings_of(answer.records, detail),
-            *copy_hint(places, question, first.image_width_px, first.image_height_px),
+            *copy_hint(places, given, first.image_width_px, first.image_height_px),
         ]
         return answer.to_result(" ".join(words), detail=detail)
 
@@ -162,15 +128,16 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     from vehanchor_server.calls.overlay import draw_pictures
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
-    options, scale = question.scale.resolve(services, job)
+    known = resolve_source(question.scale, services, job)
+    options = known.options
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         found = analyse_paths(
             raster,
             paths,
-            scale,
+            known.scale,
             options,
-            object_height_m=question.scale.object_height_m,
+            object_height_m=known.object_height_m,
         )
         measured = tuple(each.measurement for each in found)
         cut = cut_to_lines(measured, question.wanted.long_side_px)

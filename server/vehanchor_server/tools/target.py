@@ -7,7 +7,8 @@ from typing import Any, Literal
 from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from vehanchor_server.frozen import FrozenModel, Number
+from vehanchor.options.option import Number
+from vehanchor_server.frozen import FrozenModel
 
 MAX_POINTS = 32  # more than anyone clicks
 MAX_TARGETS = 16  # per call

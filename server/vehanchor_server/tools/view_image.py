@@ -18,18 +18,18 @@ from mcp.types import CallToolResult, TextContent
 from pydantic import Field
 
 from vehanchor.errors import PromptError
-from vehanchor.options import Coordinates, Frame, Reading
+from vehanchor.options import Coordinates, Frame, Reading, declared_options
+from vehanchor.options.option import Limits
 from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import work
-from vehanchor_server.frozen import Flag, FrozenModel, WholeNumber
+from vehanchor_server.frozen import Flag, FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.portable_schema import Listing
-from vehanchor_server.tools.scale_question import CoordinatesArgument
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import Box
 
@@ -76,9 +76,9 @@ def view_image_tool(services: Services) -> StrictTool:
         ctx: Context[Any, Any],
         image: ImageArgument | None = None,
         part: Annotated[Box | None, Field(description="Part to show; default all.", examples=[_PART])] = None,
-        coordinates: CoordinatesArgument = "pixels",
-        long_side_px: Annotated[WholeNumber, Field(ge=_LEAST_SIDE_PX, le=_LONGEST_SIDE_PX)] = _USUAL_SIDE_PX,
-        page: Annotated[WholeNumber, Field(ge=1, le=_LAST_PAGE, description="Page of the list.")] = 1,
+        coordinates: Annotated[Coordinates, declared_options()["coordinates"].option] = "pixels",
+        long_side_px: Annotated[int, Limits(_LEAST_SIDE_PX, _LONGEST_SIDE_PX, whole=True)] = _USUAL_SIDE_PX,
+        page: Annotated[int, Limits(1, _LAST_PAGE, whole=True), Field(description="Page of the list.")] = 1,
         grid: Annotated[Flag, Field(description="Draw the grid; people who click need none.")] = True,
     ) -> Annotated[CallToolResult, ViewedImage]:
         if image is None:

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from vehanchor.cli.cli_options import ParsedOptions, scale_command
+from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import FAILED, INTERRUPTED, exit_on_error, image_progress, printable
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.by_hand import BY_HAND
 
 if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
@@ -45,7 +44,7 @@ class _Engine(StrEnum):
     ray = "ray"
 
 
-@scale_command(without=("frame", "coordinates", "known_lengths", *BY_HAND, "threads"))
+@scale_command(without=(*OF_ONE_IMAGE, "threads"))
 def batch(
     inputs: Inputs,
     output: Annotated[

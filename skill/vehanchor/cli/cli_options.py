@@ -1,49 +1,52 @@
-"""Command-line options made from the fields of the option groups and of the runtime, the same for every command.
+"""Command-line options made from the option groups and the runtime, the same for every command.
 
     @scale_command()
     def estimate(images: ..., chosen: ParsedOptions) -> None:
         engine = chosen.engine()
 
-``estimate`` then has the options of all groups of ``ScaleOptions``, of ``DetectorChoice`` and of ``Runtime`` beside its
-own. ``options``, ``runtime`` and ``engine`` check them, so that the command can report errors.
+``estimate`` then has the options of ``ScaleOptions``, of ``DetectorChoice`` and of ``Runtime`` beside its own: the
+usual ones in ``--help``, all of them in a TOML file with the keywords of the library. The options check the values,
+so that the command can report errors.
 """
 
 from __future__ import annotations
 
 import functools
 import inspect
+import tomllib
+import types
 import typing
 from collections.abc import Sequence
-from dataclasses import MISSING, Field, dataclass, field, fields
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
 from vehanchor.cli.collection import paused_collection
+from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.models.runtime import Progress, Runtime
 from vehanchor.options import ScaleOptions, declared_options, models
-from vehanchor.options.frame import FRAME
-from vehanchor.options.option import Option, metadata_of, option_of
+from vehanchor.options.option import Option
 from vehanchor.rulers.registry import rulers_help
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
-    from pathlib import Path
 
     from vehanchor.engine import Engine
 
 Photograph: TypeAlias = Annotated[
     str,
-    typer.Argument(
-        metavar="IMAGE",
-        help=f"Photograph: {', '.join(IMAGE_FORMATS)}.",
-        show_default=False,
-    ),
+    typer.Argument(metavar="IMAGE", help=f"Photograph: {', '.join(IMAGE_FORMATS)}.", show_default=False),
 ]
+OF_ONE_IMAGE = ("frame", "coordinates", "known_lengths", "drop", "add")
+"""Options that belong to one image."""
 
 _UNITS = ("_px", "_m")
+_FILE = "options_file"
+_PANEL = "Detector and runtime"
 
 
 @dataclass(frozen=True)
@@ -55,34 +58,50 @@ class DetectorChoice:
         classes: classes, by name or index, that count as vehicles; None for the model's own.
     """
 
-    panel: ClassVar[str] = "Detector"
+    detector: Annotated[str | None, models.DETECTOR] = None
+    classes: Annotated[Sequence[str | int] | None, models.CLASSES] = None
 
-    detector: str | None = field(default=None, metadata=metadata_of(models.DETECTOR))
-    classes: Sequence[str | int] | None = field(default=None, metadata=metadata_of(models.CLASSES))
-
-
-_FIRST_PANEL = "Most useful options"
-_FRAME = inspect.Parameter(
-    "frame",
-    inspect.Parameter.KEYWORD_ONLY,
-    default=None,
-    annotation=Annotated[
-        tuple[int, int] | None,
-        typer.Option(
-            "--frame",
-            metavar=FRAME.metavar,
-            help=FRAME.help,
-            rich_help_panel=_FIRST_PANEL,
-        ),
-    ],
-)
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> DetectorChoice:
+        """Read the choice; digits are indices of classes."""
+        named = [int(each) if str(each).isdecimal() else each for each in values.get("classes", ())]
+        return cls(values.get("detector"), named or None)
 
 
 @dataclass(frozen=True)
 class ParsedOptions:
-    """Values of the command-line options by field name, checked on use."""
+    """Values of the options by keyword, from the command line and a file; checked on use.
+
+    Attributes:
+        typed: values of the command line.
+        file: TOML file with further ones; None without one.
+        names: options of the command.
+    """
 
     typed: Mapping[str, Any]
+    file: Path | None = None
+    names: Collection[str] = field(default=())
+
+    @cached_property
+    def values(self) -> Mapping[str, Any]:
+        """All values; those of the command line take precedence.
+
+        Raises:
+            InvalidParameterError: the file cannot be read, or has an option that the command does not have.
+        """
+        if self.file is None:
+            return self.typed
+        try:
+            of_file = tomllib.loads(self.file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InvalidParameterError(f"--options {str(self.file)!r} cannot be read: {error}") from None
+        unknown = next((name for name in of_file if name not in self.names), None)
+        if unknown is not None:
+            raise InvalidParameterError(
+                f"--options {str(self.file)!r} has {unknown!r}: the options of this command are "
+                f"{', '.join(sorted(self.names))}"
+            )
+        return {**of_file, **self.typed}
 
     def options(self) -> ScaleOptions:
         """Make the options of the method.
@@ -91,23 +110,12 @@ class ParsedOptions:
             InvalidParameterError: a value is invalid.
             CalibrationFileError: the calibration cannot be read.
         """
-        width, height = self.typed.get("frame") or (None, None)
-        given = {name: value for group in _groups() for name, value in self._given(group).items()}
-        return ScaleOptions.of({**given, "frame_width_px": width, "frame_height_px": height})
-
-    def _given(self, group: type[Any]) -> dict[str, Any]:
-        """Read the given values of a group's fields."""
-        found: dict[str, Any] = {}
-        for each in fields(group):
-            stated, typed = option_of(each), self.typed.get(each.name)
-            if stated is not None and typed is not None and typed != []:
-                found[each.name] = typed.value if isinstance(typed, StrEnum) else stated.from_texts(typed)
-        return found
+        return ScaleOptions.of({name: value for name, value in self.values.items() if name in declared_options()})
 
     @property
     def detector(self) -> DetectorChoice:
         """Make the choice of the detector."""
-        return DetectorChoice(**self._given(DetectorChoice))
+        return DetectorChoice.of(self.values)
 
     def runtime(self, progress: Progress | None = None) -> Runtime:
         """Make the runtime of the models.
@@ -115,7 +123,8 @@ class ParsedOptions:
         Raises:
             InvalidParameterError: the threads or the providers are invalid.
         """
-        return Runtime(**self._given(Runtime), progress=progress)
+        given = {name: self.values[name] for name in ("threads", "providers", "precision") if name in self.values}
+        return Runtime(**given, progress=progress)
 
     def engine(
         self, *, segmenter: tuple[str | Path, str | Path] | None = None, progress: Progress | None = None
@@ -129,21 +138,15 @@ class ParsedOptions:
         with paused_collection():
             from vehanchor.engine import Engine
 
-        choice = self.detector
-        return Engine(
-            choice.detector,
-            segmenter,
-            classes=choice.classes,
-            options=self.options(),
-            runtime=self.runtime(progress),
-        )
+        choice, options, runtime = self.detector, self.options(), self.runtime(progress)
+        return Engine(choice.detector, segmenter, classes=choice.classes, options=options, runtime=runtime)
 
 
 def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Add the options of all groups to a command, which receives them as the argument ``chosen``.
 
     Args:
-        without: names of fields, or ``frame``, that do not apply to this command.
+        without: keywords of options that do not apply to this command.
 
     Returns:
         A decorator for a function with a parameter ``chosen``; its result is a Typer command.
@@ -152,23 +155,18 @@ def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., N
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         own = _resolved_parameters(command)
         del own["chosen"]
-        first: list[inspect.Parameter] = []
-        rest: list[inspect.Parameter] = []
-        for group in (DetectorChoice, Runtime, *_groups()):
-            for name, stated, parameter in option_parameters(group):
-                if name not in without and name not in own:
-                    (first if stated.first else rest).append(parameter)
-        if "frame" not in without:
-            first.append(_FRAME)
-        added = [*first, *rest]  # panels are shown in this order
+        shown = [(name, option, each) for name, option, each in _parameters() if name not in {*without, *own}]
+        added = [each for _, _, each in sorted(shown, key=lambda one: not one[1].first)]
+        names = frozenset(each.name for each in added)
 
         @functools.wraps(command)
         def with_choices(**arguments: Any) -> None:
-            typed = {each.name: arguments.pop(each.name) for each in added}
-            command(**arguments, chosen=ParsedOptions(typed))
+            typed = {name: value for name in names if (value := arguments.pop(name)) not in (None, [])}
+            chosen = ParsedOptions(typed, arguments.pop(_FILE), names)
+            command(**arguments, chosen=chosen)
 
         parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in own.values()]
-        parameters += added
+        parameters += [*added, _FILE_PARAMETER]
         with_choices.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         with_choices.__annotations__ = {each.name: each.annotation for each in parameters}
         return with_choices
@@ -176,44 +174,66 @@ def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., N
     return decorate
 
 
-def _groups() -> list[type[Any]]:
-    """List the option groups."""
-    return list(dict.fromkeys(each.group for each in declared_options()))
+_FILE_PARAMETER = inspect.Parameter(
+    _FILE,
+    inspect.Parameter.KEYWORD_ONLY,
+    default=None,
+    annotation=Annotated[
+        Path | None,
+        typer.Option(
+            "--options",
+            metavar="FILE.toml",
+            help="Further options of the method by keyword, such as effort = 'full'; see the reference.",
+        ),
+    ],
+)
 
 
-def option_parameters(group: type[Any]) -> Iterator[tuple[str, Option, inspect.Parameter]]:
-    """Make the parameters of a Typer command for the options of a group.
-
-    Args:
-        group: a dataclass; its ``panel`` is the heading in ``--help``.
-
-    Yields:
-        Each field's name, its declaration, and a keyword-only parameter of that name, annotated for Typer.
-    """
-    kinds = typing.get_type_hints(group, localns={"Calibration": str, "Sequence": Sequence})
-    for each in fields(group):
-        stated = option_of(each)
-        if stated is not None and stated.cli:
-            yield each.name, stated, _parameter(each, stated, kinds[each.name], getattr(group, "panel", "Detector"))
+def _parameters() -> Iterator[tuple[str, Option, inspect.Parameter]]:
+    """Make the parameters of a Typer command: name, declaration, and a keyword-only parameter annotated for Typer."""
+    for kind in (DetectorChoice, Runtime):
+        for name, annotation in typing.get_type_hints(kind, include_extras=True).items():
+            option = next((each for each in getattr(annotation, "__metadata__", ()) if isinstance(each, Option)), None)
+            if option is not None:
+                yield name, option, _parameter(name, option, annotation, getattr(kind, name), _PANEL)
+    for name, each in declared_options().items():
+        if each.option.cli:
+            yield name, each.option, _parameter(name, each.option, each.annotation, each.default, each.panel)
 
 
-def _parameter(declared: Field[Any], stated: Option, kind: Any, panel: str) -> inspect.Parameter:
-    name = declared.name
-    bare = next((option for option in typing.get_args(kind) if option is not type(None)), kind)
-    default = None if declared.default in (MISSING, ()) else declared.default
-    flag = stated.flag or _without_unit(name).replace("_", "-")
-    more: dict[str, Any] = {"metavar": stated.metavar} if stated.metavar else {}
-    if typing.get_origin(bare) is Literal or typing.get_origin(kind) is Literal:
-        words = {word: word for word in typing.get_args(bare) or typing.get_args(kind)}
-        kind = typing.cast("type", StrEnum(name.title(), words)) | None
-    elif stated.repeated:
-        kind, default = list[str] | None, None
-    elif stated.read is not None:
-        kind, default = str | None, None if default is None else str(default)
-    flags = f"--{flag}/--no-{flag}" if bare is bool else f"--{flag}"
-    text = rulers_help() if name == "rulers" else stated.help
-    option = typer.Option(flags, help=text, rich_help_panel=_FIRST_PANEL if stated.first else panel, **more)
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
+def _parameter(name: str, option: Option, annotation: Any, default: Any, panel: str) -> inspect.Parameter:
+    """Make a parameter that takes texts, which the option reads; a flag; or a list of texts."""
+    bare = _bare(annotation)
+    flag = option.flag or _without_unit(name).replace("_", "-")
+    metavar = option.metavar or ("|".join(typing.get_args(bare)) if typing.get_origin(bare) is Literal else "")
+    n_values = len(metavar.split())
+    kind: Any
+    if bare is bool:
+        flag, kind = f"{flag}/--no-{flag}", bool
+    elif option.repeated:
+        kind = list[str]
+    else:
+        kind = types.GenericAlias(tuple, (str,) * n_values) if n_values > 1 else str
+    declared = typer.Option(
+        f"--{flag}",
+        help=rulers_help() if name == "rulers" else option.help,
+        metavar=metavar or None,
+        rich_help_panel=None if option.first else panel,
+        hidden=not option.first,
+        show_default=str(default) if default not in (None, (), "assumed") and bare is not bool else False,
+    )
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind | None, declared]
+    )
+
+
+def _bare(annotation: Any) -> Any:
+    """Give the type of an option's values without limits, declaration and None."""
+    while typing.get_origin(annotation) is Annotated:
+        annotation = typing.get_args(annotation)[0]
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        return _bare(next(each for each in typing.get_args(annotation) if each is not type(None)))
+    return annotation
 
 
 def _resolved_parameters(command: Callable[..., None]) -> dict[str, inspect.Parameter]:
@@ -226,7 +246,4 @@ def _resolved_parameters(command: Callable[..., None]) -> dict[str, inspect.Para
 
 
 def _without_unit(name: str) -> str:
-    for unit in _UNITS:
-        if name.endswith(unit):
-            return name.removesuffix(unit)
-    return name
+    return next((name.removesuffix(unit) for unit in _UNITS if name.endswith(unit)), name)

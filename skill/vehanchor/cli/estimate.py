@@ -56,7 +56,9 @@ OverlayFile: TypeAlias = Annotated[
 PlotFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        metavar="OUT.png", help="Write a plot of lengths, mode and interval (extra 'plots'); '{stem}' as above."
+        metavar="OUT.png",
+        help="Write a plot of lengths, mode and interval (extra 'plots'); '{stem}' as above.",
+        hidden=True,
     ),
 ]
 BoxesFile: TypeAlias = Annotated[

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vehanchor.cli.cli_options import DetectorChoice
 from vehanchor.cli.terminal import FAILED, exit_on_error, facts_table, failure, print_json, print_table, printable
 from vehanchor.errors import ModelError, VehAnchorError
-from vehanchor.options.models import CLASSES
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
@@ -126,7 +126,7 @@ def show_model(
         try:
             from vehanchor.engine import Engine
 
-            engine = Engine(file, classes=CLASSES.from_texts(classes or []))
+            engine = Engine(file, classes=DetectorChoice.of({"classes": classes or []}).classes)
             model = engine.detector
         except VehAnchorError as error:
             if as_json:

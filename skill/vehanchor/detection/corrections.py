@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,7 +91,7 @@ def _added_boxes(
     Raises:
         InvalidParameterError: two of them are one vehicle.
     """
-    axes = np.array(by_hand.add, dtype=np.float64).reshape(-1, 4)
+    axes = np.array([astuple(each) for each in by_hand.add], dtype=np.float64).reshape(-1, 4)
     unit = np.array(size_px) / (frame.size or size_px)
     ends = axes.reshape(-1, 2, 2) * unit
     along = ends[:, 1] - ends[:, 0]

@@ -6,15 +6,14 @@ This module does not import ONNX Runtime, so that ``import vehanchor`` stays fas
 from __future__ import annotations
 
 import copy
-import numbers
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeAlias, get_args
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.models import PRECISION, PRECISION_WORDS, PROVIDERS, THREADS, Precision
-from vehanchor.options.option import metadata_of, set_frozen
+from vehanchor.options.models import PRECISION, PROVIDERS, THREADS, Precision
+from vehanchor.options.option import Limits, set_frozen
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -82,16 +81,17 @@ class Runtime:
         InvalidParameterError: ``threads``, ``providers`` or ``precision`` is invalid.
     """
 
-    threads: int | None = field(default=None, metadata=metadata_of(THREADS))
-    providers: Sequence[str] = field(default=DEFAULT_PROVIDERS, metadata=metadata_of(PROVIDERS))
-    precision: Precision = field(default="float32", metadata=metadata_of(PRECISION))
+    threads: Annotated[int | None, THREADS] = None
+    providers: Annotated[Sequence[str], PROVIDERS] = DEFAULT_PROVIDERS
+    precision: Annotated[Precision, PRECISION] = "float32"
     progress: Progress | None = field(default=None, compare=False)
     cancellation: Cancellation | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         set_frozen(self, "threads", _checked_threads(self.threads))
         set_frozen(self, "providers", _checked_providers(self.providers))
-        PRECISION_WORDS.check("precision", self.precision)
+        if self.precision not in get_args(Precision):
+            raise InvalidParameterError(f"precision is {self.precision!r}: use one of {', '.join(get_args(Precision))}")
 
     @property
     def idle(self) -> Runtime:
@@ -116,12 +116,10 @@ class Runtime:
 def _checked_threads(threads: Any) -> int | None:
     if threads is None:
         return None
-    whole = isinstance(threads, numbers.Real) and not isinstance(threads, bool) and float(threads).is_integer()
-    if not whole or not 1 <= threads <= MAX_THREADS:
-        raise InvalidParameterError(
-            f"threads is {threads!r}: use a whole number from 1 to {MAX_THREADS}, or None for all cores"
-        )
-    return int(threads)
+    try:
+        return int(Limits(1, MAX_THREADS, whole=True).check("threads", threads))
+    except InvalidParameterError as error:
+        raise InvalidParameterError(f"{error}, or None for all cores") from None
 
 
 def _checked_providers(providers: Any) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from vehanchor.options.lengths import Lengths
 from vehanchor.options.reading import Reading
 from vehanchor.options.reference import Reference
 from vehanchor.options.rulers import Basis, KnownLength, Rulers
-from vehanchor.options.scale_options import ScaleOptions, declared_option, declared_options
+from vehanchor.options.scale_options import DeclaredOption, ScaleOptions, declared_options
 from vehanchor.options.search import Effort, Search
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "Basis",
     "ByHand",
     "Coordinates",
+    "DeclaredOption",
     "Effort",
     "Frame",
     "ImageLimits",
@@ -28,6 +29,5 @@ __all__ = [
     "Rulers",
     "ScaleOptions",
     "Search",
-    "declared_option",
     "declared_options",
 ]

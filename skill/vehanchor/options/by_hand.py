@@ -4,24 +4,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
+
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.option import Limits, option, set_frozen
-
-BY_HAND = ("drop", "add")
-"""Names of the options, which belong to one image."""
+from vehanchor.options.option import Limits, Number, Option, group
 
 MOST_BY_HAND = 1000
-"""Largest number of vehicles in each of the two lists."""
+"""Largest number of vehicles in either list."""
 
+_MOST_CHARS = 4000  # 1000 numbers of three digits with commas
 _NUMBER = Limits(1, 1_000_000, whole=True)
-_COORDINATE = Limits()
 _LEAST_LENGTH_PX = 5.0
 
 
-class AddedVehicle(NamedTuple):
+def in_order(*names: str) -> BeforeValidator:
+    """Make a validator that reads the fields of a group from their values in order, or from one text."""
+
+    def read(value: Any) -> Any:
+        values = value.replace(",", " ").split() if isinstance(value, str) else value
+        if isinstance(values, dict) or not isinstance(values, Iterable):
+            return values
+        return dict(zip((*names, *map(str, range(64))), values, strict=False))
+
+    return BeforeValidator(read)
+
+
+@group(frozen=True)
+class AddedVehicle:
     """Car that the caller points at: both ends of its long axis.
 
     Attributes:
@@ -31,10 +42,10 @@ class AddedVehicle(NamedTuple):
         y2: y of that end.
     """
 
-    x1: float
-    y1: float
-    x2: float
-    y2: float
+    x1: Number
+    y1: Number
+    x2: Number
+    y2: Number
 
     @property
     def length_px(self) -> float:
@@ -42,7 +53,36 @@ class AddedVehicle(NamedTuple):
         return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
 
 
-@dataclass(frozen=True)
+def vehicle_numbers(value: Any) -> Any:
+    """Read numbers of vehicles: a list, or a text with numbers and ranges, as "1-20,23".
+
+    Raises:
+        InvalidParameterError: the text is something else, or there are too many numbers.
+    """
+    if isinstance(value, int) and not isinstance(value, bool):
+        value = (value,)
+    found = _ranges(value) if isinstance(value, str) else list(value) if isinstance(value, Iterable) else None
+    if found is None:
+        raise InvalidParameterError(f"drop is {value!r}: give a list of numbers of vehicles, as 1-20,23")
+    if len(found) > MOST_BY_HAND:
+        raise InvalidParameterError(f"drop has {len(found)} vehicles: give at most {MOST_BY_HAND}")
+    return tuple(dict.fromkeys(int(_NUMBER.check("drop", each)) for each in found))
+
+
+def _ranges(text: str) -> list[int]:
+    found: list[int] = []
+    for part in text.replace(",", " ").split():
+        first, _, last = part.partition("-")
+        if not first.isdecimal() or not (last or first).isdecimal() or part.endswith("-"):
+            raise InvalidParameterError(f"drop is {text!r}: use numbers and ranges with commas, as 1-20,23")
+        low, high = int(first), int(last or first)
+        if high < low or high - low >= MOST_BY_HAND:
+            raise InvalidParameterError(f"drop has the range {part}: use rising ranges of at most {MOST_BY_HAND}")
+        found += range(low, high + 1)
+    return found
+
+
+@group(frozen=True)
 class ByHand:
     """Vehicles that the caller drops or adds.
 
@@ -59,30 +99,28 @@ class ByHand:
 
     panel: ClassVar[str] = "Vehicles by hand"
 
-    drop: tuple[int, ...] = field(
-        default=(),
-        metadata=option(
-            "Overlay boxes that are no cars, as 3,7.", metavar="N,N-N", read=lambda text: vehicle_numbers("drop", text)
-        ),
-    )
-    add: tuple[AddedVehicle, ...] = field(
-        default=(),
-        metadata=option(
+    drop: Annotated[
+        tuple[int, ...],
+        BeforeValidator(vehicle_numbers),
+        WithJsonSchema({"type": "string", "maxLength": _MOST_CHARS}),
+        Option("Overlay boxes that are no cars, as 3,7.", metavar="N,N-N", first=True, tools="all"),
+    ] = ()
+    add: Annotated[
+        tuple[Annotated[AddedVehicle, in_order("x1", "y1", "x2", "y2")], ...],
+        Field(max_length=MOST_BY_HAND),
+        Option(
             "Cars not found: both ends of the long axis.",
             metavar="X1 Y1 X2 Y2",
-            read=lambda text: axis_of_text(text),
             repeated=True,
+            first=True,
+            tools="all",
         ),
-    )
-
-    def __post_init__(self) -> None:
-        set_frozen(self, "drop", _numbers("drop", self.drop))
-        set_frozen(self, "add", _axes(self.add))
+    ] = ()
 
     @property
     def given(self) -> str | None:
         """Name of the first list with vehicles; None without any."""
-        return next((each for each in BY_HAND if getattr(self, each)), None)
+        return "drop" if self.drop else "add" if self.add else None
 
     def check_single(self) -> None:
         """Check, before the work on several images, that no vehicle is given.
@@ -104,7 +142,8 @@ class ByHand:
             InvalidParameterError: an end is outside, or an axis is shorter than five pixels.
         """
         for number, axis in enumerate(self.add, 1):
-            if not all(0 <= x <= width_px for x in axis[::2]) or not all(0 <= y <= height_px for y in axis[1::2]):
+            inside = all(0 <= x <= width_px for x in (axis.x1, axis.x2))
+            if not inside or not all(0 <= y <= height_px for y in (axis.y1, axis.y2)):
                 raise InvalidParameterError(
                     f"add {number}, from ({axis.x1:g}, {axis.y1:g}) to ({axis.x2:g}, {axis.y2:g}), leaves the picture "
                     f"of {width_px} x {height_px} px: give both ends in its pixels"
@@ -114,62 +153,3 @@ class ByHand:
                     f"add {number} is {axis.length_px:.1f} px long: give both ends of a car of {_LEAST_LENGTH_PX:g} px "
                     "or more"
                 )
-
-
-def vehicle_numbers(name: str, text: str) -> tuple[int, ...]:
-    """Read numbers and ranges with commas, as "1-20,23".
-
-    Args:
-        name: of the option, for messages.
-        text: the numbers; empty for none.
-
-    Raises:
-        InvalidParameterError: the text is something else, or has too many numbers.
-    """
-    found: list[int] = []
-    for part in filter(None, text.replace(",", " ").split()):
-        first, _, last = part.partition("-")
-        if not first.isdecimal() or not (last or first).isdecimal() or part.endswith("-"):
-            raise InvalidParameterError(f"{name} is {text!r}: use numbers and ranges with commas, as 1-20,23")
-        low, high = int(first), int(last or first)
-        if high < low or high - low >= MOST_BY_HAND:
-            raise InvalidParameterError(f"{name} has the range {part}: use rising ranges of at most {MOST_BY_HAND}")
-        found += range(low, high + 1)
-    return tuple(found)
-
-
-def axis_of_text(text: str) -> AddedVehicle:
-    """Read an axis, ``X1 Y1 X2 Y2``; commas are spaces.
-
-    Raises:
-        InvalidParameterError: the text is not four numbers.
-    """
-    try:
-        return AddedVehicle(*map(float, text.replace(",", " ").split()))
-    except (TypeError, ValueError):
-        raise InvalidParameterError(f"add is {text!r}: use four numbers, X1 Y1 X2 Y2") from None
-
-
-def _numbers(name: str, values: Any) -> tuple[int, ...]:
-    if isinstance(values, str) or not isinstance(values, Iterable):
-        raise InvalidParameterError(f"{name} is {values!r}: give a list of numbers of vehicles")
-    numbers = tuple(dict.fromkeys(int(_NUMBER.check(name, each)) for each in values))
-    _check_count(name, numbers)
-    return numbers
-
-
-def _axes(values: Any) -> tuple[AddedVehicle, ...]:
-    message = f"add is {values!r}: give axes of x1, y1, x2, y2"
-    if isinstance(values, str) or not isinstance(values, Iterable):
-        raise InvalidParameterError(message)
-    try:
-        axes = tuple(AddedVehicle(*(_COORDINATE.check("add", each) for each in axis)) for axis in values)
-    except TypeError:
-        raise InvalidParameterError(message) from None
-    _check_count("add", axes)
-    return axes
-
-
-def _check_count(name: str, values: tuple[Any, ...]) -> None:
-    if len(values) > MOST_BY_HAND:
-        raise InvalidParameterError(f"{name} has {len(values)} vehicles: give at most {MOST_BY_HAND}")

@@ -2,59 +2,71 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar, Literal, TypeAlias, get_args
+from collections.abc import Sequence
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
-from vehanchor.errors import FrameError, InvalidParameterError
-from vehanchor.options.option import Limits, Option, Words, check_fields, option
+from pydantic import BeforeValidator, Field
+
+from vehanchor.errors import FrameError
+from vehanchor.options.option import Limits, Option, group
 
 Coordinates: TypeAlias = Literal["pixels", "fraction", "per_mille"]
 """Units of coordinates."""
 
-FRAME = Option("Size of your resized copy.", metavar="W H", first=True)
-FRAME_SIDE = Limits(1, 1_000_000, whole=True)
+_Side = Annotated[int, Limits(1, 1_000_000, whole=True)]
 _SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}  # largest value along either side
 
 
-@dataclass(frozen=True)
+@group(frozen=True)
+class FrameSize:
+    """Size of the resized copy in which the caller works.
+
+    Attributes:
+        width_px: width of the copy.
+        height_px: height of the copy.
+    """
+
+    width_px: _Side
+    height_px: _Side
+
+
+def _sides(value: Any) -> Any:
+    """Read a width and a height."""
+    parts = value.replace("x", " ").replace(",", " ").split() if isinstance(value, str) else value
+    if isinstance(parts, Sequence) and len(parts) == 2:
+        return {"width_px": parts[0], "height_px": parts[1]}
+    return value
+
+
+@group(frozen=True)
 class Frame:
     """The caller's resized copy of the image, and the units of its coordinates.
 
     Attributes:
-        width_px: width of the copy; with the height, or neither.
-        height_px: height of the copy.
+        frame: width and height of the copy; None for the image itself.
         coordinates: pixels: of the copy, or of the image without a copy; fraction: 0 to 1 of either side; per_mille:
             0 to 1000 of either side.
 
     Raises:
-        InvalidParameterError: only one side is given, or a side is not a whole number >= 1.
+        InvalidParameterError: a side is not a whole number >= 1, or the units are unknown.
     """
 
     panel: ClassVar[str] = "Reading the image"
 
-    width_px: int | None = field(
-        default=None, metadata=option("Its width, pixels.", FRAME_SIDE, keyword="frame_width_px", cli=False)
-    )
-    height_px: int | None = field(
-        default=None, metadata=option("Its height, pixels.", FRAME_SIDE, keyword="frame_height_px", cli=False)
-    )
-    coordinates: Coordinates = field(
-        default="pixels",
-        metadata=option(
-            "Pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000).",
-            Words(get_args(Coordinates)),
-        ),
-    )
-
-    def __post_init__(self) -> None:
-        if (self.width_px is None) != (self.height_px is None):
-            raise InvalidParameterError("a frame needs both frame_width_px and frame_height_px")
-        check_fields(self)
+    frame: Annotated[
+        FrameSize | None,
+        BeforeValidator(_sides),
+        Option("Size of your resized copy.", metavar="W H", tools="all"),
+        Field(examples=[{"width_px": 1024, "height_px": 768}]),
+    ] = None
+    coordinates: Annotated[
+        Coordinates, Option("Pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000).", tools="all")
+    ] = "pixels"
 
     @property
     def size(self) -> tuple[int, int] | None:
         """Width and height of the copy, pixels; None without a copy."""
-        return None if self.width_px is None or self.height_px is None else (self.width_px, self.height_px)
+        return None if self.frame is None else (self.frame.width_px, self.frame.height_px)
 
     def extent(self, width_px: int, height_px: int) -> tuple[int, int]:
         """Give the largest coordinates to the right and down, in their own units.

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from typing import Annotated
 
-from vehanchor.options.option import Limits, set_frozen
+from vehanchor.options.option import Limits, group
 
 _MIB = 1 << 20
 DECODED_BYTES_PER_PIXEL = 10
 """Memory for decoding 8-bit RGB, with a reserve."""
 
-_COUNT = Limits(least=1, whole=True)
+_Count = Annotated[int, Limits(least=1, whole=True)]
 
 
-@dataclass(frozen=True)
+@group(frozen=True)
 class ImageLimits:
     """Limits on the cost of an image, checked before decoding.
 
@@ -30,12 +30,8 @@ class ImageLimits:
         InvalidParameterError: a limit is not a whole number >= 1.
     """
 
-    max_bytes: int = 512 * _MIB
-    max_pixels: int = 100_000_000
-    max_windowed_pixels: int = 10_000_000_000
-    max_decoded_bytes: int = 1 << 30
-    max_unpacked_bytes: int = 8 << 30
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            set_frozen(self, each.name, _COUNT.check(each.name, getattr(self, each.name)))
+    max_bytes: _Count = 512 * _MIB
+    max_pixels: _Count = 100_000_000
+    max_windowed_pixels: _Count = 10_000_000_000
+    max_decoded_bytes: _Count = 1 << 30
+    max_unpacked_bytes: _Count = 8 << 30

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, get_args
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
-from vehanchor.errors import InvalidParameterError
-from vehanchor.options.option import Words, check_fields, option
+from vehanchor.options.option import Option, group
 from vehanchor.scale.defaults import NMS_IOU, OUTLIER_ALPHA
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 Preset: TypeAlias = Literal["paper"]
 """Names of the presets."""
@@ -36,6 +31,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "height_basis": "assumed",
         "height_tolerance_m": None,
         "focal_35mm": None,
+        "gsd_m_per_px": None,
         "drop": (),
         "add": (),
     }
@@ -43,7 +39,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 """Options of each preset by keyword."""
 
 
-@dataclass(frozen=True)
+@group(frozen=True)
 class Method:
     """Preset of the method.
 
@@ -57,32 +53,10 @@ class Method:
 
     panel: ClassVar[str] = "Method"
 
-    preset: Preset | None = field(
-        default=None,
-        metadata=option(
+    preset: Annotated[
+        Preset | None,
+        Option(
             "Named preset: paper is exactly the paper's method, with its confidence and its resolution guard.",
-            Words(get_args(Preset)),
+            first=True,
         ),
-    )
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-
-def with_preset(preset: str, keywords: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Add the options of a preset to those of the caller.
-
-    Args:
-        preset: name of the preset.
-        keywords: options of the caller.
-        defaults: defaults of all options.
-
-    Raises:
-        InvalidParameterError: the caller sets an option of the preset to another value.
-    """
-    chosen = PRESETS.get(preset, {})
-    for name, value in chosen.items():
-        given = keywords.get(name, defaults[name])
-        if (tuple(given) if isinstance(given, list) else given) not in (value, defaults[name]):
-            raise InvalidParameterError(f"the preset {preset} sets {name}: leave {name} out, or leave the preset out")
-    return {**keywords, **chosen}
+    ] = None

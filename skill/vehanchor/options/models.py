@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
-from vehanchor.options.option import Option, Words
+from vehanchor.options.option import Option
 
 Precision: TypeAlias = Literal["float32", "int8", "auto"]
 """``auto`` is int8 if such a file exists and the processor is fast with it."""
 
-PRECISION_WORDS = Words(get_args(Precision))
-
 DETECTOR = Option("ONNX oriented-box model, or the name of a bundled one. Default: the bundled one.", metavar="FILE")
 PRECISION = Option(
     "Precision of a bundled detector: float32; int8, faster on processors with dot products of bytes (VNNI, Armv8.2); "
-    "auto, int8 on those.",
-    PRECISION_WORDS,
+    "auto, int8 on those."
 )
 CLASSES = Option(
     "Class, by name or index, that counts as a vehicle; repeatable. Default: the model's.",
     metavar="NAME",
     flag="class",
-    read=lambda text: int(text) if text.isdecimal() else text,
     repeated=True,
 )
 THREADS = Option("CPU threads per model; the result is the same with any number. Default: all cores.", metavar="N")
@@ -32,7 +28,7 @@ PROVIDERS = Option(
     flag="provider",
     repeated=True,
 )
-CALIBRATION = Option("Use the reference length measured by 'vehanchor calibrate'.", metavar="FILE")
+CALIBRATION = Option("Use the reference length measured by 'vehanchor calibrate'.", metavar="FILE", first=True)
 SEGMENTER = Option(
     "ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. Default: the bundled.",
     metavar="ENCODER DECODER",

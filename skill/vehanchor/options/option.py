@@ -1,41 +1,73 @@
-"""Declaration of an option: help and valid values, declared once.
+"""Declaration of options: name, type, limits and help, each declared once.
 
-A field of an option group has its ``Option`` as metadata. Keywords, command-line options, tool arguments and server
-settings derive help, type, limits and default from it.
+A field of an option group is annotated with its ``Option``, its numbers with their ``Limits``. Keywords, command-line
+options, tool arguments, settings and schemas derive from the annotation.
 """
 
 from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Callable
-from dataclasses import fields
-from typing import Any, NamedTuple
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
-from vehanchor.errors import InvalidParameterError
+from pydantic import ConfigDict, Strict, ValidationError
+from pydantic.dataclasses import dataclass as validated
+from pydantic_core import PydanticCustomError, core_schema
 
-_METADATA = "option"
+from vehanchor.errors import InvalidParameterError, VehAnchorError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from dataclasses import dataclass as group  # mypy knows it; below is what runs
+
+__all__ = ["Flag", "Limits", "Number", "Option", "group", "refusal", "set_frozen"]
+
+_TEXT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)\s*([a-z%]*)", re.IGNORECASE)
+_UNITS = {
+    "m": {"mm": 1e-3, "cm": 0.01, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048, "yd": 0.9144},
+    "mm": {"mm": 1.0},
+}
+_LONG = {
+    "feet": "ft",
+    "foot": "ft",
+    "metres": "m",
+    "meters": "m",
+    "metre": "m",
+    "meter": "m",
+    "inches": "in",
+    "yards": "yd",
+}
+_EXPECTED = {
+    "bool_type": "use True or False",
+    "string_type": "give one name",
+    "tuple_type": "give a list",
+    "missing": "it is missing",
+}
 
 
 class Limits(NamedTuple):
-    """Valid numbers of an option.
+    """Valid numbers of an option; a type of numbers within ``Annotated``.
 
     Attributes:
         least: the smallest number; None for no such limit.
         most: the largest number; None for no such limit.
         above: exclusive lower limit; None for no such limit.
         whole: whether only whole numbers are valid.
+        unit: unit of the number, in which a text may name another: "m" also takes "30 ft".
     """
 
     least: float | None = None
     most: float | None = None
     above: float | None = None
     whole: bool = False
+    unit: str = ""
 
     @property
     def schema(self) -> dict[str, float]:
-        """Limits by pydantic's names ``ge``, ``le`` and ``gt``."""
-        named = {"ge": self.least, "le": self.most, "gt": self.above}
+        """Limits by their names in JSON Schema."""
+        named = {"minimum": self.least, "maximum": self.most, "exclusiveMinimum": self.above}
         return {
             name: int(limit) if limit == int(limit) else limit for name, limit in named.items() if limit is not None
         }
@@ -49,160 +81,135 @@ class Limits(NamedTuple):
         return noun + "".join(f"{sign}{limit:.10g}" for sign, limit in named if limit is not None)
 
     def check(self, name: str, value: Any) -> float:
-        """Check a number and convert it to Python's types, also from NumPy's.
+        """Check a number, or a text with one, and convert it to Python's types, also from NumPy's.
 
         Raises:
             InvalidParameterError: the value is a bool, is not a finite number, or is outside the limits.
         """
-        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
-            raise InvalidParameterError(f"{name} is {value!r}: use {self}")
-        found = float(value)
-        low = found < self.least if self.least is not None else self.above is not None and found <= self.above
-        if low or (self.most is not None and found > self.most) or (self.whole and found != int(found)):
-            raise InvalidParameterError(f"{name} is {found:.10g}: use {self}")
+        found = self._number(value)
+        low = (self.least is not None and found < self.least) or (self.above is not None and found <= self.above)
+        if not math.isfinite(found) or low or (self.most is not None and found > self.most):
+            raise InvalidParameterError(f"{name} is {_shown(value)}: use {self}")
+        if self.whole and found != int(found):
+            raise InvalidParameterError(f"{name} is {_shown(value)}: use {self}")
         return int(found) if self.whole else found
 
+    def _number(self, value: Any) -> float:
+        """Read a number; NaN for what is none."""
+        if isinstance(value, numbers.Real) and not isinstance(value, bool):
+            try:
+                return float(value)
+            except OverflowError:
+                return math.nan
+        found = _TEXT.fullmatch(value.strip()) if isinstance(value, str) else None
+        unit = found[2].lower() if found else ""
+        factor = _UNITS.get(self.unit, {}).get(_LONG.get(unit, unit)) if unit else 1.0
+        try:
+            return math.nan if found is None or factor is None else float(found[1]) * factor
+        except ValueError:  # several points
+            return math.nan
 
-class Text(NamedTuple):
-    """Valid texts of an option.
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Validate by ``check``."""
 
-    Attributes:
-        most: the largest number of characters.
-    """
+        def read(value: Any) -> float:
+            try:
+                return self.check("", value)
+            except InvalidParameterError:
+                raise PydanticCustomError("number", "use {limits}", {"limits": str(self)}) from None
 
-    most: int = 64
+        return core_schema.no_info_plain_validator_function(read)
 
-    @property
-    def schema(self) -> dict[str, float]:
-        """Limit by pydantic's name."""
-        return {"max_length": self.most}
-
-    def check(self, name: str, value: Any) -> str:
-        """Check a text.
-
-        Raises:
-            InvalidParameterError: the value is not a text, or is too long.
-        """
-        if not isinstance(value, str):
-            raise InvalidParameterError(f"{name} is {value!r}: give one name")
-        if len(value) > self.most:
-            raise InvalidParameterError(f"{name} has {len(value)} characters: use at most {self.most}")
-        return value
-
-
-class Words(NamedTuple):
-    """Valid words of an option."""
-
-    words: tuple[str, ...]
-
-    @property
-    def schema(self) -> dict[str, float]:
-        """Empty: the type lists the words."""
-        return {}
-
-    def check(self, name: str, value: Any) -> str:
-        """Check a word.
-
-        Raises:
-            InvalidParameterError: the value is none of them.
-        """
-        if not isinstance(value, str) or value not in self.words:
-            raise InvalidParameterError(f"{name} is {value!r}: use one of {', '.join(self.words)}")
-        return value
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        """Describe the numbers."""
+        return {"type": "integer" if self.whole else "number", **self.schema}
 
 
-class Flag(NamedTuple):
-    """Yes or no."""
-
-    @property
-    def schema(self) -> dict[str, float]:
-        """Empty: the type is enough."""
-        return {}
-
-    def check(self, name: str, value: Any) -> bool:
-        """Check that a value is True or False.
-
-        Raises:
-            InvalidParameterError: the value is neither.
-        """
-        if not isinstance(value, bool):
-            raise InvalidParameterError(f"{name} is {value!r}: use True or False")
-        return value
+Number: TypeAlias = Annotated[float, Limits()]
+Flag: TypeAlias = Annotated[bool, Strict()]
 
 
-class Option(NamedTuple):
-    """Declaration of an option.
+@dataclass(frozen=True)
+class Option:
+    """Declaration of an option beside its type.
 
     Attributes:
         help: one or two short sentences for ``--help``, tools and settings.
-        takes: valid values; None for an option that its group checks.
         metavar: placeholder of the value on the command line.
         flag: name on the command line; empty for the field's name without its unit.
-        keyword: name as a keyword; empty for the field's name.
-        cli: whether the command line offers it.
-        read: reads the value, or an item of it, from one text of the command line; None for what Typer reads.
         repeated: whether the command line repeats it, once for each item.
-        first: whether ``--help`` shows it first, because it needs no knowledge of the method.
+        cli: whether the command line offers it.
+        first: whether ``--help`` shows it; others are for a file of options.
+        tools: whether no tool, all measuring tools, or only those of lengths and areas take it as argument.
+        listed: whether the listed schemas of these tools show it to models.
+        error: class of errors in its value.
     """
 
     help: str
-    takes: Limits | Text | Words | Flag | None = None
     metavar: str = ""
     flag: str = ""
-    keyword: str = ""
-    cli: bool = True
-    read: Callable[[str], Any] | None = None
     repeated: bool = False
+    cli: bool = True
     first: bool = False
+    tools: Literal["", "all", "estimate", "measure"] = ""
+    listed: bool = True
+    error: type[InvalidParameterError] = InvalidParameterError
 
-    def from_texts(self, given: Any) -> Any:
-        """Convert what the command line gave: one text, a list of texts, or a value that Typer has read."""
-        read = self.read or _unchanged
-        if self.repeated:
-            return [read(text) for text in given]
-        return read(given) if isinstance(given, str) else given
-
-
-def _unchanged(text: str) -> str:
-    return text
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        """Describe the option by its help."""
+        return {**handler(schema), "description": self.help}
 
 
-def option(help_text: str, takes: Limits | Text | Words | Flag | None = None, **parts: Any) -> dict[str, Option]:
-    """Make the metadata of a dataclass field from the parts of an ``Option``."""
-    return metadata_of(Option(help_text, takes, **parts))
+def _shown(value: Any) -> str:
+    return f"{value:.10g}" if isinstance(value, float) else repr(value)
 
 
-def metadata_of(declared: Option) -> dict[str, Option]:
-    """Make the metadata of a dataclass field from its ``Option``."""
-    return {_METADATA: declared}
+if not TYPE_CHECKING:
+
+    def group(*, frozen: bool) -> Callable[[type], type]:
+        """Make a frozen dataclass that checks its fields, and refuses them by an error of this library."""
+
+        def decorate(kind: type) -> type:
+            config = ConfigDict(
+                extra="forbid", allow_inf_nan=False, json_schema_extra=lambda s: s.pop("description", 0)
+            )
+            made = validated(frozen=frozen, config=config)(kind)
+            initialise = made.__init__
+
+            def checked(self: Any, *args: Any, **values: Any) -> None:
+                try:
+                    initialise(self, *args, **values)
+                except ValidationError as error:
+                    raise refusal(made, error) from None
+
+            made.__init__ = checked
+            return made
+
+        return decorate
 
 
-def option_of(field: Any) -> Option | None:
-    """Get the declaration of a dataclass field; None for a field that is not an option."""
-    found: Option | None = field.metadata.get(_METADATA)
-    return found
+def refusal(kind: Any, error: ValidationError) -> VehAnchorError:
+    """Convert pydantic's error in the fields of a group to an error of this library."""
+    first = error.errors(include_url=False)[0]
+    cause = first.get("ctx", {}).get("error")
+    if isinstance(cause, VehAnchorError):
+        return cause
+    place = [str(part) for part in first["loc"] if str(part).isidentifier() or isinstance(part, int)]
+    declared = kind.__dataclass_fields__.get(place[0]) if place else None
+    options = [each for each in _metadata(kind, declared) if isinstance(each, Option)]
+    made: Any = options[0].error if options else getattr(kind, "error", InvalidParameterError)
+    words = _EXPECTED.get(first["type"]) or first["msg"].replace("Input should be", "use")
+    if first["type"] == "literal_error":
+        words = f"use one of {first['ctx']['expected'].replace(' or ', ', ').replace(chr(39), '')}"
+    refused: VehAnchorError = made(f"{'.'.join(place)} is {_shown(first['input'])}: {words}")
+    return refused
 
 
-def keyword_of(field: Any) -> str:
-    """Get the keyword of a field."""
-    declared = option_of(field)
-    name: str = field.name
-    return declared.keyword or name if declared is not None else name
+def _metadata(kind: Any, declared: Any) -> tuple[Any, ...]:
+    found = kind.__pydantic_fields__.get(declared.name) if declared is not None else None
+    return tuple(found.metadata) if found is not None else ()
 
 
 def set_frozen(group: Any, name: str, value: Any) -> None:
     """Set a field of a frozen group in its ``__post_init__``."""
     object.__setattr__(group, name, value)
-
-
-def check_fields(group: Any) -> None:
-    """Check the fields of a group by their declarations; None is valid if the field's type has it.
-
-    Raises:
-        InvalidParameterError: a value is invalid.
-    """
-    for each in fields(group):
-        declared, value = option_of(each), getattr(group, each.name)
-        if declared is None or declared.takes is None or (value is None and str(each.type).endswith("| None")):
-            continue
-        set_frozen(group, each.name, declared.takes.check(keyword_of(each), value))

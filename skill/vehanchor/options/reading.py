@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from dataclasses import field, replace
+from typing import Annotated, Any, ClassVar
 
-from vehanchor.errors import InvalidParameterError
+from pydantic import BeforeValidator, InstanceOf
+
 from vehanchor.options.image_limits import DECODED_BYTES_PER_PIXEL, ImageLimits
-from vehanchor.options.option import Flag, Limits, check_fields, option, set_frozen
+from vehanchor.options.option import Flag, Limits, Option, group, set_frozen
 
 _MEGAPIXEL = 1_000_000
-_BAND = Limits(least=1, whole=True)
+_Band = Annotated[int, Limits(least=1, whole=True)]
 
 
-@dataclass(frozen=True)
+def _words(value: Any) -> Any:
+    return value.replace(",", " ").split() if isinstance(value, str) else value
+
+
+@group(frozen=True)
 class Reading:
     """Options of reading an image.
 
@@ -29,31 +34,21 @@ class Reading:
 
     panel: ClassVar[str] = "Reading the image"
 
-    bands: tuple[int, int, int] | None = field(
-        default=None,
-        metadata=option("Bands for red, green and blue, from 1. Default: the first three.", metavar="R G B"),
+    bands: Annotated[
+        tuple[_Band, _Band, _Band] | None,
+        BeforeValidator(_words),
+        Option("Bands for red, green and blue, from 1. Default: the first three.", metavar="R G B"),
+    ] = None
+    limits: Annotated[InstanceOf[ImageLimits], Option("Limits on the cost of an image.", cli=False)] = field(
+        default_factory=ImageLimits
     )
-    limits: ImageLimits = field(default_factory=ImageLimits)
-    bgr: bool = field(
-        default=False, metadata=option("Arrays have the order blue, green, red, as in OpenCV.", Flag(), cli=False)
-    )
-    max_megapixels: float | None = field(
-        default=None,
-        metadata=option(
-            "Decode images of up to this many megapixels whole. Default: 100.", Limits(above=0), metavar="MP"
-        ),
-    )
+    bgr: Annotated[Flag, Option("Arrays have the order blue, green, red, as in OpenCV.", cli=False)] = False
+    max_megapixels: Annotated[
+        Annotated[float, Limits(above=0)] | None,
+        Option("Decode images of up to this many megapixels whole. Default: 100.", metavar="MP"),
+    ] = None
 
     def __post_init__(self) -> None:
-        check_fields(self)
-        if self.bands is not None:
-            try:
-                first, second, third = self.bands
-            except (TypeError, ValueError):
-                raise InvalidParameterError(f"bands is {self.bands!r}: give three, from 1") from None
-            set_frozen(self, "bands", tuple(_BAND.check("bands", band) for band in (first, second, third)))
-        if not isinstance(self.limits, ImageLimits):
-            raise InvalidParameterError(f"limits is {self.limits!r}: give vehanchor.ImageLimits(...)")
         if self.max_megapixels is not None:
             pixels = max(1, round(self.max_megapixels * _MEGAPIXEL))
             memory = max(self.limits.max_decoded_bytes, DECODED_BYTES_PER_PIXEL * pixels)

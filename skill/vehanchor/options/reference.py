@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import fields
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from pydantic import BeforeValidator, Field
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.models import CALIBRATION
-from vehanchor.options.option import Limits, Text, check_fields, metadata_of, option, set_frozen
+from vehanchor.options.option import Limits, Option, group
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, REGIONS
 
 if TYPE_CHECKING:
     from vehanchor.scale.calibration import Calibration
+else:
+    Calibration = Any  # imported on first use
 
 
-@dataclass(frozen=True)
+def _read(calibration: Any) -> Any:
+    """Read a calibration from its file."""
+    if calibration is None:
+        return None
+    from vehanchor.scale.calibration import as_calibration
+
+    return as_calibration(calibration)
+
+
+@group(frozen=True)
 class Reference:
     """Source of the reference length ``L_ref``: one of these or, by default, the appearance of the vehicles.
 
@@ -32,31 +45,27 @@ class Reference:
 
     panel: ClassVar[str] = "Reference length"
 
-    reference_length_m: float | None = field(
-        default=None,
-        metadata=option(
+    reference_length_m: Annotated[
+        Annotated[float, Limits(LEAST_VEHICLE_M, LARGEST_VEHICLE_M, unit="m")] | None,
+        Option(
             "Known length of local cars, metres; not with a region. Default: the model's.",
-            Limits(LEAST_VEHICLE_M, LARGEST_VEHICLE_M),
             metavar="M",
+            tools="all",
+            listed=False,
         ),
-    )
-    region: str | None = field(
-        default=None,
-        metadata=option(
+    ] = None
+    region: Annotated[
+        Annotated[str, Field(max_length=64)] | None,
+        Option(
             f"Country (ISO code, as FR) or region, if known: {', '.join(REGIONS)}.",
-            Text(),
             metavar="NAME",
             first=True,
+            tools="all",
         ),
-    )
-    calibration: Calibration | None = field(default=None, metadata=metadata_of(CALIBRATION))
+    ] = None
+    calibration: Annotated[Calibration | None, BeforeValidator(_read), CALIBRATION] = None
 
     def __post_init__(self) -> None:
         given = [each.name for each in fields(self) if getattr(self, each.name) is not None]
         if len(given) > 1:
             raise InvalidParameterError(f"give {' or '.join(given)}, not both: each sets the reference length")
-        check_fields(self)
-        if self.calibration is not None:
-            from vehanchor.scale.calibration import as_calibration
-
-            set_frozen(self, "calibration", as_calibration(self.calibration))

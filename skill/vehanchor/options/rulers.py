@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
+
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
+from vehanchor.options.by_hand import in_order
 from vehanchor.options.given_scale import GSD_M_PER_PX
-from vehanchor.options.option import Flag, Limits, Text, Words, check_fields, option, set_frozen
+from vehanchor.options.option import Flag, Limits, Number, Option, group, refusal
 
 Basis: TypeAlias = Literal["assumed", "measured"]
 """How a fact is known: by a standard or an inference, or by tape, plan or survey."""
 
-_BASES = Words(get_args(Basis))
-_NAME = Text(64)
 _STATED_TOLERANCE = 0.1  # half of the 95 % interval of a stated scale without a tolerance, relative; a choice
 _MIN_LINE_PX = 5.0  # on a shorter line, an error of a pixel at each end exceeds a quarter
-LINE_LENGTH_M = Limits(above=0, most=100_000)
-"""Limits for a line of known length, metres."""
-
-_COORDINATE = Limits()
-_HEIGHT_M = Limits(above=0, most=20_000)  # survey aircraft fly at 10 km; cars are too small from higher up
-_FOCAL_MM = Limits(above=0, most=10_000)
+_Length = Annotated[float, Limits(above=0, most=100_000, unit="m")]
+_Name = Annotated[str, Field(max_length=64, pattern="^[A-Za-z]")]
+Height: TypeAlias = Annotated[float, Limits(above=0, most=20_000, unit="m")]  # survey aircraft fly at 10 km
+FocalLength: TypeAlias = Annotated[float, Limits(above=0, most=10_000, unit="mm")]
+_Gsd = Annotated[float, GSD_M_PER_PX]
 
 
 class StatedScale(NamedTuple):
@@ -39,24 +37,9 @@ class StatedScale(NamedTuple):
     basis: Basis
     tolerance: float
 
-    @classmethod
-    def of(cls, gsd_m_per_px: float, basis: Basis = "assumed", tolerance: float | None = None) -> StatedScale:
-        """Check a stated scale; without a tolerance, 10 % are taken.
 
-        Raises:
-            InvalidParameterError: a number is invalid, or the tolerance reaches the scale.
-        """
-        gsd = GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
-        half = _STATED_TOLERANCE * gsd if tolerance is None else GSD_M_PER_PX.check("gsd_tolerance", tolerance)
-        if half >= gsd:
-            raise InvalidParameterError(
-                f"gsd_tolerance is {half:g}, as large as the scale: give half of its 95 % interval"
-            )
-        _BASES.check("gsd_basis", basis)
-        return cls(gsd, basis, half)
-
-
-class KnownLength(NamedTuple):
+@group(frozen=True)
+class KnownLength:
     """Straight line on the ground with its known length.
 
     Attributes:
@@ -64,70 +47,55 @@ class KnownLength(NamedTuple):
         y1: y of that end.
         x2: x of the other end.
         y2: y of that end.
-        metres: length of the line; None for a thing of known size.
+        metres: length of the line; or a thing of known size by its name in ``vehanchor.rulers.standards``, with an
+            optional country, as "railway_gauge/ES".
         basis: how the length is known: assumed, or measured by tape, plan or survey.
         tolerance_m: half of the 95 % interval of the length, metres; None for the default of its basis.
-        what: thing of known size by its name in ``vehanchor.rulers.standards``, with an optional country, as
-            "railway_gauge/ES"; None for a length in metres.
+
+    Raises:
+        KnownLengthError: a value is missing or invalid.
     """
 
-    x1: float
-    y1: float
-    x2: float
-    y2: float
-    metres: float | None
+    error: ClassVar[type[InvalidParameterError]] = KnownLengthError
+
+    x1: Number
+    y1: Number
+    x2: Number
+    y2: Number
+    metres: _Length | _Name
     basis: Basis = "assumed"
-    tolerance_m: float | None = None
-    what: str | None = None
+    tolerance_m: _Length | None = None
+
+    def __post_init__(self) -> None:
+        if self.what is not None and (self.basis == "measured" or self.tolerance_m is not None):
+            raise KnownLengthError(f"a thing of known size, {self.what!r}, has no basis or tolerance")
 
     @classmethod
-    def of(cls, values: Iterable[Any]) -> KnownLength:
-        """Check the values of a line, in their order; a name in the place of the metres is a thing of known size.
+    def of(cls, values: Any) -> KnownLength:
+        """Read a line: its values in order, a mapping, or a text.
+
+        A text is ``X1 Y1 X2 Y2 METRES[+-TOLERANCE] [measured]`` or ``X1 Y1 X2 Y2 NAME``; commas are spaces.
 
         Raises:
             KnownLengthError: a value is missing or invalid.
         """
-        given = tuple(values)
         try:
-            told = cls(*given)
-            ends = [_COORDINATE.check("known_lengths", each) for each in told[:4]]
-            what = told.metres if isinstance(told.metres, str) else told.what
-            metres = None
-            if what is None:
-                metres = LINE_LENGTH_M.check("the line's length in metres", told.metres)
-            else:
-                _NAME.check("the thing of known size", what)
-                if isinstance(told.metres, float | int) or told.basis == "measured" or told.tolerance_m is not None:
-                    raise KnownLengthError(f"a thing of known size, {what!r}, has no metres, basis or tolerance")
-            _BASES.check("the line's basis", told.basis)
-            tolerance = told.tolerance_m
-            if tolerance is not None:
-                tolerance = LINE_LENGTH_M.check("the line's tolerance in metres", tolerance)
-        except (TypeError, ValueError) as error:
-            raise KnownLengthError(f"the known length {given!r} is not x1, y1, x2, y2, metres: {error}") from None
-        x1, y1, x2, y2 = ends
-        return cls(x1, y1, x2, y2, metres, told.basis, tolerance, what)
+            line: KnownLength = _LINE.validate_python(values)
+        except ValidationError as error:
+            refused = refusal(cls, error)
+            whole = "" if "known length" in str(refused) else f"the known length {values!r} is no line: "
+            raise KnownLengthError(f"{whole}{refused}") from None
+        return line
 
-    @classmethod
-    def from_text(cls, text: str) -> KnownLength:
-        """Read a line, ``X1 Y1 X2 Y2 METRES[+-TOLERANCE] [measured]`` or ``X1 Y1 X2 Y2 NAME``; commas are spaces.
+    @property
+    def what(self) -> str | None:
+        """Name of the thing of known size; None for a length in metres."""
+        return self.metres if isinstance(self.metres, str) else None
 
-        Raises:
-            KnownLengthError: the text is no line.
-        """
-        parts = text.replace(",", " ").split()
-        basis = parts.pop() if parts and parts[-1] in get_args(Basis) else "assumed"
-        try:
-            *ends, length = parts
-            x1, y1, x2, y2 = map(float, ends)
-            metres, _, tolerance = length.partition("+-")
-            values = (number_or_name(metres), basis, float(tolerance) if tolerance else None)
-        except ValueError:
-            raise KnownLengthError(
-                f"the known length is {text!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, or X1 Y1 X2 Y2 and "
-                "a name of 'vehanchor models --sizes'"
-            ) from None
-        return cls.of((x1, y1, x2, y2, *values))
+    @property
+    def length_m(self) -> float | None:
+        """Length in metres; None for a thing of known size."""
+        return None if isinstance(self.metres, str) else self.metres
 
     @property
     def length_px(self) -> float:
@@ -135,21 +103,40 @@ class KnownLength(NamedTuple):
         return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
 
 
-def number_or_name(text: str) -> float | str:
-    """Read a number; a text that begins with a letter is a name.
+def _line_of_text(value: Any) -> Any:
+    """Split a text into the values of a line."""
+    if not isinstance(value, str):
+        return value
+    parts = value.replace(",", " ").split()
+    basis = parts.pop() if parts and parts[-1] in get_args(Basis) else "assumed"
+    metres, _, tolerance = parts.pop().partition("+-") if parts else ("", "", "")
+    if len(parts) != 4:
+        raise KnownLengthError(
+            f"the known length is {value!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, or X1 Y1 X2 Y2 and "
+            "a name of 'vehanchor models --sizes'"
+        )
+    return (*parts, metres, basis, tolerance or None)
 
-    Raises:
-        ValueError: the text is neither.
-    """
-    return text if text[:1].isalpha() and text.lower() not in ("nan", "inf", "infinity") else float(text)
+
+_Line = Annotated[
+    KnownLength,
+    in_order("x1", "y1", "x2", "y2", "metres", "basis", "tolerance_m"),
+    BeforeValidator(_line_of_text),
+]
+_LINE: TypeAdapter[KnownLength] = TypeAdapter(_Line)
 
 
-def names_of_text(text: str) -> tuple[str, ...]:
+def _names(value: Any) -> Any:
     """Read names with commas."""
-    return tuple(name.strip() for name in text.split(","))
+    names = [name.strip() for name in value.split(",")] if isinstance(value, str) else value
+    if isinstance(names, list | tuple | set | frozenset | dict) and all(isinstance(name, str) for name in names):
+        if not names:
+            raise InvalidParameterError(f"rulers is {value!r}: name at least one, or leave it out")
+        return tuple(dict.fromkeys(names))
+    raise InvalidParameterError(f"rulers is {value!r}: give a list of names")
 
 
-@dataclass(frozen=True)
+@group(frozen=True)
 class Rulers:
     """Rulers to use, and known facts about the scale.
 
@@ -163,7 +150,9 @@ class Rulers:
         height_basis: how the height is known.
         height_tolerance_m: half of the 95 % interval of the height, metres; None for the default of its basis.
         focal_35mm: 35 mm equivalent focal length, millimetres; None takes the file's.
-        stated_scale: scale from elsewhere; None without one.
+        gsd_m_per_px: scale from elsewhere, metres per pixel of the full image.
+        gsd_basis: how that scale is known.
+        gsd_tolerance: half of its 95 % interval, metres per pixel; None for a tenth of it.
 
     Raises:
         KnownLengthError: a known length is invalid.
@@ -172,59 +161,70 @@ class Rulers:
 
     panel: ClassVar[str] = "Other rulers"
 
-    rulers: tuple[str, ...] | None = field(
-        default=None,
-        metadata=option("Rulers to use, with commas. Default: all.", metavar="NAMES", read=names_of_text),
+    rulers: Annotated[
+        Annotated[tuple[str, ...], BeforeValidator(_names)] | None,
+        Option("Rulers to use, with commas. Default: all.", metavar="NAMES", first=True),
+    ] = None
+    metadata: Annotated[Flag, Option("Use the camera's height and focal length if the file has them.", first=True)] = (
+        True
     )
-    metadata: bool = field(
-        default=True,
-        metadata=option("Use the camera's height and focal length if the file has them.", Flag()),
-    )
-    known_lengths: tuple[KnownLength, ...] = field(
-        default=(),
-        metadata=option(
+    known_lengths: Annotated[
+        tuple[_Line, ...],
+        Field(examples=[[{"x1": 210, "y1": 90, "x2": 880, "y2": 90, "metres": "iso_container_40ft"}]]),
+        Option(
             "Lines: metres, or a name, as iso_container_20ft; basis measured: tape, plan, survey.",
             metavar="X1 Y1 X2 Y2 METRES[+-M] [measured]|NAME",
             flag="known-length",
-            read=KnownLength.from_text,
             repeated=True,
             first=True,
+            tools="all",
+            error=KnownLengthError,
         ),
-    )
-    height_m: float | None = field(
-        default=None,
-        metadata=option(
-            "Camera height above ground, for a nadir view or a known tilt.",
-            _HEIGHT_M,
-            metavar="M",
-            first=True,
-        ),
-    )
-    height_basis: Basis = field(
-        default="assumed",
-        metadata=option("How the height is known.", _BASES),
-    )
-    height_tolerance_m: float | None = field(
-        default=None,
-        metadata=option("With the height: half of its 95 % interval, metres.", _HEIGHT_M, metavar="M"),
-    )
-    focal_35mm: float | None = field(
-        default=None,
-        metadata=option("35 mm equivalent focal length, mm. Default: the file's.", _FOCAL_MM, metavar="MM"),
-    )
-
-    stated_scale: StatedScale | None = None
+    ] = ()
+    height_m: Annotated[
+        Height | None,
+        Option("Camera height above ground, for a nadir view or a known tilt.", metavar="M", first=True, tools="all"),
+    ] = None
+    height_basis: Annotated[Basis, Option("How the height is known.", first=True, tools="all")] = "assumed"
+    height_tolerance_m: Annotated[
+        Height | None,
+        Option("With the height: half of its 95 % interval, metres.", metavar="M", tools="all", listed=False),
+    ] = None
+    focal_35mm: Annotated[
+        FocalLength | None,
+        Option("35 mm equivalent focal length, mm. Default: the file's.", metavar="MM", first=True, tools="all"),
+    ] = None
+    gsd_m_per_px: Annotated[
+        _Gsd | None, Option("Metres per pixel by a map or sister photograph.", cli=False, tools="measure")
+    ] = None
+    gsd_basis: Annotated[
+        Basis,
+        Option("measured: leads, without a search. assumed: other evidence must agree.", cli=False, tools="measure"),
+    ] = "assumed"
+    gsd_tolerance: Annotated[
+        _Gsd | None,
+        Option("Half of its 95 % interval, m/px. Default: 10 %.", cli=False, tools="measure", listed=False),
+    ] = None
 
     def __post_init__(self) -> None:
-        if self.rulers is not None:
-            set_frozen(self, "rulers", _ruler_names(self.rulers))
-        set_frozen(self, "known_lengths", _lines(self.known_lengths))
-        about_height = {"focal_35mm": self.focal_35mm, "height_tolerance_m": self.height_tolerance_m}
-        lonely = [name for name, value in about_height.items() if value is not None]
+        lonely = [name for name in ("focal_35mm", "height_tolerance_m") if getattr(self, name) is not None]
         lonely += ["height_basis"] if self.height_basis == "measured" else []
         if lonely and self.height_m is None:
             raise InvalidParameterError(f"{lonely[0]} needs height_m: also give the height above the ground")
-        check_fields(self)
+        if self.gsd_m_per_px is None and (self.gsd_basis == "measured" or self.gsd_tolerance is not None):
+            raise InvalidParameterError("gsd_basis and gsd_tolerance need gsd_m_per_px: give the scale, too")
+        if self.stated_scale is not None and self.stated_scale.tolerance >= self.stated_scale.gsd_m_per_px:
+            raise InvalidParameterError(
+                f"gsd_tolerance is {self.gsd_tolerance:g}, as large as the scale: give half of its 95 % interval"
+            )
+
+    @property
+    def stated_scale(self) -> StatedScale | None:
+        """Scale from elsewhere; None without one."""
+        gsd = self.gsd_m_per_px
+        if gsd is None:
+            return None
+        return StatedScale(gsd, self.gsd_basis, self.gsd_tolerance or _STATED_TOLERANCE * gsd)
 
     def check_lengths(self) -> None:
         """Check that no line is too short.
@@ -257,20 +257,3 @@ class Rulers:
                     f"the line from ({line.x1:g}, {line.y1:g}) to ({line.x2:g}, {line.y2:g}) leaves the picture of "
                     f"{width_px} x {height_px} px: give both ends in its pixels"
                 )
-
-
-def _ruler_names(names: Any) -> tuple[str, ...]:
-    if isinstance(names, str) or not isinstance(names, Collection) or not all(isinstance(name, str) for name in names):
-        raise InvalidParameterError(f"rulers is {names!r}: give a list of names")
-    if not names:
-        raise InvalidParameterError(f"rulers is {names!r}: name at least one, or leave it out")
-    return tuple(dict.fromkeys(names))
-
-
-def _lines(lines: Any) -> tuple[KnownLength, ...]:
-    if isinstance(lines, str) or not isinstance(lines, Iterable):
-        raise KnownLengthError(f"known_lengths is {lines!r}: give lines of x1, y1, x2, y2, metres")
-    try:
-        return tuple(map(KnownLength.of, lines))
-    except TypeError:
-        raise KnownLengthError(f"known_lengths is {lines!r}: give lines of x1, y1, x2, y2, metres") from None

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import Field, dataclass, field, fields, replace
+import typing
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.by_hand import AddedVehicle, ByHand
 from vehanchor.options.frame import Frame
 from vehanchor.options.lengths import Lengths
-from vehanchor.options.method import Method, with_preset
-from vehanchor.options.option import Option, keyword_of, option_of
+from vehanchor.options.method import PRESETS, Method
+from vehanchor.options.option import Option, refusal
 from vehanchor.options.reading import Reading
 from vehanchor.options.reference import Reference
 from vehanchor.options.rulers import KnownLength, Rulers
@@ -66,7 +70,7 @@ class ScaleOptions:
         across, down = picture[0] / extent[0], picture[1] / extent[1]
 
         def in_picture(line: _Line) -> _Line:
-            return line._replace(x1=line.x1 * across, y1=line.y1 * down, x2=line.x2 * across, y2=line.y2 * down)
+            return replace(line, x1=line.x1 * across, y1=line.y1 * down, x2=line.x2 * across, y2=line.y2 * down)
 
         told = self
         if self.frame.coordinates != "pixels" and (self.rulers.known_lengths or self.by_hand.add):
@@ -93,62 +97,74 @@ class ScaleOptions:
         """Copy the options with other values of single fields.
 
         Raises:
-            InvalidParameterError: a value is invalid, or an option does not exist.
+            InvalidParameterError: a value is invalid, an option does not exist, or contradicts the preset.
         """
-        preset = keywords.get("preset") or self.method.preset
-        if preset is not None:
-            keywords = with_preset(preset, keywords, _defaults())
-        rest, groups = dict(keywords), {each.name: getattr(self, each.name) for each in fields(self)}
-        for name, group in groups.items():
-            known = {each.name: keyword_of(each) for each in fields(group)}
-            changes = {key: rest.pop(word) for key, word in known.items() if word in rest}
-            groups[name] = replace(group, **changes) if changes else group
-        if rest:
-            names = ", ".join(sorted(each.keyword for each in declared_options()))
-            raise InvalidParameterError(f"there is no option {next(iter(rest))!r}: the options are {names}")
-        return ScaleOptions(**groups)
+        if self.method.preset is not None:  # its values give way to those of the caller, and are then compared
+            keywords = {**{name: declared_options()[name].default for name in PRESETS[self.method.preset]}, **keywords}
+        changes: dict[str, dict[str, Any]] = {}
+        for name, value in keywords.items():
+            declared = declared_options().get(name)
+            if declared is None:
+                names = ", ".join(sorted(declared_options()))
+                raise InvalidParameterError(f"there is no option {name!r}: the options are {names}")
+            changes.setdefault(declared.group, {})[name] = value
+        told = replace(self, **{group: replace(getattr(self, group), **values) for group, values in changes.items()})
+        preset = told.method.preset
+        if preset is None or all(told.value(name) == value for name, value in PRESETS[preset].items()):
+            return told
+        for name, value in PRESETS[preset].items():
+            if told.value(name) not in (value, declared_options()[name].default):
+                raise InvalidParameterError(
+                    f"the preset {preset} sets {name}: leave {name} out, or leave the preset out"
+                )
+        return told.with_keywords(PRESETS[preset])
+
+    def value(self, keyword: str) -> Any:
+        """Get the value of an option."""
+        return getattr(getattr(self, declared_options()[keyword].group), keyword)
 
 
 class DeclaredOption(NamedTuple):
     """Option of a group.
 
     Attributes:
-        keyword: keyword of the verbs.
-        field: field of the group.
-        group: the group.
-        declared: its declaration; None for an option of the library alone.
+        keyword: keyword of the verbs, and field of the group.
+        group: name of the group in ``ScaleOptions``.
+        panel: heading in ``--help``.
+        option: its declaration.
+        annotation: its type with limits and declaration.
+        default: its default.
     """
 
     keyword: str
-    field: Field[Any]
-    group: type[Any]
-    declared: Option | None
+    group: str
+    panel: str
+    option: Option
+    annotation: Any
+    default: Any
+
+    def check(self, name: str, value: Any) -> None:
+        """Check a value, for a setting of the name.
+
+        Raises:
+            InvalidParameterError: the value is invalid.
+        """
+        try:
+            TypeAdapter(self.annotation).validate_python(value)
+        except ValidationError as error:
+            raise InvalidParameterError(f"{name}: {refusal(Search, error)}") from None
 
 
-def declared_options() -> tuple[DeclaredOption, ...]:
-    """List the options of all groups."""
-    return tuple(
-        DeclaredOption(keyword_of(each), each, type(group), option_of(each))
-        for group in _groups(ScaleOptions())
-        for each in fields(group)
-    )
-
-
-def declared_option(keyword: str) -> Option:
-    """Find the declaration of an option by its keyword.
-
-    Raises:
-        KeyError: the option does not exist.
-    """
-    found = next((each.declared for each in declared_options() if each.keyword == keyword), None)
-    if found is None:
-        raise KeyError(keyword)
+@cache
+def declared_options() -> dict[str, DeclaredOption]:
+    """List the options of all groups by their keywords."""
+    found = {}
+    for group, options in ((each.name, getattr(ScaleOptions(), each.name)) for each in fields(ScaleOptions)):
+        kinds = typing.get_type_hints(type(options), include_extras=True)
+        for each in fields(options):
+            option = next(part for part in kinds[each.name].__metadata__ if isinstance(part, Option))
+            declared = DeclaredOption(
+                each.name, group, options.panel, option, kinds[each.name], getattr(type(options)(), each.name)
+            )
+            found[each.name] = declared
     return found
-
-
-def _defaults() -> dict[str, Any]:
-    return {keyword_of(each): getattr(group, each.name) for group in _groups(ScaleOptions()) for each in fields(group)}
-
-
-def _groups(options: ScaleOptions) -> list[Any]:
-    return [getattr(options, each.name) for each in fields(options)]

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar, Literal, TypeAlias, get_args
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
-from vehanchor.options.option import Flag, Limits, Words, check_fields, option
+from vehanchor.options.option import Flag, Limits, Option, group
 from vehanchor.scale.defaults import NMS_IOU
 
 Effort: TypeAlias = Literal["full", "auto", "fast"]
 """Extents of the search of a large image."""
 
-_SHARE, _COUNT = Limits(0, 1), Limits(least=1, whole=True)
-_TILES = Limits(1, 1_000_000_000, whole=True)
+_Share = Annotated[float, Limits(0, 1)]
+_Count = Annotated[int, Limits(least=1, whole=True)]
+_Tiles = Annotated[int, Limits(1, 1_000_000_000, whole=True)]
+_Seconds = Annotated[float, Limits(above=0, most=86_400)]
 
 
-@dataclass(frozen=True)
+@group(frozen=True)
 class Search:
     """Options of the search for vehicles.
 
@@ -40,53 +41,49 @@ class Search:
 
     panel: ClassVar[str] = "Search"
 
-    min_score: float | None = field(
-        default=None,
-        metadata=option("Lowest accepted detection score, 0 to 1. Default: the model's.", _SHARE, metavar="P"),
+    min_score: Annotated[
+        _Share | None, Option("Lowest accepted detection score, 0 to 1. Default: the model's.", metavar="P")
+    ] = None
+    nms_iou: Annotated[_Share, Option("IoU, 0 to 1, above which the weaker of two boxes is dropped.", metavar="P")] = (
+        NMS_IOU
     )
-    nms_iou: float = field(
-        default=NMS_IOU,
-        metadata=option(
-            "IoU, 0 to 1, above which the weaker of two boxes is dropped.", _SHARE, metavar="P", flag="nms-iou"
-        ),
-    )
-    search_scales: bool | None = field(
-        default=None,
-        metadata=option(
+    search_scales: Annotated[
+        Flag | None,
+        Option(
             "Also search copies at 1/2, 1/4 and 1/8, for vehicles longer than the model was trained on. Default: the "
-            "model's choice.",
-            Flag(),
+            "model's choice."
         ),
-    )
-    verify: bool = field(default=True, metadata=option("Score candidates again by the verifiers.", Flag(), cli=False))
-    tile_px: int | None = field(
-        default=None,
-        metadata=option("Side of a tile, pixels. Default: 1024, or the model's input.", _COUNT, metavar="PX"),
-    )
-    stride_px: int | None = field(
-        default=None,
-        metadata=option("Step between tiles, pixels. Default: 3/4 of the tile.", _COUNT, metavar="PX"),
-    )
-
-    effort: Effort = field(
-        default="auto",
-        metadata=option(
+    ] = None
+    verify: Annotated[Flag, Option("Score candidates again by the verifiers.", cli=False)] = True
+    tile_px: Annotated[
+        _Count | None, Option("Side of a tile, pixels. Default: 1024, or the model's input.", metavar="PX")
+    ] = None
+    stride_px: Annotated[
+        _Count | None, Option("Step between tiles, pixels. Default: 3/4 of the tile.", metavar="PX")
+    ] = None
+    effort: Annotated[
+        Effort,
+        Option(
             "Search extent: full (every tile), auto (ends when more tiles would not help) or fast.",
-            Words(get_args(Effort)),
+            tools="estimate",
+            listed=False,
         ),
-    )
-    max_tiles: int | None = field(
-        default=None,
-        metadata=option("Maximum number of tiles to search, likeliest first. Default: no limit.", _TILES, metavar="N"),
-    )
-    max_seconds: float | None = field(
-        default=None,
-        metadata=option(
+    ] = "auto"
+    max_tiles: Annotated[
+        _Tiles | None,
+        Option(
+            "Maximum number of tiles to search, likeliest first. Default: no limit.",
+            metavar="N",
+            tools="estimate",
+            listed=False,
+        ),
+    ] = None
+    max_seconds: Annotated[
+        _Seconds | None,
+        Option(
             "Maximum search time in seconds; the result then depends on the machine. Default: no limit.",
-            Limits(above=0, most=86_400),
             metavar="S",
+            tools="estimate",
+            listed=False,
         ),
-    )
-
-    def __post_init__(self) -> None:
-        check_fields(self)
+    ] = None

@@ -101,7 +101,7 @@ def _groups(drawn: Sequence[_Drawn]) -> list[list[_Drawn]]:
 
 
 def _label(line: KnownLength) -> str:
-    return f"{line.metres:g} m" if line.what is None else line.what.replace("_", " ")
+    return f"{line.length_m:g} m" if line.what is None else line.what.replace("_", " ")
 
 
 def _drawn(line: KnownLength, view: View) -> _Drawn:
@@ -116,13 +116,13 @@ def _witness(drawn: Sequence[_Drawn], region: str | None) -> Witness:
     """Make the witness of one line in metres, or of all lines at things of one kind, which share their size."""
     line = drawn[0].line
     variants: tuple[Variant, ...]
-    if line.what is None:
-        assert line.metres is not None
+    if line.length_m is not None:
         log_sd, chance_wrong = RELIABILITY[line.basis][:2]
         if line.tolerance_m is not None:
-            log_sd = line.tolerance_m / line.metres / Z95
-        variants = (Variant(line.metres, log_sd),)
+            log_sd = line.tolerance_m / line.length_m / Z95
+        variants = (Variant(line.length_m, log_sd),)
     else:
+        assert line.what is not None
         standard, variants = lengths_of(line.what, region)
         chance_wrong = max(_LEAST_CHANCE, standard.chance_wrong - RECOGNITION.chance_wrong)
     length_px, drawn_log_sd = _mean_length(drawn)

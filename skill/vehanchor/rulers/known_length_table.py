@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.sources.files import where_it_is
 from vehanchor.imagery.sources.image_table import read_image_table
-from vehanchor.options.rulers import KnownLength, Rulers, number_or_name
+from vehanchor.options.rulers import KnownLength, Rulers
 from vehanchor.rulers.standards import check_name
 
 if TYPE_CHECKING:
@@ -73,9 +73,9 @@ def with_lines_of(options: ScaleOptions, lines: KnownLengthTable, image: str | o
 
 def _line(row: Mapping[str, str | None]) -> KnownLength:
     basis, tolerance, what = (row.get(name) or None for name in _OPTIONAL)
-    ends = [float(row[name] or "") for name in _COLUMNS[1:5]]
-    length = what if what and not row["metres"] else number_or_name(row["metres"] or "")
-    line = KnownLength.of((*ends, length, basis or "assumed", float(tolerance) if tolerance else None))
+    line = KnownLength.of(
+        (*(row[name] for name in _COLUMNS[1:5]), row["metres"] or what, basis or "assumed", tolerance)
+    )
     check_name(line.what)
     rulers = Rulers(known_lengths=(line,))
     rulers.check_lengths()

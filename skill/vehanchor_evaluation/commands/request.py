@@ -6,16 +6,13 @@ import inspect
 import typing
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from vehanchor.cli.cli_options import ParsedOptions, scale_command
+from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.terminal import exit_on_error
-from vehanchor.options.by_hand import BY_HAND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 Request = TypeVar("Request")
-
-_OF_ONE_IMAGE = ("frame", "coordinates", "known_lengths", *BY_HAND)
 
 
 def measuring_command(
@@ -40,7 +37,7 @@ def measuring_command(
 
         chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=ParsedOptions)
         declared = with_signature(run, command, [*fields_of(request), chosen])
-        return scale_command(without={*_OF_ONE_IMAGE, "effort", "max_tiles", "max_seconds", *without})(declared)
+        return scale_command(without={*OF_ONE_IMAGE, "effort", "max_tiles", "max_seconds", *without})(declared)
 
     return decorate
 

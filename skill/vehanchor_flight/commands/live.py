@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from typing import Annotated
 
 import typer
 
-from vehanchor.cli.cli_options import ParsedOptions, scale_command
+from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.terminal import exit_on_error, printable
-from vehanchor.options.by_hand import BY_HAND
 from vehanchor.options.models import Precision
 
 
 @scale_command(
     without=(
-        *("frame", "coordinates", "known_lengths", *BY_HAND),
+        *OF_ONE_IMAGE,
         *("rulers", "height_m", "focal_35mm", "metadata", "precision"),
     )
 )
@@ -45,7 +45,7 @@ def live(
     with exit_on_error():
         from vehanchor_flight.verbs import live_scales
 
-        engine = ParsedOptions({**chosen.typed, "precision": precision}).engine()
+        engine = replace(chosen, typed={**chosen.typed, "precision": precision}).engine()
         records = live_scales(source, engine=engine, every_s=every, hold_s=hold, idle_s=idle, tell=_tell)
         for record in records:
             print(record.model_dump_json(), flush=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from vehanchor.cli.cli_options import ParsedOptions, scale_command
+from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
@@ -24,7 +24,6 @@ from vehanchor.cli.terminal import (
     scale_text,
 )
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.by_hand import BY_HAND
 from vehanchor.records.digits import significant
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ TableFile: TypeAlias = Annotated[
 Seconds: TypeAlias = Annotated[float, typer.Option(metavar="S", help="For a video: seconds between photographs.")]
 
 
-@scale_command(without=("frame", "coordinates", "known_lengths", *BY_HAND))
+@scale_command(without=OF_ONE_IMAGE)
 def photographs(
     inputs: Annotated[
         list[str],

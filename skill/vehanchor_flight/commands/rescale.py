@@ -144,7 +144,7 @@ def _model(
     from vehanchor_flight.verbs import rescale as rescaled
 
     project, matrix, geo = out
-    if chosen.typed.get("known_lengths"):
+    if chosen.values.get("known_lengths"):
         raise InvalidParameterError("a model has many photographs: give lines as a table with --known-lengths")
     if project is not None:
         check_project_path(project)

@@ -267,4 +267,4 @@ def _taken(detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.
 def _straight_line(line: KnownLength, sight: Sight) -> KnownLength:
     ends = sight.shot.lens.ideal([(line.x1, line.y1), (line.x2, line.y2)])
     (x1, y1), (x2, y2) = ends.tolist()
-    return line._replace(x1=x1, y1=y1, x2=x2, y2=y2)
+    return replace(line, x1=x1, y1=y1, x2=x2, y2=y2)

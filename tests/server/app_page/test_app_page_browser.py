@@ -542,7 +542,7 @@ def press(host: Host, name: str) -> None:
 
 
 def numbers(text: str) -> set[int]:
-    return set(vehicle_numbers("drop", text))
+    return set(vehicle_numbers(text))
 
 
 def test_a_measurement_that_fails_or_is_not_to_be_used_says_so(

@@ -88,8 +88,7 @@ async def test_arguments_reach_the_library(server: MCPServer[object], images: Pa
         images / "cars.png",
         detector=load_detector(detector_path, Runtime(threads=1)),
         reference_length_m=4.6,
-        frame_width_px=320,
-        frame_height_px=256,
+        frame=(320, 256),
     )
     arguments = {
         **by_path(images / "cars.png"),

@@ -29,13 +29,12 @@ from vehanchor_server import models as models_module
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools.measuring import OVERLAY_SIDE_PX
+from vehanchor_server.tools.scale_arguments import OVERLAY_SIDE_PX
 
 pytestmark = pytest.mark.anyio
 
 Call = Callable[..., Any]
 BOX = POOL_BOX["x_min"], POOL_BOX["y_min"], POOL_BOX["x_max"], POOL_BOX["y_max"]
-
 
 MEASURED = {"gsd_basis": "measured"}
 

@@ -19,7 +19,7 @@ from vehanchor.records.digits import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools.measuring import OVERLAY_SIDE_PX
+from vehanchor_server.tools.scale_arguments import OVERLAY_SIDE_PX
 
 pytestmark = pytest.mark.anyio
 

@@ -23,7 +23,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.schemas import schema_files
 from vehanchor_server.services import Services
 from vehanchor_server.tools import registry
-from vehanchor_server.tools.scale_question import DetailArgument
+from vehanchor_server.tools.scale_arguments import DetailArgument
 from vehanchor_server.tools.strict_tool import StrictTool
 
 pytestmark = pytest.mark.anyio

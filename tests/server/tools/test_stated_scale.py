@@ -91,7 +91,7 @@ async def test_a_basis_or_a_tolerance_without_the_scale_is_refused(
     server: MCPServer[object], images: Path, tool: str, more: dict[str, Any]
 ) -> None:
     code, words = await refused(server, images / "pool.png", tool, **more)
-    assert code == "invalid_arguments"
+    assert code == "invalid_parameter"
     assert "need gsd_m_per_px: give the scale, too" in words
 
 

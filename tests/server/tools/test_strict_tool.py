@@ -80,7 +80,7 @@ async def test_what_is_no_number_is_not_taken_for_one_nor_what_no_call_means(ser
         ("estimate_gsd", "same_scale", "yes"),
         ("measure_area", "gsd_m_per_px", 1e-300),
         ("measure_area", "gsd_m_per_px", 1e9),
-        *[(tool, name, _filled(place, value)) for tool, name, place in _NUMBERS for value in (True, "4.5", "1")],
+        *[(tool, name, _filled(place, value)) for tool, name, place in _NUMBERS for value in (True, "4.5 kg", "-")],
     ]
     required = {"measure_area": {"target": {"box": _BOX}}}
     taken = []

@@ -45,7 +45,7 @@ from vehanchor.errors import (
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
-from vehanchor.options import Frame, Reference, ScaleOptions
+from vehanchor.options import Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.records.advice import ADVICE
 
@@ -301,7 +301,7 @@ def test_a_missing_extra_is_named(
         ({"engine": "spark"}, "use local or ray"),
         ({"address": "auto"}, "--engine ray"),
         ({"workers": 0}, "whole number"),
-        ({"options": ScaleOptions(frame=Frame(10, 10))}, "frame"),
+        ({"options": ScaleOptions.of({"frame": (10, 10)})}, "frame"),
     ],
 )
 def test_options_without_meaning_are_refused(table: Path, arguments: dict[str, Any], words: str) -> None:

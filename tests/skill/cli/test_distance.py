@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -107,9 +108,13 @@ def test_help_shows_commands_in_panels() -> None:
 
 
 @pytest.mark.parametrize("command", ["estimate", "distance", "measure"])
-def test_the_options_that_people_need_first_come_first(command: str) -> None:
+def test_help_shows_what_people_need_and_a_file_for_the_rest(command: str) -> None:
     _, out, _ = run(command, "--help")
-    first = out[out.index("Most useful options") : out.index("─ Detector")]
-    needed = ("--region", "--known-length", "--height", "--frame")
-    assert [option for option in needed if f"{option} " in first] == list(needed)
-    assert first.count("│ --") == len(needed)
+    shown = re.findall(r"^│ (?:\* +)?(--[\w-]+)", out, re.MULTILINE)
+    needed = {"--rulers", "--height", "--height-basis", "--focal-35mm", "--metadata", "--drop", "--add", "--options"}
+    needed |= {"--json", "--calibration", "--preset", "--known-length", "--region"}
+    assert needed <= set(shown)
+    assert "--tile" not in out
+    if command == "estimate":
+        assert {"--scale-bar", "--geotiff"} <= set(shown)
+        assert len(shown) - ("--help" in shown) <= 18

@@ -233,6 +233,6 @@ finally:
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, check=False)
     assert done.returncode == 0
-    for option in (b"--box", b"--point", b"--negative", b"--gsd", b"--frame", b"--mask", b"--segmenter"):
+    for option in (b"--box", b"--point", b"--negative", b"--gsd", b"--options", b"--mask", b"--segmenter"):
         assert option in done.stdout
     assert done.stderr.decode().strip() == "[]"

@@ -100,7 +100,7 @@ def test_an_added_vehicle_of_a_coarse_copy_is_less_certain() -> None:
     found = _found([(40.0, 12)])
     axis = np.array([3000, 3000, 3040, 3000])
     fine = _corrected(found, add=[axis])
-    coarse = _corrected(found, add=[axis / 4], frame_width_px=_SIDE // 4, frame_height_px=_SIDE // 4)
+    coarse = _corrected(found, add=[axis / 4], frame=(_SIDE // 4, _SIDE // 4))
     assert fine.boxes == pytest.approx(coarse.boxes)
     assert fine.corrections is not None
     assert coarse.corrections is not None
@@ -110,7 +110,7 @@ def test_an_added_vehicle_of_a_coarse_copy_is_less_certain() -> None:
 
 
 def test_a_number_that_does_not_exist_says_how_many_there_are() -> None:
-    with pytest.raises(InvalidParameterError, match="drop has number 13, which is no vehicle .* they are 1 to 12"):
+    with pytest.raises(InvalidParameterError, match=r"drop has number 13, which is no vehicle .* they are 1 to 12"):
         _corrected(_found([(40.0, 12)]), drop=[2, 13])
     with pytest.raises(InvalidParameterError, match="none was found"):
         _corrected(_found([]), drop=[1])

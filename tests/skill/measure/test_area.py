@@ -259,7 +259,7 @@ def test_a_given_scale_that_contradicts_the_file_is_told(segmenter: Segmenter, t
 def test_prompts_are_read_in_the_frame_and_answered_in_the_image(segmenter: Segmenter) -> None:
     image = _place()
     full = measure_area(image, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
-    options: dict[str, Any] = {"frame_width_px": 400, "frame_height_px": 300, "segmenter": segmenter}
+    options: dict[str, Any] = {"frame": (400, 300), "segmenter": segmenter}
     half = tuple(side / 2 for side in BOX)
     record = measure_area(image, box=half, gsd_m_per_px=GSD, **options)
     assert record.area_m2 == full.area_m2
@@ -315,7 +315,7 @@ def test_prompts_that_name_nothing_are_refused(segmenter: Segmenter, prompt: dic
         {"gsd_m_per_px": 0.0},
         {"gsd_m_per_px": float("nan")},
         {"alpha": -1.0},
-        {"frame_width_px": 100},
+        {"frame": (100,)},
         {"segmenter": "encoder.onnx"},
         {"segmenter": ("a", "b", "c")},
     ],

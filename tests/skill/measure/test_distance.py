@@ -71,7 +71,7 @@ def test_a_known_scale_leaves_the_pointing_as_the_only_doubt() -> None:
     ("path", "options"),
     [
         ([(100, 150), (500, 450)], {}),
-        ([(50, 75), (250, 225)], {"frame_width_px": 400, "frame_height_px": 300}),
+        ([(50, 75), (250, 225)], {"frame": (400, 300)}),
         ([(0.125, 0.25), (0.625, 0.75)], {"coordinates": "fraction"}),
         ([(125, 250), (625, 750)], {"coordinates": "per_mille"}),
     ],
@@ -84,7 +84,7 @@ def test_a_path_means_the_same_in_every_kind_of_coordinates(path: Any, options: 
 
 def test_a_coarser_copy_is_pointed_at_less_exactly() -> None:
     fine = vehanchor.measure_distance(_place(0), [(100, 150), (500, 450)], gsd_m_per_px=0.1)
-    path, frame = [(25.0, 37.5), (125.0, 112.5)], {"frame_width_px": 200, "frame_height_px": 150}
+    path, frame = [(25.0, 37.5), (125.0, 112.5)], {"frame": (200, 150)}
     coarse = vehanchor.measure_distance(_place(0), path, gsd_m_per_px=0.1, **frame)  # type: ignore[arg-type]
     assert fine.distance_ci95_high_m is not None
     assert coarse.distance_ci95_high_m is not None

@@ -36,7 +36,7 @@ def test_a_line_says_its_metres_over_its_pixels() -> None:
 
 def test_a_line_drawn_in_a_copy_is_read_in_its_pixels() -> None:
     line = [(25, 25, 100, 125, 25, "measured")]
-    witness = KnownLengths().measure(_view(known_lengths=line, frame_width_px=1000, frame_height_px=750))
+    witness = KnownLengths().measure(_view(known_lengths=line, frame=(1000, 750)))
     assert witness.gsd_m_per_px == pytest.approx(25 / 500, rel=1e-3)
     assert log_sd(witness) == pytest.approx(math.hypot(math.sqrt(2) / 125, 0.01), rel=0.02)
 

@@ -7,6 +7,7 @@ import pytest
 
 from vehanchor.errors import InvalidParameterError, PromptError
 from vehanchor.options import Frame
+from vehanchor.options.frame import FrameSize
 from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt, prompt_in_image, read_prompt
 
 WHOLE = Frame()
@@ -50,7 +51,7 @@ def test_what_names_nothing_in_any_image_is_refused(box: Any, points: Any, messa
 
 
 def test_a_prompt_in_the_callers_frame_is_scaled_to_the_image() -> None:
-    frame = Frame(width_px=100, height_px=50)
+    frame = Frame(FrameSize(100, 50))
     box = prompt_in_image(Prompt(box=(10.0, 5.0, 20.0, 25.0)), frame, 400, 200)
     assert box == Prompt(box=(40.0, 20.0, 80.0, 100.0))
     points = prompt_in_image(Prompt(points=((10.0, 5.0, True), (99.5, 49.5, False))), frame, 400, 200)
@@ -59,7 +60,7 @@ def test_a_prompt_in_the_callers_frame_is_scaled_to_the_image() -> None:
 
 def test_a_box_that_rounding_took_over_the_edge_is_pulled_in() -> None:
     assert prompt_in_image(Prompt(box=(-0.9, -0.5, 60.9, 40.3)), WHOLE, 60, 40) == Prompt(box=(0.0, 0.0, 60.0, 40.0))
-    framed = prompt_in_image(Prompt(box=(-0.9, 0.0, 30.9, 20.0)), Frame(width_px=30, height_px=20), 60, 40)
+    framed = prompt_in_image(Prompt(box=(-0.9, 0.0, 30.9, 20.0)), Frame(FrameSize(30, 20)), 60, 40)
     assert framed == Prompt(box=(0.0, 0.0, 60.0, 40.0))
 
 
@@ -68,7 +69,7 @@ def test_a_box_that_rounding_took_over_the_edge_is_pulled_in() -> None:
     [
         (Prompt(box=(-1.0, 0.0, 30.0, 30.0)), WHOLE, "box -1, 0, 30, 30 is not inside the 60 x 40 px image"),
         (Prompt(box=(0.0, 0.0, 61.0, 30.0)), WHOLE, "60 x 40 px image"),
-        (Prompt(box=(0.0, 0.0, 32.0, 10.0)), Frame(width_px=30, height_px=20), "30 x 20 px frame"),
+        (Prompt(box=(0.0, 0.0, 32.0, 10.0)), Frame(FrameSize(30, 20)), "30 x 20 px frame"),
         (Prompt(box=(3.0, 3.0, 4.9, 30.0)), WHOLE, f"at least {MIN_BOX_PX:g} px a side"),
         (Prompt(box=(59.0, 3.0, 60.9, 30.0)), WHOLE, f"at least {MIN_BOX_PX:g} px a side"),
         (Prompt(points=((5.0, 5.0, True), (60.0, 5.0, True))), WHOLE, "point 60, 5 is not inside"),
