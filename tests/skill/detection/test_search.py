@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
@@ -15,11 +14,10 @@ from hypothesis import strategies as st
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.boxes import oriented_iou
-from vehanchor.detection.convergence import Convergence
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch, search
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
@@ -203,21 +201,21 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
 def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_photograph(
     searching: Detector, monkeypatch: pytest.MonkeyPatch, length_px: float, large_px: int, left_out: bool
 ) -> None:
-    monkeypatch.setattr("vehanchor.detection.convergence.ANYTIME_PIXELS", 1_000_000)
+    monkeypatch.setattr("vehanchor.detection.limits.ANYTIME_PIXELS", 1_000_000)
     monkeypatch.setattr("vehanchor.detection.search.LARGE_PIXELS", large_px)
     image = blank_image(1600, 1400)
     paint_vehicles(image, [[100 + 130 * k, 120 + 125 * k, length_px, 20, 0.4] for k in range(10)])
     gsd = CAR_LENGTH_M / length_px
     narrow = np.exp(-0.5 * ((GRID - np.log(gsd)) / 0.03) ** 2)
-    unsettled = Convergence(math.inf, 0.0, doubted=True, density=narrow / narrow.sum())
     tiles = {
         level.factor: len(tile_grid(level.width_px, level.height_px, tile_px=256, stride_px=205))
         for level in search_levels(1600, 1400, (9, 64), search_scales=True)
     }
     with open_raster(image) as raster:
-        found = search(
-            raster, searching, Search(tile_px=256, stride_px=205), prior=_ground(gsd), convergence=lambda _: unsettled
-        )
+        work = ImageSearch(raster, searching, Search(tile_px=256, stride_px=205), _ground(gsd))
+        for _ in work:
+            work.leave_out(narrow / narrow.sum())
+        found = work.result()
     assert len(found.boxes) == 10
     assert (found.n_tiles < tiles[1] + tiles[2] / 2) == left_out
     assert tiles[1] <= found.n_tiles <= tiles[1] + tiles[2]
