@@ -62,10 +62,10 @@ def answer(engine: Engine, name: str, path: Path) -> Frozen:
     try:
         found = engine.estimate(str(path))
     except VehAnchorError as error:
-        return Frozen(name, error.code, *[""] * 4)
-    interval = (found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
-    numbers = ["" if value is None else f"{value:.4g}" for value in (found.gsd_m_per_px, *interval)]
-    return Frozen(name, found.status, *numbers, f"{found.confidence:.4f}")
+        return Frozen(name, error.code, "", "", "", "")
+    values = found.gsd_m_per_px, found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px
+    gsd, low, high = ("" if value is None else f"{value:.4g}" for value in values)
+    return Frozen(name, found.status, gsd, low, high, f"{found.confidence:.4f}")
 
 
 def equal(a: str, b: str) -> bool:
