@@ -22,7 +22,7 @@ from scipy.stats import spearmanr
 
 from research.results.record import add_record_option, recording, values_table
 from research.training.detector.precision import MatchedDetections, average_precision, match_detections
-from vehanchor.analysis.pipeline import analyse_detections
+from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search as search_image
@@ -76,7 +76,7 @@ def _with_region(trial: ScaleTrial, card: DetectorCard, options: ScaleOptions) -
     facts = ImageFacts(estimate.image_width_px, estimate.image_height_px)
     regional = _in_region(options, trial.image, card)
     return ScaleTrial(
-        trial.image, analyse_detections(View(facts, before.detections, card, regional, lambda *_: before.resolved))
+        trial.image, analyse_view(View(facts, before.detections, card, regional, lambda *_: before.resolved))
     )
 
 

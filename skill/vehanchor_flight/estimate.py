@@ -18,7 +18,6 @@ from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.known_length_table import with_lines_of
-from vehanchor.rulers.measurement import with_tilt
 from vehanchor.storage.journal import Journal, Key
 from vehanchor_flight.components import single_component
 from vehanchor_flight.features import find_features
@@ -117,7 +116,7 @@ def _search(
         features = find_features(raster) if featured else None
         if known is not None:
             return known, features
-        view = with_tilt(search_raster(raster, detector, options))
+        view = search_raster(raster, detector, options)
         return StoredPhotograph.of(view, analyse_view(view)), features
 
 

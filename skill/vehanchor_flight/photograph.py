@@ -11,7 +11,6 @@ from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.stored import stored_classes
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
-from vehanchor.rulers.measurement import with_tilt
 from vehanchor.rulers.view import View
 from vehanchor.storage.codec import Codec
 
@@ -98,8 +97,6 @@ class Photograph:
             prior=kept.prior,
             tilt=kept.tilt,
         )
-        if kept.others is None:
-            view = with_tilt(view)
         return cls(name, view, analyse_view(view, kept.others or ()), features)
 
 

@@ -17,7 +17,7 @@ import vehanchor
 from tests.analyses import made_card
 from tests.docs.track_package import install_track, track_code, write_track, write_track_detector
 from tests.server.conversation import by_path, text_of
-from vehanchor.analysis.pipeline import analyse_detections
+from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.cli.app import app
 from vehanchor.detection.boxes import box_corners
@@ -63,7 +63,7 @@ def _analysed(
     found = Detections(np.zeros((0, 5)), np.zeros(0), others=seen)
     card = made_card().model_copy(update={"class_names": {0: "small-vehicle", 1: name}})
     facts = ImageFacts(1000, 800, camera=camera)
-    return analyse_detections(View(facts, found, card, ScaleOptions.of(options), lambda *_: 1.0))
+    return analyse_view(View(facts, found, card, ScaleOptions.of(options), lambda *_: 1.0))
 
 
 @pytest.mark.usefixtures("track")

@@ -36,7 +36,7 @@ from vehanchor.records import (
 )
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.disagreements import disagreements
-from vehanchor.rulers.measurement import measure_all, with_tilt
+from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class, uses
 from vehanchor.rulers.scene_scale import SceneScale
@@ -49,7 +49,7 @@ from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX, MIN_KDE_VEHICLES, statis
 from vehanchor.scale.posterior import Answer, answer, judged, sharing
 from vehanchor.scale.reliability import STRETCH
 from vehanchor.tilt.camera_tilt import metadata_tilt
-from vehanchor.tilt.estimate import tilt_notice
+from vehanchor.tilt.suspected import tilt_notice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -89,7 +89,7 @@ def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions)
 
 def analyse_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
     """Search an open image and measure its scale, with the detector's runtime."""
-    return analyse_detections(search_raster(raster, detector, options))
+    return analyse_view(search_raster(raster, detector, options))
 
 
 def search_raster(
@@ -166,27 +166,20 @@ def _is_settled(found: Answer) -> bool:
     return found.usable or (found.reason == "imprecise" and found.chance < USABLE_CHANCE - _CHANCE_MARGIN)
 
 
-def analyse_detections(view: View) -> ScaleAnalysis:
+def analyse_view(view: View, known: Sequence[Witness] = ()) -> ScaleAnalysis:
     """Measure the scale of a searched image; one search can serve several options.
 
     Args:
-        view: of the image.
+        view: of the image; without a tilt, that of the metadata is taken.
+        known: earlier witnesses, which are not measured again.
 
     Raises:
         InvalidParameterError: the model does not know the region, or a ruler does not exist.
         CalibrationMismatchError: the calibration was made for another model.
         TooObliqueError: the horizon is visible, or nearly so.
     """
-    return analyse_view(with_tilt(view))
-
-
-def analyse_view(view: View, known: Sequence[Witness] = ()) -> ScaleAnalysis:
-    """Measure the scale of a view with an estimated tilt.
-
-    Args:
-        view: of the image.
-        known: earlier witnesses, which are not measured again.
-    """
+    if view.tilt is None:
+        view = replace(view, tilt=metadata_tilt(view.image, view.options))
     vehicles, others = measure_all(view, known)
     notices = tilt_notice(view.image, view.options, view.detections) if view.tilt is None and vehicles.n else ()
     return conclude(view, vehicles, others, notices)

@@ -8,18 +8,15 @@ import pytest
 
 import vehanchor
 from research.scenes import render_scene
-from tests.analyses import log_sd, made_card
+from tests.analyses import log_sd
 from tests.skill.courts.drawing import draw_court
 from vehanchor.courts.court import Court
-from vehanchor.courts.find import Proposed, find_courts, measure_court
+from vehanchor.courts.find import courts_among, measure_court
 from vehanchor.courts.match import Pose
-from vehanchor.courts.proposals import Proposal, _peaks, boxes_of_courts, coarse_factors
+from vehanchor.courts.proposals import Proposal, _peaks, coarse_factors
 from vehanchor.courts.template import BASKETBALL, TENNIS, Template
-from vehanchor.detection.detections import Detections, Objects
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.courts import witness_of
-
-NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
 
 
 def _measured(image: Any, gsd: float, *, which: int = 0, degrees: float = 20.0, factor: int = 1) -> Court | None:
@@ -86,24 +83,13 @@ def test_a_court_cut_by_the_edge_is_none() -> None:
     assert _measured(draw_court(TENNIS, 0.3)[:, 110:], 0.3, factor=2) is None
 
 
-def test_boxes_of_a_detector_that_knows_courts_are_followed() -> None:
-    image = draw_court(TENNIS, 0.3)
-    boxes = np.array([[131.0, 126, 84, 40, math.radians(24)], [60.0, 60, 90, 40, 0.0]])
-    card = made_card(4.6).model_copy(update={"class_names": {0: "small-vehicle", 3: "Tennis-court", 4: "harbor"}})
-    seen = Detections(np.zeros((0, 5)), np.zeros(0), others=Objects(boxes, np.array([0.9, 0.8]), np.array([3, 4])))
-    assert len(boxes_of_courts(seen, card)) == 1
-    with open_raster(image) as raster:
-        (court,) = find_courts(raster, seen, card)
-    assert court.gsd_m_per_px == pytest.approx(0.3, rel=0.005)
-
-
 def test_what_has_the_lines_of_a_court_is_measured_first_however_unsure_the_network_is_of_it() -> None:
     image = np.random.default_rng(3).integers(60, 120, (700, 700, 3)).astype(np.uint8)
     image[380:636, 380:636] = draw_court(TENNIS, 0.2)
     decoys = [Proposal(0, 0.9, Pose(x, y, 0.3, 5.0), 4) for x in (120.0, 330.0, 560.0) for y in (80.0, 180.0, 280.0)]
     court = Proposal(0, 0.3, Pose(512.0, 504.0, 1.0, 5.6), 4)  # nine are surer, and its angle is wrong
     with open_raster(image) as raster:
-        (found,) = find_courts(raster, NOTHING, made_card(4.6), proposed=Proposed([*decoys, court], 4))
+        (found,) = courts_among(raster, [*decoys, court], n_sizes=4)
     assert found.gsd_m_per_px == pytest.approx(0.2, rel=0.005)
 
 

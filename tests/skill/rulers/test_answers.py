@@ -11,7 +11,7 @@ import pytest
 
 from tests.analyses import made_card
 from tests.skill.rulers.test_camera import MAVIC
-from vehanchor.analysis.pipeline import analyse_detections
+from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -40,7 +40,7 @@ def record_of(
     found = Detections(boxes.reshape(-1, 5), np.full(cars, 0.95), scales=scales, stretch=stretch)
     card = made_card(5.0).model_copy(update={"votes": votes, "reference_length_sd_m": 0.4})
     view = View(ImageFacts(4000, 3000, camera=camera), found, card, ScaleOptions.of(options), lambda *_: 1.0)
-    return analyse_detections(view).estimate
+    return analyse_view(view).estimate
 
 
 def _lines(*scales: float, basis: str = "assumed", tolerance_m: float | None = None) -> dict[str, Any]:

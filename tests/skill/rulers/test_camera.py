@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.analyses import log_sd, made_card
-from vehanchor.analysis.pipeline import analyse_detections
+from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts, image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -183,7 +183,7 @@ def test_the_density_lies_around_the_scale_with_a_floor_below_it() -> None:
 
 
 def test_an_image_without_cars_has_the_cameras_scale_which_alone_is_too_open_to_act_on() -> None:
-    record = analyse_detections(_view(MAVIC)).estimate
+    record = analyse_view(_view(MAVIC)).estimate
     assert record.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
     assert (record.status, record.reason, record.leading_ruler) == ("low_confidence", "imprecise", "camera")
     assert (record.n_vehicles, record.mode_length_px) == (0, None)
@@ -192,7 +192,7 @@ def test_an_image_without_cars_has_the_cameras_scale_which_alone_is_too_open_to_
 
 @pytest.mark.parametrize("options", [{"metadata": False}, {"rulers": ("vehicles", "height")}])
 def test_the_camera_can_be_left_out(options: dict[str, Any]) -> None:
-    analysis = analyse_detections(_view(MAVIC, **options))
+    analysis = analyse_view(_view(MAVIC, **options))
     assert "camera" not in [each.kind for each in analysis.others]
     assert (analysis.estimate.gsd_m_per_px, analysis.estimate.rulers) == (None, ())
 

@@ -14,7 +14,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.bay_rows import BayRow
-from vehanchor.rulers.parking_bays import ParkingBays
+from vehanchor.rulers.parking_bays import ParkingBays, witness_of
 from vehanchor.rulers.view import View
 
 
@@ -24,14 +24,8 @@ def _row(pitch_px: float, n: int = 8) -> BayRow:
     return BayRow(ends, pitch_px, 0.002, 50.0)
 
 
-def _view(*rows: BayRow) -> View:
-    facts = ImageFacts(1000, 800)
-    options = ScaleOptions.of({})
-    return View(facts, NOT_SEARCHED, made_card(5.0), options, lambda *_: 1.0, found={"parking_bays": rows})
-
-
 def test_the_width_of_bays_makes_a_scale_whose_interval_holds_the_widths_of_many_countries() -> None:
-    witness = ParkingBays().measure(_view(_row(25.0), _row(25.2)))
+    witness = witness_of([_row(25.0), _row(25.2)])
     assert witness.interval is not None
     for width_m in (2.4, 2.5, 2.59, 2.743):
         assert witness.interval.low < width_m / 25.1 < witness.interval.high
@@ -41,24 +35,20 @@ def test_the_width_of_bays_makes_a_scale_whose_interval_holds_the_widths_of_many
 
 
 def test_a_country_chooses_the_width() -> None:
-    view = _view(_row(25.0))
-    american, german = (
-        ParkingBays().measure(replace(view, options=ScaleOptions.of({"region": region}))) for region in ("US", "DE")
-    )
+    american, german, anywhere = (witness_of([_row(25.0)], region) for region in ("US", "DE", None))
     assert american.gsd_m_per_px == pytest.approx(2.664 / 25, rel=1e-3)  # between 8.5 and 9 feet
     assert german.gsd_m_per_px == pytest.approx(2.5 / 25, rel=1e-3)
-    anywhere = ParkingBays().measure(view)
     assert log_sd(american) < log_sd(anywhere)
 
 
 def test_a_row_of_another_width_is_left_out() -> None:
-    alone, beside = ParkingBays().measure(_view(_row(25.0))), ParkingBays().measure(_view(_row(25.0), _row(35.0, 6)))
+    alone, beside = witness_of([_row(25.0)]), witness_of([_row(25.0), _row(35.0, 6)])
     assert beside.gsd_m_per_px == alone.gsd_m_per_px
     assert beside.n == 8
 
 
 def test_the_marks_show_the_lines_and_one_width() -> None:
-    width, *lines = ParkingBays().measure(_view(_row(25.0))).marks
+    width, *lines = witness_of([_row(25.0)]).marks
     assert width.label == "bay"
     assert len(lines) == 8
     (x0, y0), (x1, y1) = width.points
@@ -67,8 +57,9 @@ def test_the_marks_show_the_lines_and_one_width() -> None:
 
 
 def test_without_rows_or_without_pixels_or_without_a_prior_there_is_no_evidence() -> None:
-    assert ParkingBays().measure(_view()).gsd_m_per_px is None
-    assert ParkingBays().measure(replace(_view(), found={})).gsd_m_per_px is None
+    assert not witness_of([]).found
+    view = View(ImageFacts(1000, 800), NOT_SEARCHED, made_card(5.0), ScaleOptions(), lambda *_: 1.0)
+    assert not ParkingBays().measure(view).found
 
 
 def test_an_empty_car_park_has_a_scale() -> None:
@@ -76,8 +67,9 @@ def test_an_empty_car_park_has_a_scale() -> None:
     with open_raster(scene.image) as raster:
         network = load_scene_scale()
         assert network is not None
-        view = replace(_view(), raster=raster, prior=network.predict(raster), found={})
-        witness = ParkingBays().measure(view)
+        facts = ImageFacts(700, 700)
+        view = View(facts, NOT_SEARCHED, made_card(5.0), ScaleOptions(), lambda *_: 1.0, raster=raster)
+        witness = ParkingBays().measure(replace(view, prior=network.predict(raster)))
     assert witness.gsd_m_per_px == pytest.approx(0.2, rel=0.06)
     assert witness.interval is not None
     assert witness.interval.low < 0.2 < witness.interval.high

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from vehanchor.analysis.pipeline import analyse_detections, search_raster
+from vehanchor.analysis.pipeline import analyse_view, search_raster
 from vehanchor.engine import Engine
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
@@ -34,7 +34,7 @@ class Photograph:
         self.alone = self.record()
 
     def record(self, **options: Any) -> GsdEstimate:
-        return analyse_detections(replace(self._view, options=ScaleOptions.of(options))).estimate
+        return analyse_view(replace(self._view, options=ScaleOptions.of(options))).estimate
 
     def lines(self, *factors: float, basis: str = "assumed") -> list[tuple[Any, ...]]:
         """Level lines over 80 % of the picture, so many times too long."""

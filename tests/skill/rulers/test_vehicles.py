@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import made_card
-from vehanchor.analysis.pipeline import analyse_detections
+from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
@@ -63,7 +63,7 @@ class Shadow(Ruler):
 
 def test_a_ruler_in_the_registry_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(RULERS, "shadow", f"{__name__}:Shadow")
-    analysis = analyse_detections(_view(_LENGTHS, rulers=("vehicles", "shadow")))
+    analysis = analyse_view(_view(_LENGTHS, rulers=("vehicles", "shadow")))
     assert [(each.kind, each.gsd_m_per_px) for each in analysis.others] == [("shadow", 0.125)]
     assert [notice.code for notice in analysis.estimate.warnings] == ["shadow_short"]
     assert analysis.estimate.leading_ruler == "shadow"
