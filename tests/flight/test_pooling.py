@@ -137,7 +137,7 @@ def test_a_stretch_of_the_camera_is_that_of_the_photographs_with_the_vehicles() 
 
 
 def test_one_ruler_that_speaks_leaves_the_others_notices_in() -> None:
-    told = Notice(code="camera_cropped", message="a crop")
+    told = Notice(code="camera_unusable", message="a crop")
     spoke = point_witness("camera", 0.1, 0.1, 0.05, "{}")
     pooled = _pooled_witness("camera", [(spoke, 0.0), (no_evidence("camera", told), 0.0)])
     assert (pooled.gsd_m_per_px, pooled.notices) == (0.1, (told,))

@@ -17,7 +17,7 @@ from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.metadata.makers import MAKERS, makers_of
 from vehanchor.imagery.metadata.sensors import sensor_of
 from vehanchor.imagery.metadata.statements import DEGREES, METRES, PIXELS, Statements
-from vehanchor.imagery.metadata.xmp import read_xmp
+from vehanchor.imagery.metadata.xmp import DAMAGED, read_xmp
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -106,9 +106,8 @@ def read_camera(read_at: ReadAt) -> CameraMetadata | None:
         if isinstance(notes, bytes):
             blocks.add_xmp(notes)
     packets = [read_xmp(each, _NAMES) for each in blocks.xmp]
-    refused = [each.refused for each in packets if each.refused]
-    if packets and not refused and not any(each.properties for each in packets):
-        refused = ["its XMP is damaged"]
+    without = DAMAGED if any(each.properties for each in packets) else ""  # of others: one had what there is
+    refused = [each.refused for each in packets if each.refused not in ("", without)]
     camera = _combine(tags, [each.properties for each in packets], refused)
     return None if camera == CameraMetadata() else camera
 
@@ -149,7 +148,9 @@ def _combine(tags: Sequence[ExifTags], packets: Sequence[Properties], refused: S
     )
 
 
-def _first(stated: Statements, makers: Sequence[Maker], field: str, units: Mapping[str, float]) -> tuple[float | None, str]:
+def _first(
+    stated: Statements, makers: Sequence[Maker], field: str, units: Mapping[str, float]
+) -> tuple[float | None, str]:
     """Take a quantity from the first maker that has it; give it with the maker's and the property's name."""
     for each in makers:
         name = getattr(each, field)

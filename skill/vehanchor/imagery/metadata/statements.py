@@ -20,7 +20,10 @@ _EQUAL_TEXTS = 1e-3  # relative: texts of one number, rounded
 _SHOWN_CHARS = 32
 
 
-METRES = {**dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0), **dict.fromkeys(("ft", "feet", "'"), 0.3048)}
+METRES = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("ft", "feet", "'"), 0.3048),
+}
 DEGREES = dict.fromkeys(("\N{DEGREE SIGN}", "deg", "degree", "degrees"), 1.0)
 PIXELS = dict.fromkeys(("px", "pixel", "pixels"), 1.0)
 _MILLIMETRES = {"mm": 1.0}

@@ -60,9 +60,13 @@ def read_xmp(packet: bytes, names: Iterable[str] = ()) -> XmpPacket:
     except (expat.ExpatError, LookupError, ValueError):  # not XML, or an unknown encoding
         if _DECLARATION.search(text):
             return XmpPacket({}, _DECLARES)
-        return XmpPacket(_damaged_properties(text, tuple(names)))
+        found = _damaged_properties(text, tuple(names))
+        return XmpPacket(found, "" if found else DAMAGED)
     return XmpPacket(reader.properties)
 
+
+DAMAGED = "its XMP is damaged"
+"""Reason of a packet that is no XML and has none of the names."""
 
 _DECLARES = "its XMP declares a document type or entities, which no camera writes"
 
