@@ -48,8 +48,10 @@ _MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, is at th
 _TAG_WIDTH, _TAG_HEIGHT, _TAG_BITS, _TAG_PHOTOMETRIC = 256, 257, 258, 262
 _TAG_SUBFILE, _SUBFILE_MASK = 254, 4
 _TAG_SAMPLES, _TAG_ROWS_PER_STRIP, _TAG_PLANAR, _TAG_SAMPLE_FORMAT = 277, 278, 284, 339
-_TAG_TILE_WIDTH, _TAG_TILE_HEIGHT = 322, 323
+_TAG_TILE_WIDTH, _TAG_TILE_HEIGHT, _TAG_EXTRA_SAMPLES = 322, 323, 338
+_TAG_FURTHER, _TAG_DNG_VERSION, _RAW_PHOTOMETRIC = 330, 50706, (32803, 34892)
 _GEO_TAGS = frozenset({33550, 34264, 34735})  # ModelPixelScale, ModelTransformation, GeoKeyDirectory
+_RAW_TAGS = frozenset({_TAG_DNG_VERSION})
 _TAGS_OF_BANDS = frozenset({_TAG_BITS, _TAG_SAMPLE_FORMAT})  # a value for each band
 _TAGS_OF_ONE = frozenset(
     {
@@ -77,6 +79,7 @@ class TiffLayout:
         photometric: 0 white is zero, 1 black is zero, 2 RGB, 3 palette, 5 CMYK, 6 YCbCr, 8 Lab.
         planar: whether bands are stored one after the other.
         georeferenced: whether it has GeoTIFF tags.
+        alpha: whether a band is declared to be alpha.
         block_px: pixels of a strip or tile, which is decoded whole.
         mask_block_px: pixels of a strip or tile of its mask; 0 without one.
     """
@@ -87,6 +90,7 @@ class TiffLayout:
     photometric: int
     planar: bool
     georeferenced: bool
+    alpha: bool
     block_px: int
     mask_block_px: int
 
@@ -312,7 +316,7 @@ def _read_jpeg2000(read_at: ReadAt) -> ImageHeader:
 
 
 def _read_tiff(read_at: ReadAt) -> ImageHeader:
-    tags = read_ifd(read_at, _TAGS_OF_ONE | _TAGS_OF_BANDS, _GEO_TAGS)
+    tags = read_ifd(read_at, _TAGS_OF_ONE | _TAGS_OF_BANDS | {_TAG_EXTRA_SAMPLES}, _GEO_TAGS | _RAW_TAGS)
     if _TAG_WIDTH not in tags or _TAG_HEIGHT not in tags:
         raise ImageDecodeError("the TIFF's first directory declares no width and height: damaged")
     repeated = [tag for tag in _TAGS_OF_ONE if len(tags.get(tag, (0,))) != 1]
@@ -329,6 +333,7 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         photometric=tags.get(_TAG_PHOTOMETRIC, (1,))[0],
         planar=tags.get(_TAG_PLANAR, (1,))[0] == 2,
         georeferenced=not _GEO_TAGS.isdisjoint(tags),
+        alpha=not {1, 2}.isdisjoint(tags.get(_TAG_EXTRA_SAMPLES, ())),
         block_px=_block_px(tags, width, height),
         mask_block_px=_mask_block_px(read_at),
     )
