@@ -25,6 +25,7 @@ from vehanchor.imagery.limits import check_bytes, read_checked_header
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
 from vehanchor.imagery.sources.arrays import ArrayRaster
+from vehanchor.imagery.sources.files import existing
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
 from vehanchor.options import ImageLimits
@@ -85,7 +86,7 @@ def open_raster(
     if isinstance(image, np.ndarray):
         return ArrayRaster(image, "array", bands, bgr=bgr)
     if isinstance(image, str | os.PathLike):
-        return _open_path(os.fspath(image), bands, limits)
+        return _open_path(existing(os.fspath(image)), bands, limits)
     if isinstance(image, bytes | bytearray | memoryview):
         check_bytes(memoryview(image).nbytes, limits)
         return _open_bytes(bytes(image), "bytes", bands, limits)
