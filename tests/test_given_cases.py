@@ -24,7 +24,8 @@ from typer.testing import CliRunner
 from vehanchor.cli.app import app
 
 FOLDER = Path(os.environ.get("VEHANCHOR_CASES", Path(__file__).parents[2] / "shared" / "cases"))
-ROWS = list(csv.DictReader((FOLDER / "cases.csv").open(encoding="utf-8"))) if FOLDER.is_dir() else []
+TABLE = FOLDER / "cases.csv"
+ROWS = list(csv.DictReader(TABLE.read_text(encoding="utf-8").splitlines())) if TABLE.is_file() else []
 COMMANDS = [
     (row["file"].rpartition(".")[0], command.strip())
     for row in ROWS
@@ -147,7 +148,7 @@ def test_a_folder_has_no_thumbnails_and_no_hidden_files(tmp_path: Path, monkeypa
     assert flight["n_vehicles"] == control["n_vehicles"]
     assert CliRunner().invoke(app, ["batch", "f01", "-o", "f01.csv", "--overwrite"]).exit_code == 0
     with Path("f01.csv").open(encoding="utf-8") as table:
-        assert [row["source"] for row in csv.DictReader(table)] == [str(Path("f01", "DJI_0001.JPG"))]
+        assert [row["file"] for row in csv.DictReader(table)] == [str(Path("f01", "DJI_0001.JPG"))]
 
 
 def test_a_server_opens_a_name_in_another_normal_form(tmp_path: Path) -> None:

@@ -189,10 +189,11 @@ def gdal_environment(source: str, **options: str) -> Iterator[None]:
     """Run GDAL with these options, silent on stderr, and translate its errors."""
     from rasterio import Env
     from rasterio._err import CPLE_BaseError, CPLE_OutOfMemoryError
-    from rasterio.errors import RasterioError
+    from rasterio.errors import NodataShadowWarning, RasterioError
 
     try:
-        with Env(GDAL_CACHEMAX=_CACHE_BYTES, **options):
+        with Env(GDAL_CACHEMAX=_CACHE_BYTES, **options), warnings.catch_warnings():
+            warnings.simplefilter("ignore", NodataShadowWarning)  # the alpha band is read by itself
             yield
     except VehAnchorError:
         raise
@@ -257,7 +258,8 @@ class DatasetRaster(Raster):
         check_dtype(dtype)
         self._dataset = dataset
         self._unique = sorted(set(self._indexes))
-        flags = [{flag.name for flag in dataset.mask_flag_enums[index - 1]} for index in self._unique]
+        with gdal_environment(source):
+            flags = [{flag.name for flag in dataset.mask_flag_enums[index - 1]} for index in self._unique]
         self._masked = any("all_valid" not in names for names in flags)
         self._stack = ExitStack()
         self._alpha = self._alpha_band()
