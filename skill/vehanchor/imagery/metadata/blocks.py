@@ -77,7 +77,7 @@ def find_metadata(read_at: ReadAt) -> MetadataBlocks:
 
 def _find_in_jpeg(read_at: ReadAt, found: MetadataBlocks) -> None:
     further: dict[bytes, list[tuple[bytes, bytes]]] = {}
-    position = 2
+    position, n_further = 2, 0
     for _ in range(_MAX_SEGMENTS):
         head = read_at(position, 4)
         if len(head) < 4 or head[0] != 0xFF or head[1] in (_JPEG_SOS, _JPEG_EOI):
@@ -94,11 +94,11 @@ def _find_in_jpeg(read_at: ReadAt, found: MetadataBlocks) -> None:
                 found.add_exif(body)
             elif body.startswith(_XMP_PREFIX):
                 found.add_xmp(body[len(_XMP_PREFIX) :])
-            elif body.startswith(_FURTHER_XMP_PREFIX):
+            elif body.startswith(_FURTHER_XMP_PREFIX) and n_further < MAX_XMP_BYTES:
                 part = body[len(_FURTHER_XMP_PREFIX) :]
                 offset, content = part[_DIGEST_BYTES + 4 : _FURTHER_HEAD_BYTES], part[_FURTHER_HEAD_BYTES:]
-                if int.from_bytes(offset, "big") < MAX_XMP_BYTES:
-                    further.setdefault(part[:_DIGEST_BYTES], []).append((offset, content))
+                further.setdefault(part[:_DIGEST_BYTES], []).append((offset, content))
+                n_further += len(content)
         position += 2 + length
     for parts in further.values():
         found.add_xmp(b"".join(content for _, content in sorted(parts)))

@@ -92,7 +92,7 @@ def _patterns(names: tuple[str, ...]) -> tuple[re.Pattern[str], re.Pattern[str]]
     inner = "|".join(sorted({re.escape(name.rpartition("/")[2]) for name in names})) or "(?!)"
     structure = rf"<[\w.-]{{1,32}}:(?P<outer>{outer})\b(?:[^<>]{{0,512}}/>|.{{0,1024}}?</[\w.-]{{1,32}}:(?P=outer)>)"
     statement = (
-        rf"(?<=[\s<])(?P<prefix>[\w.-]{{1,32}}):(?P<name>{inner})\s{{0,64}}"
+        rf"[\s<](?P<prefix>[\w.-]{{1,32}}):(?P<name>{inner})\s{{0,64}}"
         r"(?:=\s{0,64}(?P<quote>[\"'])(?P<attribute>[^\"'<]{0,256})(?P=quote)|>(?P<element>[^<]{0,256})<)"
     )
     return re.compile(structure, re.DOTALL), re.compile(statement)
