@@ -149,7 +149,7 @@ def test_two_stretched_photographs_are_as_doubtful_together_as_alone() -> None:
 
 
 def test_one_ruler_that_speaks_leaves_the_others_notices_in() -> None:
-    told = Notice(code="camera_cropped", message="a crop")
+    told = Notice(code="camera_unusable", message="a crop")
     spoke = point_witness("camera", 0.1, 0.1, 0.05, "{}")
     pooled = _pooled_witness("camera", [(spoke, 0.0), (no_evidence("camera", told), 0.0)])
     assert (pooled.gsd_m_per_px, pooled.notices) == (0.1, (told,))
