@@ -95,13 +95,22 @@ def test_the_card_reads_our_metadata() -> None:
         *(("vehanchor.search_scales", text) for text in ("yes", "2", "nan")),
         ("vehanchor.aggregation", "mode"),
         *(("stride", text) for text in ("inf", "nan", "0", "-32", "1.5", "1e9", "wide")),
+        *(("vehanchor.region_lengths_m", text) for text in ('{"a":' * 5_000, '{"a": 1' + "0" * 4000 + "}")),
+        *(("vehanchor.reference_length_m", text) for text in ("1e-300", "50")),
+        *((f"vehanchor.{name}", "1e308") for name in ("reference_length_sd_m", "min_length_px")),
+        ("vehanchor.length_range_px", "1e-9,1e300"),
         *(("names", text) for text in ("{0: small", "7", "'car'", "{-1: 'car'}", "{'a': 'car'}")),
     ],
 )
 def test_an_entry_without_meaning_is_refused_by_its_name(key: str, text: str) -> None:
     message = _refusal(key, text)
-    assert f"metadata {key!r} is {text!r}" in message
+    assert f"metadata {key!r} is {text!r}"[:60] in message
     assert message.startswith(str(_PATH))
+
+
+@pytest.mark.parametrize("text", ["(" * 5_000, "{" * 200_000, "[" + "1," * 600_000 + "]"])
+def test_names_that_no_parser_bears_are_refused(text: str) -> None:
+    assert "names" in _refusal("names", text)
 
 
 def test_names_may_be_a_list_or_nothing() -> None:

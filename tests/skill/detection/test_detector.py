@@ -9,17 +9,14 @@ from onnx.external_data_helper import set_external_data
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
 from vehanchor.detection.appearance import FleetLengths
-from vehanchor.detection.card import MIN_SCORE
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.search import search
 from vehanchor.errors import (
     InvalidParameterError,
     ModelContractError,
     ModelNotFoundError,
-    ProviderUnavailableError,
 )
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.models.runtime import Runtime
 from vehanchor.options import Search
 
 if TYPE_CHECKING:
@@ -67,13 +64,6 @@ def test_every_layout_gives_the_painted_boxes(
         found = search(raster, detector)
     _assert_same(found.boxes, painted)
     np.testing.assert_allclose(found.scores, 0.9, atol=1 / 255)
-
-
-def test_half_precision_exports_work(tmp_path: Path) -> None:
-    image, painted = _picture()
-    detector = Detector(write_detector(tmp_path / "m.onnx", dtype="float16"))
-    with open_raster(image) as raster:
-        _assert_same(search(raster, detector).boxes, painted, within=2e-2)
 
 
 def test_swapped_sides_and_unbounded_angles_are_the_same_boxes(tmp_path: Path) -> None:
@@ -130,23 +120,6 @@ def test_scores_below_the_threshold_are_dropped(tmp_path: Path) -> None:
         assert len(search(raster, detector, Search(min_score=0.5)).boxes) == 1
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("vehanchor.reference_length_m", "0"),
-        ("vehanchor.reference_length_m", "nan"),
-        ("vehanchor.length_range_px", "64,9"),
-        ("vehanchor.length_range_px", "nan,64"),
-        ("stride", "inf"),
-        ("names", "{0: small"),
-        ("names", "{1: 'car'}"),  # this layout has a score for every class from 0 on
-    ],
-)
-def test_metadata_without_meaning_is_a_contract_error_that_names_the_file(tmp_path: Path, key: str, value: str) -> None:
-    with pytest.raises(ModelContractError, match=r"m\.onnx"):
-        Detector(write_detector(tmp_path / "m.onnx", metadata={key: value}))
-
-
 def test_a_detector_with_its_weights_in_a_file_beside_it_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,42 +155,6 @@ def test_files_that_are_no_such_model_say_what_was_found(tmp_path: Path) -> None
         Detector(write_other_model(tmp_path / "classifier.onnx"))
     with pytest.raises(ModelContractError, match="ship, harbor"):
         Detector(write_detector(tmp_path / "boats.onnx", names={0: "ship", 1: "harbor"}))
-
-
-def test_a_missing_execution_provider_is_named(tmp_path: Path) -> None:
-    path = write_detector(tmp_path / "m.onnx")
-    with pytest.raises(ProviderUnavailableError, match=r"TensorrtExecutionProvider.*CPUExecutionProvider"):
-        Detector(path, runtime=Runtime(providers=["TensorrtExecutionProvider"]))
-
-
-@pytest.mark.parametrize("threads", [0, -2, 1.5])
-def test_thread_counts_without_meaning_are_refused(tmp_path: Path, threads: Any) -> None:
-    with pytest.raises(InvalidParameterError, match="threads"):
-        Detector(write_detector(tmp_path / "m.onnx"), runtime=Runtime(threads=threads))
-
-
-def test_a_model_is_opened_once(tmp_path: Path) -> None:
-    path = write_detector(tmp_path / "m.onnx")
-    assert load_detector(path, Runtime(threads=1)) is load_detector(path, Runtime(threads=1))
-    assert load_detector(path, Runtime(threads=1)) is not load_detector(path, Runtime(threads=2))
-
-
-def test_a_model_that_was_replaced_is_opened_anew(tmp_path: Path) -> None:
-    path = write_detector(tmp_path / "m.onnx")
-    before = load_detector(path).card
-    write_detector(path, names={0: "car"}, metadata={"vehanchor.min_score": "0.25"})
-    after = load_detector(path).card
-    assert (before.min_score, after.min_score) == (MIN_SCORE, 0.25)
-    assert before.sha256 != after.sha256
-
-
-def test_a_relative_path_is_another_model_in_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        write_detector(tmp_path / name / "m.onnx", metadata={"vehanchor.name": name})
-    for name in ("a", "b", "a"):
-        monkeypatch.chdir(tmp_path / name)
-        assert load_detector("m.onnx").card.name == name
 
 
 def test_a_fleet_network_that_comes_changes_or_goes_is_noticed(tmp_path: Path) -> None:

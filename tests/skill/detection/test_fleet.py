@@ -13,10 +13,8 @@ from vehanchor.detection.appearance import MAX_CHIPS, FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.fleet import FleetNetwork
 from vehanchor.detection.search import search
-from vehanchor.errors import ModelContractError, ModelNotFoundError
+from vehanchor.errors import ModelContractError
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
@@ -78,11 +76,6 @@ def test_what_the_caller_says_comes_first(model: Detector, options: Any, source:
     assert (estimate.reference_source, estimate.reference_length_m) == (source, length)
 
 
-def test_without_vehicles_the_reference_is_the_models(model: Detector) -> None:
-    estimate = analyse_scale(blank_image(200, 200), detector=model).estimate
-    assert (estimate.reference_source, estimate.reference_length_m) == ("model", model.card.reference_length_m)
-
-
 def test_no_more_than_a_hundred_vehicles_are_asked(model: Detector) -> None:
     image = blank_image(900, 700)
     paint_vehicles(image, [[40 + 60 * (k % 14), 40 + 60 * (k // 14), 30, 12, 0.4] for k in range(140)])
@@ -100,40 +93,6 @@ def test_a_detector_without_such_a_network_cannot_tell(tmp_path: Path) -> None:
     with open_raster(_car_park([40] * 6)) as raster:
         assert search(raster, detector).fleet is None
     assert analyse_scale(_car_park([40] * 6), detector=detector).estimate.reference_source == "model"
-
-
-def test_a_network_may_lie_elsewhere_when_it_is_named(tmp_path: Path) -> None:
-    (tmp_path / "elsewhere").mkdir()
-    network = write_fleet_network(tmp_path / "elsewhere" / "m.onnx", _LENGTHS)
-    path = write_detector(tmp_path / "m.onnx")
-    assert Detector(path).fleet is None
-    assert Detector(path, fleet=network).card.fleet_lengths == _LENGTHS
-    with pytest.raises(ModelNotFoundError, match="nowhere"):
-        Detector(path, fleet=tmp_path / "nowhere.onnx")
-
-
-def test_the_bundled_detector_comes_with_its_network() -> None:
-    detector = Detector(resolve_model(), runtime=Runtime(threads=1))
-    assert detector.fleet is not None
-    assert detector.fleet.card.detector == detector.card.name
-    assert detector.card.fleet_lengths == detector.fleet.card.lengths
-    assert detector.card.fleet_sha256 not in (None, detector.card.sha256)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"vehanchor.fleet_lengths": None},
-        {"vehanchor.fleet_lengths": "[]"},
-        {"vehanchor.detector": None},
-        {"vehanchor.detector": "another"},
-    ],
-)
-def test_a_network_without_its_numbers_or_for_another_detector_is_refused(tmp_path: Path, wrong: Any) -> None:
-    path = write_detector(tmp_path / "m.onnx")
-    write_fleet_network(path, _LENGTHS, metadata=wrong)
-    with pytest.raises(ModelContractError):
-        Detector(path)
 
 
 def test_a_network_of_another_contract_is_refused(tmp_path: Path) -> None:

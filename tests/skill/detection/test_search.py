@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
-from vehanchor.detection.boxes import oriented_iou
 from vehanchor.detection.convergence import Convergence
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
@@ -223,12 +222,6 @@ def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_p
     assert tiles[1] <= found.n_tiles <= tiles[1] + tiles[2]
 
 
-def test_the_search_costs_about_a_third_more_pixels() -> None:
-    levels = search_levels(8000, 6000, (9, 64), search_scales=True)
-    pixels = sum(level.width_px * level.height_px for level in levels)
-    assert pixels == pytest.approx(8000 * 6000 * 1.33, rel=0.015)
-
-
 # --- Searches that end early -----------------------------------------------------------------------------------------
 
 
@@ -321,50 +314,6 @@ def test_a_model_of_fixed_size_sets_the_tile_and_pads_small_images(tmp_path: Pat
             search(raster, detector, Search(tile_px=1024))
 
 
-def test_a_tile_whose_rows_ran_out_is_counted(tmp_path: Path) -> None:
-    image, painted = _street(400, 400)
-    detector = Detector(write_detector(tmp_path / "m.onnx", layout="end2end", cap=20))
-    with open_raster(image) as raster:
-        found = search(raster, detector)
-    assert len(painted) > len(found.boxes) == 20
-    assert (found.n_tiles, found.n_capped_tiles) == (1, 1)
-
-
-def test_overlapping_boxes_of_one_vehicle_are_merged(tmp_path: Path) -> None:
-    boxes = np.array([[60.5, 60.5, 30, 12, 0.3], [60.5, 64.2, 30, 12, 0.3], [150, 60, 30, 12, 0.3]])
-    image = blank_image(256, 256)
-    paint_vehicles(image, boxes, scores=[0.9, 0.8, 0.7])
-    with open_raster(image) as raster:
-        detector = Detector(write_detector(tmp_path / "m.onnx"))
-        merged = search(raster, detector)
-        every = search(raster, detector, Search(nms_iou=1.0))
-    assert oriented_iou(boxes[:1], boxes[1:2])[0, 0] > 0.45
-    assert (len(merged.boxes), len(every.boxes)) == (2, 3)
-
-
-def test_progress_counts_tiles_and_may_stop_the_search(tmp_path: Path) -> None:
-    image, _ = _street(700, 500)
-    detector = Detector(write_detector(tmp_path / "m.onnx"))
-    seen: list[tuple[int, int]] = []
-    with open_raster(image) as raster:
-        told = detector.under(Runtime(progress=lambda done, total: seen.append((done, total))))
-        search(raster, told, Search(tile_px=256))
-    assert seen == [(k, len(seen) - 1) for k in range(len(seen))]
-
-    def stop(done: int, total: int) -> None:
-        raise TimeoutError
-
-    with open_raster(image) as raster, pytest.raises(TimeoutError):
-        search(raster, detector.under(Runtime(progress=stop)))
-
-
-@pytest.mark.parametrize("options", [{"tile_px": 16}, {"tile_px": 256, "stride_px": 257}])
-def test_tiles_without_meaning_are_refused(tmp_path: Path, options: dict[str, Any]) -> None:
-    detector = Detector(write_detector(tmp_path / "m.onnx"))
-    with open_raster(blank_image(300, 300)) as raster, pytest.raises(InvalidParameterError, match="tile"):
-        search(raster, detector, Search(**options))
-
-
 # --- Other objects ---------------------------------------------------------------------------------------------------
 
 _KINDS = {0: "small vehicle", 1: "ship", 2: "tennis court"}
@@ -415,13 +364,3 @@ def test_the_range_of_vehicle_lengths_does_not_bound_other_objects(tmp_path: Pat
     assert 20.0 not in np.rint(found.boxes[:, 2] / 2)
     courts = found.others.boxes[found.others.classes == 2]
     assert np.rint(courts[:, 2] / 2).tolist().count(20.0) == 1
-
-
-def test_a_detector_of_vehicles_alone_sees_no_others(searching: Detector) -> None:
-    image, _ = _painted(1, _fleet(30.0, 12))
-    with open_raster(image) as raster:
-        found = search(raster, searching)
-    assert found.classes is not None
-    assert found.classes.tolist() == [0] * 12
-    assert len(found.others) == 0
-    assert found.others.boxes.shape == (0, 5)

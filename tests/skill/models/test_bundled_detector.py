@@ -16,7 +16,6 @@ from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import (
     DEFAULT_DETECTOR,
-    bundled_models,
     car_verifier_beside,
     fleet_beside,
     resolve_model,
@@ -102,10 +101,6 @@ def test_the_shipped_file_is_the_one_that_was_measured() -> None:
     for file, card in ((fleet, path), (car_verifier, car_verifier)):
         sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
         assert sha256 in card.with_suffix(".md").read_text(encoding="utf-8")
-
-
-def test_the_networks_beside_a_detector_are_no_detectors_of_their_own() -> None:
-    assert list(bundled_models()) == [DEFAULT_DETECTOR, "vehicles-int8"]
 
 
 def test_the_file_in_eight_bits_is_the_one_that_was_measured() -> None:

@@ -9,7 +9,6 @@ import pytest
 from onnx import helper, numpy_helper
 from onnx.external_data_helper import set_external_data
 
-from tests.models import write_other_model
 from tests.sam_models import keep_weights_beside, write_sam2
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.models.files import external_locations, models_sha256, read_model
@@ -39,33 +38,6 @@ def test_weights_are_found_wherever_a_graph_can_hold_a_tensor() -> None:
     model = helper.make_model(graph, functions=[function])
     expected = {"constant.bin", "one.bin", "two.bin", "branch.bin", "sparse.bin", "main.bin", "füße.bin"}
     assert set(external_locations(model.SerializeToString())) == expected
-
-
-def test_a_file_is_named_once_however_many_tensors_it_holds() -> None:
-    graph = helper.make_graph([], "g", [], [], [outside("a", "w"), outside("b", "v"), outside("c", "w")])
-    assert external_locations(helper.make_model(graph).SerializeToString()) == ("w", "v")
-
-
-def test_words_in_a_graph_are_no_weights(tmp_path: Path) -> None:
-    path = write_other_model(tmp_path / "model.onnx", metadata={"location": "weights.bin"})
-    assert b"location" in path.read_bytes()
-    assert external_locations(path.read_bytes()) == ()
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"location", b"\xff" * 50 + b"location", b"\x3a\xff\x7flocation", b"\x3b location"]
-)
-def test_what_is_no_onnx_file_names_no_weights(content: bytes) -> None:
-    assert external_locations(content + b"location") == ()
-
-
-def test_a_graph_cut_off_anywhere_names_no_other_weights_than_the_whole() -> None:
-    graph = helper.make_graph([], "g", [], [], [outside("a", "w" * 20), outside("b", "v" * 20)])
-    content = helper.make_model(graph).SerializeToString()
-    whole = external_locations(content)
-    for end in range(len(content)):
-        for name in external_locations(content[:end]):
-            assert any(each.startswith(name) for each in whole)
 
 
 def test_the_checksum_covers_graph_and_weights_in_their_order(tmp_path: Path) -> None:

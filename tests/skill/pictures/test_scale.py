@@ -55,19 +55,6 @@ def _fleet(n: int, length_px: float = 30.0) -> NDArray[np.float64]:
     ).reshape(-1, 5)
 
 
-@pytest.mark.parametrize(
-    ("width", "height"),
-    [(256, 256), (768, 600), (1500, 900), (2048, 2048), (5000, 3000), (40, 3000), (3000, 40), (16, 16)],
-)
-@pytest.mark.parametrize("n_boxes", [0, 4])
-def test_any_size_of_image_becomes_a_picture_fit_for_eyes(width: int, height: int, n_boxes: int) -> None:
-    picture = draw_overlay(_grey(width, height), make_analysis(_fleet(n_boxes), width, height))
-    assert picture.dtype == np.uint8
-    assert picture.shape[2] == 3
-    assert picture.shape[1] >= min(MIN_WIDTH_PX, 480)
-    assert max(picture.shape[:2]) <= MAX_SIDE_PX + 280  # the caption of four lines comes on top
-
-
 def test_small_images_are_enlarged_and_large_ones_reduced() -> None:
     assert draw_overlay(_grey(256, 200), make_analysis(_fleet(1), 256, 200)).shape[1] == MIN_WIDTH_PX
     assert draw_overlay(_grey(1000, 800), make_analysis(_fleet(1), 1000, 800)).shape[1] == 1000
@@ -115,23 +102,6 @@ def test_without_an_anchor_there_is_no_scale_bar() -> None:
     picture = draw_overlay(_grey(900, 700), make_analysis(np.zeros((0, 5)), 900, 700))
     assert (picture[:700] == 100).all()
     assert picture.shape[0] > 700  # and a caption says so
-
-
-def test_a_scale_that_is_not_to_be_used_has_no_scale_bar() -> None:
-    analysis = make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700)
-    sure, doubtful = _judged(analysis, "ok", None), _judged(analysis, "low_confidence", "imprecise")
-    corner = (slice(600, 700), slice(0, 600))
-    assert (draw_overlay(_grey(1000, 700), doubtful)[corner] == 100).all()
-    assert not (draw_overlay(_grey(1000, 700), sure)[corner] == 100).all()
-
-
-def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
-    level = _judged(make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None)
-    tilt = CameraTilt(35.0, 0.0, 800.0, "metadata").record(ImageFacts(1000, 700), 0.1)
-    aside = replace(level, estimate=level.estimate.model_copy(update={"tilt": tilt}))
-    corner = (slice(600, 700), slice(0, 600))
-    assert (draw_overlay(_grey(1000, 700), aside)[corner] == 100).all()
-    assert draw_overlay(_grey(1000, 700), aside).shape[0] > draw_overlay(_grey(1000, 700), level).shape[0]
 
 
 def test_the_image_itself_is_not_drawn_into_and_may_be_read_only() -> None:
@@ -203,21 +173,6 @@ def test_a_line_of_known_length_is_drawn_where_it_lies_with_its_metres_beside_it
     assert letters[370:400, 450:540].sum() > 60  # "84 m", above and right of the middle
 
 
-def test_a_height_is_written_in_the_middle_of_the_picture() -> None:
-    def drawn(**options: float) -> NDArray[np.uint8]:
-        none = Detections(np.zeros((0, 5)), np.zeros(0))
-        chosen = ScaleOptions.of(dict(options))
-        analysis = analyse_found(none, made_card(), chosen, image_width_px=1000, image_height_px=800)
-        return draw_overlay(_grey(1000, 800), analysis)[:800]
-
-    with_height, without = drawn(height_m=42.0, focal_35mm=24.0), drawn()
-    rows, columns = np.nonzero(_near(with_height, MARK_RGB))
-    assert (rows.mean(), columns.mean()) == (pytest.approx(400, abs=2), pytest.approx(500, abs=2))
-    assert max(np.ptp(rows), np.ptp(columns)) < 40
-    letters = (with_height == 255).all(axis=2) & ~(without == 255).all(axis=2)
-    assert letters[370:400, 500:620].sum() > 60  # "42 m up"
-
-
 def test_a_label_stays_inside_the_picture_and_a_line_beside_its_edge_is_no_error() -> None:
     corner = draw_overlay(_grey(1000, 800), _measured_by_lines([(990, 0, 1000, 6, 1), (0, 800, 9, 791, 1)], 0))
     assert corner.shape[1] == 1000
@@ -235,3 +190,27 @@ def test_the_caption_says_what_each_ruler_says_and_who_is_probably_wrong() -> No
     assert said() == []
     assert said((200, 400, 700, 400, 84)) == ["vehicles 0.168 m/px", "known length 0.168 m/px"]
     assert said((200, 400, 700, 400, 840)) == ["vehicles 0.168 m/px", "known length 1.68 m/px, probably wrong"]
+
+
+def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
+    level = _judged(make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None)
+    tilt = CameraTilt(35.0, 0.0, 800.0, "metadata").record(ImageFacts(1000, 700), 0.1)
+    aside = replace(level, estimate=level.estimate.model_copy(update={"tilt": tilt}))
+    corner = (slice(600, 700), slice(0, 600))
+    assert (draw_overlay(_grey(1000, 700), aside)[corner] == 100).all()
+    assert draw_overlay(_grey(1000, 700), aside).shape[0] > draw_overlay(_grey(1000, 700), level).shape[0]
+
+
+def test_a_height_is_written_in_the_middle_of_the_picture() -> None:
+    def drawn(**options: float) -> NDArray[np.uint8]:
+        none = Detections(np.zeros((0, 5)), np.zeros(0))
+        chosen = ScaleOptions.of(dict(options))
+        analysis = analyse_found(none, made_card(), chosen, image_width_px=1000, image_height_px=800)
+        return draw_overlay(_grey(1000, 800), analysis)[:800]
+
+    with_height, without = drawn(height_m=42.0, focal_35mm=24.0), drawn()
+    rows, columns = np.nonzero(_near(with_height, MARK_RGB))
+    assert (rows.mean(), columns.mean()) == (pytest.approx(400, abs=2), pytest.approx(500, abs=2))
+    assert max(np.ptp(rows), np.ptp(columns)) < 40
+    letters = (with_height == 255).all(axis=2) & ~(without == 255).all(axis=2)
+    assert letters[370:400, 500:620].sum() > 60  # "42 m up"

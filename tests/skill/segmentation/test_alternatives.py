@@ -39,13 +39,6 @@ def test_masks_of_one_object_count_once_wherever_their_windows_lie() -> None:
     assert distinct([shed, pool, garden, roof]) == [garden, pool, roof], "three at most"
 
 
-def test_of_equal_scores_the_first_leads() -> None:
-    window = Window(0, 0, 100, 100)
-    one, two = found((0, 0, 10, 10), 0.9, window), found((50, 50, 90, 90), 0.9, window)
-    assert distinct([one, two])[0] is one
-    assert distinct([two, one])[0] is two
-
-
 def test_a_point_gives_the_object_and_what_else_it_may_mean(tmp_path: Path) -> None:
     sam = Segmenter(*write_sam(tmp_path))  # it takes all that looks alike: in a large crop both objects
     image = blank_image(800, 800)

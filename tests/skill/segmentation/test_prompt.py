@@ -78,20 +78,3 @@ def test_a_box_that_rounding_took_over_the_edge_is_pulled_in() -> None:
 def test_what_names_nothing_in_this_image_is_refused(prompt: Prompt, frame: Frame, message: str) -> None:
     with pytest.raises(PromptError, match=message):
         prompt_in_image(prompt, frame, 60, 40)
-
-
-def test_the_extent_of_points_is_the_smallest_box_around_them() -> None:
-    assert Prompt(box=(1.0, 2.0, 3.0, 4.0)).extent == (1.0, 2.0, 3.0, 4.0)
-    assert Prompt(points=((5.0, 1.0, True), (2.0, 8.0, False), (3.0, 3.0, True))).extent == (2.0, 1.0, 5.0, 8.0)
-
-
-def test_one_point_alone_is_ambiguous() -> None:
-    one, two = (5.0, 5.0, True), (9.0, 9.0, False)
-    assert not Prompt(points=(one,)).unambiguous
-    assert Prompt(points=(one, two)).unambiguous
-    assert Prompt(box=(0.0, 0.0, 9.0, 9.0)).unambiguous
-
-
-def test_a_moved_prompt_names_the_same_place_from_another_origin() -> None:
-    moved = Prompt((1.0, 2.0, 3.0, 4.0), ((5.0, 6.0, False),)).moved(-1.0, 10.0)
-    assert moved == Prompt((0.0, 12.0, 2.0, 14.0), ((4.0, 16.0, False),))

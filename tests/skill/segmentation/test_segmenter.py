@@ -14,16 +14,13 @@ from tests.sam_models import (
 )
 from tests.skill.segmentation.objects import OBJECT_RGB, full_mask, picture, segmented
 from vehanchor.errors import (
-    InvalidParameterError,
     ModelContractError,
     ModelNotFoundError,
-    ProviderUnavailableError,
 )
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.models.runtime import Runtime
 from vehanchor.segmentation.contracts import SamContract
 from vehanchor.segmentation.prompt import Prompt
-from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
+from vehanchor.segmentation.segmenter import Segmenter
 
 if TYPE_CHECKING:
     import numpy as np
@@ -60,10 +57,6 @@ def test_what_is_no_segmenter_is_refused_with_what_was_found(tmp_path: Path) -> 
         Segmenter(tmp_path / "text.onnx", decoder)
     with pytest.raises(ModelNotFoundError, match="missing"):
         Segmenter(encoder, tmp_path / "missing.onnx")
-    with pytest.raises(ProviderUnavailableError):
-        Segmenter(encoder, decoder, runtime=Runtime(providers=["AbacusExecutionProvider"]))
-    with pytest.raises(InvalidParameterError, match="threads"):
-        Segmenter(encoder, decoder, runtime=Runtime(threads=0))
 
 
 def test_the_files_say_how_much_to_trust_them(tmp_path: Path) -> None:
@@ -87,32 +80,6 @@ def test_weights_kept_beside_the_file_are_used_and_hashed(tmp_path: Path, suffix
     assert outside.card.sha256 == expected != plain
     image = picture(600, 400, (133, 171, 181, 267))
     assert segmented(outside, image, Prompt(box=(118.0, 162.0, 212.0, 276.0))).mask.any()
-
-
-def test_a_pair_of_files_is_loaded_once(tmp_path: Path) -> None:
-    files = write_sam(tmp_path)
-    assert load_segmenter(*files) is load_segmenter(*files)
-    assert load_segmenter(*files, Runtime(threads=1)) is not load_segmenter(*files)
-
-
-def test_replaced_files_are_loaded_anew(tmp_path: Path) -> None:
-    files = write_sam(tmp_path)
-    before = load_segmenter(*files)
-    write_sam(tmp_path, scores=[0.4])
-    after = load_segmenter(*files)
-    assert after.card.sha256 == Segmenter(*files).card.sha256 != before.card.sha256
-    prompt, image = Prompt(box=(95.0, 95.0, 155.0, 155.0)), picture(300, 300, (100, 100, 150, 150))
-    assert segmented(after, image, prompt).score == pytest.approx(0.4)
-
-
-def test_relative_paths_are_other_files_in_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = []
-    for name, score in (("one", 0.4), ("two", 0.5)):
-        (tmp_path / name).mkdir()
-        encoder, decoder = write_sam(tmp_path / name, scores=[score])
-        monkeypatch.chdir(tmp_path / name)
-        found.append(load_segmenter(Path(encoder.name), Path(decoder.name)))
-    assert found[0].card.sha256 != found[1].card.sha256
 
 
 def test_neighbours_of_one_size_share_an_encoding_and_their_masks_are_as_alone(

@@ -6,52 +6,14 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import matplotlib.figure
-import numpy as np
 import pytest
 
 from tests.skill.cut_off import CALIBRATION
 from vehanchor.errors import OutputError
-from vehanchor.pictures.plot import write_plot
-from vehanchor.pictures.scale import write_picture
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.calibration_file import save_calibration
-
-WRITERS: dict[str, Callable[[Path], Any]] = {
-    "c.json": lambda path: save_calibration(path, CALIBRATION),
-    "p.png": lambda path: write_picture(path, np.zeros((64, 64, 3), np.uint8)),
-    "p.jpg": lambda path: write_picture(path, np.zeros((64, 64, 3), np.uint8)),
-    "plot.png": lambda path: write_plot(path, matplotlib.figure.Figure(figsize=(1, 1))),
-}
-
-
-@pytest.mark.parametrize("name", WRITERS)
-@pytest.mark.parametrize("written", [0, 1, 40])
-def test_a_full_disk_at_any_byte_leaves_the_old_file(
-    name: str, written: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / name
-    path.write_bytes(b"old")
-
-    def full(self: Path, data: bytes | str, *args: Any, **options: Any) -> int:
-        with open(self, "wb") as file:  # noqa: PTH123 - Path's own is what is replaced
-            file.write((data.encode() if isinstance(data, str) else data)[:written])
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(Path, "write_bytes", full)
-    monkeypatch.setattr(Path, "write_text", full)
-    with pytest.raises(OutputError, match="No space left"):
-        WRITERS[name](path)
-    monkeypatch.undo()
-    assert path.read_bytes() == b"old"
-    assert [file.name for file in tmp_path.iterdir()] == [name]
-    WRITERS[name](path)
-    assert path.read_bytes() != b"old"
-    assert [file.name for file in tmp_path.iterdir()] == [name]
 
 
 def test_a_refused_flush_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

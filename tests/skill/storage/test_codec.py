@@ -61,11 +61,6 @@ def test_a_class_without_a_stored_name_is_refused() -> None:
         photograph_codec().dump(ScaleOptions())
 
 
-def test_a_stored_name_belongs_to_one_class() -> None:
-    with pytest.raises(ValueError, match="one class each"):
-        Codec({"mark": Mark, "line": Mark})
-
-
 def test_a_class_may_be_renamed_and_its_journals_are_read() -> None:
     class OldName(NamedTuple):
         length: float

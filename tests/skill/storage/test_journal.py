@@ -34,14 +34,6 @@ def test_results_come_back_in_the_order_asked_for(tmp_path: Path) -> None:
         assert again.get(("f", 5)) is None
 
 
-def test_a_journal_can_be_removed(tmp_path: Path) -> None:
-    journal = _journal(tmp_path / "j.journal")
-    assert [file.name for file in tmp_path.iterdir()] == ["j.journal"]
-    journal.remove()
-    journal.remove()
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_without_a_path_results_live_in_memory() -> None:
     journal = _journal(None)
     journal.add(("a",), 1)
@@ -130,17 +122,6 @@ def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path: Path) -> No
     assert [file.name for file in tmp_path.iterdir()] == ["t.csv"]
     with pytest.raises(OutputError, match="cannot write"), whole_file(tmp_path / "no" / "t.csv") as partial:
         partial.write_text("nowhere")
-
-
-def test_a_result_that_cannot_be_read_any_more_is_told_with_the_remedy(tmp_path: Path) -> None:
-    def load(value: Any) -> Any:
-        raise KeyError(value)
-
-    path = tmp_path / "j.journal"
-    _journal(path).add(("a",), 1)
-    journal: Journal[Any] = Journal(path, {"model": "m"}, dump=int, load=load, remedy="start anew")
-    with pytest.raises(InvalidParameterError, match=r"unreadable.*start anew"):
-        journal.get(("a",))
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="Windows has no kill -9")
