@@ -9,21 +9,25 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 import onnxruntime
 import pytest
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
 from vehanchor import estimate_gsd
 from vehanchor.analysis.pipeline import analyse_raster
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch, worker
 from vehanchor.batch.engines.local import local_workers
+from vehanchor.batch.pool import finished, finished_in_threads
 from vehanchor.batch.row import COLUMNS
 from vehanchor.batch.run import journal_path, open_journal
 from vehanchor.batch.worker import Task, Worker
@@ -42,20 +46,13 @@ from vehanchor.errors import (
     VehAnchorError,
     WorkerDiedError,
 )
+from vehanchor.imagery.raster import Raster
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Frame, Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.records.advice import ADVICE
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future
-
-    from typer.testing import Result
-
-    from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.imagery.raster import Raster
 
 FILES = ["broken.jpg", "cars.png", "deep/below/cars.PNG", "empty.png"]
 
@@ -759,3 +756,28 @@ def test_a_table_that_is_a_link_to_an_image_is_refused(folder: Path, detector: P
         assert result.exit_code == 2
         assert "are one file by a link" in result.stderr
     assert table.is_symlink()
+
+
+def test_every_item_comes_back_with_its_result_or_its_error() -> None:
+    with closing(finished_in_threads(3, lambda n: 10 // n, range(-5, 6))) as results:
+        found = dict(results)
+    assert {n: future.result() for n, future in found.items() if n} == {n: 10 // n for n in range(-5, 6) if n}
+    with pytest.raises(ZeroDivisionError):
+        found[0].result()
+
+
+def test_items_are_taken_up_as_the_pool_gets_through_them_and_left_when_it_is_closed() -> None:
+    begun: list[int] = []
+    lock = threading.Lock()
+
+    def work(n: int) -> int:
+        with lock:
+            begun.append(n)
+        return n
+
+    pool = ThreadPoolExecutor(2)
+    with closing(finished(pool, 2, work, range(10**9))) as results:
+        next(results)
+    assert len(begun) < 50
+    with pytest.raises(RuntimeError, match="shutdown"):
+        pool.submit(work, 1)

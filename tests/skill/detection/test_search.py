@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from pathlib import Path
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
@@ -18,21 +20,17 @@ from vehanchor.detection.convergence import Convergence
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
+from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares, spread_order
 from vehanchor.detection.search import search
+from vehanchor.detection.tile_prior import CELL_PX, car_prior, tile_prior_map, tile_prior_of
 from vehanchor.errors import InvalidParameterError
+from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.runtime import Runtime
-from vehanchor.options import ScaleOptions, Search
+from vehanchor.options import Effort, ScaleOptions, Search
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import GRID
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from vehanchor.options import Effort
 
 _RANGE = {"vehanchor.length_range_px": "9,64"}
 _SEARCHING = _RANGE | {"vehanchor.search_scales": "1"}
@@ -364,3 +362,101 @@ def test_the_range_of_vehicle_lengths_does_not_bound_other_objects(tmp_path: Pat
     assert 20.0 not in np.rint(found.boxes[:, 2] / 2)
     courts = found.others.boxes[found.others.classes == 2]
     assert np.rint(courts[:, 2] / 2).tolist().count(20.0) == 1
+
+
+_RANGES = {1: (9.0, 64.0), 2: (25.6, 64.0), 4: (25.6, 64.0), 8: (25.6, np.inf)}
+
+
+def _places(side: int, factors: tuple[int, ...] = (1, 2)) -> list[TilePlace]:
+    return [
+        TilePlace(factor, tile)
+        for factor in factors
+        for tile in tile_grid(side // factor, side // factor, tile_px=64, stride_px=48)
+    ]
+
+
+def _around(gsd: float) -> NDArray[np.float64]:
+    density = np.exp(-0.5 * ((GRID - np.log(gsd)) / 0.2) ** 2)
+    return np.asarray(density / density.sum())
+
+
+@settings(max_examples=25)
+@given(st.integers(16, 500), st.integers(1, 9), st.randoms(use_true_random=False))
+def test_every_tile_is_taken_once_whatever_the_others_showed(side: int, at_once: int, random: object) -> None:
+    places = _places(side, (1, 2, 4))
+    rng = np.random.default_rng(random.randrange(1000))  # type: ignore[attr-defined]
+    order = TileScheduler(
+        places, rng.random(len(places)), level_shares({1: (9, 64), 2: (25, 64), 4: (25, np.inf)}, None)
+    )
+    taken: list[int] = []
+    while batch := order.next_tiles(at_once):
+        assert len(batch) <= at_once
+        taken += batch
+        for tile in batch:
+            order.report(tile, int(rng.integers(0, 9)))
+    assert sorted(taken) == list(range(len(places)))
+
+
+def test_what_promises_cars_comes_first_and_every_fourth_tile_comes_from_anywhere() -> None:
+    places = _places(1600, (1,))
+    tile_prior = np.array([0.9 if place.window.x_px > 1000 else 0.1 for place in places])
+    first = TileScheduler(places, tile_prior, {1: 1.0}).next_tiles(40)
+    right = np.array([places[k].window.x_px > 1000 for k in first])
+    assert right.mean() >= 0.75
+    assert {k for k, is_right in enumerate(right) if not is_right} <= set(range(3, 40, 4))
+    assert (~right).any()
+
+
+def test_cars_that_were_found_draw_the_search_to_their_neighbours() -> None:
+    places = _places(1600, (1,))
+    order = TileScheduler(places, np.full(len(places), 0.5), {1: 1.0})
+    for tile in order.next_tiles(8):
+        order.report(tile, 30 if places[tile].window.y_px < 800 else 0)
+    following = [places[k].window.y_px for k in order.next_tiles(30)]
+    assert np.mean(np.array(following) < 800) > 0.7
+
+
+def test_the_first_tiles_of_the_spread_order_lie_in_every_part_of_the_image() -> None:
+    places = _places(1600, (1,))
+    order = spread_order(places)
+    assert sorted(order) == list(range(len(places)))
+    for count in (9, 30, 100):
+        at = np.array([(places[int(k)].window.x_px, places[int(k)].window.y_px)
+                       for k in order[:count]])  # fmt: skip
+        quarters = np.bincount((at[:, 0] > 768) * 2 + (at[:, 1] > 768), minlength=4)
+        assert quarters.min() >= 0.6 * count / 4
+
+
+@pytest.mark.parametrize(("gsd", "factor"), [(0.2, 1), (0.06, 2), (0.03, 4), (0.012, 8)])
+def test_most_tiles_belong_to_the_resolution_that_cars_fit(gsd: float, factor: int) -> None:
+    shares = level_shares(_RANGES, _around(gsd))
+    assert sum(shares.values()) == pytest.approx(1)
+    assert max(shares, key=lambda each: shares[each]) == factor
+    assert min(shares.values()) >= 0.05
+    assert level_shares(_RANGES, None) == dict.fromkeys(_RANGES, 0.25)
+    assert level_shares({1: (9.0, 64.0)}, _around(2.9)) == {1: 1.0}
+
+
+def test_a_town_promises_more_than_fields_in_every_cell_of_it() -> None:
+    image = blank_image(3000, 1100)
+    image[:] += np.random.default_rng(0).integers(0, 5, (*image.shape[:2], 1), dtype=np.uint8)
+    for x, y, grey in np.random.default_rng(1).integers((1024, 0, 0), (2016, 992, 255), (900, 3)):
+        image[y : y + 24, x : x + 32] = grey  # roofs
+    with open_raster(image) as raster:
+        cells = tile_prior_map(raster)
+    assert cells.shape == (3, 6)
+    assert cells[:2, 2:4].min() > cells[:, [0, 1, 4, 5]].max() + 0.2
+    assert ((cells >= 0) & (cells <= 1)).all()
+
+
+def test_a_tile_has_the_mean_of_the_cells_that_it_touches_at_every_resolution() -> None:
+    cells = np.arange(12, dtype=np.float64).reshape(3, 4)
+    assert tile_prior_of(cells, Window(0, 0, CELL_PX, CELL_PX), 1) == 0
+    assert tile_prior_of(cells, Window(CELL_PX - 1, 0, 2, CELL_PX + 1), 1) == np.mean([0, 1, 4, 5])
+    assert tile_prior_of(cells, Window(CELL_PX // 2, 0, CELL_PX // 2, CELL_PX), 2) == np.mean([1, 5])
+    assert tile_prior_of(cells, Window(4 * CELL_PX, 3 * CELL_PX, 10, 10), 1) == 11  # a reduced copy's last columns
+
+
+def test_noise_is_no_town() -> None:
+    noise = np.random.default_rng(1).integers(98, 104, (64, 64, 3), dtype=np.uint8)
+    assert car_prior(noise).item() < 0.1
