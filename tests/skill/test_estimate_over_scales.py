@@ -200,16 +200,6 @@ def test_a_yard_of_things_shaped_like_cars_is_never_a_confident_scale(
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_searching_photographs_without_vehicles_finds_next_to_nothing(real_data: Path, bundled: Detector) -> None:
-    images = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "empty" and i.split == "val"]
-    assert len(images) == 30
-    estimates = [estimate_gsd(image.path, detector=bundled, search_scales=True) for image in images]
-    assert sum(e.n_detections > 0 for e in estimates) <= 4
-    assert all(e.status != "ok" for e in estimates)
-
-
-@pytest.mark.data
-@pytest.mark.slow
 @pytest.mark.parametrize("way", [cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_LANCZOS4])
 def test_photographs_too_coarse_to_measure_are_not_trusted_after_enlarging(
     real_data: Path, bundled: Detector, way: int

@@ -14,7 +14,7 @@ from tests.skill.courts.drawing import draw_court
 from vehanchor.courts.court import Court
 from vehanchor.courts.find import courts_among, measure_court
 from vehanchor.courts.match import Pose
-from vehanchor.courts.proposals import Proposal, _peaks, coarse_factors, load_court_network
+from vehanchor.courts.proposals import Proposal, coarse_factors, load_court_network
 from vehanchor.courts.template import BASKETBALL, TENNIS, Template
 from vehanchor.imagery.raster import Raster, StoredPixels, Window
 from vehanchor.imagery.sources.opening import open_raster
@@ -96,14 +96,6 @@ def test_what_has_the_lines_of_a_court_is_measured_first_however_unsure_the_netw
     assert found.gsd_m_per_px == pytest.approx(0.2, rel=0.005)
 
 
-def test_a_peak_between_cells_is_placed_between_them() -> None:
-    rows, columns = np.mgrid[:12, :12]
-    seen = np.zeros((5, 12, 12), np.float32)
-    seen[0] = 0.8 * np.exp(-((columns - 5.3) ** 2 + (rows - 6.6) ** 2) / (2 * 0.9**2))
-    (found,) = _peaks(seen, 2, 100, 40)
-    assert (found.pose.x, found.pose.y) == pytest.approx(((100 + 5.8 * 8) * 2 - 0.5, (40 + 7.1 * 8) * 2 - 0.5), abs=0.5)
-
-
 def test_a_small_image_is_searched_at_every_size_that_a_court_can_have_in_it() -> None:
     with open_raster(np.zeros((256, 256, 3), np.uint8)) as raster:
         assert coarse_factors(raster, None) == [2, 4, 8]
@@ -142,12 +134,6 @@ def test_a_court_that_says_something_else_than_the_others_is_left_out() -> None:
     witness = witness_of([_court(0.3), _court(0.301), _court(0.4)])
     assert witness.n == 2
     assert witness.gsd_m_per_px == pytest.approx(0.3, rel=0.01)
-
-
-def test_no_court_says_nothing() -> None:
-    witness = witness_of([])
-    assert witness.gsd_m_per_px is None
-    assert not witness.marks
 
 
 def test_a_court_is_found_in_an_image_and_named_in_the_record() -> None:

@@ -20,11 +20,10 @@ from vehanchor.detection.convergence import Convergence
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
-from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares, spread_order
+from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares
 from vehanchor.detection.search import search
-from vehanchor.detection.tile_prior import CELL_PX, car_prior, tile_prior_map, tile_prior_of
+from vehanchor.detection.tile_prior import tile_prior_map
 from vehanchor.errors import InvalidParameterError
-from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.runtime import Runtime
@@ -81,13 +80,6 @@ def test_every_length_counts_at_some_level_and_at_two_around_their_border(
         assert coarse.factor == 2 * fine.factor
         assert min(coarse.width_px, coarse.height_px) >= MIN_LEVEL_SIDE_PX
         assert coarse.shortest_px * coarse.factor < 0.81 * fine.longest_px * fine.factor
-
-
-def test_full_resolution_alone_has_no_limits() -> None:
-    (only,) = search_levels(4000, 3000, (9, 64), search_scales=False)
-    assert (only.factor, only.shortest_px, only.longest_px) == (1, 0.0, np.inf)
-    (small,) = search_levels(180, 4000, (9, 64), search_scales=True)
-    assert small == search_levels(180, 4000, (9, 64), search_scales=False)[0]
 
 
 # --- The search ------------------------------------------------------------------------------------------------------
@@ -233,30 +225,6 @@ def test_the_order_of_the_visits_does_not_show_in_what_was_found(searching: Dete
     assert (ordered.n_tiles, ordered.stopped_because) == (full.n_tiles, "all_searched")
 
 
-def test_a_full_search_of_a_large_file_reads_coarse_tiles_while_the_fine_ones_are_decoded(
-    searching: Detector, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    image, options = blank_image(700, 900), Search(tile_px=128, stride_px=96, effort="full")
-    paint_vehicles(image, np.array([[300.0, 200, 30, 12, 0.4], [400, 700, 30, 12, 1.0]]))
-    lowest: dict[str, list[int]] = {"small": [], "large": []}
-    found = {}
-    for name in lowest:
-        with open_raster(image) as raster:
-            read = raster.read
-
-            def followed(window: Any, read: Any = read, ends: list[int] = lowest[name]) -> Any:
-                ends.append(window.y_px + window.height_px)
-                return read(window)
-
-            monkeypatch.setattr(raster, "read", followed)
-            found[name] = search(raster, searching, options)
-        monkeypatch.setattr("vehanchor.detection.search.WINDOWED_PIXELS", 100_000)
-    assert np.array_equal(found["small"].boxes, found["large"].boxes)
-    assert len(found["large"].boxes) == 2
-    assert lowest["large"] == sorted(lowest["large"])
-    assert lowest["small"] != sorted(lowest["small"])
-
-
 def test_a_search_ends_at_the_limit_of_tiles_or_seconds_and_says_so(searching: Detector) -> None:
     image, _ = _painted(2, _fleet(45.0, 42), columns=7)
     small: dict[str, Any] = {"tile_px": 160, "stride_px": 96}
@@ -341,17 +309,6 @@ def test_objects_of_other_classes_are_kept_beside_the_vehicles_with_their_class(
     assert set(ships.others.classes.tolist()) == {2}
 
 
-def test_others_are_merged_within_their_class_alone(tmp_path: Path) -> None:
-    image = blank_image(256, 256)
-    boxes = [[60.5, 60.5, 30, 12, 0.3], [60.5, 64.2, 30, 12, 0.3], [60.5, 68.5, 30, 12, 0.3]]
-    paint_vehicles(image, boxes, scores=[0.9, 0.8, 0.7], classes=[1, 1, 2])
-    with open_raster(image) as raster:
-        found = search(raster, Detector(write_detector(tmp_path / "m.onnx", names=_KINDS)))
-    assert found.others.classes.tolist() == [1, 2]
-    np.testing.assert_allclose(found.others.scores, [0.9, 0.7], atol=1 / 255)
-    assert len(found.boxes) == 0
-
-
 def test_the_range_of_vehicle_lengths_does_not_bound_other_objects(tmp_path: Path) -> None:
     small = blank_image(500, 200)
     paint_vehicles(small, [[60, 100, 20, 12, 0.4], [200, 100, 20, 12, 0.4]], classes=[0, 2])
@@ -407,26 +364,6 @@ def test_what_promises_cars_comes_first_and_every_fourth_tile_comes_from_anywher
     assert (~right).any()
 
 
-def test_cars_that_were_found_draw_the_search_to_their_neighbours() -> None:
-    places = _places(1600, (1,))
-    order = TileScheduler(places, np.full(len(places), 0.5), {1: 1.0})
-    for tile in order.next_tiles(8):
-        order.report(tile, 30 if places[tile].window.y_px < 800 else 0)
-    following = [places[k].window.y_px for k in order.next_tiles(30)]
-    assert np.mean(np.array(following) < 800) > 0.7
-
-
-def test_the_first_tiles_of_the_spread_order_lie_in_every_part_of_the_image() -> None:
-    places = _places(1600, (1,))
-    order = spread_order(places)
-    assert sorted(order) == list(range(len(places)))
-    for count in (9, 30, 100):
-        at = np.array([(places[int(k)].window.x_px, places[int(k)].window.y_px)
-                       for k in order[:count]])  # fmt: skip
-        quarters = np.bincount((at[:, 0] > 768) * 2 + (at[:, 1] > 768), minlength=4)
-        assert quarters.min() >= 0.6 * count / 4
-
-
 @pytest.mark.parametrize(("gsd", "factor"), [(0.2, 1), (0.06, 2), (0.03, 4), (0.012, 8)])
 def test_most_tiles_belong_to_the_resolution_that_cars_fit(gsd: float, factor: int) -> None:
     shares = level_shares(_RANGES, _around(gsd))
@@ -447,16 +384,3 @@ def test_a_town_promises_more_than_fields_in_every_cell_of_it() -> None:
     assert cells.shape == (3, 6)
     assert cells[:2, 2:4].min() > cells[:, [0, 1, 4, 5]].max() + 0.2
     assert ((cells >= 0) & (cells <= 1)).all()
-
-
-def test_a_tile_has_the_mean_of_the_cells_that_it_touches_at_every_resolution() -> None:
-    cells = np.arange(12, dtype=np.float64).reshape(3, 4)
-    assert tile_prior_of(cells, Window(0, 0, CELL_PX, CELL_PX), 1) == 0
-    assert tile_prior_of(cells, Window(CELL_PX - 1, 0, 2, CELL_PX + 1), 1) == np.mean([0, 1, 4, 5])
-    assert tile_prior_of(cells, Window(CELL_PX // 2, 0, CELL_PX // 2, CELL_PX), 2) == np.mean([1, 5])
-    assert tile_prior_of(cells, Window(4 * CELL_PX, 3 * CELL_PX, 10, 10), 1) == 11  # a reduced copy's last columns
-
-
-def test_noise_is_no_town() -> None:
-    noise = np.random.default_rng(1).integers(98, 104, (64, 64, 3), dtype=np.uint8)
-    assert car_prior(noise).item() < 0.1

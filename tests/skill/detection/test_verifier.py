@@ -57,21 +57,6 @@ def test_a_chip_lies_along_its_candidate(length: float, angle: float) -> None:
     assert np.ptp(chip[8:40, CHIP_PX // 2, 0].astype(int)) < 12
 
 
-def test_outside_the_image_its_border_is_repeated() -> None:
-    pixels = np.full((40, 60, 3), 90, np.uint8)
-    assert (surroundings(pixels, [(0.5, 39.5, 80.0, 30.0, 1.0)]) == 90).all()
-
-
-def test_chips_are_the_same_cut_alone_or_with_others() -> None:
-    rng = np.random.default_rng(3)
-    pixels = rng.integers(0, 255, (150, 170, 3), dtype=np.uint8)
-    boxes = np.column_stack(
-        [rng.uniform(-5, 175, (60, 2)), rng.uniform(8, 70, 60), np.full(60, 9.0), rng.uniform(-1.6, 1.6, 60)]
-    )
-    assert np.array_equal(surroundings(pixels, boxes), np.concatenate([surroundings(pixels, box) for box in boxes]))
-    assert surroundings(pixels, np.zeros((0, 5))).shape == (0, CHIP_PX, CHIP_PX, 3)
-
-
 def test_weights_make_one_score_of_two_opinions() -> None:
     assert Weights(1.0, 0.0, 0.0).score([0.2, 0.9], [9.0, -9.0]) == pytest.approx([0.2, 0.9])
     rising = Weights(0.5, 0.3, -0.6).score([0.6] * 3, [-4.0, 0.0, 4.0])
@@ -94,11 +79,6 @@ def test_the_card_takes_the_scores_of_the_verifier() -> None:
     assert read_detector_card(Path("vehicles.onnx"), "a" * 64, own).min_score == 0.4
     with pytest.raises(ModelContractError, match=r"verifier .* 'vehicles', and this is 'mine'"):
         read_detector_card(Path("mine.onnx"), "a" * 64, {"vehanchor.name": "mine"}, verifier=verifier)
-
-
-def test_the_weight_of_the_size_may_be_stated() -> None:
-    stated = read_auxiliary_card(VerifierCard, Path("l.onnx"), "b" * 64, _METADATA | {"vehanchor.weights": "1,2,3,4"})
-    assert stated.weights == (1, 2, 3, 4)
 
 
 @pytest.mark.parametrize(
@@ -159,15 +139,6 @@ def test_mirrored_chips_agree_on_where_the_vehicle_lies(verifier: CarVerifier, a
     (x, y, *_) = corrected_boxes(candidate, answers.box * (1, 1, 0, 0, 1))[0]
     assert (x, y) == pytest.approx((106, 86), abs=0.3)
     assert answers.box[0, 4] == pytest.approx(0, abs=1e-6)
-
-
-def test_each_candidate_has_an_answer_and_its_types_are_probabilities(verifier: CarVerifier) -> None:
-    boxes = np.array([[109.0, 84.0, 32.0, 14.0, 0.2], *[[20.0, 20.0, 32.0, 14.0, 0.2]] * 20])
-    answers = _answers(verifier, _square(109, 84), boxes)
-    np.testing.assert_allclose(answers.types.sum(axis=1), 1)
-    assert answers.types[0].argmax() == 0
-    assert answers.logit[0] > answers.logit[1] == pytest.approx(0, abs=1e-6)
-    assert answers.log_length_m.shape == (21,)
 
 
 def test_a_correction_brings_a_box_onto_the_vehicle() -> None:
@@ -282,15 +253,6 @@ def test_a_sample_is_large_enough_and_favours_no_place_and_no_size() -> None:
     assert 0.3 < np.mean(boxes[chosen, 2] > 22) < 0.7
     for axis in (0, 1):
         assert np.bincount((boxes[chosen, axis] // 256).astype(int), minlength=4).min() >= 10
-
-
-def test_boxes_of_one_vehicle_stay_together_and_their_order_does_not_matter() -> None:
-    boxes = _car_park()
-    chosen, half = set(position_sample(boxes, 128).tolist()), len(boxes) // 2
-    split = sum((k + half) not in chosen for k in chosen if k < half)
-    assert split <= 0.1 * len(chosen)
-    order = np.random.default_rng(0).permutation(len(boxes))
-    assert set(order[position_sample(boxes[order], 128)].tolist()) == chosen
 
 
 def test_few_candidates_are_all_taken() -> None:

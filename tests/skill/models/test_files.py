@@ -125,15 +125,6 @@ def test_a_replaced_file_is_loaded_anew(model: Path) -> None:
     assert load(model) is after
 
 
-def test_a_file_that_was_written_over_is_loaded_anew(model: Path) -> None:
-    load(model)
-    model.write_bytes(b"longer than the first")
-    assert load(model).content == b"longer than the first"
-    model.write_bytes(b"same as long as first")
-    os.utime(model, ns=(1, model.stat().st_mtime_ns + 1_000_000))
-    assert load(model).content == b"same as long as first"
-
-
 def test_a_relative_path_is_another_file_in_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
@@ -164,12 +155,6 @@ def test_what_fails_is_tried_again(tmp_path: Path) -> None:
     assert load(path).content == b"here now"
 
 
-def test_a_path_that_no_file_system_knows_is_left_to_the_loader(tmp_path: Path) -> None:
-    for path in (tmp_path, Path("a\0b"), Path("a" * 5000)):
-        with pytest.raises((ModelNotFoundError, OSError, ValueError)):
-            load(path)
-
-
 def test_the_one_unused_for_longest_goes_first(tmp_path: Path) -> None:
     paths = [tmp_path / name for name in "abc"]
     for path in paths:
@@ -179,13 +164,6 @@ def test_the_one_unused_for_longest_goes_first(tmp_path: Path) -> None:
     load(paths[2])
     assert load(paths[0]) is first
     assert load(paths[1]) is not second
-
-
-def test_paths_given_by_keyword_are_files_too(model: Path) -> None:
-    first = load(path=model)
-    assert load(path=model) is first
-    model.write_bytes(b"another")
-    assert load(path=model).content == b"another"
 
 
 @pytest.fixture

@@ -15,7 +15,6 @@ from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.bay_lines import thin_lines
 from vehanchor.rulers.bay_rows import BayRow, find_bay_rows
 from vehanchor.rulers.parking_bays import ParkingBays, witness_of
 from vehanchor.rulers.view import View
@@ -107,13 +106,6 @@ def test_rows_of_bays_are_measured_to_half_a_percent(gsd: float, side_px: int, s
         assert len(row.ends) >= 6
 
 
-def test_lines_of_a_row_lie_in_the_car_park() -> None:
-    scene = _scene(0.1, 1000, 3)
-    for row in _found(scene):
-        columns, rows = np.clip(np.rint(row.ends.mean(axis=1)), 0, 999).astype(int).T
-        assert (scene.masks["parking-lot"][rows, columns] > 0).all()
-
-
 def test_rows_are_sought_only_where_the_search_went() -> None:
     scene = _scene(0.1, 1000, 3)
     tile = np.array([[0.0, 0.0, 600.0, 600.0]])
@@ -143,20 +135,6 @@ def test_at_another_scale_bays_are_no_bays() -> None:
 def test_the_countryside_has_no_bays(seed: int) -> None:
     """Vineyards, fields and orchards have rows, too."""
     assert _found(_scene(0.15, 900, seed, "countryside")) == []
-
-
-def test_an_image_without_edges_has_no_lines() -> None:
-    lines = thin_lines(np.full((50, 60), 90, np.uint8), 3.0, 10.0, 40.0)
-    assert (lines.centres.shape, lines.angles.shape, lines.lengths.shape) == ((0, 2), (0,), (0,))
-
-
-def test_a_line_is_found_in_its_middle() -> None:
-    grey = np.full((80, 100), 90, np.uint8)
-    grey[20:60, 49:52] = 200
-    lines = thin_lines(grey, 6.0, 20.0, 60.0)
-    assert lines.centres == pytest.approx(np.array([[50.0, 39.5]]), abs=0.6)
-    assert lines.angles % math.pi == pytest.approx([math.pi / 2], abs=0.02)
-    assert lines.lengths == pytest.approx([40], abs=4)
 
 
 @pytest.mark.data

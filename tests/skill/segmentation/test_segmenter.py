@@ -26,7 +26,6 @@ from vehanchor.errors import (
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Frame, ImageLimits
-from vehanchor.segmentation.alternatives import distinct
 from vehanchor.segmentation.contracts import Encoding, MaskLogits, SamContract
 from vehanchor.segmentation.crop import crop_window, place_mask
 from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt, prompt_in_image, read_prompt
@@ -288,21 +287,6 @@ def found(box: tuple[int, int, int, int], score: float, window: Window) -> Segme
     x1, y1, x2, y2 = box
     mask[y1 - window.y_px : y2 - window.y_px, x1 - window.x_px : x2 - window.x_px] = True
     return Segmentation(mask, window, score)
-
-
-def test_masks_of_one_object_count_once_wherever_their_windows_lie() -> None:
-    small, large, apart = Window(50, 60, 100, 100), Window(0, 0, 300, 200), Window(200, 0, 100, 60)
-    pool = found((60, 70, 100, 110), 0.8, small)
-    again = found((60, 70, 100, 108), 0.7, large)  # 95 % of it
-    garden = found((60, 70, 130, 150), 0.9, large)
-    roof = found((210, 10, 280, 50), 0.6, apart)
-    empty = found((0, 0, 0, 0), 1.0, large)
-    assert distinct([pool, again, garden, roof, empty]) == [garden, pool, roof]
-    assert distinct([again, pool]) == [pool]
-    assert distinct([empty, pool]) == [pool]
-    assert distinct([empty]) == [empty]
-    shed = found((5, 5, 20, 20), 0.5, large)
-    assert distinct([shed, pool, garden, roof]) == [garden, pool, roof], "three at most"
 
 
 def test_a_point_gives_the_object_and_what_else_it_may_mean(tmp_path: Path) -> None:
