@@ -18,7 +18,6 @@ from vehanchor.errors import MissingExtraError, OutputError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
-from vehanchor.pictures import scale
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
 from vehanchor.pictures.placement import Placement
 from vehanchor.pictures.plot import plot_scale, write_plot
@@ -187,15 +186,6 @@ def test_a_label_stays_inside_the_picture_and_a_line_beside_its_edge_is_no_error
         [Mark(((-50.0, -50.0), (90.0, 4.0), (3.0, 99.0)), "m", True)],
         Placement(np.ones(2), np.zeros(2)),
     )
-
-
-def test_the_caption_says_what_each_ruler_says_and_who_is_probably_wrong() -> None:
-    def said(*lines: tuple[float, float, float, float, float]) -> list[str]:
-        return [text for _, text in scale._rulers_line(_measured_by_lines(list(lines)))]
-
-    assert said() == []
-    assert said((200, 400, 700, 400, 84)) == ["vehicles 0.168 m/px", "known length 0.168 m/px"]
-    assert said((200, 400, 700, 400, 840)) == ["vehicles 0.168 m/px", "known length 1.68 m/px, probably wrong"]
 
 
 def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:

@@ -11,7 +11,7 @@ import time
 from contextlib import closing
 from pathlib import Path
 from threading import Thread
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +26,6 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
-from vehanchor.options import ScaleOptions
 from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.point import assumed, point_witness, prior_witness
 from vehanchor.scale.density import flat, lognormal
@@ -230,18 +229,6 @@ def test_a_journal_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_run_that_was_killed_holds_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "j.journal"
-    held = (
-        "import os; from pathlib import Path; from vehanchor.storage.journal import Journal\n"
-        f"journal = Journal(Path({str(path)!r}), {{}}, dump=str, load=str, sole=True); journal.add(('a',), 'x')\n"
-        "os.kill(os.getpid(), 9)"
-    )
-    assert subprocess.run([sys.executable, "-c", held], check=False).returncode == -9
-    with Journal(path, {}, dump=str, load=str, sole=True) as journal:
-        assert journal.get(("a",)) == "x"
-
-
 @pytest.mark.parametrize("sole", [True, False])
 @pytest.mark.parametrize("exists", [True, False])
 def test_a_link_is_not_followed(tmp_path: Path, sole: bool, exists: bool) -> None:
@@ -288,25 +275,6 @@ def test_a_journal_can_start_nothing(found: object) -> None:
         photograph_codec().load(found)
 
 
-def test_a_class_without_a_stored_name_is_refused() -> None:
-    with pytest.raises(TypeError, match="ScaleOptions has no stored name"):
-        photograph_codec().dump(ScaleOptions())
-
-
-def test_a_class_may_be_renamed_and_its_journals_are_read() -> None:
-    class OldName(NamedTuple):
-        length: float
-
-    class NewName(NamedTuple):
-        length: float
-
-    kept = json.dumps(Codec({"tests.line": OldName}).dump(OldName(2.5)))
-    assert "OldName" not in kept
-    found = Codec({"tests.line": NewName}).load(json.loads(kept))
-    assert isinstance(found, NewName)
-    assert found == NewName(2.5)
-
-
 @pytest.mark.parametrize(
     "witness",
     [
@@ -348,32 +316,6 @@ def test_a_refused_flush_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(OutputError):
         save_calibration(path, CALIBRATION)
     assert path.read_bytes() == b"old"
-
-
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from vehanchor.storage.atomic import whole_file
-
-with whole_file(Path(sys.argv[1])) as partial:
-    with partial.open("wb") as file:
-        file.write(b"new" * int(sys.argv[2]))
-        file.flush()
-        os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="Windows has no kill -9")
-@pytest.mark.parametrize("n_bytes", [0, 100_000])
-def test_a_killed_process_leaves_the_old_file(tmp_path: Path, n_bytes: int) -> None:
-    path = tmp_path / "t.json"
-    path.write_bytes(b"old")
-    done = subprocess.run([sys.executable, "-c", KILLED, str(path), str(n_bytes)], check=False)
-    assert done.returncode == -signal.SIGKILL
-    assert path.read_bytes() == b"old"
-    with whole_file(path) as partial:
-        partial.write_bytes(b"new")
-    assert path.read_bytes() == b"new"
 
 
 @pytest.mark.promise("files")

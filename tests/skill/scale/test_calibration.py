@@ -391,23 +391,6 @@ def test_labels_can_be_asked_for_and_bound_to_a_detector(folder: Path, tmp_path:
     assert record.reference_length_m == pytest.approx(modal_length_m([SurveyedImage(measured, GSD)]).mode_m)
 
 
-def test_the_command_refuses_with_a_reason(folder: Path, tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "none.png"), blank_image(64, 64))
-    (tmp_path / "table.csv").write_text("file,gsd_m_per_px\nnone.png,0.1\n")
-    result = _run(
-        "calibrate",
-        "--table",
-        tmp_path / "table.csv",
-        "--detector",
-        folder / "detector.onnx",
-        "--out",
-        tmp_path / "c.json",
-    )
-    assert result.exit_code == 2
-    assert "error[calibration_refused]: vehicles found for a reference length: 0; at least" in result.stderr
-    assert not (tmp_path / "c.json").exists()
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
