@@ -67,6 +67,8 @@ def test_lines_that_contradict_each_other_are_told_and_believed_less() -> None:
     assert [notice.code for notice in witness.notices] == ["known_lengths_disagree"]
     assert witness.interval is not None
     assert witness.interval.low < 0.05 < 0.08 < witness.interval.high
+    three = KnownLengths().measure(_view(known_lengths=[*lines, (0, 10, 1000, 10, 51.0)]))
+    assert "Without the line 80 m (0.08 m/px) they agree" in three.notices[0].message
 
 
 @pytest.mark.parametrize("line", [(10, 10, 11, 10, 5), (10, 10, 10, 10, 5), (10, 10, 5000, 10, 5), (-3, 10, 90, 10, 5)])
