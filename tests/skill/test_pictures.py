@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import analyse_found, made_card, make_analysis
-from tests.conftest import ROOT
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import MissingExtraError, OutputError
@@ -271,22 +269,6 @@ def test_every_aggregation_and_any_number_of_vehicles_can_be_drawn(
     figure = plot_scale(make_analysis(_boxes(lengths), 800, 600, aggregation=aggregation))
     assert f"({rule})" in _labels(figure)
     write_plot(tmp_path / "plot.png", figure)
-
-
-def test_matplotlib_is_loaded_on_demand_and_without_global_state(tmp_path: Path) -> None:
-    code = """
-import sys
-import numpy as np
-from tests.analyses import analyse_found, made_card, make_analysis
-from vehanchor.detection.detections import Detections
-from vehanchor.pictures.plot import plot_scale, write_plot
-assert "matplotlib" not in sys.modules
-figure = plot_scale(make_analysis(np.array([[5.0, 5, 30, 10, 0]]), 100, 100))
-write_plot(sys.argv[1], figure)
-assert "matplotlib" in sys.modules and "matplotlib.pyplot" not in sys.modules
-"""
-
-    subprocess.run([sys.executable, "-c", code, str(tmp_path / "p.png")], check=True, cwd=ROOT)
 
 
 def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

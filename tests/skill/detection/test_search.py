@@ -106,7 +106,7 @@ def test_the_search_is_the_models_choice_and_the_callers(tmp_path: Path, searchi
     image, painted = _painted(2, _fleet(45.0, 12), columns=4)
     plain = Detector(write_detector(tmp_path / "plain.onnx", metadata=_RANGE))
     found = {
-        (name, wanted): estimate_gsd(image, detector=detector, search_scales=wanted)
+        (name, wanted): estimate_gsd(image, detector=detector, search_scales=wanted, rulers=("vehicles",))
         for name, detector in (("plain", plain), ("searching", searching))
         for wanted in (None, False, True)
     }

@@ -261,6 +261,7 @@ def test_few_candidates_are_all_taken() -> None:
     assert position_sample(np.zeros((0, 5)), 128).tolist() == []
 
 
+@pytest.mark.slow
 def test_a_search_verifies_fewer_candidates_a_tile_once_it_has_found_many_vehicles(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 from scipy.stats import gaussian_kde
@@ -44,6 +44,7 @@ def test_density_equals_scipys(lengths: list[float], weighted: bool) -> None:
 
 
 @given(st.integers(0, 300), st.integers(5, 200))
+@settings(max_examples=30)
 @example(12, 114)  # two peaks of nearly one height
 def test_the_mode_is_scipys_maximum_to_a_thousandth_of_a_pixel(seed: int, n: int) -> None:
     lengths = _fleet(seed, n)
@@ -116,6 +117,7 @@ def test_fewer_than_five_lengths_fall_back_to_the_median() -> None:
 
 
 @given(st.integers(1, 200), st.floats(0.5, 3))
+@settings(max_examples=30)
 def test_the_interval_holds_the_estimate_and_scales_with_it(n: int, factor: float) -> None:
     lengths = _fleet(n, n)
     mode, _ = modal_length(lengths, np.ones(n))
