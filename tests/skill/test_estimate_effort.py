@@ -10,7 +10,6 @@ import pytest
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -106,9 +105,3 @@ def test_a_search_that_no_ruler_needs_counts_no_tiles(detector: Detector) -> Non
         blank_image(300, 300), detector=detector, rulers=["known_length"], known_lengths=[(10, 10, 200, 10, 38.0)]
     )
     assert (given.tiles_searched, given.tiles_total, given.stopped_because) == (0, 0, None)
-
-
-@pytest.mark.parametrize("options", [{"effort": "most"}, {"max_tiles": 0}, {"max_seconds": -1.0}, {"max_tiles": 1.5}])
-def test_an_effort_that_is_none_is_refused(detector: Detector, options: dict[str, Any]) -> None:
-    with pytest.raises(InvalidParameterError):
-        estimate_gsd(blank_image(100, 100), detector=detector, **options)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import vehanchor
 from research.scenes import render_scene
@@ -13,9 +14,11 @@ from tests.skill.courts.drawing import draw_court
 from vehanchor.courts.court import Court
 from vehanchor.courts.find import courts_among, measure_court
 from vehanchor.courts.match import Pose
-from vehanchor.courts.proposals import Proposal, _peaks, coarse_factors
+from vehanchor.courts.proposals import Proposal, coarse_factors, load_court_network
 from vehanchor.courts.template import BASKETBALL, TENNIS, Template
+from vehanchor.imagery.raster import Raster, StoredPixels, Window
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.rulers.courts import witness_of
 
 
@@ -93,14 +96,6 @@ def test_what_has_the_lines_of_a_court_is_measured_first_however_unsure_the_netw
     assert found.gsd_m_per_px == pytest.approx(0.2, rel=0.005)
 
 
-def test_a_peak_between_cells_is_placed_between_them() -> None:
-    rows, columns = np.mgrid[:12, :12]
-    seen = np.zeros((5, 12, 12), np.float32)
-    seen[0] = 0.8 * np.exp(-((columns - 5.3) ** 2 + (rows - 6.6) ** 2) / (2 * 0.9**2))
-    (found,) = _peaks(seen, 2, 100, 40)
-    assert (found.pose.x, found.pose.y) == pytest.approx(((100 + 5.8 * 8) * 2 - 0.5, (40 + 7.1 * 8) * 2 - 0.5), abs=0.5)
-
-
 def test_a_small_image_is_searched_at_every_size_that_a_court_can_have_in_it() -> None:
     with open_raster(np.zeros((256, 256, 3), np.uint8)) as raster:
         assert coarse_factors(raster, None) == [2, 4, 8]
@@ -141,12 +136,6 @@ def test_a_court_that_says_something_else_than_the_others_is_left_out() -> None:
     assert witness.gsd_m_per_px == pytest.approx(0.3, rel=0.01)
 
 
-def test_no_court_says_nothing() -> None:
-    witness = witness_of([])
-    assert witness.gsd_m_per_px is None
-    assert not witness.marks
-
-
 def test_a_court_is_found_in_an_image_and_named_in_the_record() -> None:
     scene = render_scene(0.25, width_px=384, height_px=384, seed=46, layout="sports")
     estimate = vehanchor.estimate_gsd(scene.image)
@@ -155,3 +144,30 @@ def test_a_court_is_found_in_an_image_and_named_in_the_record() -> None:
     assert courts.gsd_m_per_px == pytest.approx(0.25, rel=0.02)
     without = vehanchor.estimate_gsd(scene.image, rulers=("vehicles", "scene_scale"))
     assert not any(ruler.kind == "courts" for ruler in without.rulers or ())
+
+
+class _WithOverviews(Raster):
+    """A blank image that keeps copies, and counts who reads what."""
+
+    def __init__(self, side_px: int) -> None:
+        super().__init__("blank", side_px, side_px)
+        self.n_read = self.n_overviews = 0
+
+    def _read_stored(self, window: Window) -> StoredPixels:
+        self.n_read += 1
+        return StoredPixels(np.zeros((window.height_px, window.width_px, 3), np.uint8), None)
+
+    def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:
+        assert factor == 8
+        self.n_overviews += 1
+        return np.zeros((window.height_px, window.width_px, 3), np.uint8)
+
+
+@pytest.mark.parametrize(("side_px", "by_overviews"), [(3992, False), (4000, True)])
+def test_courts_of_a_large_image_are_looked_for_on_its_overviews(side_px: int, by_overviews: bool) -> None:
+    network = load_court_network(Runtime(threads=1))
+    assert network is not None
+    raster = _WithOverviews(side_px)
+    assert network.propose(raster, 8) == []
+    assert (raster.n_overviews > 0) is by_overviews
+    assert (raster.n_read == 0) is by_overviews

@@ -68,11 +68,6 @@ def test_geojson_of_a_plain_image_is_in_its_pixels(cars: np.ndarray, model: Path
     assert written == json.loads(json.dumps(analysis.__geo_interface__))
 
 
-def test_an_image_without_vehicles_has_files_without_boxes(model: Path, tmp_path: Path) -> None:
-    analysis = analyse_scale(blank_image(200, 100), detector=Detector(model))
-    assert json.loads(write_boxes(tmp_path / "a.geojson", analysis).read_text())["features"] == []
-
-
 def test_the_command_writes_them_and_refuses_before_the_work(cars: np.ndarray, model: Path, tmp_path: Path) -> None:
     image = tmp_path / "photo.png"
     cv2.imwrite(str(image), cars[:, :, ::-1])

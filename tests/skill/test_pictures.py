@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 from tests.analyses import analyse_found, made_card, make_analysis
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
-from vehanchor.errors import OutputError
+from vehanchor.errors import MissingExtraError, OutputError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
-from vehanchor.pictures import scale
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
 from vehanchor.pictures.placement import Placement
+from vehanchor.pictures.plot import plot_scale, write_plot
 from vehanchor.pictures.scale import (
     DROPPED_RGB,
     KEPT_RGB,
@@ -27,6 +28,8 @@ from vehanchor.pictures.scale import (
     read_reduced,
     write_picture,
 )
+from vehanchor.scale.defaults import Aggregation
+from vehanchor.scale.lengths import kde_density
 from vehanchor.scale.posterior import Mark
 from vehanchor.tilt.camera_tilt import CameraTilt
 
@@ -53,19 +56,6 @@ def _fleet(n: int, length_px: float = 30.0) -> NDArray[np.float64]:
     return np.array(
         [[60.0 + 50 * (i % 10), 60.0 + 50 * (i // 10), length_px, 12.0, 0.4 * i] for i in range(n)]
     ).reshape(-1, 5)
-
-
-@pytest.mark.parametrize(
-    ("width", "height"),
-    [(256, 256), (768, 600), (1500, 900), (2048, 2048), (5000, 3000), (40, 3000), (3000, 40), (16, 16)],
-)
-@pytest.mark.parametrize("n_boxes", [0, 4])
-def test_any_size_of_image_becomes_a_picture_fit_for_eyes(width: int, height: int, n_boxes: int) -> None:
-    picture = draw_overlay(_grey(width, height), make_analysis(_fleet(n_boxes), width, height))
-    assert picture.dtype == np.uint8
-    assert picture.shape[2] == 3
-    assert picture.shape[1] >= min(MIN_WIDTH_PX, 480)
-    assert max(picture.shape[:2]) <= MAX_SIDE_PX + 280  # the caption of four lines comes on top
 
 
 def test_small_images_are_enlarged_and_large_ones_reduced() -> None:
@@ -115,23 +105,6 @@ def test_without_an_anchor_there_is_no_scale_bar() -> None:
     picture = draw_overlay(_grey(900, 700), make_analysis(np.zeros((0, 5)), 900, 700))
     assert (picture[:700] == 100).all()
     assert picture.shape[0] > 700  # and a caption says so
-
-
-def test_a_scale_that_is_not_to_be_used_has_no_scale_bar() -> None:
-    analysis = make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700)
-    sure, doubtful = _judged(analysis, "ok", None), _judged(analysis, "low_confidence", "imprecise")
-    corner = (slice(600, 700), slice(0, 600))
-    assert (draw_overlay(_grey(1000, 700), doubtful)[corner] == 100).all()
-    assert not (draw_overlay(_grey(1000, 700), sure)[corner] == 100).all()
-
-
-def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
-    level = _judged(make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None)
-    tilt = CameraTilt(35.0, 0.0, 800.0, "metadata").record(ImageFacts(1000, 700), 0.1)
-    aside = replace(level, estimate=level.estimate.model_copy(update={"tilt": tilt}))
-    corner = (slice(600, 700), slice(0, 600))
-    assert (draw_overlay(_grey(1000, 700), aside)[corner] == 100).all()
-    assert draw_overlay(_grey(1000, 700), aside).shape[0] > draw_overlay(_grey(1000, 700), level).shape[0]
 
 
 def test_the_image_itself_is_not_drawn_into_and_may_be_read_only() -> None:
@@ -203,6 +176,25 @@ def test_a_line_of_known_length_is_drawn_where_it_lies_with_its_metres_beside_it
     assert letters[370:400, 450:540].sum() > 60  # "84 m", above and right of the middle
 
 
+def test_a_label_stays_inside_the_picture_and_a_line_beside_its_edge_is_no_error() -> None:
+    corner = draw_overlay(_grey(1000, 800), _measured_by_lines([(990, 0, 1000, 6, 1), (0, 800, 9, 791, 1)], 0))
+    assert corner.shape[1] == 1000
+    draw_marks(
+        np.zeros((20, 20, 3), np.uint8),
+        [Mark(((-50.0, -50.0), (90.0, 4.0), (3.0, 99.0)), "m", True)],
+        Placement(np.ones(2), np.zeros(2)),
+    )
+
+
+def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
+    level = _judged(make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None)
+    tilt = CameraTilt(35.0, 0.0, 800.0, "metadata").record(ImageFacts(1000, 700), 0.1)
+    aside = replace(level, estimate=level.estimate.model_copy(update={"tilt": tilt}))
+    corner = (slice(600, 700), slice(0, 600))
+    assert (draw_overlay(_grey(1000, 700), aside)[corner] == 100).all()
+    assert draw_overlay(_grey(1000, 700), aside).shape[0] > draw_overlay(_grey(1000, 700), level).shape[0]
+
+
 def test_a_height_is_written_in_the_middle_of_the_picture() -> None:
     def drawn(**options: float) -> NDArray[np.uint8]:
         none = Detections(np.zeros((0, 5)), np.zeros(0))
@@ -218,20 +210,113 @@ def test_a_height_is_written_in_the_middle_of_the_picture() -> None:
     assert letters[370:400, 500:620].sum() > 60  # "42 m up"
 
 
-def test_a_label_stays_inside_the_picture_and_a_line_beside_its_edge_is_no_error() -> None:
-    corner = draw_overlay(_grey(1000, 800), _measured_by_lines([(990, 0, 1000, 6, 1), (0, 800, 9, 791, 1)], 0))
-    assert corner.shape[1] == 1000
-    draw_marks(
-        np.zeros((20, 20, 3), np.uint8),
-        [Mark(((-50.0, -50.0), (90.0, 4.0), (3.0, 99.0)), "m", True)],
-        Placement(np.ones(2), np.zeros(2)),
+pytest.importorskip("matplotlib")
+
+
+def _boxes(lengths: NDArray[np.float64] | list[float]) -> NDArray[np.float64]:
+    return np.array([[50.0, 50.0, length, 10.0, 0.0] for length in lengths]).reshape(-1, 5)
+
+
+def _labels(figure: object) -> str:
+    legend = figure.legends[0]  # type: ignore[attr-defined]
+    return "\n".join(text.get_text() for text in legend.get_texts())
+
+
+def test_the_plot_shows_mode_guard_interval_and_both_kinds_of_vehicles() -> None:
+    lengths = [*np.random.default_rng(0).normal(30, 2, 60), 80.0, 300.0]
+    analysis = make_analysis(_boxes(lengths), 800, 600)
+    figure = plot_scale(analysis)
+    text = _labels(figure)
+    mode = analysis.estimate.mode_length_px
+    assert mode is not None
+    assert f"{mode:.1f} px (KDE) = 5.04 m" in text or f"{mode:.1f} px (KDE) = 5.05 m" in text
+    assert "resolution guard 16.8 px" in text
+    assert "95 % interval" in text
+    assert "60 vehicles kept" in text
+    assert "2 outliers dropped (1 beyond the axis)" in text or "2 outliers dropped (2 beyond the axis)" in text
+    left, right = figure.axes[0].get_xlim()
+    assert left < 5.045 / 0.3 < right < 120  # the guard is visible, one lorry does not squeeze the cars
+
+
+def test_the_curve_is_the_density_of_the_kept_lengths() -> None:
+    lengths = np.random.default_rng(1).normal(40, 3, 80)
+    figure = plot_scale(make_analysis(_boxes(lengths), 800, 600))
+    axes = figure.axes[0]
+    curve = next(line for line in axes.lines if np.size(line.get_xdata()) > 2)
+    at, drawn = np.asarray(curve.get_xdata()), np.asarray(curve.get_ydata())
+    shown = np.isfinite(drawn)
+    bars = [patch for patch in axes.patches if patch.get_height() > 0 and patch.get_width() < 5]  # type: ignore[attr-defined]
+    bin_px = float(np.median([bar.get_width() for bar in bars]))  # type: ignore[attr-defined]
+    assert drawn[shown] == pytest.approx(kde_density(at, lengths)[shown] * len(lengths) * bin_px)
+    assert sum(bar.get_height() for bar in bars) == len(lengths)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("lengths", "aggregation", "rule"),
+    [
+        ([30.0], "kde", "median"),
+        ([30.0, 31.0, 32.0], "weighted_kde", "median"),
+        ([30.0] * 9, "kde", "KDE"),
+        ([30.0, 31, 32, 33, 34, 35], "weighted_kde", "weighted KDE"),
+        ([30.0, 31, 32, 33, 34, 35], "mean", "mean"),
+        ([3.0, 3.01, 3.02, 3.0, 3.0, 3.1], "median", "median"),
+        (list(np.linspace(900, 1000, 40)), "kde", "KDE"),
+    ],
+)
+def test_every_aggregation_and_any_number_of_vehicles_can_be_drawn(
+    tmp_path: Path, lengths: list[float], aggregation: Aggregation, rule: str
+) -> None:
+    figure = plot_scale(make_analysis(_boxes(lengths), 800, 600, aggregation=aggregation))
+    assert f"({rule})" in _labels(figure)
+    write_plot(tmp_path / "plot.png", figure)
+
+
+def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'vehanchor\[plots\]'"):
+        plot_scale(make_analysis(_boxes([30.0]), 100, 100))
+
+
+def _with_line(n: int, metres: float) -> ScaleAnalysis:
+    boxes = _boxes(list(np.random.default_rng(1).normal(30, 2, n)))
+    return analyse_found(
+        Detections(boxes, np.full(n, 0.8)),
+        made_card(),
+        ScaleOptions.of({"known_lengths": [(0, 0, 500, 0, metres, "measured")]}),
+        image_width_px=800,
+        image_height_px=600,
     )
 
 
-def test_the_caption_says_what_each_ruler_says_and_who_is_probably_wrong() -> None:
-    def said(*lines: tuple[float, float, float, float, float]) -> list[str]:
-        return [text for _, text in scale._rulers_line(_measured_by_lines(list(lines)))]
+@pytest.mark.parametrize("n", [0, 30])
+def test_the_densities_of_all_rulers_and_of_all_together_share_one_axis(n: int, tmp_path: Path) -> None:
+    analysis = _with_line(n, 84.0)
+    figure = plot_scale(analysis)
+    axes = figure.axes[-1] if n == 0 else figure.axes[1]
+    legend = axes.get_legend()
+    assert legend is not None
+    names = [text.get_text().partition(" (")[0] for text in legend.get_texts()]
+    assert names[-3:] == ["known length 0.168", "together 0.168", "95 % interval"]
+    assert [name.split()[0] for name in names[:-3]] == ["vehicles"] * (n > 0)
+    low, high = axes.get_xlim()
+    estimate = analysis.estimate
+    assert estimate.gsd_ci95_low_m_per_px is not None
+    assert estimate.gsd_ci95_high_m_per_px is not None
+    assert low < estimate.gsd_ci95_low_m_per_px < estimate.gsd_ci95_high_m_per_px < high
+    together = next(line for line in axes.lines if str(line.get_label()).startswith("together 0.168"))
+    at, curve = np.asarray(together.get_xdata()), np.asarray(together.get_ydata())
+    assert at[curve.argmax()] == pytest.approx(estimate.gsd_m_per_px, rel=0.01)
+    assert write_plot(tmp_path / "plot.png", figure).stat().st_size > 10_000
 
-    assert said() == []
-    assert said((200, 400, 700, 400, 84)) == ["vehicles 0.168 m/px", "known length 0.168 m/px"]
-    assert said((200, 400, 700, 400, 840)) == ["vehicles 0.168 m/px", "known length 1.68 m/px, probably wrong"]
+
+def test_a_ruler_that_is_probably_wrong_is_dashed_in_the_plot() -> None:
+    lines = plot_scale(_with_line(30, 840.0)).axes[1].lines
+    dashed = [str(line.get_label()) for line in lines if line.get_linestyle() == "--"]
+    assert dashed
+    assert all("(right: 0." in label for label in dashed)
+
+
+def test_without_an_anchor_the_plot_says_so(tmp_path: Path) -> None:
+    figure = plot_scale(make_analysis(np.zeros((0, 5)), 800, 600))
+    assert "no scale" in figure.axes[0].texts[0].get_text()
+    write_plot(tmp_path / "plot.jpg", figure)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import json
 import os
 import signal
 import sqlite3
@@ -11,12 +13,29 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
+import numpy as np
 import pytest
 
+from tests.conftest import ROOT
+from tests.skill.cut_off import CALIBRATION
+from vehanchor.analysis.stored import stored_classes
+from vehanchor.detection.detections import Detections
+from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import Source
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.raster import RasterNote
+from vehanchor.rulers.given_height import GivenHeight
+from vehanchor.rulers.point import assumed, point_witness, prior_witness
+from vehanchor.scale.density import flat, lognormal
+from vehanchor.scale.posterior import Mark, Witness
+from vehanchor.scale.reliability import Shared
 from vehanchor.storage.atomic import whole_file
+from vehanchor.storage.codec import Codec
 from vehanchor.storage.journal import Journal
+from vehanchor_evaluation.calibration_file import save_calibration
+from vehanchor_flight.photograph import StoredPhotograph, photograph_codec
 
 
 def _journal(path: Path | None, settings: dict[str, Any] | None = None, **choices: Any) -> Journal[Any]:
@@ -32,14 +51,6 @@ def test_results_come_back_in_the_order_asked_for(tmp_path: Path) -> None:
         assert list(again.values([("f", 3), ("f", 0)])) == [{"n": 3}, {"n": 0}]
         assert (("f", 4) in again, ("f", 5) in again) == (True, False)
         assert again.get(("f", 5)) is None
-
-
-def test_a_journal_can_be_removed(tmp_path: Path) -> None:
-    journal = _journal(tmp_path / "j.journal")
-    assert [file.name for file in tmp_path.iterdir()] == ["j.journal"]
-    journal.remove()
-    journal.remove()
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_without_a_path_results_live_in_memory() -> None:
@@ -132,17 +143,6 @@ def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path: Path) -> No
         partial.write_text("nowhere")
 
 
-def test_a_result_that_cannot_be_read_any_more_is_told_with_the_remedy(tmp_path: Path) -> None:
-    def load(value: Any) -> Any:
-        raise KeyError(value)
-
-    path = tmp_path / "j.journal"
-    _journal(path).add(("a",), 1)
-    journal: Journal[Any] = Journal(path, {"model": "m"}, dump=int, load=load, remedy="start anew")
-    with pytest.raises(InvalidParameterError, match=r"unreadable.*start anew"):
-        journal.get(("a",))
-
-
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="Windows has no kill -9")
 def test_a_run_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     path = tmp_path / "j.journal"
@@ -229,18 +229,6 @@ def test_a_journal_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_run_that_was_killed_holds_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "j.journal"
-    held = (
-        "import os; from pathlib import Path; from vehanchor.storage.journal import Journal\n"
-        f"journal = Journal(Path({str(path)!r}), {{}}, dump=str, load=str, sole=True); journal.add(('a',), 'x')\n"
-        "os.kill(os.getpid(), 9)"
-    )
-    assert subprocess.run([sys.executable, "-c", held], check=False).returncode == -9
-    with Journal(path, {}, dump=str, load=str, sole=True) as journal:
-        assert journal.get(("a",)) == "x"
-
-
 @pytest.mark.parametrize("sole", [True, False])
 @pytest.mark.parametrize("exists", [True, False])
 def test_a_link_is_not_followed(tmp_path: Path, sole: bool, exists: bool) -> None:
@@ -251,3 +239,93 @@ def test_a_link_is_not_followed(tmp_path: Path, sole: bool, exists: bool) -> Non
     with pytest.raises(OutputError, match=r"j\.journal' is a link: remove it"):
         _journal(path, sole=sole)
     assert victim.exists() == exists
+
+
+def _stored() -> StoredPhotograph:
+    scene = SceneScalePrior((SceneLevel(2, 9, np.linspace(-4, -1, 7)),), SceneCalibration(-4.6, 0.1))
+    found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4))
+    facts = ImageFacts(10, 20, None, (RasterNote("a", "b"),), CameraMetadata(make="x", height_m=3.0))
+    return StoredPhotograph(facts, found, 0.7, prior=scene)
+
+
+def test_intermediate_results_come_back_exactly() -> None:
+    before = _stored()
+    after = photograph_codec().load(json.loads(json.dumps(photograph_codec().dump(before))))
+    assert isinstance(after, StoredPhotograph)
+    assert after.image == before.image
+    assert after.resolved == 0.7
+    assert np.array_equal(after.detections.boxes, before.detections.boxes)
+    assert after.detections.boxes.dtype == before.detections.boxes.dtype
+    assert after.prior is not None
+    assert before.prior is not None
+    assert np.array_equal(after.prior.density, before.prior.density)
+    after.detections.boxes[0] = 1  # and may be changed
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        {"=": "subprocess:Popen", "fields": {"args": "true"}},
+        {"=": "vehanchor_flight.photograph:StoredPhotograph", "fields": {}},
+        {"=": "array", "dtype": "O", "shape": [1], "data": ""},
+    ],
+)
+def test_a_journal_can_start_nothing(found: object) -> None:
+    with pytest.raises(ValueError, match="stored"):
+        photograph_codec().load(found)
+
+
+@pytest.mark.parametrize(
+    "witness",
+    [
+        point_witness("camera", 0.1, 0.02, 0.05, "{}", shared=[Shared("lens", 0.03)], marks=[Mark(((1, 2),), "up")]),
+        assumed(point_witness("height", 0.1, 0.1, 0.05, "{}")),
+        prior_witness("scene_scale", lognormal(0.1, 0.2), 0.7, 24),
+        Witness("courts", n=0),
+    ],
+    ids=lambda witness: witness.kind,
+)
+def test_all_witnesses_of_the_rulers_can_be_stored(witness: Witness) -> None:
+    codec = Codec(stored_classes())
+    found = codec.load(json.loads(json.dumps(codec.dump(witness))))
+    assert type(found) is Witness
+    assert found.interval == witness.interval
+    assert (found.shared, found.marks, found.assumed) == (witness.shared, witness.marks, witness.assumed)
+    assert [lack.reason for lack in found.lacks] == [lack.reason for lack in witness.lacks]
+    assert np.array_equal(found.density, witness.density)
+    assert np.array_equal(found.wrong, flat())
+
+
+def test_a_witness_that_a_ruler_declares_can_be_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Widths(Witness):
+        """Witness of a ruler's own."""
+
+    monkeypatch.setattr(GivenHeight, "stored_classes", {"tests.widths": Widths})
+    codec = Codec(stored_classes())
+    assert isinstance(codec.load(codec.dump(Widths("height", n=0))), Widths)
+
+
+def test_a_refused_flush_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "c.json"
+    path.write_bytes(b"old")
+
+    def refused(descriptor: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "fsync", refused)
+    with pytest.raises(OutputError):
+        save_calibration(path, CALIBRATION)
+    assert path.read_bytes() == b"old"
+
+
+@pytest.mark.promise("files")
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="Windows has no limit of a file's size")
+def test_no_file_is_half_written_wherever_the_disk_is_full_or_the_process_killed(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tests.skill.cut_off", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["wrong"] == []
+    assert found["ends"]["refused"] > 100
+    assert found["ends"]["killed"] > 40
