@@ -149,7 +149,7 @@ class Rulers:
             tilt.
         height_basis: how the height is known.
         height_tolerance_m: half of the 95 % interval of the height, metres; None for the default of its basis.
-        focal_35mm: 35 mm equivalent focal length, millimetres; None takes the file's.
+        focal_35mm: 35 mm equivalent focal length, millimetres, for this height or the file's; None takes the file's.
         gsd_m_per_px: scale from elsewhere, metres per pixel of the full image.
         gsd_basis: how that scale is known.
         gsd_tolerance: half of its 95 % interval, metres per pixel; None for a tenth of it.
@@ -207,7 +207,8 @@ class Rulers:
     ] = None
 
     def __post_init__(self) -> None:
-        lonely = [name for name in ("focal_35mm", "height_tolerance_m") if getattr(self, name) is not None]
+        lonely = ["height_tolerance_m"] if self.height_tolerance_m is not None else []
+        lonely += ["focal_35mm"] if self.focal_35mm is not None and not self.metadata else []
         lonely += ["height_basis"] if self.height_basis == "measured" else []
         if lonely and self.height_m is None:
             raise InvalidParameterError(f"{lonely[0]} needs height_m: also give the height above the ground")
