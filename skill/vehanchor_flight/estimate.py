@@ -167,7 +167,7 @@ def open_journal(
     choices = asdict(options)
     del choices["frame"]
     if lines:
-        choices["lines_of"] = lines
+        choices["lines_of"] = {name: [asdict(line) for line in own] for name, own in lines.items()}
     if model_sha256:
         choices["reconstruction"] = model_sha256
     networks = networks_sha256(detector.card)

@@ -177,7 +177,7 @@ def _settings(job: BatchJob) -> dict[str, Any]:
     options = asdict(job.options)
     del options["frame"]
     if job.known_lengths:
-        options["lines_of"] = job.known_lengths
+        options["lines_of"] = {name: [asdict(line) for line in lines] for name, lines in job.known_lengths.items()}
     return {
         "vehanchor": version("vehanchor"),
         "schema_version": SCHEMA_VERSION,

@@ -265,7 +265,7 @@ def test_prompts_are_read_in_the_frame_and_answered_in_the_image(segmenter: Segm
     assert record.frame.gsd_m_per_px == pytest.approx(2 * GSD)
     assert _corners(record.frame.bounding_box) == tuple(side / 2 for side in POOL)
     with pytest.raises(FrameError, match="300"):
-        measure_area(image, box=half, gsd_m_per_px=GSD, **(options | {"frame_height_px": 400}))
+        measure_area(image, box=half, gsd_m_per_px=GSD, **(options | {"frame": (400, 400)}))
     with pytest.raises(PromptError, match="400 x 300 px frame"):
         measure_area(image, points=[(420, 100)], gsd_m_per_px=GSD, **options)
 

@@ -259,7 +259,7 @@ def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
 @pytest.mark.parametrize(
     ("known", "words"),
     [
-        ({"gsd_m_per_px": "0.1"}, "gsd_m_per_px"),
+        ({"gsd_m_per_px": "much"}, "gsd_m_per_px"),
         ({"gsd_m_per_px": True}, "gsd_m_per_px"),
         ({"gsd_m_per_px": 0.0}, "use a finite number from 0.0001 to 1000"),
         ({"gsd_m_per_px": 1e308}, "use a finite number from 0.0001 to 1000"),
