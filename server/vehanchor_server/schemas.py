@@ -1,6 +1,7 @@
 """Schema files of the tools: JSON Schemas, and definitions for Anthropic and OpenAI.
 
-* ``<tool>.input.json``, ``<tool>.output.json``: JSON Schema 2020-12 of arguments and structured result
+* ``<tool>.input.json``, ``<tool>.output.json``: JSON Schema 2020-12 of arguments and structured result, of the tools
+  that programs in other languages call
 * ``anthropic.json``: a list for ``tools`` of the Messages API
 * ``openai.json``: a list for ``tools`` of the Responses API, strict; for Chat Completions, put all but ``type`` below
   ``function``
@@ -9,6 +10,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from vehanchor_server.tools.portable_schema import portable_schema
 from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
 
+PUBLISHED = ("estimate_gsd", "measure_area")
 _NOT_IN_STRICT_MODE = ("default", "examples", "pattern", "minLength", "maxLength", "minProperties", "maxProperties")
 
 
@@ -39,11 +42,13 @@ def write_schemas(directory: Path) -> list[Path]:
     return written
 
 
-def schema_files() -> dict[str, str]:
-    """Return the name and text of every file."""
+def schema_files(tools: Collection[str] = PUBLISHED) -> dict[str, str]:
+    """Return the name and text of every file, with the JSON Schemas of these tools."""
     contract = create_tools(create_services(Settings()))
     documents: dict[str, Any] = {}
     for tool in contract:
+        if tool.name not in tools:
+            continue
         documents[f"{tool.name}.input.json"] = portable_schema(tool.full_parameters, dialect=True)
         documents[f"{tool.name}.output.json"] = portable_schema(tool.record_schema, dialect=True)
     documents["anthropic.json"] = [anthropic_definition(tool) for tool in contract]

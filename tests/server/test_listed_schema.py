@@ -18,7 +18,7 @@ from tests.conftest import ROOT
 from tests.environments import environment
 from tests.server.conversation import text_of
 from tests.server.listed_calls import documented_calls, random_value
-from tests.server.test_tokens import LISTED, tokens_of
+from tests.server.test_tokens import LISTED, tokens_listed
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -97,8 +97,7 @@ def test_every_call_of_the_documentation_has_the_listed_shape() -> None:
 async def test_the_list_is_short_for_every_operator(operator: dict[str, Any]) -> None:
     async with Client(create_server(create_services(Settings(**operator)))) as client:
         listed = (await client.list_tools()).tools
-    said = [tool.model_dump(mode="json", by_alias=True, exclude_none=True) for tool in listed]
-    assert tokens_of(said) <= LISTED, tokens_of(said)
+    assert tokens_listed(listed) <= LISTED, tokens_listed(listed)
 
 
 def test_every_measuring_tool_lists_what_can_give_a_scale() -> None:

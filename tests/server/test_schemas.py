@@ -38,7 +38,7 @@ def nodes(schema: Any) -> Iterator[dict[str, Any]]:
 
 @pytest.fixture(scope="module")
 def files() -> dict[str, Any]:
-    return {name: json.loads(text) for name, text in schema_files().items()}
+    return {name: json.loads(text) for name, text in schema_files(TOOLS).items()}
 
 
 def test_the_published_files_are_current() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, OtherObject
 from vehanchor.records.advice import advice_for
 from vehanchor.scale.defaults import USABLE_CHANCE
 
@@ -24,6 +24,8 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
     GsdEstimate: (
         "status",
         "gsd_m_per_px",
+        "gsd_ci95_low_m_per_px",
+        "gsd_ci95_high_m_per_px",
         "confidence",
         "n_vehicles",
         "by_hand",
@@ -57,6 +59,7 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "distance_m",
         "distance_ci95_low_m",
         "distance_ci95_high_m",
+        "distance_ci95_high_m",
         "confidence",
         "gsd_m_per_px",
         "scale_source",
@@ -71,7 +74,7 @@ _OMITTED_IN_FRAME = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95
 def short_answer(records: Sequence[BaseModel]) -> dict[str, Any]:
     """Return one record, or several below ``measurements``, with their common advice and warnings.
 
-    Advice and codes of warnings are for hosts that show models the structured content alone.
+    Advice and the first sentences of warnings are for hosts that show models the structured content alone.
 
     Args:
         records: records of one image.
@@ -79,8 +82,9 @@ def short_answer(records: Sequence[BaseModel]) -> dict[str, Any]:
     parts = [_short(record) for record in records]
     whole: dict[str, Any] = parts[0] if len(parts) == 1 else {"measurements": parts}
     advice = [each for each in map(_advice, records) if each]
-    codes = [notice.code for record in records for notice in getattr(record, "warnings", ())]
-    for name, found in (("advice", "; ".join(dict.fromkeys(advice))), ("warnings", list(dict.fromkeys(codes)))):
+    notices = [notice for record in records for notice in getattr(record, "warnings", ())]
+    words = [f"{notice.code}: {notice.message.partition('. ')[0].rstrip('.')}" for notice in notices]
+    for name, found in (("advice", "; ".join(dict.fromkeys(advice))), ("warnings", list(dict.fromkeys(words)))):
         if found:
             whole[name] = found
     return whole
@@ -112,9 +116,20 @@ def _short(record: BaseModel) -> dict[str, Any]:
     reason = getattr(getattr(record, "estimate", None), "reason", None)
     if reason is not None:
         short["reason"] = reason
+    if isinstance(record, AreaMeasurement) and record.alternatives:
+        short["alternatives"] = [_choice(record, other) for other in record.alternatives]
     if (short.get("frame") or {}).get("bounding_box"):
         short.pop("bounding_box", None)  # the frame already has it in the caller's pixels
     return short
+
+
+def _choice(area: AreaMeasurement, other: OtherObject) -> dict[str, Any]:
+    """Return the size of another object that a point may mean, and its box in the caller's pixels."""
+    box, frame = other.bounding_box, area.frame
+    if frame is not None:
+        box = box.scaled(frame.width_px / area.image_width_px, frame.height_px / area.image_height_px)
+    corners = [round(side) for side in (box.x1_px, box.y1_px, box.x2_px, box.y2_px)]
+    return {"area_m2": _rounded("area_m2", other.area_m2), "box": corners}
 
 
 def _estimate(record: BaseModel) -> GsdEstimate | None:

@@ -53,10 +53,21 @@ from vehanchor_server.tools.scale_arguments import (
 )
 from vehanchor_server.tools.strict_tool import StrictTool
 
+_KNOWN = (
+    "railway_gauge",
+    *("iso_container_20ft", "iso_container_40ft", "semi_trailer", "city_bus"),
+    *("parking_bay_width", "parking_bay_length", "motorway_lane_width", "lane_dash_cycle", "zebra_period"),
+    *("football_penalty_area_width", "football_centre_circle", "handball_court_length"),
+    *("beach_volleyball_court_length", "padel_court_length", "tennis_court_length"),
+    *("basketball_court_length", "baseball_base_distance", "american_football_field_width", "running_track_lane"),
+    *("pool_25m", "pool_50m"),
+)
+"""Things of known size that can be seen from above; an error lists all."""
+
 _DESCRIPTION = (
     "Measures the scale (metres per pixel) of a near-nadir aerial or satellite image from cars, known lengths, camera "
     "height or metadata. Call it before any metric statement; never estimate the scale by eye. Needs cars at "
-    f"0.3 m/px or finer, or another ruler. {POLICY}"
+    f"0.3 m/px or finer, or another ruler. {POLICY} Names for known_lengths: {', '.join(_KNOWN)}."
 )
 
 _CHECK = "look at include_overlay, then drop the boxes that are no cars"

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.scale.countries import COUNTRY_REGIONS, country_length
+from vehanchor.scale.countries import COUNTRY_CODES, COUNTRY_REGIONS, country_length
 from vehanchor.scale.reliability import FLEETS, KNOWN_REGION
 
 if TYPE_CHECKING:
@@ -86,12 +86,12 @@ def reference_length(card: DetectorCard, given: Reference, appearance: FleetAppe
 
 def _region_length(name: str, card: DetectorCard) -> float:
     """Look up the reference length of a region or country, metres."""
-    known = card.region_lengths_m
-    length_m = known.get(name.lower()) or country_length(name, known)
+    known, plain = card.region_lengths_m, " ".join(name.lower().replace("_", " ").replace("-", " ").split())
+    length_m = known.get(plain.replace(" ", "_")) or country_length(COUNTRY_CODES.get(plain, name), known)
     if length_m is not None:
         return length_m
     near = ", ".join(get_close_matches(name.lower(), known) or get_close_matches(name.upper(), COUNTRY_REGIONS))
     raise InvalidParameterError(
-        f"region is {name!r}: this model knows {', '.join(sorted(known))}, and countries there by ISO code, such as FR"
-        f"{near and f' (nearest: {near})'}; or give reference_length_m"
+        f"region is {name!r}: this model knows {', '.join(sorted(known))}, and countries there by name or ISO code, "
+        f"such as FR{near and f' (nearest: {near})'}. For another place, leave region out"
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from difflib import get_close_matches
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,9 +12,6 @@ from vehanchor.scale.countries import COUNTRY_REGIONS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-_NEAREST = 3
-_CUTOFF = 0.4  # of likeness, so that nearly every wrong name has a nearest one
 
 
 class Variant(NamedTuple):
@@ -120,10 +116,7 @@ def check_name(what: str | None) -> None:
         return
     name, slash, country = what.partition("/")
     if name not in standards():
-        nearest = get_close_matches(name.lower(), standards(), _NEAREST, _CUTOFF) or list(standards())[:_NEAREST]
-        raise KnownLengthError(
-            f"there is no thing of known size {name!r}: the nearest are {', '.join(nearest)}; "
-            f"'vehanchor models --sizes' lists all {len(standards())}"
-        )
+        known = "; ".join(f"{each.name}: {each.between}" for each in standards().values())
+        raise KnownLengthError(f"there is no thing of known size {name!r}. Known are {known}")
     if slash and not (len(country) == 2 and country.isascii() and country.isupper()):
         raise KnownLengthError(f"the country in {what!r} is {country!r}: use two capital letters, as in {name}/DE")

@@ -24,6 +24,21 @@ COUNTRY_LENGTHS_M: dict[str, float] = {
 }
 """Mean body length in metres, of the year nearest to a fleet's mean age of about ten years."""
 
+_NAMES = (
+    "Albania AL, Argentina AR, Austria AT, Bangladesh BD, Belarus BY, Belgium BE, Bhutan BT, Bolivia BO, "
+    "Bosnia and Herzegovina BA, Brazil BR, Bulgaria BG, Canada CA, Chile CL, Colombia CO, Costa Rica CR, Croatia HR, "
+    "Cuba CU, Cyprus CY, Czechia CZ, Denmark DK, Dominican Republic DO, Ecuador EC, El Salvador SV, England GB, "
+    "Estonia EE, Finland FI, France FR, Germany DE, Great Britain GB, Greece GR, Guatemala GT, Guyana GY, Haiti HT, "
+    "Honduras HN, Hungary HU, Iceland IS, India IN, Ireland IE, Italy IT, Jamaica JM, Latvia LV, Lithuania LT, "
+    "Luxembourg LU, Maldives MV, Malta MT, Mexico MX, Moldova MD, Montenegro ME, Nepal NP, Netherlands NL, "
+    "Nicaragua NI, North Macedonia MK, Norway NO, Pakistan PK, Panama PA, Paraguay PY, Peru PE, Poland PL, "
+    "Portugal PT, Romania RO, Russia RU, Scotland GB, Serbia RS, Slovakia SK, Slovenia SI, Spain ES, Sri Lanka LK, "
+    "Suriname SR, Sweden SE, Switzerland CH, The Netherlands NL, Ukraine UA, United Kingdom GB, United States US, "
+    "UK GB, Uruguay UY, USA US, Venezuela VE, Wales GB"
+)
+COUNTRY_CODES = {name.lower(): code for name, _, code in (each.rpartition(" ") for each in _NAMES.split(", "))}
+"""Codes by English names of countries, in lower case."""
+
 _MEASURED_IN = {"europe": "FR", "north_america": "US", "south_asia": "IN"}
 _REGION_COUNTRIES = {
     "europe": "AD AL AT BA BE BG BY CH CY CZ DE DK ES FR GB GG GI GR HR HU IE IM IT JE LI LU MC MD ME MK MT NL PL PT "

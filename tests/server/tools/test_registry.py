@@ -20,7 +20,7 @@ from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
-from vehanchor_server.schemas import schema_files
+from vehanchor_server.schemas import PUBLISHED, schema_files
 from vehanchor_server.services import Services
 from vehanchor_server.tools import registry
 from vehanchor_server.tools.scale_arguments import DetailArgument
@@ -91,7 +91,7 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
     assert result.structured_content == {"width_px": 640, "height_px": 512}
     assert text_of(result) == "640 px wide."
     assert error_of(refused) == "image_undecodable"
-    files = schema_files()
+    files = schema_files((*PUBLISHED, "image_size"))
     assert set(files) - set(published) == {"image_size.input.json", "image_size.output.json"}
     for provider in ("anthropic", "openai"):
         names = [tool["name"] for tool in json.loads(files[f"{provider}.json"])]

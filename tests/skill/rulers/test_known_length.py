@@ -217,8 +217,8 @@ def test_two_things_of_one_family_are_one_witness() -> None:
 @pytest.mark.parametrize(
     ("what", "words"),
     [
-        ("parking_width", "the nearest are parking_bay_width"),
-        ("Container", "the nearest are iso_container"),
+        ("parking_width", "parking_bay_width: the centres of two neighbouring lines"),
+        ("Container", "iso_container_20ft: the two ends"),
         ("railway_gauge/Spain", "use two capital letters, as in railway_gauge/DE"),
     ],
 )
