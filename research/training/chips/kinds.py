@@ -1,0 +1,33 @@
+"""Kinds that the chip network tells, their groups, and the sizes of the kinds' bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vehanchor.detection.car_verifier import VEHICLE_TYPES
+
+KINDS = VEHICLE_TYPES  # a store of candidates keeps their indices
+CARS = KINDS[:7]
+GROUPS = ("small", "car", "pickup", "van", "large", "other")
+_GROUP_OF = {
+    "kei": "small", "small": "small", "compact": "car", "saloon": "car", "suv": "car", "pickup": "pickup", "van": "van",
+    "lorry": "large", "trailer": "large", "other": "other",
+}  # fmt: skip
+_READ = {"roof": "other", "container": "other", "boat": "other"}  # too few readings for a kind of their own
+BODY_M = {
+    "kei": (3.40, 1.475), "small": (3.75, 1.66), "compact": (4.25, 1.77), "saloon": (4.70, 1.82), "suv": (4.60, 1.86),
+    "pickup": (5.50, 1.95), "van": (4.90, 1.92),
+}  # fmt: skip
+GROUP_OF_KIND = np.array([GROUPS.index(_GROUP_OF[kind]) for kind in KINDS])
+UNKNOWN = -1
+
+
+def kind_index(read: str) -> int:
+    """Index of a kind as the readings name it, or -1 for one that an eye could not tell."""
+    name = _READ.get(read, read)
+    return KINDS.index(name) if name in KINDS else UNKNOWN
+
+
+def group_of(kind: int) -> str:
+    """Return the group of a kind's index."""
+    return GROUPS[GROUP_OF_KIND[kind]]
