@@ -1,17 +1,26 @@
-"""Write the chip network as ONNX."""
+"""Write the chip network as ONNX: ``python -m research.training.chips.export RUN OUT.onnx``.
+
+Large weights are stored in half precision and cast when the file is opened: it takes half the space, and the network
+computes in float32 as before.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
+from pathlib import Path
 
+import numpy as np
+import onnx
 import torch
+from onnx import numpy_helper
 from torch import Tensor, nn
 
 from research.training.chips.network import CHIP_COLUMNS, CHIP_ROWS, Answers, ChipNet
+from research.training.loop import load_average
 from research.training.onnx_file import write_onnx
+from vehanchor.storage.atomic import whole_file
 
-if TYPE_CHECKING:
-    from pathlib import Path
+_LARGE = 256  # numbers of an array that is stored in half precision
 
 
 class Exported(nn.Module):
@@ -31,3 +40,38 @@ def export(network: ChipNet, out: Path) -> None:
     example = torch.zeros(2, 3, CHIP_ROWS, CHIP_COLUMNS)
     names = list(Answers._fields)
     write_onnx(Exported(network), (example,), out, ["chips"], names, {name: {0: "n"} for name in ("chips", *names)})
+    _halve(out)
+
+
+def _halve(path: Path) -> None:
+    """Store the large weights of a file in half precision."""
+    model = onnx.load(path)
+    casts = []
+    for stored in model.graph.initializer:
+        values = numpy_helper.to_array(stored)
+        if values.dtype == np.float32 and values.size > _LARGE:
+            name = stored.name
+            stored.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}.half"))
+            casts.append(onnx.helper.make_node("Cast", [f"{name}.half"], [name], to=onnx.TensorProto.FLOAT))
+    nodes = [*casts, *model.graph.node]
+    del model.graph.node[:]
+    model.graph.node.extend(nodes)
+    onnx.checker.check_model(model)
+    with whole_file(path) as partial:
+        onnx.save(model, partial)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("out", type=Path)
+    options = parser.parse_args()
+    network = ChipNet()
+    load_average(network, options.run)
+    export(network, options.out)
+    print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()

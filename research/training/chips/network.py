@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 
 CHIP_ROWS, CHIP_COLUMNS = 64, 96
 CHIP_LENGTH_PX = 36.0  # the candidate's length on its chip, along the columns: 2.7 lengths by 1.8
-_KEPT = {0: (8, 4, 20, 3, 13), 1: (16, 2, 10, 1, 7), 2: (24, 0, 6, 0, 4)}  # stage: channels, columns, rows of the middle
+_KEPT = {
+    0: (8, 4, 20, 3, 13),
+    1: (16, 2, 10, 1, 7),
+    2: (24, 0, 6, 0, 4),
+}  # stage: channels, columns, rows of the middle
 _HIDDEN = 96
 _N_EDGES = 4
 _MIDDLE_LOG_M = (1.47, 0.585)  # of all cars: 4.35 m by 1.80 m

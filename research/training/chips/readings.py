@@ -114,7 +114,12 @@ def collect(candidates: Path, data: Path) -> Read:
         np.array([kind_index(row["kind"]) for row, *_ in parts]),
         np.array([box[2] for _, box, _, _ in parts]),
         np.array([width for *_, width in parts]),
-        np.array([known.get(row["file"], _GSD_OF_SET.get(place, np.nan)) for (row, *_), place in zip(parts, places, strict=True)]),
+        np.array(
+            [
+                known.get(row["file"], _GSD_OF_SET.get(place, np.nan))
+                for (row, *_), place in zip(parts, places, strict=True)
+            ]
+        ),
         np.array(places),
         np.array([row["file"] for row, *_ in parts]),
         np.array([row["use"] == "check" for row, *_ in parts]),
@@ -132,7 +137,9 @@ def main() -> None:
     with whole_file(options.out) as partial, partial.open("wb") as handle:
         np.savez(handle, **read._asdict())
     whole = np.isfinite(read.edges).all(axis=1)
-    print(f"{len(read.kind)} cars, {whole.sum()} with all edges, {(read.kind >= 0).sum()} of a kind, {read.check.sum()} kept back")
+    print(
+        f"{len(read.kind)} cars, {whole.sum()} with all edges, {(read.kind >= 0).sum()} of a kind, {read.check.sum()} kept back"
+    )
 
 
 if __name__ == "__main__":
