@@ -1,7 +1,8 @@
 """Car or not beside today's networks: ``python -m research.training.chips.cars CHIPS.onnx R``.
 
 ``R`` has the stores ``held_out`` (``research.training.car_verifier.mine``) and ``people`` (``people.py``). Logits are
-joined by logistic regression: fitted on one half of the held-out files for the other, and on all of them for ``people``.
+joined by logistic regression, fitted on one half of the held-out files for the other, and on all for ``people``.
+``--write`` writes the weights of the search and the chip network into the file.
 """
 
 from __future__ import annotations
@@ -13,18 +14,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
 from research.training.car_verifier.store import STORED_LENGTH_PX, Rows, read_store
 from research.training.car_verifier.stream import Move
 from research.training.car_verifier.stream import cut as car_verifier_chip
-from research.training.chips.said import answers, opened
+from research.training.chips.export import write_weights
 from research.training.chips.stream import cut
 from vehanchor.detection.car_verifier import CarVerifier
+from vehanchor.detection.chip_network import ChipNetwork
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import car_verifier_beside, resolve_model
 
 _LEAST_SCORE = 0.15  # of the search, from which the car verifier looks at candidates
+_SHIPPED = ("search", "chips")
 _STILL = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
 _JOINED = {
     "detector": ("detector",),
@@ -52,7 +55,7 @@ def _logit(scores: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(np.log(inside / (1 - inside)))
 
 
-def judged(folder: Path, session: onnxruntime.InferenceSession) -> Judged:
+def judged(folder: Path, network: ChipNetwork) -> Judged:
     """Ask the networks about the candidates of a store that the search found."""
     chips, rows = read_store(folder)
     chosen = np.flatnonzero((rows.score > 0) & (rows.combined >= _LEAST_SCORE))
@@ -68,8 +71,8 @@ def judged(folder: Path, session: onnxruntime.InferenceSession) -> Judged:
             "detector": _logit(rows.score),
             "search": _logit(rows.combined),
             "car verifier": CarVerifier(path).verify(theirs).logit,
-            "chips": answers(session, ours).logit,
-            "chips, one view": answers(session, ours, 1).logit,
+            "chips": network.answers(ours).logit,
+            "chips, one view": network.answers(ours, views=1).logit,
         },
     )
 
@@ -84,22 +87,26 @@ def logistic(design: NDArray[np.float64], car: NDArray[np.bool_], weight: NDArra
     return theta
 
 
-def joined(known: Judged, asked: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Log odds of a car for ``asked``, from weights fitted on ``known``, each set by the root of its number."""
-    designs = [
-        np.column_stack([*(each.logits[name] for name in names), np.ones(len(each.car))]) for each in (known, asked)
-    ]
+def _design(cases: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
+    return np.column_stack([*(cases.logits[name] for name in names), np.ones(len(cases.car))])
+
+
+def fitted(known: Judged, names: tuple[str, ...], some: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+    """Weights of the logits and a bias; each set counts by the root of its number."""
+    chosen = np.ones(len(known.car), bool) if some is None else some
     _, number, counts = np.unique(known.rows.sets, return_inverse=True, return_counts=True)
-    weight = (1 / np.sqrt(counts))[number]
-    weight = weight / weight.sum()
+    weight = (1 / np.sqrt(counts))[number][chosen]
+    return logistic(_design(known, names)[chosen], known.car[chosen], weight / weight.sum())
+
+
+def joined(known: Judged, asked: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Log odds of a car for ``asked``, from weights fitted on ``known``, or on its other half."""
+    design = _design(asked, names)
     if known is not asked:
-        return np.asarray(designs[1] @ logistic(designs[0], known.car, weight))
+        return np.asarray(design @ fitted(known, names))
     half = np.array([zlib.crc32(file.encode()) % 2 for file in known.rows.files])
-    out = np.zeros(len(known.car))
-    for side in (0, 1):
-        fitted = logistic(designs[0][half != side], known.car[half != side], weight[half != side])
-        out[half == side] = designs[0][half == side] @ fitted
-    return out
+    sides = [design @ fitted(known, names, half != side) for side in (0, 1)]
+    return np.where(half == 0, *sides)
 
 
 def area(hits: NDArray[np.float64], false: NDArray[np.float64]) -> float:
@@ -114,7 +121,8 @@ def line(odds: NDArray[np.float64], car: NDArray[np.bool_]) -> str:
     precision = np.cumsum(car[order]) / np.arange(1, len(car) + 1)
     envelope = np.maximum.accumulate(precision[::-1])[::-1][car[order]]
     at = [envelope[int(recall * len(envelope))] for recall in (0.9, 0.95)]
-    return f"AUC {area(odds[car], odds[~car]):.4f}, AP {envelope.mean():.4f}, precision at recall 0.90 and 0.95: {at[0]:.3f}, {at[1]:.3f}"
+    both = f"AUC {area(odds[car], odds[~car]):.4f}, AP {envelope.mean():.4f}"
+    return f"{both}, precision at recall 0.90 and 0.95: {at[0]:.3f}, {at[1]:.3f}"
 
 
 def report(known: Judged, asked: Judged) -> Iterator[str]:
@@ -137,14 +145,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("network", type=Path)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
-    session = opened(options.network)
-    known = judged(options.folder / "held_out", session)
+    network = ChipNetwork(options.network, runtime=Runtime(threads=1))
+    known = judged(options.folder / "held_out", network)
     print(f"held out: {known.car.sum()} cars, {(~known.car).sum()} others")
     print("\n".join(report(known, known)), flush=True)
-    people = judged(options.folder / "people", session)
+    people = judged(options.folder / "people", network)
     print(f"people: {people.car.sum()} cars, {(~people.car).sum()} others")
-    print("\n".join(report(known, people)))
+    print("\n".join(report(known, people)), flush=True)
+    if options.write:
+        search, chips, bias = fitted(known, _SHIPPED)
+        write_weights(options.network, (float(search), float(chips), float(bias)))
 
 
 if __name__ == "__main__":

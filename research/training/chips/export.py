@@ -15,12 +15,15 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
-from research.training.chips.network import CHIP_COLUMNS, CHIP_ROWS, Answers, ChipNet
+from research.training.chips.network import Answers, ChipNet
 from research.training.loop import load_average
-from research.training.onnx_file import write_onnx
+from research.training.onnx_file import LICENCE, write_metadata, write_onnx
+from vehanchor.detection.chip_network import CHIP_COLUMNS, CHIP_ROWS
+from vehanchor.models.zoo import DEFAULT_DETECTOR
 from vehanchor.storage.atomic import whole_file
 
 _LARGE = 256  # numbers of an array that is stored in half precision
+_LEAST_SCORE = 0.15  # of the search
 
 
 class Exported(nn.Module):
@@ -41,6 +44,20 @@ def export(network: ChipNet, out: Path) -> None:
     names = list(Answers._fields)
     write_onnx(Exported(network), (example,), out, ["chips"], names, {name: {0: "n"} for name in ("chips", *names)})
     _halve(out)
+    write_weights(out, (1.0, 1.0, 0.0))
+
+
+def write_weights(path: Path, weights: tuple[float, float, float]) -> None:
+    """Write the metadata of a file with the weights of the search's logit and the network's, and their bias."""
+    metadata = {
+        "description": "VehAnchor network that says of a candidate what it is, where its edges lie, and how long it is",
+        "author": "VehAnchor",
+        "license": LICENCE,
+        "vehanchor.detector": DEFAULT_DETECTOR,
+        "vehanchor.weights": ",".join(f"{value:.4f}" for value in weights),
+        "vehanchor.least_score": f"{_LEAST_SCORE:g}",
+    }
+    write_metadata(path, metadata)
 
 
 def _halve(path: Path) -> None:

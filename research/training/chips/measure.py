@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from research.training.chips.kinds import BODY_M, CARS, GROUP_OF_KIND, GROUPS, KINDS, UNKNOWN
+from research.training.chips.kinds import BODY_M, CARS, GROUP_OF_KIND, GROUPS, UNKNOWN
 from research.training.chips.readings import READ_LENGTH_PX, Read, load
-from research.training.chips.said import Said, answers, opened, sizes
 from research.training.chips.stream import cut
+from vehanchor.detection.chip_network import KINDS, ChipAnswers, ChipNetwork
+from vehanchor.models.runtime import Runtime
 
 _N_GROUPS = 4  # of cars
 _WITHIN_KIND = np.array([[0.075**2, 0.6 * 0.075 * 0.04], [0.6 * 0.075 * 0.04, 0.04**2]])  # of log length and width
@@ -23,12 +24,17 @@ _LEAST_LOG_SD = np.array([0.02, 0.03])
 _LOOKS_LOG_SD = np.array([0.10, 0.05])
 
 
+def sizes(edges: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Lengths and widths ``[n, 2]`` of edges ``[n, 4]``."""
+    return np.asarray(edges[:, 1::2] - edges[:, ::2], np.float64)
+
+
 def robust(values: NDArray[np.float64]) -> float:
     """Standard deviation by the median absolute deviation."""
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
-def edge_report(read: Read, said: Said) -> Iterator[str]:
+def edge_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     """Length and width against the eye, of the network and of the detector's box."""
     whole = np.isfinite(read.edges).all(axis=1)
     eye, ours = (np.log(sizes(each[whole])) for each in (read.edges, said.edges))
@@ -45,7 +51,7 @@ def edge_report(read: Read, said: Said) -> Iterator[str]:
     yield f"edges: error over stated sd: robust {robust(off):.2f}, rms {np.sqrt(np.mean(off**2)):.2f}"
 
 
-def kind_report(read: Read, said: Said) -> Iterator[str]:
+def kind_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     """Agreement of kinds with the eye, in four groups of cars."""
     cars = (read.kind != UNKNOWN) & (read.kind < len(CARS))
     best = said.kinds[:, : len(CARS)].argmax(axis=1)
@@ -63,7 +69,7 @@ def kind_report(read: Read, said: Said) -> Iterator[str]:
         yield f"read {name}: said {dict(zip(GROUPS, row, strict=False))}"
 
 
-def log_scale(said: Said, length_px: NDArray[np.float64], use: list[int], *, looks: bool) -> NDArray[np.float64]:
+def log_scale(said: ChipAnswers, length_px: NDArray[np.float64], use: list[int], *, looks: bool) -> NDArray[np.float64]:
     """Log of metres per pixel from each car alone.
 
     Args:
@@ -79,13 +85,13 @@ def log_scale(said: Said, length_px: NDArray[np.float64], use: list[int], *, loo
         table, by_looks = 1 / np.diag(_WITHIN_KIND), 1 / _LOOKS_LOG_SD**2
         middle = (middle * table + said.log_metres * by_looks) / (table + by_looks)
     out = np.zeros(len(seen))
-    for k, noise in enumerate(np.hypot(said.log_sd, _LEAST_LOG_SD) ** 2):
+    for k, noise in enumerate(np.hypot(said.log_size_sd, _LEAST_LOG_SD) ** 2):
         inner = np.linalg.inv((_WITHIN_KIND + np.diag(noise))[np.ix_(use, use)])
         out[k] = inner.sum(axis=0) @ (middle[k] - seen[k])[use] / inner.sum()
     return out
 
 
-def scale_report(read: Read, said: Said) -> Iterator[str]:
+def scale_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     """Spread of the log of the scale from one car after its place, and bias by place."""
     eye, ours = (np.log(sizes(each) * read.length_px[:, None]) for each in (read.edges, said.edges))
     body = np.log([BODY_M.get(KINDS[max(kind, 0)], (np.nan, np.nan)) for kind in read.kind])
@@ -129,7 +135,7 @@ def main() -> None:
     read = load(options.readings)
     read = read.take(np.isin(read.place, options.places.split(",")) if options.places else read.check)
     chips = np.stack([cut(chip, READ_LENGTH_PX) for chip in read.chips])
-    said = answers(opened(options.network), chips, options.views)
+    said = ChipNetwork(options.network, runtime=Runtime(threads=1)).answers(chips, views=options.views)
     for report in (edge_report, kind_report, scale_report):
         print("\n".join(report(read, said)), flush=True)
 

@@ -8,15 +8,13 @@ import torch
 from torch import Tensor, nn
 
 from research.training.car_verifier.network import CarVerifierNet
-from research.training.chips.kinds import KINDS
 from research.training.detector.network import VehicleNet
 from research.training.warm_start import load_exported
+from vehanchor.detection.chip_network import KINDS
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-CHIP_ROWS, CHIP_COLUMNS = 64, 96
-CHIP_LENGTH_PX = 36.0  # the candidate's length on its chip, along the columns: 2.7 lengths by 1.8
 _KEPT = {
     0: (8, 4, 20, 3, 13),
     1: (16, 2, 10, 1, 7),

@@ -124,7 +124,8 @@ def main() -> None:
         if not len(boxes):
             continue
         truth = judged(boxes, drawn, (pixels.shape[1], pixels.shape[0]))
-        boxes, combined, truth = (each[truth >= 0] for each in (boxes, combined, truth))
+        counted = truth >= 0
+        boxes, combined, truth = boxes[counted], combined[counted], truth[counted]
         count = len(boxes)
         unknown = np.full(count, np.nan, np.float32)
         rows = Rows(

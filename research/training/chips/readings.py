@@ -1,4 +1,4 @@
-"""Chips of the cars that were read by eye: ``python -m research.training.chips.readings SHEETS/candidates.csv OUT.npz``.
+"""Chips of cars that were read by eye: ``python -m research.training.chips.readings SHEETS/candidates.csv OUT.npz``.
 
 ``SHEETS/candidates.csv`` gives the boxes of the kinds' readings (``research.training.readings.candidates``). Each car
 is stored 60 px long, with 200 px of surroundings, as fine as its image allows.
@@ -84,7 +84,7 @@ def collect(candidates: Path, data: Path) -> Read:
     for each in read_candidates(candidates):
         boxes_of.setdefault(each.file, []).append(each.box)
     parts = []
-    measured = {}
+    measured: dict[str, list[NDArray[np.float64]]] = {}
     for row in _rows("ends_and_sides.csv"):
         names = ("x", "y", "box_length_px", "box_width_px", "box_angle")
         box = np.array([float(row[name]) for name in names])
@@ -137,9 +137,8 @@ def main() -> None:
     with whole_file(options.out) as partial, partial.open("wb") as handle:
         np.savez(handle, **read._asdict())
     whole = np.isfinite(read.edges).all(axis=1)
-    print(
-        f"{len(read.kind)} cars, {whole.sum()} with all edges, {(read.kind >= 0).sum()} of a kind, {read.check.sum()} kept back"
-    )
+    counts = len(read.kind), whole.sum(), (read.kind >= 0).sum(), read.check.sum()
+    print("{} cars, {} with all edges, {} of a kind, {} kept back".format(*counts))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Endless stream of chips from stores of candidates and from the readings, with random geometry, sharpness and colour."""
+"""Endless stream of chips from stores and readings, with random geometry, sharpness and colour."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from torch import Tensor
 
 from research.training.car_verifier.store import STORED_LENGTH_PX, Rows, read_store
 from research.training.car_verifier.stream import Move, draw_move
-from research.training.chips.kinds import BODY_M, CARS, KINDS, UNKNOWN
-from research.training.chips.network import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS
+from research.training.chips.kinds import BODY_M, CARS, UNKNOWN
 from research.training.chips.readings import READ_LENGTH_PX, Read
 from research.training.detector.data import photometric
 from research.training.detector.shade import shaded
+from vehanchor.detection.chip_network import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS, KINDS
 
 _COARSE_SHARE, _COARSEST_PX = 0.45, 10.0
 _CANDIDATE = np.array([[CHIP_COLUMNS / 2, CHIP_ROWS / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]])
@@ -27,6 +27,9 @@ _CAR_SHARE = 0.5
 _RENDERED = ("scene", "pasted")
 _RENDERED_WEIGHT = 0.25
 _BOX_WEIGHT = 0.3  # of a length in metres that a box gives
+_MEASURED_WEIGHT = 0.8  # of a length or width that a first network has measured, times its own weight
+_LONGEST_SMALL_M = 3.9  # of a two-box car; at an unknown scale readings call all of these compact
+_MEASURED_BY_EYE = ("mashiki", "fuji", "bergamo", "garfield")
 _TABLE_WEIGHT = 0.2  # of the size of a kind where the scale is unknown
 NOT_A_CAR = -2  # some kind that is no car
 STILL = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
@@ -118,7 +121,27 @@ class Target(NamedTuple):
     metres_weight: tuple[float, float]
 
 
-def target_of_row(rows: Rows, k: int) -> Target:
+class Bodies(NamedTuple):
+    """Bodies that a first network has measured (``bodies.py``).
+
+    Attributes:
+        log_metres: ``[n, 2]`` logs of length and width, NaN where nobody knows the scale.
+        weight: ``[n, 2]`` 0..1.
+    """
+
+    log_metres: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+    @classmethod
+    def load(cls, path: Path, count: int) -> Bodies:
+        """Read bodies; none where nobody has measured them."""
+        if not path.exists():
+            return cls(np.full((count, 2), np.nan, np.float32), np.zeros((count, 2), np.float32))
+        with np.load(path) as stored:
+            return cls(stored["log_metres"], stored["weight"])
+
+
+def target_of_row(rows: Rows, bodies: Bodies, k: int) -> Target:
     """Targets of a candidate."""
     rendered = str(rows.sets[k]) in _RENDERED
     kind = int(rows.type[k])
@@ -131,20 +154,32 @@ def target_of_row(rows: Rows, k: int) -> Target:
         edges, turn, weight = edges_of_box(rows.box[k]), float(rows.box[k][4]), _RENDERED_WEIGHT
         metres = (length, length + float(rows.box[k][3] - rows.box[k][2]))
         metres_weight = (_RENDERED_WEIGHT / 3, _RENDERED_WEIGHT / 3)
+    elif bodies.weight[k].any():
+        metres = (float(bodies.log_metres[k, 0]), float(bodies.log_metres[k, 1]))
+        by_length, by_width = (_MEASURED_WEIGHT * float(weight) for weight in bodies.weight[k])
+        metres_weight = (by_length, by_width)
     elif np.isfinite(length):
         metres, metres_weight = (length, np.nan), (_BOX_WEIGHT, 0.0)
     kind_weight = _RENDERED_WEIGHT if rendered else 1.0
     return Target(float(rows.car[k]), kind, kind_weight, edges, turn, weight, metres, metres_weight)
 
 
-def target_of_reading(read: Read, k: int) -> Target:
+def sized_kinds(read: Read, bodies: Bodies) -> NDArray[np.int64]:
+    """Kinds of readings, a compact car being small if it was measured shorter."""
+    short = bodies.log_metres[:, 0] < np.log(_LONGEST_SMALL_M)
+    short &= (read.kind == KINDS.index("compact")) & ~np.isin(read.place, _MEASURED_BY_EYE)
+    return np.where(short, KINDS.index("small"), read.kind)
+
+
+def target_of_reading(read: Read, bodies: Bodies, k: int) -> Target:
     """Targets of a car that was read by eye; one whose kind an eye could not tell may be no car."""
     kind, edges, gsd = int(read.kind[k]), read.edges[k].astype(np.float64), float(read.gsd[k])
     car = np.nan if kind == UNKNOWN and np.isnan(edges).all() else float(kind == UNKNOWN or KINDS[kind] in CARS)
     sizes = np.array([edges[1] - edges[0], edges[3] - edges[2]]) * read.length_px[k] * gsd
     weights = np.ones(2)
     if np.isnan(edges).all() and car == 1:
-        sizes, weights = np.array([read.length_px[k] * gsd, np.nan]), np.array([_BOX_WEIGHT, 0.0])
+        sizes = np.exp(bodies.log_metres[k].astype(np.float64))
+        weights = _MEASURED_WEIGHT * bodies.weight[k].astype(np.float64)
     if KINDS[kind] in CARS and kind != UNKNOWN:
         table = np.array(BODY_M[KINDS[kind]])
         sizes, weights = np.where(np.isnan(sizes), table, sizes), np.where(np.isnan(sizes), _TABLE_WEIGHT, weights)
@@ -159,14 +194,20 @@ class ChipStream:
     Args:
         stores: folders of ``research.training.car_verifier.store.ChipStore``.
         read: readings to learn from.
+        bodies: of these readings.
         seed: of the draws.
     """
 
-    def __init__(self, stores: Sequence[Path], read: Read, seed: int) -> None:
-        self._seed, self._read = seed, read
+    def __init__(self, stores: Sequence[Path], read: Read, bodies: Bodies, seed: int) -> None:
+        self._seed, self._read, self._read_bodies = seed, read._replace(kind=sized_kinds(read, bodies)), bodies
+        read = self._read
         parts = [read_store(folder) for folder in stores]
         self._chips = [chips for chips, _ in parts]
         self._rows = Rows.joined([rows for _, rows in parts])
+        measured = [
+            Bodies.load(folder / "bodies.npz", len(rows.car)) for folder, (_, rows) in zip(stores, parts, strict=True)
+        ]
+        self._bodies = Bodies(*(np.concatenate(column) for column in zip(*measured, strict=True)))
         self._store = np.concatenate([np.full(len(rows.car), k) for k, (_, rows) in enumerate(parts)])
         self._index = np.concatenate([np.arange(len(rows.car)) for _, rows in parts])
         self._rows_by_car = [self._weighed(np.flatnonzero(self._rows.car == car), self._rows.sets) for car in (0, 1)]
@@ -191,10 +232,12 @@ class ChipStream:
         k = int(pick[min(int(np.searchsorted(odds, rng.random())), len(odds) - 1)])
         move = draw_move(rng)
         if source == 0:
-            target, name, length_px = target_of_row(self._rows, k), str(self._rows.sets[k]), self._rows.length_px[k]
+            target, name = target_of_row(self._rows, self._bodies, k), str(self._rows.sets[k])
+            length_px = self._rows.length_px[k]
             chip = cut(np.asarray(self._chips[self._store[k]][self._index[k]]), STORED_LENGTH_PX, move)
         else:
-            target, name, length_px = target_of_reading(self._read, k), "read", self._read.length_px[k]
+            target, name = target_of_reading(self._read, self._read_bodies, k), "read"
+            length_px = self._read.length_px[k]
             chip = cut(self._read.chips[k], READ_LENGTH_PX, move)
         if name not in _RENDERED:
             chip = shaded(rng, chip, _CANDIDATE)

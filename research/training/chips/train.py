@@ -20,7 +20,7 @@ from research.training.chips.export import export
 from research.training.chips.kinds import CARS, GROUP_OF_KIND, GROUPS
 from research.training.chips.network import Answers, ChipNet, begin_with_car_verifier
 from research.training.chips.readings import load
-from research.training.chips.stream import NOT_A_CAR, Batch, ChipStream
+from research.training.chips.stream import NOT_A_CAR, Batch, Bodies, ChipStream
 from research.training.loop import Recipe, Schedule, load_average, train
 from vehanchor.models.zoo import car_verifier_beside, resolve_model
 
@@ -86,9 +86,9 @@ def _edge_losses(said: Answers, truth: Batch) -> dict[str, Tensor]:
 
 
 def _metres_losses(said: Answers, truth: Batch) -> dict[str, Tensor]:
-    scaled = (each / _METRES_SCALE for each in (said.log_metres, truth.log_metres.nan_to_num()))
-    error = smooth_l1_loss(*scaled, reduction="none")
-    spread = _spread(said.log_metres, said.metres_log_sd, truth.log_metres.nan_to_num())
+    wanted = truth.log_metres.nan_to_num()
+    error = smooth_l1_loss(said.log_metres / _METRES_SCALE, wanted / _METRES_SCALE, reduction="none")
+    spread = _spread(said.log_metres, said.metres_log_sd, wanted)
     return {
         "metres": _METRES_WEIGHT * _mean(error, truth.metres_weight),
         "metres_spread": _SPREAD_WEIGHT * _mean(spread, truth.metres_weight),
@@ -116,8 +116,10 @@ def main() -> None:
     torch.manual_seed(options.seed)
     torch.set_num_threads(1)
     read = load(options.readings)
-    read = read.take(~read.check & ~np.isin(read.place, options.without.split(",")))
-    stream = ChipStream(options.stores, read, options.seed)
+    bodies = Bodies.load(options.readings.with_suffix(".bodies.npz"), len(read.kind))
+    learned = ~read.check & ~np.isin(read.place, options.without.split(","))
+    bodies = Bodies(*(each[learned] for each in bodies))
+    stream = ChipStream(options.stores, read.take(learned), bodies, options.seed)
     network = ChipNet()
     if options.begin:
         load_average(network, options.begin)
