@@ -26,7 +26,7 @@ from vehanchor.detection.chip_network import ChipNetwork
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import car_verifier_beside, resolve_model
 
-_LEAST_SCORE = 0.15  # of the search, from which the car verifier looks at candidates
+_LEAST_SCORE = 0.15  # of the detector
 _SHIPPED = ("search", "chips")
 _STILL = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
 _JOINED = {
@@ -39,7 +39,7 @@ _JOINED = {
     "search and chips": ("search", "chips"),
     "chips": ("chips",),
     "car verifier": ("car verifier",),
-}  # of ``people`` only what the search gave is known of the detector
+}
 
 
 class Judged(NamedTuple):
@@ -58,7 +58,7 @@ def _logit(scores: NDArray[np.float32]) -> NDArray[np.float64]:
 def judged(folder: Path, network: ChipNetwork) -> Judged:
     """Ask the networks about the candidates of a store that the search found."""
     chips, rows = read_store(folder)
-    chosen = np.flatnonzero((rows.score > 0) & (rows.combined >= _LEAST_SCORE))
+    chosen = np.flatnonzero(rows.score >= _LEAST_SCORE)
     rows = rows.take(chosen)
     path = car_verifier_beside(resolve_model())
     assert path is not None
@@ -129,8 +129,6 @@ def report(known: Judged, asked: Judged) -> Iterator[str]:
     """Compare the networks on all candidates and by set."""
     sets = [str(name) for name in np.unique(asked.rows.sets)]
     for what, names in _JOINED.items():
-        if known is not asked and "detector" in names:
-            continue
         odds = joined(known, asked, names)
         yield f"{what}: {line(odds, asked.car)}"
         parts = [(name, asked.rows.sets == name) for name in sets]
