@@ -19,6 +19,7 @@ from vehanchor.detection.chip_network import KINDS, ChipAnswers, ChipNetwork
 from vehanchor.models.runtime import Runtime
 
 _N_GROUPS = 4  # of cars
+_BOX_M = 4.6  # about a detector's box
 _WITHIN_KIND = np.array([[0.075**2, 0.6 * 0.075 * 0.04], [0.6 * 0.075 * 0.04, 0.04**2]])  # of log length and width
 _LEAST_LOG_SD = np.array([0.02, 0.03])
 _LOOKS_LOG_SD = np.array([0.10, 0.05])
@@ -124,6 +125,20 @@ def scale_report(read: Read, said: ChipAnswers) -> Iterator[str]:
         yield f"one car's scale by {name}: n {len(joined)}, sd {sd:.1f} %, robust {robust(joined):.1f} %{text}"
 
 
+def place_report(read: Read, said: ChipAnswers) -> Iterator[str]:
+    """Bias and spread of one car's scale by place, of all cars of a known scale, and of the detector's length alone."""
+    ours = log_scale(said, read.length_px, [0, 1], looks=True)
+    box = -np.log(read.length_px) + np.log(_BOX_M)
+    cars = (read.kind != UNKNOWN) & (read.kind < len(CARS)) & np.isfinite(read.gsd)
+    for place in np.unique(read.place[cars]):
+        here = cars & (read.place == place)
+        text = []
+        for name, way in (("chips", ours), ("detector", box)):
+            off = 100 * (way[here] - np.log(read.gsd[here]))
+            text.append(f"{name} bias {np.median(off):+.1f} %, sd {off.std():.1f} %, robust {robust(off):.1f} %")
+        yield f"{place}, {here.sum()} cars of {np.median(read.length_px[here]):.0f} px: {'; '.join(text)}"
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -136,7 +151,7 @@ def main() -> None:
     read = read.take(np.isin(read.place, options.places.split(",")) if options.places else read.check)
     chips = np.stack([cut(chip, READ_LENGTH_PX) for chip in read.chips])
     said = ChipNetwork(options.network, runtime=Runtime(threads=1)).answers(chips, views=options.views)
-    for report in (edge_report, kind_report, scale_report):
+    for report in (edge_report, kind_report, scale_report, place_report):
         print("\n".join(report(read, said)), flush=True)
 
 
