@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from research.training.chips.kinds import kind_index
 from research.training.readings.candidates import read_candidates
-from research.training.readings.table import HERE
 from vehanchor.detection.verifier import surroundings
 from vehanchor.storage.atomic import whole_file
 
 READ_PX, READ_LENGTH_PX = 200, 60.0
+_TABLES = Path(__file__).parents[1] / "readings"
 _EDGES = ("end1_px", "end2_px", "side1_px", "side2_px")
 _GSD_OF_SET = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "estonia": 0.20, "garfield": 0.047}
 _SAME_PX = 0.06
@@ -73,7 +73,7 @@ def scales(data: Path) -> dict[str, float]:
 
 
 def _rows(name: str) -> list[dict[str, str]]:
-    with (HERE / name).open(newline="") as handle:
+    with (_TABLES / name).open(newline="") as handle:
         return list(csv.DictReader(handle))
 
 

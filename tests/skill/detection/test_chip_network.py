@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from research.scenes import render_scene
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.chip_network import (
     CHIP_COLUMNS,
@@ -20,6 +21,8 @@ from vehanchor.detection.chip_network import (
     candidate_chips,
 )
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
+from vehanchor.models.zoo import chips_beside, resolve_model
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -82,3 +85,18 @@ def test_edges_that_cross_still_give_a_body() -> None:
     _, _, length, width, _ = bodies(np.array([[50.0, 50.0, 40.0, 18.0, 0.0]]), crossed)[0]
     assert length > width > 0
     assert np.isfinite(crossed.log_size_sd).all()
+
+
+def test_the_bundled_one_measures_rendered_cars_in_boxes_that_are_too_large() -> None:
+    file = chips_beside(resolve_model())
+    assert file is not None
+    assert file == chips_beside(resolve_model("vehicles-int8"))
+    network = ChipNetwork(file, runtime=Runtime(threads=1))
+    scene = render_scene(0.1, width_px=640, height_px=640, seed=4, layout="urban")
+    cars = [car for car in scene.vehicles if car.kind == "small-vehicle" and not car.difficult]
+    truth = np.array([[car.x_px, car.y_px, car.length_px, car.width_px, car.angle_rad] for car in cars])
+    with open_raster(scene.image) as raster:
+        fitting, large = (network.answers(candidate_chips(raster, truth * (1, 1, k, k, 1))) for k in (1.08, 2.2))
+    assert np.median(fitting.logit) > 0 > np.median(large.logit)
+    errors = np.log(bodies(truth * (1, 1, 1.08, 1.08, 1), fitting)[:, 2:4] / truth[:, 2:4])
+    assert np.abs(np.median(errors, axis=0)).max() < 0.05
