@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from research.training.car_verifier.store import STORED_LENGTH_PX, Rows, read_store
 from research.training.car_verifier.stream import Move
 from research.training.car_verifier.stream import cut as car_verifier_chip
+from research.training.chips.chip_network import ChipNetwork
 from research.training.chips.export import write_weights
 from research.training.chips.stream import cut
 from vehanchor.detection.car_verifier import CarVerifier
-from vehanchor.detection.chip_network import ChipNetwork
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import car_verifier_beside, resolve_model
 

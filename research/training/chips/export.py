@@ -16,10 +16,10 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
+from research.training.chips.chip_network import CHIP_COLUMNS, CHIP_ROWS
 from research.training.chips.network import Answers, ChipNet
 from research.training.loop import load_average
 from research.training.onnx_file import LICENCE, write_metadata, write_onnx
-from vehanchor.detection.chip_network import CHIP_COLUMNS, CHIP_ROWS
 from vehanchor.models.zoo import DEFAULT_DETECTOR
 from vehanchor.storage.atomic import whole_file
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vehanchor.detection.chip_network import KINDS
+from research.training.chips.chip_network import KINDS
 
 CARS = KINDS[:7]
 GROUPS = ("small", "car", "pickup", "van", "large", "other")

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from research.training.chips.chip_network import KINDS, ChipAnswers, ChipNetwork
 from research.training.chips.kinds import BODY_M, CARS, GROUP_OF_KIND, GROUPS, UNKNOWN
 from research.training.chips.readings import READ_LENGTH_PX, Read, load
 from research.training.chips.stream import cut
-from vehanchor.detection.chip_network import KINDS, ChipAnswers, ChipNetwork
 from vehanchor.models.runtime import Runtime
 
 _N_GROUPS = 4  # of cars

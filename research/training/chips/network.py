@@ -8,9 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from research.training.car_verifier.network import CarVerifierNet
+from research.training.chips.chip_network import KINDS
 from research.training.detector.network import VehicleNet
 from research.training.warm_start import load_exported
-from vehanchor.detection.chip_network import KINDS
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,11 +14,11 @@ from torch import Tensor
 
 from research.training.car_verifier.store import STORED_LENGTH_PX, Rows, read_store
 from research.training.car_verifier.stream import Move, draw_move
+from research.training.chips.chip_network import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS, KINDS
 from research.training.chips.kinds import BODY_M, CARS, UNKNOWN
 from research.training.chips.readings import READ_LENGTH_PX, Read
 from research.training.detector.data import photometric
 from research.training.detector.shade import shaded
-from vehanchor.detection.chip_network import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS, KINDS
 
 _COARSE_SHARE, _COARSEST_PX = 0.45, 10.0
 _CANDIDATE = np.array([[CHIP_COLUMNS / 2, CHIP_ROWS / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]])

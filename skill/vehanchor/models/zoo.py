@@ -18,10 +18,9 @@ _FLEET = "fleet.onnx"  # for the default detector
 _VERIFIER = "verifier.onnx"  # for the default detector in float32
 _VERIFIER_INT8 = "verifier-int8.onnx"  # for the default detector in int8
 _CAR_VERIFIER = "car-verifier.onnx"  # for the default detector
-_CHIPS = "chips.onnx"  # for the default detector
 _SCENE_SCALE = "scene-scale.onnx"
 _COURTS = "courts.onnx"
-_NO_DETECTORS = (*_SEGMENTER, _FLEET, _VERIFIER, _VERIFIER_INT8, _CAR_VERIFIER, _CHIPS, _SCENE_SCALE, _COURTS)
+_NO_DETECTORS = (*_SEGMENTER, _FLEET, _VERIFIER, _VERIFIER_INT8, _CAR_VERIFIER, _SCENE_SCALE, _COURTS)
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
@@ -59,16 +58,6 @@ def car_verifier_beside(detector: Path) -> Path | None:
             example ``mine.car-verifier.onnx`` beside ``mine.onnx``.
     """
     return _beside(detector, (_CAR_VERIFIER, _CAR_VERIFIER), "car-verifier")
-
-
-def chips_beside(detector: Path) -> Path | None:
-    """Find the chip network of a detector; None without one.
-
-    Args:
-        detector: file of the detector. The default detector's chip network is bundled; any other's lies beside it, for
-            example ``mine.chips.onnx`` beside ``mine.onnx``.
-    """
-    return _beside(detector, (_CHIPS, _CHIPS), "chips")
 
 
 def _beside(detector: Path, bundled: tuple[str, str], kind: str) -> Path | None:

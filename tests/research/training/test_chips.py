@@ -14,6 +14,7 @@ import torch
 
 from research.training.car_verifier.store import Rows
 from research.training.car_verifier.stream import draw_move
+from research.training.chips.chip_network import CHIP_COLUMNS, CHIP_ROWS, KINDS, ChipNetwork
 from research.training.chips.export import export
 from research.training.chips.kinds import group_of, kind_index
 from research.training.chips.network import ChipNet
@@ -26,7 +27,6 @@ from research.training.chips.stream import (
     target_of_row,
 )
 from research.training.chips.train import losses
-from vehanchor.detection.chip_network import CHIP_COLUMNS, CHIP_ROWS, KINDS, ChipNetwork
 from vehanchor.models.runtime import Runtime
 
 pytestmark = pytest.mark.slow

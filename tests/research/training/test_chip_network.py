@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
@@ -9,8 +10,8 @@ import numpy as np
 import pytest
 
 from research.scenes import render_scene
-from vehanchor.detection.boxes import box_corners
-from vehanchor.detection.chip_network import (
+from research.training import chips
+from research.training.chips.chip_network import (
     CHIP_COLUMNS,
     CHIP_LENGTH_PX,
     CHIP_ROWS,
@@ -20,9 +21,9 @@ from vehanchor.detection.chip_network import (
     bodies,
     candidate_chips,
 )
+from vehanchor.detection.boxes import box_corners
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import chips_beside, resolve_model
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -87,11 +88,8 @@ def test_edges_that_cross_still_give_a_body() -> None:
     assert np.isfinite(crossed.log_size_sd).all()
 
 
-def test_the_bundled_one_measures_rendered_cars_in_boxes_that_are_too_large() -> None:
-    file = chips_beside(resolve_model())
-    assert file is not None
-    assert file == chips_beside(resolve_model("vehicles-int8"))
-    network = ChipNetwork(file, runtime=Runtime(threads=1))
+def test_the_trained_one_measures_rendered_cars_in_boxes_that_are_too_large() -> None:
+    network = ChipNetwork(Path(chips.__file__).with_name("chips.onnx"), runtime=Runtime(threads=1))
     scene = render_scene(0.1, width_px=640, height_px=640, seed=4, layout="urban")
     cars = [car for car in scene.vehicles if car.kind == "small-vehicle" and not car.difficult]
     truth = np.array([[car.x_px, car.y_px, car.length_px, car.width_px, car.angle_rad] for car in cars])
