@@ -155,8 +155,9 @@ function toolbar(record, view, canvas, redraw) {
     act();
   });
 
+  const hasScale = record.gsd_m_per_px !== null;
   const offered = {
-    distance: knownScale(record), area: knownScale(record), known: scaleOf(record),
+    distance: hasScale, area: hasScale, known: scaleOf(record),
     ...(isArea(record) ? {} : { drop: correctedVehicles().length, add: true }),
   };
   for (const name of Object.keys(TOOLS).filter((each) => offered[each])) {

@@ -252,7 +252,8 @@ def test_the_callers_copy_has_its_scale(host: Host, calls: dict[str, Call], resu
     host.result(calls["few"], results["few"])
     host.says("#status", "Low confidence: do not use")
     frame = results["few"]["structuredContent"]["frame"]
-    assert f"{frame['gsd_m_per_px']:.3g} m/px at 320 \u00d7 256 px" in host.page.locator(".record").inner_text()
+    said = f"{significant(frame['gsd_m_per_px'])} m/px at 320 \u00d7 256 px"
+    assert said in host.page.locator(".record").inner_text()
 
 
 def test_no_anchor_shows_no_number(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
@@ -354,7 +355,8 @@ def test_every_ruler_is_listed_with_what_it_says_and_the_chance_that_it_is_right
     host.result(calls["rulers"], results["rulers"])
     rows = host.page.locator(".rulers li")
     rows.first.wait_for()
-    assert [row.split("\n")[0] for row in rows.all_inner_texts()] == ["Vehicles", "Known length", "Given height"]
+    names = [row.split("\n")[0] for row in rows.all_inner_texts()]
+    assert names == ["Vehicles", "Scene-scale prior", "Known length", "Given height"]
     for row, ruler in zip(rows.all_inner_texts(), rulers, strict=True):
         assert f"{significant(ruler['gsd_m_per_px'])} m/px" in row
         assert f"right with a chance of {ruler['p_right']:.2f}" in row
