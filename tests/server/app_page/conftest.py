@@ -10,7 +10,7 @@ import pytest
 
 from tests.needs import needed_module, needed_program
 
-PATIENCE_MS = 60_000
+PATIENCE_MS = 15_000
 
 
 @pytest.fixture(scope="package")

@@ -85,33 +85,41 @@ def decoded(jpeg: str) -> np.ndarray:
 
 
 @pytest.mark.anyio
-async def test_vehicles_and_lines_of_known_length_are_drawn_where_they_are(
+async def test_vehicles_and_lines_are_drawn_where_they_are_with_the_vehicles_numbers(
     server: MCPServer[object], images: Path
 ) -> None:
     line = {"x1": 20, "y1": 30, "x2": 420, "y2": 30, "metres": 400}
+    asked = {**by_path(images / "cars.png"), "known_lengths": [line], "drop": "1", "add": [CAR_AXIS]}
     async with Client(server, extensions=SHOWS_PAGES) as client:
-        result = await client.call_tool("estimate_gsd", {**by_path(images / "cars.png"), "known_lengths": [line]})
-    drawing = panel_of(result)["drawing"]
-    record = result.structured_content
+        result = await client.call_tool("estimate_gsd", asked)
+    drawing, record = panel_of(result)["drawing"], result.structured_content
     assert record is not None
     assert len(drawing["vehicles"]) == record["n_detections"] == 24
     lengths = [length for _, _, length, _, _, kept, *_ in drawing["vehicles"] if kept]
     assert len(lengths) == record["n_vehicles"]
     assert np.median(lengths) == pytest.approx(record["mode_length_px"], abs=1)
     assert {"points": [[20, 30], [420, 30]], "label": "400 m", "closed": False} in drawing["lines"]
+    numbers = [(number, added) for *_, number, added in drawing["vehicles"]]
+    assert numbers == [*((n, 0) for n in range(2, 25)), (25, 1)]
+    assert drawing["vehicles"][-1][:2] == [CAR_AXIS["x1"] + 16, CAR_AXIS["y1"]]
 
 
 @pytest.mark.anyio
-async def test_vehicles_keep_their_numbers_and_tell_which_are_corrected(
+async def test_people_get_a_sentence_without_warnings_and_names_of_arguments(
     server: MCPServer[object], images: Path
 ) -> None:
-    asked = {**by_path(images / "cars.png"), "confirm": "3", "drop": "1", "add": [CAR_AXIS]}
+    line = {"x1": 20, "y1": 30, "x2": 420, "y2": 30, "metres": 400, "basis": "measured"}
+    said = {}
     async with Client(server, extensions=SHOWS_PAGES) as client:
-        result = await client.call_tool("estimate_gsd", asked)
-    rows = panel_of(result)["drawing"]["vehicles"]
-    assert [row[6] for row in rows] == [*range(2, 25), 25]
-    assert {row[6]: row[7] for row in rows if row[7]} == {3: 1, 25: 2}
-    assert rows[-1][:2] == [CAR_AXIS["x1"] + 16, CAR_AXIS["y1"]]
+        for name, more in {"two": {}, "empty": {}, "cars": {"known_lengths": [line], "drop": "2-9"}}.items():
+            result = await client.call_tool("estimate_gsd", {**by_path(images / f"{name}.png"), **more})
+            said[name] = panel_of(result)["sentence"]
+    assert said == {
+        "two": "2 vehicles alone: too little evidence; give the region, or include one more car.",
+        "empty": "No car was found; draw a line over something of known size, or take a picture with cars.",
+        "cars": "Vehicles and known length contradict each other; check them, or draw a line over something of known "
+        "size. Vehicles corrected by hand: 8 dropped.",
+    }
 
 
 @pytest.mark.anyio
@@ -141,7 +149,7 @@ async def test_the_page_gets_the_whole_record_where_the_model_gets_a_short_one(
     assert panel_of(short)["record"] == full.structured_content
     assert short.structured_content == plain.structured_content
     assert panel_of(full)["record"] is None
-    assert panel_of(plain)["record"] is None
+    assert panel_of(plain)["record"] is panel_of(plain)["sentence"] is None
 
 
 def panel_of(result: CallToolResult) -> dict[str, Any]:

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import anyio
-import cv2
-import numpy as np
 import pytest
 from mcp import Client
 from mcp.types import CallToolResult
 
 from tests.models import paint_vehicles
+from tests.needs import needed_module
 from tests.sam_models import SamFiles
 from tests.server.app_page.conftest import PATIENCE_MS
 from tests.server.app_page.test_app_page import CAR_AXIS, SHOWS_PAGES
@@ -65,7 +64,9 @@ function show(html, itsContext, itsCapabilities) {
 
 LINE = {"x1": 20, "y1": 20, "x2": 420, "y2": 20, "metres": 400}  # ten times what the cars say
 ACROSS = [{"points": [{"x": 200, "y": 200}, {"x": 400, "y": 300}]}]
+HALF = {"width_px": 320, "height_px": 256}
 Call = tuple[str, dict[str, Any]]
+Results = dict[str, dict[str, Any]]
 
 
 class Host:
@@ -114,13 +115,40 @@ class Host:
 
         expect(self.page.locator(selector)).to_have_text(text, timeout=PATIENCE_MS)
 
-    def shows_all(self) -> bool:
-        """Whether the frame is as high as the page in it."""
-        return bool(self.in_page("() => innerHeight === document.documentElement.scrollHeight"))
+    def answers(self, result: dict[str, Any]) -> None:
+        """Give the page's next calls this result."""
+        self.tab.evaluate("(result) => { answer = { result }; }", result)
+
+    def asked(self) -> list[dict[str, Any]]:
+        """The calls of the page so far."""
+        return [message["params"] for message in self.heard() if message.get("method") == "tools/call"]
+
+    def press(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def keys(self, *names: str) -> None:
+        for name in names:
+            self.tab.keyboard.press(name)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag between two places of the image, or click where they are the same."""
+        sheet = self.page.locator(".sheet").bounding_box()
+        per_pixel = sheet["width"] / 640
+        self.tab.mouse.move(sheet["x"] + start[0] * per_pixel, sheet["y"] + start[1] * per_pixel)
+        self.tab.mouse.down()
+        if end != start:
+            self.tab.mouse.move(sheet["x"] + end[0] * per_pixel, sheet["y"] + end[1] * per_pixel, steps=3)
+        self.tab.mouse.up()
+
+    def click(self, x: float, y: float) -> None:
+        self.drag((x, y), (x, y))
+
+    @property
+    def frame(self) -> Any:
+        return self.tab.frames[1]
 
     def in_page(self, script: str) -> Any:
-        [frame] = self.tab.frames[1:]
-        return frame.evaluate(script)
+        return self.frame.evaluate(script)
 
 
 @pytest.fixture
@@ -148,15 +176,12 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
         "good": ("estimate_gsd", by_path(_images / "cars.png")),
         "guarded": ("estimate_gsd", by_path(write_image(folder / "short.png", short))),
         "outliers": ("estimate_gsd", by_path(write_image(folder / "long.png", long))),
-        "few": ("estimate_gsd", {**by_path(_images / "two.png"), "frame": {"width_px": 320, "height_px": 256}}),
+        "few": ("estimate_gsd", {**by_path(_images / "two.png"), "frame": HALF}),
         "rulers": (
             "estimate_gsd",
             {**by_path(_images / "cars.png"), "known_lengths": [LINE], "height_m": 70, "focal_35mm": 24},
         ),
-        "corrected": (
-            "estimate_gsd",
-            {**by_path(_images / "cars.png"), "drop": "1", "add": [CAR_AXIS]},
-        ),
+        "corrected": ("estimate_gsd", {**by_path(_images / "cars.png"), "drop": "1", "add": [CAR_AXIS]}),
         "no ruler": ("estimate_gsd", by_path(_images / "empty.png")),
         "failed": ("estimate_gsd", by_path(folder / "nothing.png")),
         "area": ("measure_area", pool),
@@ -168,14 +193,12 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
 
 
 @pytest.fixture(scope="module")
-def results(
-    calls: dict[str, Call], _images: Path, detector_path: Path, segmenter_paths: SamFiles
-) -> dict[str, dict[str, Any]]:
+def results(calls: dict[str, Call], _images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Results:
     """What the server answers to a host that shows pages, as on the wire."""
     roots = (_images, Path(calls["guarded"][1]["image"]["path"]).parent)
     settings = Settings(roots=roots, detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True)
 
-    async def ask() -> dict[str, dict[str, Any]]:
+    async def ask() -> Results:
         async with Client(create_server(create_services(settings)), extensions=SHOWS_PAGES) as client:
             return {name: on_the_wire(await client.call_tool(*call)) for name, call in calls.items()}
 
@@ -192,8 +215,8 @@ def on_the_wire(result: CallToolResult) -> dict[str, Any]:
     }
 
 
-def without_picture(result: dict[str, Any]) -> dict[str, Any]:
-    return {**result, "_meta": {PANEL_KEY: {**result["_meta"][PANEL_KEY], "picture_jpeg": None}}}
+def sentence(result: dict[str, Any]) -> str:
+    return str(result["_meta"][PANEL_KEY]["sentence"])
 
 
 def test_the_page_introduces_itself_before_it_says_anything_else(host: Host) -> None:
@@ -206,358 +229,287 @@ def test_the_page_introduces_itself_before_it_says_anything_else(host: Host) -> 
     assert second == {"jsonrpc": "2.0", "method": "ui/notifications/initialized", "params": {}}
 
 
-def test_a_good_estimate_is_shown_in_words_and_numbers(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+def test_a_good_estimate_is_shown_in_words_numbers_and_boxes(
+    host: Host, calls: dict[str, Call], results: Results
 ) -> None:
-    record, panel = results["good"]["structuredContent"], results["good"]["_meta"][PANEL_KEY]
+    record, jpeg = results["good"]["structuredContent"], results["good"]["_meta"][PANEL_KEY]["picture_jpeg"]
     host.show()
     host.result(calls["good"], results["good"])
-    host.says("#sentence", results["good"]["content"][0]["text"])
+    host.says("#sentence", "Measured from 24 vehicles.")
     host.says("#status", "Safe to use")
-    host.says(".readings > div:first-child .value", f"{record['gsd_m_per_px']:.3g}m/px")
-    host.says(".gauge .reading", f"{record['confidence']:.2f}")
-    image = host.page.get_by_role("img", name="24 measured vehicles outlined in blue, a scale bar.")
-    assert image.get_attribute("src") == f"data:image/jpeg;base64,{panel['picture_jpeg']}"
-    assert host.page.locator(".drawn path.kept").get_attribute("d").count("Z") == 24
+    gsd = record["gsd_m_per_px"]
+    names = ["Scale", "Confidence", "On the ground", "Vehicles measured"]
+    values = [f"{gsd:.3g}m/px", f"{record['confidence']:.2f}"]
+    values += [f"{significant(640 * gsd)} \u00d7 {significant(512 * gsd)}m", "24"]
+    assert host.page.locator(".readings dt").all_text_contents() == names
+    assert host.page.locator(".readings .value").all_text_contents() == values
+    image = host.page.get_by_role("img", name="The aerial image: 24 measured vehicles.")
+    assert image.get_attribute("src") == f"data:image/jpeg;base64,{jpeg}"
     assert image.evaluate("(image) => image.naturalWidth") > 0
+    assert host.page.locator(".drawn path.kept").get_attribute("d").count("Z") == 24
+    assert host.page.locator(".rulers li").count() == 0  # vehicles alone need no list
+    mode = host.page.get_by_text(f"{significant(record['mode_length_px'])} px", exact=True)
+    assert not mode.is_visible()
+    host.page.get_by_text("Details").click()
+    assert mode.is_visible()
 
 
-def test_a_scale_not_to_be_used_is_small_and_has_no_bar(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
-    assert results["guarded"]["structuredContent"]["resolution_guard"]
+def test_every_state_is_told_in_its_own_words(host: Host, calls: dict[str, Call], results: Results) -> None:
+    few, area, pixels = (results[name]["structuredContent"] for name in ("few", "area", "area, no ruler"))
+    copy = f"{significant(few['frame']['gsd_m_per_px'])} m/px at 320 \u00d7 256 px"
+    first, last = ".readings > div:first-child", ".readings > div:last-child"
+    circle = ".readings > div:nth-child(2) .value"
+    states: dict[str, dict[str, str | re.Pattern[str]]] = {
+        "guarded": {"#status": "Low confidence: do not use", f"{first} .warn": "do not use"},
+        "outliers": {last: "Vehicles measured24of 27 detected; 3 outliers"},
+        "few": {
+            "#sentence": re.compile("^2 vehicles alone: too little evidence; give the region, or include one more")
+        },
+        "no ruler": {"#status": "No metric scale", first: "Scalenoneno ruler found"},
+        "area": {f"{first} .value": f"{area['area_m2']:.3g}m²", circle: f"⌀ {area['inscribed_diameter_m']:.3g}m"},
+        "area, scale given": {last: "Scale0.2m/pxgiven by the caller", "#subject": "area of an object"},
+        "area, no ruler": {first: f"Area{pixels['mask_area_px']:,}pxno scale: pixels only"},
+        "failed": {"#status": "No result", "#sentence": results["failed"]["content"][0]["text"].partition(": ")[2]},
+    }
+    host.show()
+    for name, words in states.items():
+        host.result(calls[name], results[name])
+        for selector, text in words.items():
+            host.says(selector, text)
+        text = host.page.locator("main").inner_text()
+        assert not re.search(r"null|undefined|NaN|[a-z]_[a-z]", text.partition("Details")[0]), f"{name}: {text}"
+        assert host.page.locator(".scale-bar").count() == (name in ("outliers", "area", "area, scale given")), name
+        assert host.page.locator(".drawn path.object").count() == name.startswith("area")
+        assert (copy in (host.page.locator(".record").last.text_content() if name == "few" else "")) == (name == "few")
+
+
+def test_a_scale_not_to_be_used_is_small(host: Host, calls: dict[str, Call], results: Results) -> None:
+    size = "() => parseFloat(getComputedStyle(document.querySelector('.readings > div:first-child .value')).fontSize)"
     host.show()
     host.result(calls["good"], results["good"])
-    host.page.locator(".scale-bar").wait_for()
-    size = "() => parseFloat(getComputedStyle(document.querySelector('.readings > div:first-child .value')).fontSize)"
+    host.says("#status", "Safe to use")
     trusted = host.in_page(size)
     host.result(calls["guarded"], results["guarded"])
     host.says("#status", "Low confidence: do not use")
-    host.says(".readings > div:first-child .warn", "do not use")
     assert host.in_page(size) < 0.7 * trusted
-    assert host.page.locator(".scale-bar").count() == 0
-    host.says(".tick", "0.9usable")
-    meter = host.page.get_by_role("meter", name="Confidence")
-    assert float(meter.get_attribute("aria-valuenow")) < 0.9
 
 
-def test_outliers_are_shown_apart(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
-    host.show()
-    host.result(calls["outliers"], results["outliers"])
-    host.says(".readings > div:nth-child(2)", "Vehicles measured24of 27 detected; 3 outliers")
-
-
-def test_the_callers_copy_has_its_scale(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
-    host.show()
-    host.result(calls["few"], results["few"])
-    host.says("#status", "Low confidence: do not use")
-    frame = results["few"]["structuredContent"]["frame"]
-    said = f"{significant(frame['gsd_m_per_px'])} m/px at 320 \u00d7 256 px"
-    assert said in host.page.locator(".record").inner_text()
-
-
-def test_no_anchor_shows_no_number(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
-    host.show()
-    host.result(calls["no ruler"], results["no ruler"])
-    host.says("#status", "No metric scale")
-    host.says(".readings > div:first-child", "Scalenoneno ruler found")
-    host.says(".gauge .reading", "0.00")
-    assert "null" not in host.page.locator("main").inner_text()
-
-
-def test_an_area_is_shown_with_its_outline_and_the_largest_circle_inside(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
-    record = results["area"]["structuredContent"]
-    host.show()
-    host.result(calls["area"], results["area"])
-    host.says("#subject", "area of an object")
-    host.says(".readings > div:first-child .value", f"{record['area_m2']:.3g}m²")
-    host.says(".readings > div:nth-child(2) .value", f"⌀ {record['inscribed_diameter_m']:.3g}m")
-    assert host.page.locator(".drawn path.object").count() == 1
-
-
-def test_an_area_of_a_given_scale_shows_no_confidence(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
-    host.show()
-    host.result(calls["area, scale given"], results["area, scale given"])
-    host.says(".readings > div:last-child", "Scale0.2m/pxgiven by the caller")
-    assert host.page.get_by_role("meter").count() == 0
-
-
-def test_an_area_without_a_scale_is_in_pixels(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
-    pixels = results["area, no ruler"]["structuredContent"]["mask_area_px"]
-    host.show()
-    host.result(calls["area, no ruler"], results["area, no ruler"])
-    host.says(".readings > div:first-child", f"Area{pixels:,}pxno scale: pixels only")
-
-
-def test_what_went_wrong_is_told(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
-    assert results["failed"]["isError"]
-    host.show()
-    host.notify("ui/notifications/tool-input", {"arguments": calls["failed"][1]})
-    host.says("#sentence", "Measuring.")
-    host.notify("ui/notifications/tool-result", results["failed"])
-    host.says("#status", "No result")
-    host.says("#sentence", results["failed"]["content"][0]["text"])
-
-
-def test_a_cancelled_call_is_told(host: Host, calls: dict[str, Call]) -> None:
+def test_a_call_is_told_from_its_beginning_to_its_end(host: Host, calls: dict[str, Call]) -> None:
     host.show()
     host.notify("ui/notifications/tool-input", {"arguments": calls["good"][1]})
+    host.says("#sentence", "Measuring.")
     host.notify("ui/notifications/tool-cancelled", {"reason": "user action"})
     host.says("#sentence", "Cancelled: user action.")
-
-
-def test_a_host_that_passes_on_the_text_alone_still_shows_it(host: Host, calls: dict[str, Call]) -> None:
-    host.show()
-    for_the_model = {"type": "text", "text": "give back scale {}", "annotations": {"audience": ["assistant"]}}
-    host.result(calls["good"], {"content": [{"type": "text", "text": "0.1 m/px"}, for_the_model]})
+    host.result(calls["good"], {"content": [{"type": "text", "text": "0.1 m/px"}]})  # of a host that passes on no more
     host.says("#sentence", "0.1 m/px")
-
-
-def test_without_a_way_to_a_picture_nothing_is_offered(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
-    host.show(tools=False)
-    host.result(calls["good"], without_picture(results["good"]))
-    host.page.locator(".gauge").wait_for()
     assert host.page.locator(".picture").count() == 0
 
 
-def test_the_keyboard_reaches_and_moves_the_picture(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
+def test_the_keyboard_reaches_and_moves_the_picture(host: Host, calls: dict[str, Call], results: Results) -> None:
     host.show()
     host.result(calls["good"], results["good"])
-    zoom = host.page.get_by_role("button", name="Zoom in")
-    zoom.focus()
-    host.tab.keyboard.press("Enter")
-    host.tab.keyboard.press("Tab")
-    host.tab.keyboard.press("Tab")
+    host.page.get_by_role("button", name="Zoom in").focus()
+    host.keys("Enter", "Tab", "Tab")
     assert host.in_page("() => document.activeElement.className") == "frame zoomed"
     left = "() => parseFloat(document.querySelector('.sheet').style.left)"
     before = host.in_page(left)
-    host.tab.keyboard.press("ArrowRight")
+    host.keys("ArrowRight")
     assert host.in_page(left) == pytest.approx(before - 60)
-    host.tab.keyboard.press("0")
+    host.keys("0")
     assert host.in_page("() => document.activeElement.className") == "frame"
 
 
-def test_every_ruler_is_listed_with_what_it_says_and_the_chance_that_it_is_right(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+def test_every_ruler_is_listed_with_its_scale_and_the_chance_that_it_is_right(
+    host: Host, calls: dict[str, Call], results: Results
 ) -> None:
-    rulers = results["rulers"]["structuredContent"]["rulers"]
+    record = results["rulers"]["structuredContent"]
     host.show()
     host.result(calls["rulers"], results["rulers"])
     rows = host.page.locator(".rulers li")
     rows.first.wait_for()
-    names = [row.split("\n")[0] for row in rows.all_inner_texts()]
+    words = rows.all_inner_texts()
+    names = [row.split("\n")[0] for row in words]
     assert names == ["Vehicles", "Scene-scale prior", "Known length", "Given height"]
-    for row, ruler in zip(rows.all_inner_texts(), rulers, strict=True):
+    for row, ruler in zip(words, record["rulers"], strict=True):
         assert f"{significant(ruler['gsd_m_per_px'])} m/px" in row
         assert f"right with a chance of {ruler['p_right']:.2f}" in row
-    assert [ruler["p_right"] < 0.5 for ruler in rulers].count(True) == host.page.locator(".disagrees").count() == 1
-    assert host.page.get_by_text("Chance that the scale is right within 20 %, by all rulers.").count() == 1
-    host.result(calls["good"], results["good"])
-    host.says("#sentence", results["good"]["content"][0]["text"])
-    assert rows.count() == 0
+        assert (ruler["explanation"] or "") in row
+    assert "leading" in words[0]
+    wrong = [ruler["p_right"] < 0.5 for ruler in record["rulers"]]
+    assert wrong.count(True) == host.page.locator(".disagrees").count() == 1
+    [warning] = record["warnings"]
+    assert host.page.locator("main").inner_text().count(warning["message"]) == 1
 
 
-@pytest.mark.parametrize("copy", [None, {"width_px": 320, "height_px": 256}])
-def test_a_known_length_is_drawn_with_two_clicks_and_measured_with(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], copy: dict[str, int] | None
+@pytest.mark.parametrize(("copy", "thing"), [(None, ""), (HALF, ""), (None, "iso_container_20ft")])
+def test_a_known_length_is_drawn_and_measured_with(
+    host: Host, calls: dict[str, Call], results: Results, copy: dict[str, int] | None, thing: str
 ) -> None:
     tool, arguments = calls["good"]
     arguments = {**arguments, **({"frame": copy} if copy else {})}
     host.show(tools=True)
     host.result((tool, arguments), results["good"])
-    host.tab.evaluate("(result) => { answer = { result }; }", results["rulers"])
-    host.page.get_by_role("button", name="Draw a known length").click()
-    click_at(host, 100, 200)
+    host.answers(results["rulers"])
+    host.press("Draw a known length")
+    host.click(100, 200)
     host.says(".picture [role=status]", "Click the other end.")
-    click_at(host, 101, 200)
+    host.click(101, 200)
     host.says(".picture [role=status]", re.compile("Too short"))
-    click_at(host, 100, 200)
-    click_at(host, 500, 400)
-    host.page.get_by_role("spinbutton").fill("38.5")
-    host.page.get_by_role("button", name="Measure again").click()
-    host.says("#sentence", results["rulers"]["content"][0]["text"])
-    (asked,) = tool_calls(host)
+    host.click(100, 200)
+    host.click(500, 400)
+    metres = host.page.get_by_label("Metres between both ends")
+    if thing:
+        host.page.get_by_label("What the line measures").select_option(thing)
+        assert not metres.is_visible()
+    else:
+        metres.fill("38.5")
+        host.page.get_by_label("measured by tape, plan or survey").check()
+    host.press("Measure again")
+    host.says("#sentence", sentence(results["rulers"]))
+    (asked,) = host.asked()
     assert asked["name"] == tool
-    line = asked["arguments"].pop("known_lengths")[0]
-    assert asked["arguments"] == arguments  # the page gets its picture without asking
+    (line,) = asked["arguments"].pop("known_lengths")
+    assert asked["arguments"] == arguments
     share = 0.5 if copy else 1.0
-    assert line.pop("metres") == 38.5
-    assert list(line.values()) == pytest.approx([100 * share, 200 * share, 500 * share, 400 * share], abs=2.0)
+    ends = [line.pop(name) for name in ("x1", "y1", "x2", "y2")]
+    assert ends == pytest.approx([100 * share, 200 * share, 500 * share, 400 * share], abs=2.0)
+    assert line == ({"metres": thing} if thing else {"metres": 38.5, "basis": "measured"})
     host.page.locator(".drawn path.mark").wait_for(state="attached")  # a level line has no height
 
 
-@pytest.mark.parametrize("thing", ["iso_container_20ft", ""])
-def test_a_drawn_line_is_a_thing_of_known_size_or_a_measured_length(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], thing: str
-) -> None:
-    host.show(tools=True)
-    host.result(calls["good"], results["good"])
-    host.tab.evaluate("(result) => { answer = { result }; }", results["rulers"])
-    host.page.get_by_role("button", name="Draw a known length").click()
-    click_at(host, 100, 200)
-    click_at(host, 500, 400)
-    if thing:
-        host.page.get_by_label("What the line measures").select_option(thing)
-        assert not host.page.get_by_role("spinbutton").is_visible()
-    else:
-        host.page.get_by_role("spinbutton").fill("38.5")
-        host.page.get_by_label("measured by tape, plan or survey").check()
-    host.page.get_by_role("button", name="Measure again").click()
-    host.says("#sentence", results["rulers"]["content"][0]["text"])
-    (asked,) = tool_calls(host)
-    (line,) = asked["arguments"]["known_lengths"]
-    size = {"metres": thing} if thing else {"metres": 38.5, "basis": "measured"}
-    assert {key: line[key] for key in line if len(key) > 2} == size
-
-
-@pytest.mark.parametrize("copy", [None, {"width_px": 320, "height_px": 256}])
+@pytest.mark.parametrize("copy", [None, HALF])
 def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arguments(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], copy: dict[str, int] | None
+    host: Host, calls: dict[str, Call], results: Results, copy: dict[str, int] | None
 ) -> None:
-    share = 0.5 if copy else 1.0
-    line = {**LINE, **{end: share * LINE[end] for end in ("x1", "y1", "x2", "y2")}}
-    told = {"region": "europe", "height_m": 70, "focal_35mm": 24, "drop": "1"}
-    asking = {**calls["good"][1], **told, "known_lengths": [line], **({"frame": copy} if copy else {})}
-    frame = {"frame": {**copy, "gsd_m_per_px": 0.3}} if copy else {}
-    record = {**results["good"]["structuredContent"], **frame}
+    told = {"region": "europe", "height_m": 70, "focal_35mm": 24, "drop": "1", "known_lengths": [LINE]}
+    asking = {**calls["good"][1], **told, **({"frame": copy} if copy else {})}
     host.show(tools=True)
-    host.result(("estimate_gsd", asking), {**results["good"], "structuredContent": record})
-    host.tab.evaluate("(result) => { answer = { result }; }", results["distance"])
-    host.page.get_by_role("button", name="Distance").click()
-    host.page.get_by_role("button", name="Zoom in").click()
-    click_at(host, 200, 200)
-    click_at(host, 400, 300)
+    host.result(("estimate_gsd", asking), results["good"])
+    host.answers(results["distance"])
+    host.press("Distance")
+    host.press("Zoom in")
+    host.click(200, 200)
+    host.click(400, 300)
     metres = results["distance"]["structuredContent"]["distance_m"]
     host.says("ol.measured li:first-child .number", f"{metres:.3g} m")
-    host.tab.evaluate("(result) => { answer = { result }; }", results["area"])
-    host.page.get_by_role("button", name="Area").click()
-    drag(host, (300, 180), (420, 330))
+    host.answers(results["area"])
+    host.press("Area")
+    host.drag((300, 180), (420, 330))
     host.says("ol.measured li:last-child .number", f"{results['area']['structuredContent']['area_m2']:.3g} m²")
-    distance, area = tool_calls(host)
-    assert distance["name"] == "measure_distance"
-    for each in (distance, area):
-        given = {name: each["arguments"][name] for name in each["arguments"] if name not in ("lines", "targets")}
-        assert given == {**calls["good"][1], **told, "known_lengths": [LINE]}, "in pixels of the image"
-    (line,) = distance["arguments"]["lines"]
+    distance, area = (each["arguments"] for each in host.asked())
+    (line,), (target,) = distance.pop("lines"), area.pop("targets")
+    assert distance == area == {**asking, "detail": "full"}
+    share = 0.5 if copy else 1.0
     places = [each for point in line["points"] for each in point.values()]
-    assert places == pytest.approx([200, 200, 400, 300], abs=2)
-    (target,) = area["arguments"]["targets"]
-    assert list(target["box"].values()) == pytest.approx([300, 180, 420, 330], abs=2)
+    assert places == pytest.approx([share * each for each in (200, 200, 400, 300)], abs=2)
+    box = list(target["box"].values())
+    assert box == pytest.approx([share * each for each in (300, 180, 420, 330)], abs=2)
     assert host.page.locator(".drawn path.measured").count() == 2
     host.page.get_by_role("button", name="Remove").first.click()
     assert host.page.locator(".drawn path.measured").count() == 1
 
 
-def test_vehicles_are_dropped_and_added_by_clicks(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+def test_vehicles_are_dropped_and_added_by_clicks_and_taken_back(
+    host: Host, calls: dict[str, Call], results: Results
 ) -> None:
     vehicles = results["good"]["_meta"][PANEL_KEY]["drawing"]["vehicles"]
     tool, arguments = calls["good"]
     host.show(tools=True)
     host.result(calls["good"], results["good"])
-    host.tab.evaluate("(result) => { answer = { result }; }", results["corrected"])
-    press(host, "Drop")
+    host.answers(results["corrected"])
+    host.press("Drop")
     for n in (1, 2, 7):
-        click_at(host, *vehicles[n - 1][:2])
+        host.click(*vehicles[n - 1][:2])
         host.says(".picture [role=status]", f"Vehicle {n} dropped.")
-    click_at(host, *vehicles[1][:2])
+    host.click(*vehicles[1][:2])
     host.says(".picture [role=status]", "Vehicle 2 as found.")
-    click_at(host, 600, 500)
+    host.click(600, 500)
     host.says(".picture [role=status]", "No vehicle here.")
-    drag(host, (2, 2), (640, 95))
+    host.drag((2, 2), (638, 95))
     row = [each[6] for each in vehicles if each[1] < 95]
     host.says(".picture [role=status]", f"{len(row)} vehicles dropped.")
-    press(host, "Add")
-    drag(host, (100, 480), (132, 480))
-    click_at(host, 200, 480)
-    click_at(host, 232, 480)
+    host.press("Add")
+    host.drag((100, 480), (132, 480))
+    host.click(200, 480)
+    host.click(232, 480)
     host.says(".row.asked span", f"Vehicles by hand: 2 added, {len({1, 7, *row})} dropped")
-    assert host.page.locator(".drawn path.stated").get_attribute("d").count("Z") == 2
-    press(host, "Drop")
-    click_at(host, 216, 480)
-    press(host, "Measure again")
-    host.says("#sentence", results["corrected"]["content"][0]["text"])
-    (asked,) = tool_calls(host)
+    host.press("Drop")
+    host.click(216, 480)
+    host.press("Measure again")
+    host.says("#sentence", re.compile(r"Vehicles corrected by hand: 1 added, 1 dropped\.$"))
+    host.press("Take all back")
+    host.answers(results["good"])
+    host.press("Measure again")
+    host.says("#sentence", "Measured from 24 vehicles.")
+    asked, again = host.asked()
     assert asked["name"] == tool
     (axis,) = asked["arguments"].pop("add")
     assert list(axis.values()) == pytest.approx([100, 480, 132, 480], abs=2)
-    assert numbers(asked["arguments"].pop("drop")) == {1, 7, *row}
-    assert asked["arguments"] == arguments
+    assert set(vehicle_numbers("drop", asked["arguments"].pop("drop"))) == {1, 7, *row}
+    assert asked["arguments"] == again["arguments"] == arguments
 
 
-def test_corrections_of_the_call_are_shown_and_can_be_taken_back(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
+def test_corrections_of_the_call_are_shown(host: Host, calls: dict[str, Call], results: Results) -> None:
     host.show(tools=True)
     host.result(calls["corrected"], results["corrected"])
     host.says(".row.asked span", "Vehicles by hand: 1 added, 1 dropped")
     assert host.page.locator(".drawn path.stated").get_attribute("d").count("Z") == 1
     assert not host.page.get_by_role("button", name="Measure again").is_visible()
-    press(host, "Drop")
-    click_at(host, CAR_AXIS["x1"] + 16, CAR_AXIS["y1"])
+    host.press("Drop")
+    host.click(CAR_AXIS["x1"] + 16, CAR_AXIS["y1"])
     host.says(".row.asked span", "Vehicles by hand: 1 dropped")
-    press(host, "Take all back")
-    host.tab.evaluate("(result) => { answer = { result }; }", results["good"])
-    press(host, "Measure again")
-    host.says("#sentence", results["good"]["content"][0]["text"])
-    (asked,) = tool_calls(host)
-    assert asked["arguments"] == calls["good"][1]
 
 
-def test_points_are_set_moved_and_taken_back_by_keys(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+def test_region_and_height_are_those_of_the_call_until_a_person_states_others(
+    host: Host, calls: dict[str, Call], results: Results
 ) -> None:
+    told = {"region": "europe", "height_m": 70, "height_basis": "measured", "focal_35mm": 24}
+    host.show(tools=True)
+    host.result((calls["good"][0], {**calls["good"][1], **told}), results["good"])
+    host.page.get_by_text("Region and height").click()
+    fields = [host.page.get_by_label(name) for name in ("Region", "Camera height", "Focal length")]
+    assert [field.input_value() for field in fields] == ["europe", "70", "24"]
+    host.answers(results["rulers"])
+    fields[0].select_option(label="India")
+    fields[1].fill("0")
+    host.press("Measure with these")  # refused: no height
+    fields[1].fill("90")
+    host.page.get_by_label("height measured").uncheck()
+    host.press("Measure with these")
+    host.says("#sentence", sentence(results["rulers"]))
+    (asked,) = host.asked()
+    assert asked["arguments"] == {**calls["good"][1], "region": "IN", "height_m": 90, "focal_35mm": 24}
+
+
+def test_points_are_set_moved_and_taken_back_by_keys(host: Host, calls: dict[str, Call], results: Results) -> None:
     host.show(tools=True)
     host.result(calls["good"], results["good"])
-    host.tab.evaluate("(result) => { answer = { result }; }", results["distance"])
+    host.answers(results["distance"])
     host.page.get_by_role("button", name="Distance").focus()
-    keys(host, "Enter", "ArrowLeft", "ArrowLeft", "Enter", "Backspace", "ArrowLeft", "Enter")
-    keys(host, *["ArrowRight"] * 8, "Shift+ArrowDown", "Enter")
+    host.keys("Enter", "ArrowLeft", "ArrowLeft", "Enter", "Backspace", "ArrowLeft", "Enter")
+    host.keys(*["ArrowRight"] * 8, "Shift+ArrowDown", "Enter")
     metres = results["distance"]["structuredContent"]["distance_m"]
     host.says("ol.measured li .number", f"{metres:.3g} m")
-    (call,) = tool_calls(host)
+    (call,) = host.asked()
     start, end = call["arguments"]["lines"][0]["points"]
     pixel = 640 / host.page.locator(".sheet").bounding_box()["width"]
     assert (start["x"], start["y"]) == pytest.approx((320 - 30 * pixel, 256), abs=0.5)
     assert (end["x"], end["y"]) == pytest.approx((320 + 50 * pixel, 256 + pixel), abs=0.5)
-    keys(host, "Escape")
+    host.keys("Escape")
     assert host.page.get_by_role("button", name="Distance").get_attribute("aria-pressed") == "false"
 
 
-def keys(host: Host, *names: str) -> None:
-    for name in names:
-        host.tab.keyboard.press(name)
-
-
-def press(host: Host, name: str) -> None:
-    host.page.get_by_role("button", name=name, exact=True).click()
-
-
-def numbers(text: str) -> set[int]:
-    return set(vehicle_numbers("drop", text))
-
-
 def test_a_measurement_that_fails_or_is_not_to_be_used_says_so(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+    host: Host, calls: dict[str, Call], results: Results
 ) -> None:
     host.show(tools=True)
     host.result(calls["few"], results["few"])
-    host.tab.evaluate("(result) => { answer = { result }; }", results["failed"])
-    host.page.get_by_role("button", name="Distance").click()
-    drag(host, (100, 100), (300, 300))
-    host.says(".picture [role=status]", f"Not measured: {results['failed']['content'][0]['text']}")
-    host.tab.evaluate("(result) => { answer = { result }; }", results["distance, few"])
-    drag(host, (100, 100), (300, 300))
+    host.answers(results["failed"])
+    host.press("Distance")
+    host.drag((100, 100), (300, 300))
+    host.says(".picture [role=status]", re.compile(r"^Not measured: (?!\w+:)"))
+    host.answers(results["distance, few"])
+    host.drag((100, 100), (300, 300))
     host.says("ol.measured li.untrusted .note:nth-of-type(3)", "do not use: low confidence")
     host.result(calls["no ruler"], results["no ruler"])
     host.says("#status", "No metric scale")
@@ -565,81 +517,30 @@ def test_a_measurement_that_fails_or_is_not_to_be_used_says_so(
     host.page.get_by_role("button", name="Draw a known length").wait_for()
 
 
-def for_people(result: dict[str, Any]) -> str:
-    """The sentence of a result without the names of arguments, which are for models."""
-    return re.sub(r" \(known_lengths[^)]*\)", "", result["content"][0]["text"])
-
-
-def place_of(host: Host, x: float, y: float) -> tuple[float, float]:
-    """Where a place of the image of 640 x 512 px is in the frame of the picture."""
-    sheet, frame = (host.page.locator(name).bounding_box() for name in (".sheet", ".frame"))
-    return (
-        sheet["x"] - frame["x"] + x * sheet["width"] / 640,
-        sheet["y"] - frame["y"] + y * sheet["height"] / 512,
-    )
-
-
-def click_at(host: Host, x: float, y: float) -> None:
-    left, top = place_of(host, x, y)
-    host.page.locator(".frame").click(position={"x": left, "y": top})
-
-
-def drag(host: Host, start: tuple[float, float], end: tuple[float, float]) -> None:
-    host.page.locator(".frame").scroll_into_view_if_needed()
-    frame = host.page.locator(".frame").bounding_box()
-    first, last = ([frame["x"] + x, frame["y"] + y] for x, y in (place_of(host, *start), place_of(host, *end)))
-    host.tab.mouse.move(*first)
-    host.tab.mouse.down()
-    host.tab.mouse.move(*last, steps=3)
-    host.tab.mouse.up()
-
-
-def tool_calls(host: Host) -> list[dict[str, Any]]:
-    return [message["params"] for message in host.heard() if message.get("method") == "tools/call"]
-
-
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_every_letter_can_be_read_in_both_themes(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], theme: str
+@pytest.mark.parametrize(("theme", "width"), [("light", 340), ("dark", 900)])
+def test_axe_finds_nothing_in_any_state_and_the_page_is_as_high_as_its_frame(
+    host: Host, calls: dict[str, Call], results: Results, theme: str, width: int
 ) -> None:
-    host.show(theme=theme)
-    for name in ("guarded", "good", "rulers", "area", "no ruler", "failed"):
-        host.result(calls[name], results[name])
-        host.says("#sentence", for_people(results[name]))
-        for where, ink, ground in host.in_page(_LETTERS):
-            assert contrast(ink, ground) >= 4.5, f"{where} on {name}: {ink} on {ground}"
-    assert (luminance(host.in_page("() => getComputedStyle(document.body).backgroundColor")) < 0.1) == (theme == "dark")
+    axe = needed_module("axe_playwright_python.sync_playwright", "pip install -e '.[browser]'").Axe()
+    host.tab.set_viewport_size({"width": width, "height": 2400})
+    host.show(tools=True, theme=theme)
+    for name, call in calls.items():
+        if call[0] == "measure_distance":
+            continue  # shows no page
+        host.result(call, results[name])
+        host.until(lambda: bool(host.in_page("() => innerHeight === document.documentElement.scrollHeight")))
+        found = axe.run(host.frame).response["violations"]
+        assert [(each["id"], [node["html"] for node in each["nodes"]]) for each in found] == [], name
+        assert host.in_page("() => document.documentElement.scrollWidth") <= width
+        assert host.in_page(_CUT_OFF) == []
 
 
-_LETTERS = """() => [...document.querySelectorAll("body *:not(script):not(style)")]
-  .filter((each) => [...each.childNodes].some((node) => node.nodeType === 3 && node.data.trim()))
-  .filter((each) => each.getClientRects().length)
-  .map((each) => {
-    const style = getComputedStyle(each);
-    const ink = each instanceof SVGElement ? style.fill : style.color;
-    const ground = (under) => {
-      const own = getComputedStyle(under).backgroundColor;
-      return own === "rgba(0, 0, 0, 0)" ? ground(under.parentElement) : own;
-    };
-    return [`${each.tagName} ${each.textContent.slice(0, 30)}`, ink, ground(each)];
-  })"""
+_CUT_OFF = """() => [...document.querySelectorAll("section, section *, dl *")]
+  .filter((each) => each instanceof HTMLElement && each.clientWidth && each.scrollWidth > each.clientWidth + 1)
+  .map((each) => each.outerHTML.slice(0, 80))"""
 
 
-def luminance(colour: str) -> float:
-    """Relative luminance of a CSS colour, WCAG 2."""
-    shares = np.array([float(number) for number in re.findall(r"[\d.]+", colour)[:3]]) / 255
-    linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
-    return float(linear @ [0.2126, 0.7152, 0.0722])
-
-
-def contrast(one: str, other: str) -> float:
-    high, low = sorted((luminance(one), luminance(other)), reverse=True)
-    return (high + 0.05) / (low + 0.05)
-
-
-def test_the_theme_follows_the_host_and_takes_its_colours(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
+def test_the_theme_follows_the_host_and_takes_its_colours(host: Host, calls: dict[str, Call], results: Results) -> None:
     host.show(theme="dark", styles={"variables": {"--color-background-primary": "light-dark(#fefefe, #010203)"}})
     host.result(calls["good"], results["good"])
     ground = "() => getComputedStyle(document.body).backgroundColor"
@@ -648,44 +549,19 @@ def test_the_theme_follows_the_host_and_takes_its_colours(
     host.until(lambda: bool(host.in_page(ground) == "rgb(254, 254, 254)"))
 
 
-@pytest.mark.parametrize("width", [340, 900])
-def test_the_page_tells_its_height_and_never_scrolls_sideways(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], width: int, tmp_path: Path
-) -> None:
-    host.tab.set_viewport_size({"width": width, "height": 2400})
-    host.show()
-    for name, call in calls.items():
-        if call[0] == "measure_distance":
-            continue  # shows no page
-        host.result(call, results[name])
-        host.says("#sentence", for_people(results[name]))
-        host.until(host.shows_all)
-        assert host.in_page("() => document.documentElement.scrollWidth") <= width
-        assert host.in_page(_CUT_OFF) == []
-        host.tab.screenshot(path=tmp_path / f"{name}.png")
-    picture = cv2.imread(str(tmp_path / "good.png"))
-    assert picture is not None
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100  # it is really painted
-
-
-_CUT_OFF = """() => [...document.querySelectorAll("section, section *, dl *")]
-  .filter((each) => each instanceof HTMLElement && each.clientWidth && each.scrollWidth > each.clientWidth + 1)
-  .map((each) => each.outerHTML.slice(0, 80))"""
-
-
-def test_words_of_the_server_are_shown_as_words(
-    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
-) -> None:
+def test_words_of_the_server_are_shown_as_words(host: Host, calls: dict[str, Call], results: Results) -> None:
     attack = "<img src=x onerror=\"document.title='taken'\">"
     record = {**results["good"]["structuredContent"], "warnings": [{"code": "x", "message": attack}], "model": attack}
+    panel = {**results["good"]["_meta"][PANEL_KEY], "sentence": attack}
     host.show()
-    host.result(calls["good"], {**results["good"], "structuredContent": record})
+    host.result(calls["good"], {"structuredContent": record, "_meta": {PANEL_KEY: panel}})
+    host.says("#sentence", attack)
     host.says(".warnings li", attack)
-    assert attack in host.page.locator(".record").inner_text()
+    assert attack in host.page.locator(".record").text_content()
     assert host.in_page("() => document.title") != "taken"
 
 
-def test_only_the_host_is_listened_to(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
+def test_only_the_host_is_listened_to(host: Host, calls: dict[str, Call], results: Results) -> None:
     host.show()
     host.result(calls["good"], results["good"])
     host.says("#status", "Safe to use")
