@@ -53,7 +53,8 @@ function listMatching() {
 async function listPages(page = 1) {
   const { structuredContent: listed } = await request("tools/call", { name: "view_image", arguments: { page } });
   for (const path of listed.images) listPhotograph(path);
-  allListed = listed.next_page ? listPages(listed.next_page) : undefined;
+  const rest = listed.next_page && listPages(listed.next_page).catch(() => { allListed = undefined; });
+  allListed = rest || undefined;
 }
 
 // Stop the calls about the current photograph, and keep what was measured.

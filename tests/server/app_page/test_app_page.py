@@ -25,9 +25,6 @@ CAR_AXIS = {"x1": 100.0, "y1": 480.0, "x2": 132.0, "y2": 480.0}  # where cars.pn
 SHOWS_PAGES = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
 
 
-# --- What the server sends -------------------------------------------------------------------------------------------
-
-
 def test_every_script_of_the_folder_is_in_a_page_and_most_are_in_both() -> None:
     scripts = [path.read_text(encoding="utf-8") for path in Path(page.__file__).parent.glob("*.js")]
     held = [(script in page_html(), script in view_html()) for script in scripts]
@@ -120,9 +117,6 @@ def panel_of(result: CallToolResult) -> dict[str, Any]:
     assert result.meta is not None
     panel: dict[str, Any] = result.meta[PANEL_KEY]
     return panel
-
-
-# --- The document ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("page", "more"), [(page_html(), {}), (view_html(), {"connect-src": "'self'"})])
