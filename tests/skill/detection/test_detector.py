@@ -221,7 +221,6 @@ def test_the_card_reads_our_metadata() -> None:
         vehanchor__min_score="0.35",
         vehanchor__region_lengths_m='{"asia": 4.3}',
         vehanchor__search_scales="1",
-        vehanchor__clear_score="0.77",
         vehanchor__aggregation="median",
         license="Apache-2.0",
         stride="16",
@@ -231,7 +230,7 @@ def test_the_card_reads_our_metadata() -> None:
     assert (card.length_range_px, card.min_length_px, card.min_score) == ((9.0, 64.0), 13.0, 0.35)
     assert card.region_lengths_m["asia"] == 4.3
     assert card.region_lengths_m["europe"] == pytest.approx(4.6 * 4.5 / 5.045)
-    assert (card.search_scales, card.clear_score, card.aggregation) == (True, 0.77, "median")
+    assert (card.search_scales, card.aggregation) == (True, "median")
     assert (card.licence, card.stride_px) == ("Apache-2.0", 16)
     assert card.class_names == {0: "small vehicle", 1: "ship"}
 
@@ -244,7 +243,6 @@ def test_the_card_reads_our_metadata() -> None:
         *(("vehanchor.length_range_px", text) for text in ("9", "9,64,80", "64,9", "9,9", "0,64", "nan,64", "9,inf")),
         *(("vehanchor.min_length_px", text) for text in ("-1", "nan")),
         *(("vehanchor.min_score", text) for text in ("-1", "1.5", "nan")),
-        *(("vehanchor.clear_score", text) for text in ("-1", "1.5")),
         *(
             ("vehanchor.region_lengths_m", text)
             for text in ("[1]", "{", '{"asia": 0}', '{"asia": NaN}', '{"asia": "4"}')
