@@ -9,8 +9,7 @@ from mcp.server.mcpserver import Image
 from mcp.types import CallToolResult, TextContent
 from pydantic import BaseModel
 
-from vehanchor_server.app_page import panel_meta
-from vehanchor_server.app_page.panel import sentence_for_people
+from vehanchor_server.app_page import panel_meta, sentence_for_people
 from vehanchor_server.calls.compact import short_answer
 
 if TYPE_CHECKING:
@@ -73,10 +72,13 @@ class Answer(Generic[Record]):
             content.append(Image(data=self.overlay, format="jpeg").to_image_content())
         whole = [record.model_dump(mode="json") for record in self.records]
         full = whole[0] if len(whole) == 1 else {"measurements": whole}
-        shown = whole[0] if paged and short is not None else None
-        said = sentence_for_people(self.record) if paged else None
         return CallToolResult(
             content=content,
             structured_content=full if short is None else short,
-            _meta=panel_meta(self.page_picture, self.drawing, shown, said),
+            _meta=panel_meta(
+                self.page_picture,
+                self.drawing,
+                whole[0] if paged and detail == "short" else None,
+                sentence_for_people(self.record) if paged else None,
+            ),
         )
