@@ -1,7 +1,7 @@
 """The page that MCP App hosts show beside a tool's result."""
 
 from vehanchor_server.app_page.page import APP_META, APP_URI, app_extension, page_html, view_html
-from vehanchor_server.app_page.panel import PANEL_KEY, PanelData, panel_meta, sentence_for_people
+from vehanchor_server.app_page.panel import PANEL_KEY, PanelData, panel_meta
 
 __all__ = [
     "APP_META",
@@ -11,6 +11,5 @@ __all__ = [
     "app_extension",
     "page_html",
     "panel_meta",
-    "sentence_for_people",
     "view_html",
 ]

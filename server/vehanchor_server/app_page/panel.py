@@ -68,15 +68,16 @@ def panel_meta(
     picture: bytes | None = None,
     drawing: Drawing | None = None,
     record: dict[str, Any] | None = None,
-    sentence: str | None = None,
+    shown: BaseModel | None = None,
 ) -> dict[str, Any]:
-    """Build the ``_meta`` of a result; see ``PanelData``."""
+    """Build the ``_meta`` of a result; see ``PanelData``. The sentence is about the record that a page shows."""
     encoded = None if picture is None else base64.b64encode(picture).decode()
+    sentence = None if shown is None else _sentence_for_people(shown)
     data = PanelData(picture_jpeg=encoded, drawing=drawing, record=record, sentence=sentence)
     return {PANEL_KEY: data.model_dump(mode="json")}
 
 
-def sentence_for_people(record: BaseModel) -> str | None:
+def _sentence_for_people(record: BaseModel) -> str | None:
     """Say what a scale rests on, or what it lacks; None for a record without one."""
     from vehanchor_server.tools.messages import ruler_names  # late: the tools import this package
 

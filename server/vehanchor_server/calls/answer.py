@@ -9,7 +9,7 @@ from mcp.server.mcpserver import Image
 from mcp.types import CallToolResult, TextContent
 from pydantic import BaseModel
 
-from vehanchor_server.app_page import panel_meta, sentence_for_people
+from vehanchor_server.app_page import panel_meta
 from vehanchor_server.calls.compact import short_answer
 
 if TYPE_CHECKING:
@@ -79,6 +79,6 @@ class Answer(Generic[Record]):
                 self.page_picture,
                 self.drawing,
                 whole[0] if paged and detail == "short" else None,
-                sentence_for_people(self.record) if paged else None,
+                self.record if paged else None,
             ),
         )
