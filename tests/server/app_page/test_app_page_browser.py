@@ -230,8 +230,8 @@ def test_a_call_is_told_from_its_beginning_to_its_end(host: Host) -> None:
     host.reads("#sentence", "Measuring.")
     host.sends(method="ui/notifications/tool-cancelled", params={"reason": "user action"})
     host.reads("#sentence", "Cancelled: user action.")
-    text = {"content": [{"type": "text", "text": "0.1 m/px"}]}  # of a host that passes on no more
-    host.result("good", **text, structuredContent=None, _meta={})
+    text = [{"type": "text", "text": "0.1 m/px"}]  # of a host that passes on no more
+    host.result("good", content=text, structuredContent=None, _meta={})
     host.reads("#sentence", "0.1 m/px")
     assert host.page.locator(".picture").count() == 0
 
