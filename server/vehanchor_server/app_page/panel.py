@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 PANEL_KEY = "vehanchor/panel"
 
 MAX_VEHICLES, MAX_LINES = 2000, 500  # limits of what is drawn
+_PROBABLY = 0.5
 
 
 class DrawnLine(FrozenModel):
@@ -79,8 +80,6 @@ def panel_meta(
 
 def _sentence_for_people(record: BaseModel) -> str | None:
     """Say what a scale rests on, or what it lacks; None for a record without one."""
-    from vehanchor_server.tools.messages import ruler_names  # late: the tools import this package
-
     if isinstance(record, AreaMeasurement):
         estimate = record.estimate
         if not record.mask_area_px:
@@ -94,7 +93,12 @@ def _sentence_for_people(record: BaseModel) -> str | None:
         return None
     if estimate is None:
         return "Measured with the given scale."
-    words = f"measured from {ruler_names(estimate)}" if advice is None else f"{advice.why}; {advice.helps}"
+    if advice is None:
+        right = [ruler for ruler in estimate.rulers if ruler.sets_scale and ruler.p_right >= _PROBABLY]
+        leading_first = sorted(right, key=lambda ruler: ruler.kind != estimate.leading_ruler)
+        words = f"measured from {' and '.join(ruler.label for ruler in leading_first)}"
+    else:
+        words = f"{advice.why}; {advice.helps}"
     by_hand = "" if estimate.by_hand is None else f" Vehicles corrected by hand: {estimate.by_hand.summary}."
     return f"{words[0].upper()}{words[1:]}.{by_hand}"
 
