@@ -96,7 +96,7 @@ def _sentence_for_people(record: BaseModel) -> str | None:
     if advice is None:
         right = [ruler for ruler in estimate.rulers if ruler.sets_scale and ruler.p_right >= _PROBABLY]
         leading_first = sorted(right, key=lambda ruler: ruler.kind != estimate.leading_ruler)
-        words = f"measured from {' and '.join(ruler.label for ruler in leading_first)}"
+        words = f"measured from {', '.join(ruler.label for ruler in leading_first)}"
     else:
         words = f"{advice.why}; {advice.helps}"
     by_hand = "" if estimate.by_hand is None else f" Vehicles corrected by hand: {estimate.by_hand.summary}."
