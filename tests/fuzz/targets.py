@@ -50,15 +50,15 @@ from vehanchor_server.calls.messages import (
     MAX_PICTURE_BYTES,
     MAX_RECORDS,
     RECORD,
-    Answered,
     Entered,
     Failed,
     Loaded,
     MessageError,
     Progressed,
     Refused,
+    Replied,
     receive,
-    receive_answer,
+    receive_reply,
 )
 from vehanchor_server.errors import CallError
 from vehanchor_server.services import create_services
@@ -341,16 +341,16 @@ def messages(data: bytes) -> None:
         lost: Any = _Lost(data.split(b"\0"))
         with contextlib.suppress(MessageError, OSError, EOFError):
             message = receive(lost)
-            if not isinstance(message, Answered):
+            if not isinstance(message, Replied):
                 assert len(message.model_dump_json()) <= HEADER.n_bytes
                 return
-            answer = receive_answer(lost, message, record)
+            reply = receive_reply(lost, message, record)
             most = 8 * (MAX_RECORDS * RECORD.n_bytes + DRAWING.n_bytes + 2 * MAX_PICTURE_BYTES)
-            assert len(answer.to_result("found").model_dump_json()) <= most
+            assert len(reply.to_result("found").model_dump_json()) <= most
 
 
 def _messages() -> list[bytes]:
-    header = Answered(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
+    header = Replied(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
     plain = [
         Loaded(failure=None, landlock=6, seccomp=True, lacks=""),
         Entered(stage="decode"),

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from vehanchor.pictures.scale import read_reduced
-from vehanchor_server.calls.answer import MAX_SIDE_PX
+from vehanchor_server.calls.reply import MAX_SIDE_PX
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster, Window
-    from vehanchor_server.calls.answer import PictureRequest
     from vehanchor_server.calls.capacity import Stop
     from vehanchor_server.calls.job import Job
+    from vehanchor_server.calls.reply import PictureRequest
 
 MAX_PICTURE_BYTES = 400_000  # hosts cap a result at about 0.75 MB: this and the page's picture, and base64 adds a third
 MAX_PAGE_BYTES = 120_000  # part of every result of a host with pages

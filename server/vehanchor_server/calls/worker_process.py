@@ -26,7 +26,7 @@ from vehanchor_server.calls.messages import (
     Progressed,
     Refused,
     send,
-    send_answer,
+    send_reply,
 )
 from vehanchor_server.calls.task import perform
 from vehanchor_server.errors import WORKER_KILLED, CallError
@@ -126,7 +126,7 @@ def _confined(readable: tuple[Path, ...] | None) -> Confinement:
 
 
 def _outcome(services: Parts, task: Task[Any], connection: Connection) -> WorkerMessage | None:
-    """Run a task and send its answer; otherwise return the message for the failure."""
+    """Run a task and send its reply; otherwise return the message for the failure."""
 
     def enter(stage: str) -> None:
         send(connection, Entered(stage=stage))
@@ -135,7 +135,7 @@ def _outcome(services: Parts, task: Task[Any], connection: Connection) -> Worker
         send(connection, Progressed(percent=percent, message=message))
 
     try:
-        send_answer(connection, perform(services, task, Job(Stop(), report, enter)))
+        send_reply(connection, perform(services, task, Job(Stop(), report, enter)))
         return None
     except Exception as error:
         if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):

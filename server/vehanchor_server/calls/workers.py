@@ -24,15 +24,15 @@ from typing import TYPE_CHECKING
 
 from vehanchor_server.calls.capacity import CallStoppedError
 from vehanchor_server.calls.messages import (
-    Answered,
     Entered,
     Failed,
     Loaded,
     MessageError,
     Progressed,
     Refused,
+    Replied,
     receive,
-    receive_answer,
+    receive_reply,
 )
 from vehanchor_server.calls.worker_log import forward_log
 from vehanchor_server.calls.worker_process import serve_tasks
@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from multiprocessing.context import ForkServerContext, SpawnContext
     from multiprocessing.process import BaseProcess
 
-    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.capacity import Stop
+    from vehanchor_server.calls.reply import Reply
     from vehanchor_server.calls.task import Parts, Record, Task
     from vehanchor_server.calls.worker_process import WorkerLimits
 
@@ -108,7 +108,7 @@ class WorkerPool:
 
     def run(
         self, task: Task[Record], stop: Stop, report: Callable[[float, str], None], enter: Callable[[str], None]
-    ) -> Answer[Record]:
+    ) -> Reply[Record]:
         """Run a task in a worker; blocks, so call it in a thread.
 
         Args:
@@ -306,7 +306,7 @@ class _Worker:
 
     def run(
         self, task: Task[Record], stop: Stop, report: Callable[[float, str], None], enter: Callable[[str], None]
-    ) -> Answer[Record]:
+    ) -> Reply[Record]:
         """Run a task; a stop request kills the process.
 
         Raises:
@@ -344,7 +344,7 @@ class _Worker:
         task: Task[Record],
         report: Callable[[float, str], None],
         enter: Callable[[str], None],
-    ) -> Answer[Record]:
+    ) -> Reply[Record]:
         while True:
             message = receive(connection)
             match message:
@@ -352,10 +352,10 @@ class _Worker:
                     report(message.percent, message.message)
                 case Entered():
                     enter(message.stage)
-                case Answered():
-                    answer = receive_answer(connection, message, task.work.record)
+                case Replied():
+                    reply = receive_reply(connection, message, task.work.record)
                     self._waits = True
-                    return answer
+                    return reply
                 case Refused():
                     self._waits = message.code != WORKER_KILLED
                     raise CallError(message.code, message.message)

@@ -26,7 +26,7 @@ from vehanchor.options.by_hand import vehicle_numbers
 from vehanchor.options.frame import FRAME, FRAME_SIDE
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT
 from vehanchor.options.rulers import LINE_LENGTH_M, StatedScale
-from vehanchor_server.calls.answer import Detail
+from vehanchor_server.calls.reply import Detail
 from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import FrozenModel, Number, WholeNumber
 from vehanchor_server.tools.option_field import limits_field, option_field

@@ -19,10 +19,10 @@ from pydantic import Field
 
 from vehanchor.errors import PromptError
 from vehanchor.options import Coordinates, Frame, Reading
-from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import Flag, FrozenModel, WholeNumber
 from vehanchor_server.images.argument import ImageArgument
@@ -129,7 +129,7 @@ def _result(words: str, seen: ViewedImage, jpeg: bytes | None) -> CallToolResult
 
 
 @work(ViewedImage)
-def _view(services: Services, job: Job, source: OpenedImage, request: _ViewRequest) -> Answer[ViewedImage]:
+def _view(services: Services, job: Job, source: OpenedImage, request: _ViewRequest) -> Reply[ViewedImage]:
     """Draw the picture, in a worker process or thread.
 
     Raises:
@@ -176,7 +176,7 @@ def _view(services: Services, job: Job, source: OpenedImage, request: _ViewReque
             picture_height_px=height,
             grid_px=picture.step_px,
         )
-    return Answer((seen,), jpeg)
+    return Reply((seen,), jpeg)
 
 
 def _bytes(jpeg: bytes) -> Any:

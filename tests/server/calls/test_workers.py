@@ -30,9 +30,9 @@ from tests.server.calls.working import IMAGE, TESTS, Value, answered, done, numb
 from tests.server.conftest import POOL_BOX, paint_scene
 from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.capacity import CallStoppedError, Stop
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import Task, work
 from vehanchor_server.calls.worker_process import WorkerLimits, serve_tasks
 from vehanchor_server.calls.workers import WorkerFailedError, WorkerPool
@@ -76,30 +76,30 @@ def georeferenced(images: Path) -> Iterator[Path]:
 
 
 @work(Value)
-def a_while(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def a_while(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     time.sleep(1.0)
     return answered(os.getpid())
 
 
 @work(Value)
-def crash(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def crash(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     os.kill(os.getpid(), signal.SIGSEGV)
     raise AssertionError
 
 
 @work(Value)
-def fill(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def fill(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     return answered(float(np.ones(1 << 29).sum()))  # 4 GiB
 
 
 @work(Value)
-def spin(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def spin(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     while True:
         pass
 
 
 @work(Value)
-def bug(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def bug(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     raise KeyError("hunter2")
 
 
@@ -188,7 +188,7 @@ def test_memory_is_limited(isolated: Services) -> None:
 
 
 @work(Value)
-def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     raise CallError("image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes.")
 
 
