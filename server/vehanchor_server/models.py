@@ -7,7 +7,7 @@ import importlib
 import logging
 import os
 import threading
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from vehanchor.errors import VehAnchorError
 from vehanchor.models.files import read_model
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from vehanchor.analysis.memory import AnalysisMemory
     from vehanchor.detection.detector import Detector
     from vehanchor.engine import Engine
-    from vehanchor.options.models import Precision
     from vehanchor.scale.calibration import Calibration
     from vehanchor.segmentation.segmenter import Segmenter
     from vehanchor_server.settings import Settings
@@ -184,7 +183,7 @@ class Models:
     # Import OpenCV and ONNX Runtime late, because they load slowly.
 
     def _detector_file(self) -> Path:
-        return resolve_model(self._settings.detector, cast("Precision", self._settings.precision))
+        return resolve_model(self._settings.detector)
 
     def engine(self) -> Engine:
         """Return the engine of the settings, without loading models."""
@@ -193,10 +192,9 @@ class Models:
                 from vehanchor.engine import Engine
 
                 settings = self._settings
-                precision = cast("Precision", settings.precision)
                 # an explicit number: ONNX Runtime's own default binds threads to processors, which workers may not
                 threads = settings.threads or os.cpu_count()
-                runtime = Runtime(threads, settings.providers or DEFAULT_PROVIDERS, precision)
+                runtime = Runtime(threads, settings.providers or DEFAULT_PROVIDERS)
                 self._engine = Engine(settings.detector, settings.segmenter, runtime=runtime)
             return self._engine
 

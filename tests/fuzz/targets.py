@@ -153,7 +153,7 @@ class _Silent(Context[Any, Any]):
 
 @cache
 def _tools() -> tuple[asyncio.AbstractEventLoop, dict[str, StrictTool]]:
-    settings = Settings(detector="/nowhere.onnx", in_process=True, max_megapixels=1, max_image_mb=1)
+    settings = Settings(detector="/nowhere.onnx", isolation="in-process", max_megapixels=1)
     return asyncio.new_event_loop(), {tool.name: tool for tool in create_tools(create_services(settings))}
 
 

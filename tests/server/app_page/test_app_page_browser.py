@@ -173,7 +173,9 @@ def results(
 ) -> dict[str, dict[str, Any]]:
     """What the server answers to a host that shows pages, as on the wire."""
     roots = (_images, Path(calls["guarded"][1]["image"]["path"]).parent)
-    settings = Settings(roots=roots, detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True)
+    settings = Settings(
+        roots=roots, detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
+    )
 
     async def ask() -> dict[str, dict[str, Any]]:
         async with Client(create_server(create_services(settings)), extensions=SHOWS_PAGES) as client:

@@ -22,7 +22,7 @@ async def test_noise_is_squeezed_below_the_pictures_limit(settings: Settings, tm
     noise = np.random.default_rng(1).integers(0, 256, (1600, 1600, 3), dtype=np.uint8)
     assert cv2.imwrite(str(tmp_path / "noise.png"), noise)
     server = create_server(
-        create_services(Settings(roots=(tmp_path,), detector=settings.detector, threads=1, in_process=True))
+        create_services(Settings(roots=(tmp_path,), detector=settings.detector, threads=1, isolation="in-process"))
     )
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", {**by_path(tmp_path / "noise.png"), "include_overlay": True})

@@ -51,7 +51,7 @@ def isolated(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> It
         segmenter=segmenter_paths,
         threads=1,
         max_concurrency=1,
-        max_worker_mb=1500,
+        max_megapixels=60,
     )
     services = ready(create_services(settings))
     yield services
@@ -106,7 +106,7 @@ def bug(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
 async def test_answers_are_those_of_one_process(
     isolated: Services, isolated_server: MCPServer[object], images: Path, georeferenced: Path
 ) -> None:
-    server = create_server(create_services(replace(isolated.settings, in_process=True)))
+    server = create_server(create_services(replace(isolated.settings, isolation="in-process")))
     reports: list[Any] = []
 
     async def on_progress(progress: float, total: float | None, message: str | None) -> None:
@@ -244,7 +244,7 @@ async def test_a_model_that_cannot_be_loaded_is_the_operators_business(images: P
 
 def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(settings: Settings) -> None:
     services = ready(
-        create_services(replace(settings, roots=(*settings.roots, TESTS), in_process=False, max_concurrency=3))
+        create_services(replace(settings, roots=(*settings.roots, TESTS), isolation="confined", max_concurrency=3))
     )
     assert services.workers is not None
     assert len(services.workers.processes) == 1
