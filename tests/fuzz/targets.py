@@ -50,7 +50,6 @@ from vehanchor_server.calls.messages import (
     MAX_PICTURE_BYTES,
     MAX_RECORDS,
     RECORD,
-    Entered,
     Failed,
     Loaded,
     MessageError,
@@ -353,7 +352,6 @@ def _messages() -> list[bytes]:
     header = Replied(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
     plain = [
         Loaded(failure=None, landlock=6, seccomp=True, lacks=""),
-        Entered(stage="decode"),
         Progressed(percent=50, message="searched 1 of 2 tiles"),
         Refused(code="image_too_large", message="smaller"),
         Failed(traceback="Traceback"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import anyio.from_thread
 
-from vehanchor_server.calls.job import PERCENT_DONE, Job, Stages
+from vehanchor_server.calls.job import PERCENT_DONE, Job
 from vehanchor_server.calls.task import Task, perform
 from vehanchor_server.errors import CallError
 
@@ -53,17 +53,15 @@ async def run_call(
             anyio.from_thread.run(ctx.report_progress, percent, PERCENT_DONE, message)
 
         def in_thread() -> Reply[Record]:
-            with Stages() as stages:
-                if services.workers is not None:
-                    return services.workers.run(task, stop, report, stages.enter)
-                try:
-                    return perform(services, task, Job(stop, report, stages.enter))
-                except MemoryError as error:  # outside decoding and models
-                    raise CallError(
-                        "out_of_memory",
-                        "this server has too little free memory at the moment. Try again later, or send a smaller "
-                        "image.",
-                    ) from error
+            if services.workers is not None:
+                return services.workers.run(task, stop, report)
+            try:
+                return perform(services, task, Job(stop, report))
+            except MemoryError as error:  # outside decoding and models
+                raise CallError(
+                    "out_of_memory",
+                    "this server has too little free memory at the moment. Try again later, or send a smaller image.",
+                ) from error
 
         result = await services.capacity.in_thread(stop, in_thread)
         await ctx.report_progress(PERCENT_DONE, PERCENT_DONE, "done")

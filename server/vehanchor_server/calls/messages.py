@@ -58,13 +58,6 @@ class Loaded(FrozenModel):
     lacks: str = Field(max_length=MAX_WORDS)
 
 
-class Entered(FrozenModel):
-    """A stage of the call began."""
-
-    kind: Literal["entered"] = "entered"
-    stage: str = Field(max_length=40, pattern=r"^[a-z_]+$")
-
-
 class Progressed(FrozenModel):
     """Progress of the call."""
 
@@ -98,7 +91,7 @@ class Replied(FrozenModel):
     page_picture: bool
 
 
-WorkerMessage: TypeAlias = Loaded | Entered | Progressed | Refused | Failed | Replied
+WorkerMessage: TypeAlias = Loaded | Progressed | Refused | Failed | Replied
 _WORKER_MESSAGE: TypeAdapter[WorkerMessage] = TypeAdapter(Annotated[WorkerMessage, Field(discriminator="kind")])
 
 

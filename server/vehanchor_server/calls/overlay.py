@@ -48,14 +48,14 @@ def draw_pictures(
 
     Args:
         raster: the image.
-        job: receives the stage and can stop the reading.
+        job: can stop the reading.
         wanted: the requested pictures.
         draw: draws the overlay, ``[h', w', 3]`` RGB, on the image, its part or a reduced copy, ``[h, w, 3]``.
         part: the part that the overlay shows; None for all of the image.
     """
     if not (wanted.overlay or wanted.page):
         return Pictures()
-    job.enter("overlay")
+    job.stop.check()
     source = stoppable(raster, job.stop)
     whole = read_reduced(source) if wanted.page or part is None else None
     page = small_jpeg(whole, MAX_PAGE_BYTES) if whole is not None and wanted.page else None

@@ -153,7 +153,7 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
     detector = services.models.detector(job.runtime)
     options = asked.scale.options(services.settings, services.models)
     checked_detector(detector, options)
-    job.enter("decode")
+    job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
         analysis = services.models.memory.analyse(raster, detector, options)
         return scale_reply(raster, analysis, asked.wanted, job)

@@ -90,7 +90,7 @@ def estimate_with_flight(
     asked = question.scale.options(services.settings, services.models)
     options = replace(asked, frame=Frame())
     checked_detector(detector, options)
-    job.enter("decode")
+    job.stop.check()
     for _ in _open_each(services, source, more, []):  # refuse a path before the search
         job.stop.check()
     opened: list[OpenedImage] = []

@@ -182,7 +182,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     prompts = [_prompt(target) for target in question.targets]  # refuse invalid prompts before the work
     segmenter = services.models.segmenter(job.runtime)
     options, scale = question.scale.resolve(services, job)
-    job.enter("decode")
+    job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
         found = analyse_objects(

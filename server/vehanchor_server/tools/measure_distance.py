@@ -163,7 +163,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
     options, scale = question.scale.resolve(services, job)
-    job.enter("decode")
+    job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
         found = analyse_paths(
             raster,

@@ -144,14 +144,14 @@ def _view(services: Services, job: Job, source: OpenedImage, request: _ViewReque
     from vehanchor.pictures.grid import draw_grid
     from vehanchor_server.calls.overlay import small_jpeg, stoppable
 
-    job.enter("decode")
+    job.stop.check()
     reading = Reading(limits=services.settings.image_limits)
     with open_raster(source, limits=reading.limits) as raster:
         window = Window(0, 0, raster.width_px, raster.height_px)
         if request.part is not None:
             coordinates = CoordinateFrame(Frame(coordinates=request.coordinates), raster.width_px, raster.height_px)
             window = Window(*_inside(request.part, coordinates))
-        job.enter("overlay")
+        job.stop.check()
         picture = draw_grid(
             stoppable(raster, job.stop),
             window,

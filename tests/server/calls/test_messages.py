@@ -30,7 +30,6 @@ from vehanchor_server.calls.messages import (
     HEADER,
     MAX_RECORDS,
     RECORD,
-    Entered,
     Limit,
     MessageError,
     Progressed,
@@ -58,7 +57,10 @@ def pipe() -> Iterator[tuple[Connection, Connection]]:
         yield ours, theirs
 
 
-@pytest.mark.parametrize("message", [Entered(stage="decode"), Progressed(percent=50, message="searched 1 of 2 tiles")])
+@pytest.mark.parametrize(
+    "message",
+    [Refused(code="image_undecodable", message="no JPEG."), Progressed(percent=50, message="searched 1 of 2 tiles")],
+)
 def test_a_message_arrives_as_it_was_sent(pipe: tuple[Connection, Connection], message: Any) -> None:
     send(pipe[1], message)
     assert receive(pipe[0]) == message
@@ -114,9 +116,9 @@ def sent_over(pipe: tuple[Connection, Connection], *parts: bytes) -> Iterator[No
         pickle.dumps(("value", os.system)),
         pickle.dumps(("value", subprocess.run)),
         b"{}",
-        b'{"kind":"entered"}',
-        b'{"kind":"entered","stage":"decode","more":1}',
-        b'{"kind":"entered","stage":"\\u001b[2J"}',
+        b'{"kind":"failed"}',
+        b'{"kind":"failed","traceback":"x","more":1}',
+        b'{"kind":"entered","stage":"decode"}',
         b'{"kind":"progressed","percent":NaN,"message":""}',
         b'{"kind":"progressed","percent":1e999,"message":""}',
         b'{"kind":"refused","code":"__class__ x","message":""}',
@@ -243,8 +245,3 @@ def test_a_worker_that_sends_other_bytes_is_ended(running: Services, sent: bytes
         done(running, foreign_bytes, sent.hex())
     ready(running)
     assert done(running, number) != before
-
-
-def test_a_refusal_keeps_its_code(pipe: tuple[Connection, Connection]) -> None:
-    send(pipe[1], Refused(code="image_undecodable", message="no JPEG."))
-    assert receive(pipe[0]) == Refused(code="image_undecodable", message="no JPEG.")

@@ -287,7 +287,7 @@ def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
     workers.start()
     for _ in range(2):
         with pytest.raises(CallError, match=r"worker_unavailable: .* the image is not the cause"):
-            workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+            workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None)
     assert workers.failure == "worker_unavailable"
     assert not workers.ready
     (line,) = caplog.records
@@ -323,7 +323,7 @@ def test_a_call_to_a_worker_that_loads_for_ever_ends_at_its_deadline() -> None:
     timer.start()
     try:
         with pytest.raises(CallStoppedError):
-            workers.run(Task(number, None, IMAGE, None), stop, lambda *_: None, lambda *_: None)
+            workers.run(Task(number, None, IMAGE, None), stop, lambda *_: None)
         assert not workers.ready
     finally:
         timer.join()
@@ -343,7 +343,7 @@ def test_a_worker_that_is_killed_while_it_starts_is_started_again_for_the_same_c
     settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
     workers = WorkerPool(partial(lost_once, tmp_path / "mark", settings), WorkerLimits(1 << 30, 10))
     try:
-        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None)
         assert answer.record.value > 0
     finally:
         workers.close()
@@ -354,7 +354,7 @@ def test_a_call_waits_for_the_worker_that_starts_and_starts_no_other(tmp_path: P
     workers = WorkerPool(partial(create_services, settings), WorkerLimits(1 << 30, 10))
     workers.start()
     try:
-        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None)
         assert workers.processes == [answer.record.value]
     finally:
         workers.close()

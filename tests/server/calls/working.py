@@ -48,7 +48,7 @@ def done(services: Services, work: Work[Value], question: Any = None, stop: Stop
     """The work's value, from a worker."""
     assert services.workers is not None
     task = Task(work, question, IMAGE, None)
-    return services.workers.run(task, stop or Stop(), lambda *_: None, lambda *_: None).record.value
+    return services.workers.run(task, stop or Stop(), lambda *_: None).record.value
 
 
 @work(Value)

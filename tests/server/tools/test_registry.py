@@ -50,7 +50,7 @@ def image_size_tool(services: Services) -> StrictTool:
 
 @work(Size)
 def _image_size(services: Services, job: Job, source: OpenedImage, _: None) -> Reply[Size]:
-    job.enter("decode")
+    job.stop.check()
     with open_raster(source, limits=services.settings.image_limits) as raster:
         return Reply((Size(width_px=raster.width_px, height_px=raster.height_px),))
 
