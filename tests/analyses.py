@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor.analysis.pipeline import analyse_detections
+from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
@@ -65,7 +65,7 @@ def analyse_found(
 ) -> ScaleAnalysis:
     """The second half of the skill, on vehicles that a test has made up."""
     image = ImageFacts(image_width_px, image_height_px)
-    return analyse_detections(View(image, found, card, options or ScaleOptions(), lambda *_: resolved))
+    return analyse_view(View(image, found, card, options or ScaleOptions(), lambda *_: resolved))
 
 
 def log_sd(witness: Witness) -> float:

@@ -12,7 +12,7 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from vehanchor.analysis.pipeline import analyse_detections, search_raster
+from vehanchor.analysis.pipeline import analyse_view, search_raster
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.analysis.stored import stored_classes
 from vehanchor.batch.pool import finished_in_threads
@@ -74,7 +74,7 @@ class SearchedImage:
         share = self.resolved.get(options.lengths.alpha) if self.resolved else 1.0
         if share is None:
             raise InvalidParameterError(f"searched without alpha {options.lengths.alpha}: search with these options")
-        return analyse_detections(View(self.image, self.detections, card, options, lambda *_: share, prior=self.prior))
+        return analyse_view(View(self.image, self.detections, card, options, lambda *_: share, prior=self.prior))
 
 
 DetectionLog: TypeAlias = Journal[SearchedImage]

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.analyses import made_card
-from vehanchor.analysis.pipeline import analyse_detections
+from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.cli import app as cli
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
@@ -32,7 +32,7 @@ def _trial(true_gsd: float, cars: int) -> ScaleTrial:
     card = made_card(5.0).model_copy(update={"votes": VOTES})
     found = Detections(boxes, np.full(cars, 0.9))
     view = View(ImageFacts(4000, 3000), found, card, ScaleOptions(), lambda *_: 1.0)
-    return ScaleTrial(KnownScaleImage(Path(f"{cars}.png"), true_gsd), analyse_detections(view))
+    return ScaleTrial(KnownScaleImage(Path(f"{cars}.png"), true_gsd), analyse_view(view))
 
 
 @pytest.mark.parametrize(("wrong", "of", "bound"), [(0, 300, 0.00994), (0, 59, 0.0495), (1, 100, 0.0466), (5, 5, 1.0)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -26,8 +25,6 @@ class Court:
         score: match of the template with the lines, at most 1.
         coverage: 0..1, share of its lines found where they should be.
         distortion: deviation from the shape in the rules.
-        shape: ``[4, 2]`` corners fitted in perspective, in the order of ``corners``; None if the court is too small.
-        shape_sd_px: standard deviation of each of these corners along either axis.
     """
 
     kind: str
@@ -39,5 +36,3 @@ class Court:
     score: float
     coverage: float
     distortion: float
-    shape: NDArray[np.float64] | None = None
-    shape_sd_px: float = math.inf

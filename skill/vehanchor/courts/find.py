@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,13 +11,12 @@ import numpy as np
 
 from vehanchor.courts.axes import axes
 from vehanchor.courts.court import Court
-from vehanchor.courts.fit import AFFINE, HOMOGRAPHY, SIMILARITY, fit, pose_matrix, project
+from vehanchor.courts.fit import AFFINE, SIMILARITY, fit, pose_matrix, project
 from vehanchor.courts.match import Pose, Reach, match
-from vehanchor.courts.proposals import LENGTHS_M, boxes_of_courts, coarse_factors, load_court_network
+from vehanchor.courts.proposals import LENGTHS_M, coarse_factors, load_court_network
 from vehanchor.courts.template import BASKETBALL, TENNIS
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
-from vehanchor.models.runtime import Runtime
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -28,10 +26,9 @@ if TYPE_CHECKING:
     from vehanchor.courts.fit import Fit
     from vehanchor.courts.proposals import Proposal
     from vehanchor.courts.template import Template
-    from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.detections import Detections
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
+    from vehanchor.models.runtime import Runtime
 
 _FAR = Reach(0.0, 1.0, 0.4, 0.04, 27, 3)  # proposals lie at a court's end as often as at its centre
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
@@ -39,7 +36,6 @@ _THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
 _MOST_COURTS = 4
 _MOST_PROPOSALS, _MOST_OF_ONE_SIZE = 20, 6  # best proposals to try; fewer if the scale is known
 _MOST_REJECTED = 4  # rejected candidates in a row before the search ends
-_PERSPECTIVE_PX = 150.0  # least length of a court for a homography
 _FITTED_PX = 220.0  # a court is fitted at the coarsest resolution that makes it this long, if there is one
 _AROUND = 0.6  # of a court's length: radius for the directions of its lines
 _LEAST_PX = 60.0  # least length of a court; in shorter ones the lines are a pixel or two apart, as in many textures
@@ -49,7 +45,6 @@ _MARGIN = 1.5  # half side of the patch, in half diagonals of the court
 _WORTH_A_FIT = 0.3
 _LEAST_NEAR = 0.45  # of the score before the fit; every court had at least 0.57
 _LEAST_SCORE = 0.55  # the maximum over 232 training images without a court is 0.50
-_ROUGH_COVERAGE = 0.5
 _LEAST_COVERAGE = 0.64  # roofs with grids reached 0.63
 _LEAST_COVERAGE_WITH_ARCS, _SEEN_ARCS = 0.68, 0.5  # straight lines also form grids in yards and car parks
 _SEEN_LINE = 0.4
@@ -89,59 +84,31 @@ class _Match(NamedTuple):
     game: tuple[Template, ...]
 
 
-class Proposed(NamedTuple):
-    """Proposals of courts in an image.
-
-    Attributes:
-        proposals: in no order.
-        n_sizes: number of reduction factors that were searched.
-    """
-
-    proposals: Sequence[Proposal]
-    n_sizes: int
-
-
-def propose_courts(
-    raster: Raster,
-    detections: Detections,
-    card: DetectorCard,
-    prior: SceneScalePrior | None = None,
-    *,
-    runtime: Runtime | None = None,
-) -> Proposed:
-    """Propose courts from the network and from a detector with court classes; arguments as in ``find_courts``."""
-    proposals = boxes_of_courts(detections, card)
-    network = load_court_network(runtime)
-    factors = [] if network is None else coarse_factors(raster, prior)
-    if network is not None:
-        for factor in factors:
-            proposals += network.propose(raster, factor)
-    return Proposed(proposals, len(factors))
-
-
-def find_courts(
-    raster: Raster,
-    detections: Detections,
-    card: DetectorCard,
-    prior: SceneScalePrior | None = None,
-    *,
-    proposed: Proposed | None = None,
-    runtime: Runtime | None = None,
-) -> tuple[Court, ...]:
-    """Find and measure the courts that lie completely inside an image.
+def find_courts(raster: Raster, prior: SceneScalePrior | None = None, runtime: Runtime | None = None) -> list[Court]:
+    """Find and measure the courts that lie completely inside an image taken at nadir.
 
     Args:
         raster: the image.
-        detections: detections of the image.
-        card: model card of the detector.
         prior: scene-scale prior; None without one.
-        proposed: proposals of courts; None calls ``propose_courts``.
         runtime: of the network that proposes courts; None for the defaults.
 
     Returns:
         At most four courts, the highest score first. Half hidden courts and courts at the image's edge are left out.
     """
-    proposals, n_sizes = proposed or propose_courts(raster, detections, card, prior, runtime=runtime)
+    network = load_court_network(runtime)
+    factors = [] if network is None else coarse_factors(raster, prior)
+    proposals = [each for factor in factors for each in (network.propose(raster, factor) if network else ())]
+    return courts_among(raster, proposals, n_sizes=len(factors))
+
+
+def courts_among(raster: Raster, proposals: Sequence[Proposal], *, n_sizes: int = 1) -> list[Court]:
+    """Measure the courts among proposals; see ``find_courts``.
+
+    Args:
+        raster: the image.
+        proposals: in no order.
+        n_sizes: number of reduction factors that were searched.
+    """
     best = islice(_distinct(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_PROPOSALS)
     matches = [each for proposal in best for each in _matches(raster, proposal)]
     found: list[Court] = []
@@ -155,7 +122,7 @@ def find_courts(
         rejected = 0 if court else rejected + 1
         if court is not None and not any(_lies_in(_pose_of(court), other) for other in found):
             found.append(court)
-    return tuple(sorted(found, key=lambda court: -court.score))
+    return sorted(found, key=lambda court: -court.score)
 
 
 def _distinct(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
@@ -183,25 +150,6 @@ def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
     """
     courts = (_measured(raster, each) for each in _matches(raster, proposal))
     return next((court for court in courts if court is not None), None)
-
-
-def rough_court(raster: Raster, proposal: Proposal) -> Court | None:
-    """Fit a template in perspective to a proposal in an oblique view; None if too few lines support it.
-
-    The result is a rough shape. Verify it in a rectified view before using it as a court.
-    """
-    for _, patch, start, game in _matches(raster, proposal):
-        ((score, pose),) = match(patch.grey, game[:1], start, _NEAR)
-        seen = fit(patch.grey, game[0], pose_matrix(pose), HOMOGRAPHY)
-        if seen.coverage < _ROUGH_COVERAGE or not math.isfinite(seen.corner_sd_px):
-            continue
-        corners = patch.in_image(project(seen.matrix, game[0].outline))
-        gsd = float(1.0 / (seen.px_per_m * patch.factor))
-        size = game[0].length_m, game[0].width_m
-        spread = seen.corner_sd_px * patch.factor
-        rough = Court(game[0].kind, corners, *size, gsd, seen.log_sd, score, seen.coverage, seen.distortion)
-        return replace(rough, shape=corners, shape_sd_px=spread)
-    return None
 
 
 def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
@@ -240,24 +188,13 @@ def _measured(raster: Raster, found: _Match) -> Court | None:
     corners = patch.in_image(project(seen.matrix, template.outline))
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
         return None
-    return _undistorted(template, seen, patch, corners, score) if _is_supported(template, seen) else None
-
-
-def _undistorted(
-    template: Template, seen: Fit, patch: _Patch, corners: NDArray[np.float64], score: float
-) -> Court | None:
-    """Build the court if an affine or perspective fit keeps the shape in the rules; else None."""
-    in_perspective = template.length_m * seen.px_per_m >= _PERSPECTIVE_PX
-    sheared = fit(patch.grey, template, seen.matrix, HOMOGRAPHY if in_perspective else AFFINE)
-    if not sheared.distortion <= _MOST_DISTORTION:
+    distortion = fit(patch.grey, template, seen.matrix, AFFINE).distortion
+    if not _is_supported(template, seen) or not distortion <= _MOST_DISTORTION:
         return None
     gsd = float(1.0 / (seen.px_per_m * patch.factor))
-    size = template.length_m, template.width_m
-    found = Court(template.kind, corners, *size, gsd, seen.log_sd, score, seen.coverage, sheared.distortion)
-    if not in_perspective:
-        return found
-    shape = patch.in_image(project(sheared.matrix, template.outline))
-    return replace(found, shape=shape, shape_sd_px=sheared.corner_sd_px * patch.factor)
+    return Court(
+        template.kind, corners, template.length_m, template.width_m, gsd, seen.log_sd, score, seen.coverage, distortion
+    )
 
 
 def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, _Patch]:

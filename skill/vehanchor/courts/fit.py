@@ -25,16 +25,15 @@ _NEAR_PX = 0.8
 _TUKEY_PX = 1.5
 _EPSILON = 1e-4
 
-# Small motions of a court in its own metres: along, across, size, rotation; stretch, shear; two of perspective.
-_MOTIONS = np.zeros((8, 3, 3))
+# Small motions of a court in its own metres: along, across, size, rotation; stretch, shear.
+_MOTIONS = np.zeros((6, 3, 3))
 _MOTIONS[0, 0, 2] = _MOTIONS[1, 1, 2] = 1
 _MOTIONS[2, 0, 0] = _MOTIONS[2, 1, 1] = 1
 _MOTIONS[3, 1, 0], _MOTIONS[3, 0, 1] = 1, -1
 _MOTIONS[4, 0, 0], _MOTIONS[4, 1, 1] = 1, -1
 _MOTIONS[5, 1, 0] = _MOTIONS[5, 0, 1] = 1
-_MOTIONS[6, 2, 0] = _MOTIONS[7, 2, 1] = 1
 _NUDGES = np.eye(3) + _EPSILON * _MOTIONS
-SIMILARITY, AFFINE, HOMOGRAPHY = 4, 6, 8
+SIMILARITY, AFFINE = 4, 6
 
 
 class Fit(NamedTuple):
@@ -46,7 +45,6 @@ class Fit(NamedTuple):
         line_coverage: ``[lines]`` coverage of each line.
         log_sd: standard deviation of the log size, from the residuals.
         distortion: deviation from the shape in the rules: the larger of log stretch and shear.
-        corner_sd_px: standard deviation of its corners along either axis, from the residuals.
     """
 
     matrix: NDArray[np.float64]
@@ -54,14 +52,11 @@ class Fit(NamedTuple):
     line_coverage: NDArray[np.float64]
     log_sd: float
     distortion: float
-    corner_sd_px: float
 
     @property
     def px_per_m(self) -> float:
-        """Pixels per metre at the court's centre: square root of the scale of areas."""
-        (a, b, x), (c, d, y), (e, f, w) = self.matrix
-        determinant = (a - x * e / w) * (d - y * f / w) - (b - x * f / w) * (c - y * e / w)
-        return math.sqrt(abs(determinant)) / abs(float(w))
+        """Pixels per metre: square root of the scale of areas."""
+        return math.sqrt(abs(float(np.linalg.det(self.matrix[:2, :2]))))
 
 
 def pose_matrix(pose: Pose) -> NDArray[np.float64]:
@@ -72,8 +67,7 @@ def pose_matrix(pose: Pose) -> NDArray[np.float64]:
 
 def project(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Project points ``[n, 2]`` through a matrix ``[3, 3]``, or through each of ``[k, 3, 3]``."""
-    moved = points @ matrix[..., :2].swapaxes(-1, -2) + matrix[..., None, :, 2]
-    return np.asarray(moved[..., :2] / moved[..., 2:])
+    return np.asarray(points @ matrix[..., :2, :2].swapaxes(-1, -2) + matrix[..., None, :2, 2])
 
 
 class _Pieces(NamedTuple):
@@ -107,7 +101,7 @@ def fit(grey: NDArray[np.float32], template: Template, matrix: NDArray[np.float6
         grey: ``[h, w]`` grey levels.
         template: template of the court.
         matrix: ``[3, 3]`` from metres to pixels, correct to a few pixels.
-        freedom: degrees of freedom: 4 similarity, 6 affine, 8 homography.
+        freedom: degrees of freedom: 4 similarity, 6 affine.
     """
     pieces = _cut(template)
     offsets, strengths, jacobian = np.zeros(0), np.zeros(0), np.zeros((0, freedom))
@@ -118,7 +112,6 @@ def fit(grey: NDArray[np.float32], template: Template, matrix: NDArray[np.float6
         if motion is None:
             break
         matrix = matrix @ (np.eye(3) + np.tensordot(motion, _MOTIONS[: len(motion)], axes=1))
-        matrix = matrix / matrix[2, 2]
     offsets, strengths = _seen(grey, pieces, matrix, _REACHES_PX[-1])
     return _with_quality(template, pieces, matrix, offsets, strengths, jacobian)
 
@@ -131,38 +124,24 @@ def _with_quality(
     strengths: NDArray[np.float64],
     jacobian: NDArray[np.float64],
 ) -> Fit:
-    """Compute coverage, standard deviations and distortion of a fitted template."""
+    """Compute coverage, standard deviation and distortion of a fitted template."""
     near = (strengths > 0) & (np.abs(offsets) <= _NEAR_PX)
     n_lines = len(template.lines) + len(template.arcs)
     total = np.bincount(pieces.line, pieces.lengths, n_lines)
     covered = np.bincount(pieces.line, pieces.lengths * near, n_lines)
     residual = float(np.sqrt(np.mean(offsets[near] ** 2))) if near.any() else math.inf
-    log_sd = corner_sd = math.inf
+    log_sd = math.inf
     if near.sum() > jacobian.shape[1]:
         normal = jacobian[near].T @ jacobian[near]
         if np.linalg.cond(normal) < 1e12:
             covariance = max(residual, 0.1) ** 2 * np.linalg.inv(normal)
             log_sd = math.sqrt(covariance[2, 2])
-            moved = _corner_motions(template, matrix, jacobian.shape[1])
-            corner_sd = math.sqrt(float(np.einsum("ki,ij,kj->", moved, covariance, moved)) / len(moved))
     coverage = float(covered.sum() / total.sum())
-    return Fit(matrix, coverage, covered / total, log_sd, _distortion(matrix), corner_sd)
-
-
-def _corner_motions(template: Template, matrix: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
-    """Compute the motion of the corners' coordinates in pixels for a unit of each motion: ``[8, freedom]``."""
-    moved = _moved(matrix, template.outline, freedom).reshape(freedom, -1)
-    return np.ascontiguousarray(moved.T / _EPSILON)
-
-
-def _moved(matrix: NDArray[np.float64], points: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
-    """Compute the motion of court points in pixels for an epsilon of each motion: ``[freedom, n, 2]``."""
-    return project(matrix @ _NUDGES[:freedom], points) - project(matrix, points)
+    return Fit(matrix, coverage, covered / total, log_sd, _distortion(matrix))
 
 
 def _distortion(matrix: NDArray[np.float64]) -> float:
-    (a, b, x), (c, d, y), (e, f, w) = matrix
-    local = np.array([[a - x * e / w, b - x * f / w], [c - y * e / w, d - y * f / w]])
+    local = matrix[:2, :2]
     along, across = np.hypot(*local[:, 0]), np.hypot(*local[:, 1])
     return float(max(abs(math.log(along / across)), abs(local[:, 0] @ local[:, 1]) / (along * across)))
 
@@ -209,7 +188,7 @@ def _normals(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[
 def _jacobian(pieces: _Pieces, matrix: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
     """Compute the motion of each piece along its normal in pixels for a unit of each motion: ``[pieces, freedom]``."""
     normals = _normals(project(matrix, pieces.starts), project(matrix, pieces.ends))
-    moved = _moved(matrix, pieces.middles, freedom)
+    moved = project(matrix @ _NUDGES[:freedom], pieces.middles) - project(matrix, pieces.middles)
     return np.ascontiguousarray((moved * normals).sum(axis=2).T / _EPSILON)
 
 

@@ -1,4 +1,4 @@
-"""Proposals of courts from a small network on reduced images, and from detectors with court classes.
+"""Proposals of courts from a small network on reduced images.
 
 The network sees the image at 0.38 to 0.88 m/px, where a court is 27 to 62 px long and its lines are hardly visible.
 Matching and fitting of the lines then accept or reject each proposal.
@@ -15,7 +15,7 @@ import numpy as np
 
 from vehanchor.courts.match import Pose
 from vehanchor.courts.template import BASKETBALL, TENNIS
-from vehanchor.detection.convergence import WINDOWED_PIXELS
+from vehanchor.detection.limits import WINDOWED_PIXELS
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_preview, read_reduced_window, tile_grid
 from vehanchor.models.cache import file_cached
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.detections import Detections
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
 
@@ -43,7 +41,6 @@ _MOST_PIXELS_ALL_FACTORS = 1_500_000  # up to this image size all factors are se
 _TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image; tiles overlap by two courts
 _LEAST_SHARE = 0.25
 _MIN_SIDE_PX = 24
-_NAMES = {"tennis": 0, "basketball": 1}
 LENGTHS_M = (TENNIS.length_m, BASKETBALL[0].length_m)
 
 
@@ -52,7 +49,7 @@ class Proposal(NamedTuple):
 
     Attributes:
         which: 0 for tennis, 1 for basketball.
-        share: 0..1, score of the network or the detector.
+        share: 0..1, score of the network.
         pose: in pixels of the image.
         factor: reduction factor at which the candidate was found.
     """
@@ -162,28 +159,3 @@ def _between(shares: NDArray[np.float32], at: int) -> float:
     before, here, after = np.log(np.maximum(shares[at - 1 : at + 2], 1e-6))
     bend = before - 2 * here + after
     return float(np.clip((before - after) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
-
-
-def boxes_of_courts(detections: Detections, card: DetectorCard) -> list[Proposal]:
-    """Convert the detector's boxes of DOTA's classes ``tennis court`` and ``basketball court`` to proposals.
-
-    Args:
-        detections: detections with objects of other classes.
-        card: model card of the detector, with its class names.
-
-    Returns:
-        One proposal per box.
-    """
-    found = []
-    for box, score, index in zip(
-        detections.others.boxes, detections.others.scores, detections.others.classes, strict=True
-    ):
-        name = card.class_names.get(int(index), "").lower().replace("-", " ").replace("_", " ")
-        which = _NAMES.get(name.removesuffix(" court")) if name.endswith(" court") else None
-        if which is None:
-            continue
-        x, y, length_px, _, angle = (float(value) for value in box)
-        size = length_px / LENGTHS_M[which]
-        factor = max(1, 2 ** round(math.log2(max(size * 0.6, 1.0))))  # at about 0.6 m/px
-        found.append(Proposal(which, float(score), Pose(x - 0.5, y - 0.5, angle, size), factor))
-    return found

@@ -11,8 +11,6 @@ from vehanchor.rulers.point import no_evidence
 from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
 from vehanchor.scale.density import product
-from vehanchor.tilt.camera_tilt import metadata_tilt
-from vehanchor.tilt.estimate import estimate_tilt
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -23,21 +21,6 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import Ruler
     from vehanchor.rulers.view import View
     from vehanchor.scale.posterior import Witness
-
-
-def with_tilt(view: View) -> View:
-    """Find the rulers' objects in an image, and estimate its tilt from them, the metadata and the vehicles.
-
-    Raises:
-        TooObliqueError: the horizon is visible, or the tilt is too uncertain to exclude that.
-    """
-    rulers = _of_images(view)
-    stated = metadata_tilt(view.image, view.options)
-    view = replace(view, tilt=stated)
-    found = {ruler.kind: ruler.find(view) for ruler in rulers}
-    cues = [cue for ruler in rulers for cue in ruler.tilt_cues(found[ruler.kind], view.image)]
-    tilt = estimate_tilt(stated, cues, view.image, view.options, view.detections)
-    return replace(view, tilt=tilt, found=found)
 
 
 def measure_all(view: View, known: Sequence[Witness] = ()) -> tuple[VehicleWitness, tuple[Witness, ...]]:

@@ -18,6 +18,8 @@ from vehanchor.scale.posterior import Mark
 from vehanchor.scale.reliability import PAINT, RELIABILITY
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from vehanchor.rulers.bay_rows import BayRow
@@ -42,45 +44,51 @@ class ParkingBays(Ruler):
     pooling_gain = 0.0  # one country: one error
     independent_of_vehicles = True
 
-    def find(self, view: View) -> tuple[BayRow, ...]:
-        """Find rows of bays at the scales that the scene-scale prior allows; none without pixels or prior.
+    def measure(self, view: View) -> Witness:
+        """Measure rows of bays at the scales that the scene-scale prior allows; none without pixels or prior.
 
         After a search that ended early, only the searched part of the image is examined.
         """
         scale = prior_range(view, _RESOLVED, _PRIOR_SHARE, _FARTHEST)
         if view.raster is None or scale is None:
-            return ()
-        return tuple(find_bay_rows(view.raster, scale, view.detections.covers))
+            return no_evidence(self.kind)
+        rows = find_bay_rows(view.raster, scale, view.detections.covers)
+        return witness_of(rows, view.options.reference.region)
 
-    def measure(self, view: View) -> Witness:
-        """Measure the width of the bays, by the standards of the region or of all countries."""
-        rows: tuple[BayRow, ...] = view.found[self.kind] if self.kind in view.found else self.find(view)
-        if not rows:
-            return no_evidence(self.kind)
-        widths = np.log([row.pitch_px for row in rows])
-        lines = np.array([len(row.ends) for row in rows])
-        order = np.argsort(widths, kind="stable")
-        middle = widths[order][np.searchsorted(lines[order].cumsum(), lines.sum() / 2)]
-        kept = np.abs(widths - middle) <= _APART
-        width = float(np.average(widths[kept], weights=lines[kept]))
-        spread = math.sqrt(float(np.average((widths[kept] - width) ** 2, weights=lines[kept])))
-        spread = math.hypot(spread, min(row.pitch_log_sd for row in rows))
-        n, width_px = int(lines[kept].sum()), math.exp(width)
-        log_width, log_sd = _standard_width(view.options.reference.region)
-        gsd = math.exp(log_width) / width_px
-        if not on_grid(gsd):
-            return no_evidence(self.kind)
-        reliability = RELIABILITY[self.kind]
-        return point_witness(
-            self.kind,
-            gsd,
-            math.sqrt(max(reliability.log_sd**2 - PAINT.log_sd**2, log_sd**2) + spread**2),
-            reliability.chance_wrong,
-            f"{n} lines of parking bays, {width_px:.1f} px apart, say {{}}.",
-            shared=[PAINT],
-            n=n,
-            marks=[mark for row, good in zip(rows, kept, strict=True) if good for mark in _marks(row)],
-        )
+
+def witness_of(rows: Sequence[BayRow], region: str | None = None) -> Witness:
+    """Compare the width of bays with the standards of a region, or of all countries.
+
+    Args:
+        rows: of one image; rows of another width than most lines have are left out.
+        region: country or region; None if it is unknown.
+    """
+    if not rows:
+        return no_evidence(ParkingBays.kind)
+    widths = np.log([row.pitch_px for row in rows])
+    lines = np.array([len(row.ends) for row in rows])
+    order = np.argsort(widths, kind="stable")
+    middle = widths[order][np.searchsorted(lines[order].cumsum(), lines.sum() / 2)]
+    kept = np.abs(widths - middle) <= _APART
+    width = float(np.average(widths[kept], weights=lines[kept]))
+    spread = math.sqrt(float(np.average((widths[kept] - width) ** 2, weights=lines[kept])))
+    spread = math.hypot(spread, min(row.pitch_log_sd for row in rows))
+    n, width_px = int(lines[kept].sum()), math.exp(width)
+    log_width, log_sd = _standard_width(region)
+    gsd = math.exp(log_width) / width_px
+    if not on_grid(gsd):
+        return no_evidence(ParkingBays.kind)
+    reliability = RELIABILITY[ParkingBays.kind]
+    return point_witness(
+        ParkingBays.kind,
+        gsd,
+        math.sqrt(max(reliability.log_sd**2 - PAINT.log_sd**2, log_sd**2) + spread**2),
+        reliability.chance_wrong,
+        f"{n} lines of parking bays, {width_px:.1f} px apart, say {{}}.",
+        shared=[PAINT],
+        n=n,
+        marks=[mark for row, good in zip(rows, kept, strict=True) if good for mark in _marks(row)],
+    )
 
 
 def _standard_width(region: str | None) -> tuple[float, float]:

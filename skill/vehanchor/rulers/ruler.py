@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping
 
-    import numpy as np
-    from numpy.typing import ArrayLike, NDArray
-
-    from vehanchor.imagery.facts import ImageFacts
     from vehanchor.rulers.view import View
     from vehanchor.scale.posterior import Witness
-    from vehanchor.tilt.posterior import TiltCue
 
 
 class Ruler:
@@ -52,32 +47,6 @@ class Ruler:
     sets_scale: ClassVar[bool] = True
     of_flights: ClassVar[bool] = False
     stored_classes: ClassVar[Mapping[str, type[Witness]]] = MappingProxyType({})
-
-    def find(self, view: View) -> tuple[Any, ...]:  # noqa: ARG002
-        """Find objects in the image once, before the tilt is estimated; ``measure`` gets them in ``View.found``.
-
-        Args:
-            view: of the image, with the tilt from metadata.
-        """
-        return ()
-
-    def moved(self, found: tuple[Any, ...], places: Callable[[ArrayLike], NDArray[np.float64]]) -> tuple[Any, ...]:  # noqa: ARG002
-        """Move the results of ``find``, as to pixels of an ideal lens.
-
-        Args:
-            found: results of ``find``.
-            places: function of points ``[n, 2]`` in pixels to their new places.
-        """
-        return found
-
-    def tilt_cues(self, found: tuple[Any, ...], image: ImageFacts) -> Sequence[TiltCue]:  # noqa: ARG002
-        """Make tilt cues from the results of ``find``.
-
-        Args:
-            found: results of ``find``.
-            image: facts of the image.
-        """
-        return ()
 
     def measure(self, view: View) -> Witness:
         """Measure the scale; in a tilted view, the scale of the image's centre.

@@ -6,10 +6,9 @@ To add a ruler, subclass ``vehanchor.rulers.ruler.Ruler`` in a file of its own a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -46,7 +45,6 @@ class View:
         runtime: runtime of a ruler's own model.
         prior: the scene-scale prior; None without one.
         tilt: of the camera; None for an image taken at nadir, or of unknown tilt.
-        found: results of ``Ruler.find`` by kind of ruler.
         expected: ``[g]`` density of the scale in a tilted view, from rulers that do not depend on vehicles; None
             without any.
     """
@@ -60,7 +58,6 @@ class View:
     runtime: Runtime | None = None
     prior: SceneScalePrior | None = None
     tilt: CameraTilt | None = None
-    found: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
     expected: NDArray[np.float64] | None = None
 
     @cached_property

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.imagery.metadata.lens import taken_ratio
+from vehanchor.errors import TooObliqueError
+from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
 from vehanchor.records import KnownPlane, TiltEstimate
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.focal import focal_of
 
 if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 NADIR_TOLERANCE_DEG = 10.0  # an image with a smaller tilt counts as taken at nadir
 TILT_SD_DEG = 1.5  # of a gimbal's angle and of nearly level ground
+_USUAL_FOCAL_35MM = 26.0  # of drones' cameras
 
 
 class CameraTilt(NamedTuple):
@@ -26,15 +27,13 @@ class CameraTilt(NamedTuple):
         tilt_deg: angle between its axis and straight down.
         roll_deg: direction of the tilt in the image, clockwise from its upper side.
         focal_px: focal length, pixels of the image.
-        source: the cues behind it, in words.
-        interval_deg: 95 % interval of the tilt; None for that of a gimbal.
+        source: of the angle, in words.
     """
 
     tilt_deg: float
     roll_deg: float
     focal_px: float
     source: str
-    interval_deg: tuple[float, float] | None = None
 
     def plane(self, image: ImageFacts, gsd_m_per_px: float = 1.0) -> GroundPlane:
         """Ground plane of an image, with a scale at its centre."""
@@ -48,11 +47,10 @@ class CameraTilt(NamedTuple):
         """Tilt as records show it, with the range of scales if the scale at the centre is known."""
         least, largest = (None, None) if gsd_m_per_px is None else self.plane(image, gsd_m_per_px).gsd_range
         reach = Z95 * TILT_SD_DEG
-        low, high = self.interval_deg or (self.tilt_deg - reach, self.tilt_deg + reach)
         return TiltEstimate(
             tilt_deg=self.tilt_deg,
-            tilt_ci95_low_deg=max(0.0, low),
-            tilt_ci95_high_deg=min(90.0, high),
+            tilt_ci95_low_deg=max(0.0, self.tilt_deg - reach),
+            tilt_ci95_high_deg=min(90.0, self.tilt_deg + reach),
             roll_deg=self.roll_deg,
             focal_length_px=self.focal_px,
             source=self.source,
@@ -80,10 +78,34 @@ def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None
         return None
     if camera.off_nadir_deg <= NADIR_TOLERANCE_DEG or taken_ratio(image, camera) is None:
         return None
-    focal = focal_of(image, options)
-    found = CameraTilt(camera.off_nadir_deg, camera.roll_deg or 0.0, focal.pixels, f"metadata{focal.doubt}")
-    found.plane(image).check()
+    focal_px, known = focal_length(image, options)
+    source = "metadata" if known else "metadata; focal length unknown"
+    found = CameraTilt(camera.off_nadir_deg, camera.roll_deg or 0.0, focal_px, source)
+    try:
+        found.plane(image).check()
+    except TooObliqueError as error:
+        remedy = "If the metadata are wrong, leave them out: --no-metadata, or metadata=False"
+        raise TooObliqueError(f"by the metadata, {error}. {remedy}") from None
     return found
+
+
+def focal_length(image: ImageFacts, options: ScaleOptions) -> tuple[float, bool]:
+    """Take the focal length from the caller or the metadata; without either, assume that of most drones.
+
+    Args:
+        image: size and camera of the image.
+        options: the caller's focal length, and whether the metadata may be used.
+
+    Returns:
+        Pixels of the image, and whether it is known.
+    """
+    given, camera = options.rulers.focal_35mm, image.camera if options.rulers.metadata else None
+    if given is not None:
+        return equivalent_lens(image.width_px, image.height_px, given).pixels, True
+    seen = None if camera is None else lens(image, camera)
+    if seen is not None:
+        return seen.pixels, True
+    return equivalent_lens(image.width_px, image.height_px, _USUAL_FOCAL_35MM).pixels, False
 
 
 def plane_of_record(record: GsdEstimate) -> GroundPlane | None:

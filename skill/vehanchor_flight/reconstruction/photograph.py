@@ -215,12 +215,15 @@ def distinct(seen: Sequence[SeenPhotograph]) -> list[Photograph]:
 
 
 def _measured(view: View, sight: Sight) -> tuple[Witness, ...]:
-    """Measure with the rulers that use the plane and no vehicles; courts are found in the photograph as it is."""
-    rulers = [each for each in active_rulers(view.options.rulers) if each.uses_plane and each.independent_of_vehicles]
-    found = {ruler.kind: ruler.moved(ruler.find(view), sight.shot.lens.ideal) for ruler in rulers}
+    """Measure with the rulers that use no vehicles; in a tilted view, with those that use the plane."""
+    rulers = [
+        each
+        for each in active_rulers(view.options.rulers)
+        if each.independent_of_vehicles and (each.uses_plane or not sight.tilted)
+    ]
     lines = tuple(_straight_line(line, sight) for line in view.options.rulers.known_lengths)
     options = replace(view.options, rulers=replace(view.options.rulers, known_lengths=lines))
-    level = replace(view, tilt=sight.tilt, found=found, options=options)
+    level = replace(view, tilt=sight.tilt, options=options)
     return tuple(ruler.measure(level) for ruler in rulers)
 
 

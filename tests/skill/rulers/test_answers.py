@@ -11,7 +11,7 @@ import pytest
 
 from tests.analyses import made_card
 from tests.skill.rulers.test_camera import MAVIC
-from vehanchor.analysis.pipeline import analyse_detections
+from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -40,7 +40,7 @@ def record_of(
     found = Detections(boxes.reshape(-1, 5), np.full(cars, 0.95), scales=scales, stretch=stretch)
     card = made_card(5.0).model_copy(update={"votes": votes, "reference_length_sd_m": 0.4})
     view = View(ImageFacts(4000, 3000, camera=camera), found, card, ScaleOptions.of(options), lambda *_: 1.0)
-    return analyse_detections(view).estimate
+    return analyse_view(view).estimate
 
 
 def _lines(*scales: float, basis: str = "assumed", tolerance_m: float | None = None) -> dict[str, Any]:
@@ -70,12 +70,6 @@ def test_more_cars_that_agree_are_a_better_chance() -> None:
     chances = [record_of(cars).confidence for cars in (1, 2, 4, 30)]
     assert chances == sorted(set(chances))
     assert chances[0] < 0.9 < chances[-1]
-
-
-@pytest.mark.parametrize(("cars", "ok"), [(1, False), (30, True)])
-def test_a_detector_without_fitted_votes_is_usable_from_a_fleet_of_clear_cars(cars: int, ok: bool) -> None:
-    record = record_of(cars, votes=None)
-    assert (record.status == "ok") is ok
 
 
 def test_vehicles_of_too_few_pixels_are_not_usable() -> None:
@@ -164,12 +158,6 @@ def test_a_height_that_repeats_the_files_changes_nothing() -> None:
         assert repeated.confidence == alone.confidence
         assert repeated.gsd_m_per_px == alone.gsd_m_per_px
         assert repeated.rulers == alone.rulers
-
-
-def test_a_line_given_twice_counts_once() -> None:
-    once, twice = (record_of(0, known_lengths=_lines(0.05)["known_lengths"] * times) for times in (1, 2))
-    assert twice.confidence == once.confidence
-    assert twice.gsd_m_per_px == once.gsd_m_per_px
 
 
 def test_an_assumed_line_that_contradicts_the_cars_lowers_the_chance() -> None:
@@ -289,3 +277,9 @@ def test_a_liar_among_cars_and_two_assumed_lines_is_named(cars_lie: bool) -> Non
     assert cars_lie or near / DRAWS >= 0.9
     assert cars_lie or wrong / DRAWS <= 0.005
     assert unnamed / DRAWS <= 0.01  # a lie of a half can fall between two intervals
+
+
+def test_a_line_given_twice_counts_once() -> None:
+    once, twice = (record_of(0, known_lengths=_lines(0.05)["known_lengths"] * times) for times in (1, 2))
+    assert twice.confidence == once.confidence
+    assert twice.gsd_m_per_px == once.gsd_m_per_px

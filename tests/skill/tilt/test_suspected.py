@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.analyses import made_card
+from vehanchor.analysis.pipeline import analyse_view
+from vehanchor.detection.detections import Detections
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.metadata.lens import equivalent_lens
+from vehanchor.options import ScaleOptions
+from vehanchor.records import GsdEstimate
+from vehanchor.rulers.view import View
+from vehanchor.scale.plane import GroundPlane
+from vehanchor.tilt.suspected import LEAST_CARS, SizeTrend, size_trend
+from vehanchor_flight.photograph import Photograph, StoredPhotograph
+from vehanchor_flight.pooling import pool
+
+WIDTH, HEIGHT = 1000, 750
+FOCAL_PX = equivalent_lens(WIDTH, HEIGHT, 26.0).pixels
+
+
+def _cars(tilt_deg: float, *, n: int = 60, roll_deg: float = 0.0, seed: int = 0, lorries: int = 0) -> Detections:
+    """Cars of one fleet all over the image, as a tilted camera sees them."""
+    rng = np.random.default_rng(seed)
+    plane = GroundPlane(0.08, tilt_deg, FOCAL_PX, WIDTH, HEIGHT, roll_deg)
+    places = rng.uniform((60, 60), (WIDTH - 60, HEIGHT - 60), (n, 2))
+    sizes = np.exp(rng.normal(0, 0.08, n)) / plane.gsd_at(places)
+    sizes[:lorries] *= 2.5
+    boxes = np.column_stack([places, 4.5 * sizes, 1.8 * sizes * np.exp(rng.normal(0, 0.1, n)), rng.uniform(0, 3, n)])
+    return Detections(boxes, np.full(n, 0.9))
+
+
+def _trend(detections: Detections) -> SizeTrend:
+    found = size_trend(detections, WIDTH, HEIGHT, FOCAL_PX)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("roll_deg", [0.0, 100.0, 190.0])
+@pytest.mark.parametrize("tilt_deg", [30.0, 40.0])
+def test_cars_that_grow_to_one_side_tell_the_tilt(tilt_deg: float, roll_deg: float) -> None:
+    found = _trend(_cars(tilt_deg, roll_deg=roll_deg))
+    assert found.is_tilt
+    assert found.tilt_deg == pytest.approx(tilt_deg, abs=5)
+
+
+def test_at_nadir_no_fleet_seems_tilted() -> None:
+    found = [_trend(_cars(0.0, n=30, seed=seed)) for seed in range(60)]
+    assert not any(each.is_tilt for each in found)
+
+
+def test_a_lorry_park_on_one_side_is_no_tilt() -> None:
+    detections = _cars(0.0, lorries=9)
+    order = np.argsort(detections.boxes[:, 1])
+    boxes = detections.boxes.copy()
+    boxes[:9, :2], boxes[order[:9], :2] = detections.boxes[order[:9], :2], detections.boxes[:9, :2]
+    assert not _trend(Detections(boxes, detections.scores)).is_tilt
+
+
+@pytest.mark.parametrize("detections", [_cars(30.0, n=LEAST_CARS - 1), Detections(np.zeros((0, 5)), np.zeros(0))])
+def test_few_cars_tell_nothing(detections: Detections) -> None:
+    assert size_trend(detections, WIDTH, HEIGHT, FOCAL_PX) is None
+
+
+def _view(detections: Detections, **image: Any) -> View:
+    return View(ImageFacts(WIDTH, HEIGHT, **image), detections, made_card(4.6), ScaleOptions(), lambda *_: 1.0)
+
+
+def _codes(record: GsdEstimate) -> list[str]:
+    return [notice.code for notice in record.warnings]
+
+
+def test_an_unknown_tilt_is_a_warning_unless_the_file_knows_it() -> None:
+    def codes(detections: Detections, **image: Any) -> list[str]:
+        return _codes(analyse_view(_view(detections, **image)).estimate)
+
+    assert "tilt_suspected" in codes(_cars(35.0))
+    assert "tilt_suspected" not in codes(_cars(0.0))
+    assert "tilt_suspected" not in codes(_cars(35.0), georeference_gsd_m_per_px=0.08)
+    assert "tilt_suspected" not in codes(_cars(35.0), camera=CameraMetadata(off_nadir_deg=0.0))
+
+
+def test_pooled_photographs_do_not_repeat_the_doubt() -> None:
+    views = [_view(_cars(35.0, seed=seed)) for seed in range(2)]
+    stored = [StoredPhotograph(view.image, view.detections, 1.0, ()) for view in views]
+    seen = [Photograph.of("a", kept, view.card, view.options) for kept, view in zip(stored, views, strict=True)]
+    assert all("tilt_suspected" in _codes(each.analysis.estimate) for each in seen)
+    assert "tilt_suspected" not in _codes(pool(seen, np.zeros(2), 0).estimate)
