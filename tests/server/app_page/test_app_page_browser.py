@@ -153,7 +153,9 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
 def results(calls: dict[str, Call], _images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Results:
     """What the server answers to a host that shows pages, as on the wire."""
     roots = (_images, Path(calls["guarded"][1]["image"]["path"]).parent)
-    settings = Settings(roots=roots, detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True)
+    settings = Settings(
+        roots=roots, detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
+    )
 
     async def ask() -> Results:
         async with Client(create_server(create_services(settings)), extensions=SHOWS_PAGES) as client:

@@ -33,7 +33,7 @@ def address(
     write_image(folder / "large.png", cv2.resize(paint_scene(1000, 800), SIZE))
     (folder / "broken.png").write_bytes(b"no image")
     settings = Settings(
-        roots=(folder,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True
+        roots=(folder,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
     )
     with viewing(settings, tmp_path_factory.mktemp("dropped").resolve()) as found:
         yield found

@@ -24,7 +24,7 @@ async def test_noise_is_squeezed_until_no_host_cuts_the_result(settings: Setting
     noise = np.random.default_rng(1).integers(0, 256, (1600, 1600, 3), dtype=np.uint8)
     assert cv2.imwrite(str(tmp_path / "noise.png"), noise)
     server = create_server(
-        create_services(Settings(roots=(tmp_path,), detector=settings.detector, threads=1, in_process=True))
+        create_services(Settings(roots=(tmp_path,), detector=settings.detector, threads=1, isolation="in-process"))
     )
     async with Client(server, extensions=SHOWS_PAGES) as client:
         result = await client.call_tool("estimate_gsd", {**by_path(tmp_path / "noise.png"), "include_overlay": True})
