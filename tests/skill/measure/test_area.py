@@ -114,19 +114,6 @@ def test_no_vehicles_mean_no_area_but_the_mask_all_the_same(detector: Detector, 
     assert "NaN" not in record.model_dump_json()
 
 
-def test_a_doubtful_scale_gives_the_area_with_its_interval_and_says_so(
-    detector: Detector, segmenter: Segmenter
-) -> None:
-    record = measure_area(_place(3), box=BOX, detector=detector, segmenter=segmenter)
-    assert record.status == "low_confidence"
-    assert record.confidence is not None
-    assert record.confidence < 0.9
-    assert record.area_m2 is not None
-    assert record.area_ci95_low_m2 is not None
-    assert record.area_ci95_high_m2 is not None
-    assert record.area_ci95_low_m2 < record.area_m2 < record.area_ci95_high_m2
-
-
 def test_a_mask_that_the_segmenter_doubts_is_low_confidence(tmp_path: Path) -> None:
     doubting = Segmenter(*write_sam(tmp_path, scores=[0.4]))
     record = measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=doubting)
