@@ -21,7 +21,7 @@ from vehanchor import analyse_area, analyse_distance, analyse_scale
 from vehanchor.analysis.measured import AreaAnalysis
 from vehanchor.cli.app import app
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import ImageNotFoundError, InvalidParameterError, MissingExtraError
+from vehanchor.errors import InvalidParameterError, MissingExtraError
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.measured import MEASURED_RGB
 from vehanchor.records import KnownPlane, Notice, Reason, SceneScaleEstimate
@@ -207,21 +207,6 @@ def test_a_size_whose_scale_is_not_to_be_used_or_holds_in_one_place_has_no_bar(
         white = [int((picture[:height] == 255).all(axis=2).sum()) for picture in pictures]
         assert white[0] > white[1] + 400  # the bar and its letters
         assert white[0] > white[2] + 400  # nor has a view from aside a bar: it would hold nowhere else
-
-
-def test_a_list_gives_a_list_and_a_folder_is_one(cars: np.ndarray, detector: Detector, tmp_path: Path) -> None:
-    for name in ("b.png", "a.png"):
-        cv2.imwrite(str(tmp_path / name), cars[:, :, ::-1])
-    (tmp_path / "notes.txt").write_text("no image")
-    found = vehanchor.find_images(tmp_path)
-    assert [Path(path).name for path in found] == ["a.png", "b.png"]
-    assert vehanchor.find_images(str(tmp_path / "*.png")) == found
-    records = vehanchor.estimate_gsd(found, detector=detector)
-    assert records == [vehanchor.estimate_gsd(path, detector=detector) for path in found]
-    assert vehanchor.estimate_gsd((cars, found[0]), detector=detector)[1] == records[0]
-    assert vehanchor.estimate_gsd([], detector=detector) == []
-    with pytest.raises(ImageNotFoundError):
-        vehanchor.find_images(tmp_path / "none")
 
 
 SCENES = ROOT / "examples" / "scenes"

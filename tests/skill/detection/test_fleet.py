@@ -85,14 +85,6 @@ def test_no_more_than_a_hundred_vehicles_are_asked(model: Detector) -> None:
     assert analyse_scale(image, detector=model).estimate.reference_source == "appearance"
 
 
-def test_a_detector_without_such_a_network_cannot_tell(tmp_path: Path) -> None:
-    detector = Detector(write_detector(tmp_path / "foreign.onnx"))
-    assert (detector.fleet, detector.card.fleet_lengths, detector.card.fleet_sha256) == (None, None, None)
-    with open_raster(_car_park([40] * 6)) as raster:
-        assert search(raster, detector).fleet is None
-    assert analyse_scale(_car_park([40] * 6), detector=detector).estimate.reference_source == "model"
-
-
 def test_a_network_of_another_contract_is_refused(tmp_path: Path) -> None:
     network = write_fleet_network(tmp_path / "m.onnx", _LENGTHS, outputs=("fleet", "log_length"))
     with pytest.raises(ModelContractError, match=r"chips, fleet, log_length: expected.*log_odds"):
@@ -170,12 +162,3 @@ def test_vehicles_larger_than_their_image_have_chips() -> None:
     with open_raster(blank_image(40, 16)) as raster:
         chips = vehicle_chips(raster, np.array([[10.0, 4.0, 600.0, 160.0, 1.0]]))
     assert np.isfinite(chips).all()
-
-
-def test_the_reference_length_moves_between_two_fleets() -> None:
-    assert _LENGTHS.reference_length([]) == pytest.approx(4.5)
-    assert _LENGTHS.reference_length(np.full(1000, 9.0)) == 5.0
-    assert _LENGTHS.reference_length(np.full(1000, -9.0)) == 4.0
-    assert _LENGTHS.reference_length([0.9]) == pytest.approx(4.5 + 0.5 * 0.9 / 3)  # one car among two neutral ones
-    many = _LENGTHS.reference_length(np.full(98, 0.9))
-    assert many == pytest.approx(4.5 + 0.5 * 0.9 * 98 / 100)

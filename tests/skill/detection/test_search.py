@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 from pathlib import Path
 from statistics import NormalDist
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
-from vehanchor.detection.convergence import Convergence
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
@@ -28,8 +26,6 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import Effort, ScaleOptions, Search
-from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.density import GRID
 
 _RANGE = {"vehanchor.length_range_px": "9,64"}
 _SEARCHING = _RANGE | {"vehanchor.search_scales": "1"}
@@ -185,33 +181,6 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
     assert seen == [(k, 4) for k in [*range(len(tiles)), 4]]
 
 
-@pytest.mark.parametrize(
-    ("length_px", "large_px", "left_out"),
-    [(55.0, 3_000_000, True), (62.0, 3_000_000, False), (55.0, 2_000_000, False)],  # full resolution accepts up to 64
-)
-def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_photograph(
-    searching: Detector, monkeypatch: pytest.MonkeyPatch, length_px: float, large_px: int, left_out: bool
-) -> None:
-    monkeypatch.setattr("vehanchor.detection.convergence.ANYTIME_PIXELS", 1_000_000)
-    monkeypatch.setattr("vehanchor.detection.search.LARGE_PIXELS", large_px)
-    image = blank_image(1600, 1400)
-    paint_vehicles(image, [[100 + 130 * k, 120 + 125 * k, length_px, 20, 0.4] for k in range(10)])
-    gsd = CAR_LENGTH_M / length_px
-    narrow = np.exp(-0.5 * ((GRID - np.log(gsd)) / 0.03) ** 2)
-    unsettled = Convergence(math.inf, 0.0, doubted=True, density=narrow / narrow.sum())
-    tiles = {
-        level.factor: len(tile_grid(level.width_px, level.height_px, tile_px=256, stride_px=205))
-        for level in search_levels(1600, 1400, (9, 64), search_scales=True)
-    }
-    with open_raster(image) as raster:
-        found = search(
-            raster, searching, Search(tile_px=256, stride_px=205), prior=_ground(gsd), convergence=lambda _: unsettled
-        )
-    assert len(found.boxes) == 10
-    assert (found.n_tiles < tiles[1] + tiles[2] / 2) == left_out
-    assert tiles[1] <= found.n_tiles <= tiles[1] + tiles[2]
-
-
 # --- Searches that end early -----------------------------------------------------------------------------------------
 
 
@@ -321,20 +290,12 @@ def test_the_range_of_vehicle_lengths_does_not_bound_other_objects(tmp_path: Pat
     assert np.rint(courts[:, 2] / 2).tolist().count(20.0) == 1
 
 
-_RANGES = {1: (9.0, 64.0), 2: (25.6, 64.0), 4: (25.6, 64.0), 8: (25.6, np.inf)}
-
-
 def _places(side: int, factors: tuple[int, ...] = (1, 2)) -> list[TilePlace]:
     return [
         TilePlace(factor, tile)
         for factor in factors
         for tile in tile_grid(side // factor, side // factor, tile_px=64, stride_px=48)
     ]
-
-
-def _around(gsd: float) -> NDArray[np.float64]:
-    density = np.exp(-0.5 * ((GRID - np.log(gsd)) / 0.2) ** 2)
-    return np.asarray(density / density.sum())
 
 
 @settings(max_examples=25)
@@ -362,16 +323,6 @@ def test_what_promises_cars_comes_first_and_every_fourth_tile_comes_from_anywher
     assert right.mean() >= 0.75
     assert {k for k, is_right in enumerate(right) if not is_right} <= set(range(3, 40, 4))
     assert (~right).any()
-
-
-@pytest.mark.parametrize(("gsd", "factor"), [(0.2, 1), (0.06, 2), (0.03, 4), (0.012, 8)])
-def test_most_tiles_belong_to_the_resolution_that_cars_fit(gsd: float, factor: int) -> None:
-    shares = level_shares(_RANGES, _around(gsd))
-    assert sum(shares.values()) == pytest.approx(1)
-    assert max(shares, key=lambda each: shares[each]) == factor
-    assert min(shares.values()) >= 0.05
-    assert level_shares(_RANGES, None) == dict.fromkeys(_RANGES, 0.25)
-    assert level_shares({1: (9.0, 64.0)}, _around(2.9)) == {1: 1.0}
 
 
 def test_a_town_promises_more_than_fields_in_every_cell_of_it() -> None:

@@ -11,8 +11,7 @@ from tests.sam_models import EMPTY, write_sam
 from vehanchor import analyse_area, estimate_gsd, measure_area
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import FrameError, PromptError
-from vehanchor.options import ScaleOptions
-from vehanchor.pictures.area import cut_to_objects, draw_area, full_mask
+from vehanchor.pictures.area import cut_to_objects, draw_area
 from vehanchor.pictures.measured import MEASURED_RGB
 from vehanchor.records import AreaMeasurement
 from vehanchor.segmentation.segmenter import Segmenter
@@ -277,11 +276,3 @@ def test_a_cut_shows_every_pixel_of_the_mask(segmenter: Segmenter) -> None:
     found = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
     assert found == pytest.approx((4 * box).ravel(), abs=4)  # four picture pixels for each, and the outline's width
     assert tinted.sum() == pytest.approx(16 * analysis.measurement.mask_area_px, rel=0.1)
-
-
-def test_the_full_mask_is_as_large_as_the_image(segmenter: Segmenter) -> None:
-    analysis = analyse_area(_place(), ScaleOptions(), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
-    mask = full_mask(analysis, 480_000)
-    assert mask.shape == (600, 800, 3)
-    assert (mask > 0).sum() == 3 * analysis.measurement.mask_area_px
-    assert mask[330, 444].tolist() == [255, 255, 255]

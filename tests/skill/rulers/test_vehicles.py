@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tests.analyses import made_card
 from vehanchor.detection.appearance import FleetAppearance
@@ -16,9 +15,9 @@ from vehanchor.detection.detector import load_detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.models.zoo import resolve_model
-from vehanchor.options import Lengths, Reference, ScaleOptions
+from vehanchor.options import Reference, ScaleOptions
 from vehanchor.rulers.reference import reference_length
-from vehanchor.rulers.vehicles import Vehicles, VehicleWitness, select
+from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
 from vehanchor.rulers.view import View
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, country_length
 from vehanchor.scale.defaults import REGIONS
@@ -33,16 +32,6 @@ def _view(lengths: list[float], **options: Any) -> View:
     boxes = np.array([[99.0 * k, 50, length, 18, 0] for k, length in enumerate(lengths)]).reshape(-1, 5)
     found = Detections(boxes, np.full(len(boxes), 0.8))
     return View(ImageFacts(800, 600), found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0)
-
-
-def test_the_appearance_of_the_kept_vehicles_is_what_was_asked_of_them() -> None:
-    odds: NDArray[np.float64] = np.array([1.0, 2.0, 3.0])
-    view = _view(_LENGTHS)
-    found = Detections(view.detections.boxes[::-1], view.detections.scores, fleet=FleetAppearance(odds, odds / 2))
-    fleet = select(found, Lengths())
-    assert fleet.appearance is not None
-    assert fleet.appearance.log_odds.tolist() == [2.0, 3.0]  # the longest comes first and is dropped
-    assert fleet.appearance.log_lengths.tolist() == [1.0, 1.5]
 
 
 def _doubts(view: View) -> tuple[list[str], float]:

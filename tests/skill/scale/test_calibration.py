@@ -34,7 +34,6 @@ from vehanchor.scale.calibration import (
     Calibration,
     SurveyedImage,
     calibrate,
-    length_density,
     load_calibration,
     modal_length_m,
 )
@@ -426,16 +425,3 @@ def test_a_bad_file_is_told_and_left_out(folder: Path, tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert "warning[unreadable_labels]" in result.stderr
     assert "vehicles labelled for a reference length: 0;" in result.stderr
-
-
-def test_the_density_that_is_drawn_peaks_at_the_reference_length() -> None:
-    rng = np.random.default_rng(3)
-    boxes = np.zeros((400, 5))
-    boxes[:, 2] = np.concatenate([rng.normal(30, 2, 250), rng.normal(22, 2, 150)])
-    scores = np.repeat([0.9, 0.3], [250, 150])
-    at = np.linspace(1.0, 6.0, 2001)
-    for given in (None, scores):
-        images = [SurveyedImage(boxes, 0.15, given)]
-        assert at[np.argmax(length_density(images, at))] == pytest.approx(modal_length_m(images).mode_m, abs=0.01)
-    weighted, plain = (length_density([SurveyedImage(boxes, 0.15, s)], [22 * 0.15])[0] for s in (scores, None))
-    assert weighted < 0.5 * plain  # what scores low counts little

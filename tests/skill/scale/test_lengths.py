@@ -202,24 +202,9 @@ def test_confidence_and_its_terms_lie_between_0_and_1(found: list[tuple[float, f
     assert 0 <= composite(terms, guarded=guarded) <= 1
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 4])
-def test_fewer_than_five_vehicles_never_reach_the_fallback_threshold(n: int) -> None:
-    terms = confidence_terms(np.full(n, 30.0), np.ones(n), 30.0, _RANGE)
-    assert terms.concentration == 0
-    assert composite(terms, guarded=False) < FALLBACK_CONFIDENCE
-
-
 def _paper(lengths: list[float], scores: list[float], **more: float) -> PaperScale:
     seen = {"seen_scale": 1.0, "guard_length_px": 15.0} | more
     return paper_scale(lengths, scores, (4.5, 0.45), "kde", length_range_px=_RANGE, **seen)
-
-
-def test_the_scale_is_the_reference_length_over_the_mode_in_its_interval() -> None:
-    found = _paper([30.0] * 20, [0.9] * 20)
-    assert found.gsd_m_per_px == pytest.approx(0.15)
-    assert found.interval is not None
-    assert found.interval.low < 0.15 < found.interval.high
-    assert found.reason(20) is None
 
 
 @pytest.mark.parametrize(
