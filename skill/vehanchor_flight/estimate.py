@@ -20,6 +20,7 @@ from vehanchor.options import ScaleOptions
 from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Journal, Key
 from vehanchor_flight.components import single_component
+from vehanchor_flight.copies import reduced_picture, without_copies
 from vehanchor_flight.features import find_features
 from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.linking import link_photographs
@@ -68,7 +69,7 @@ def search_flight(
         lines: lines of known length by photograph.
 
     Returns:
-        Each photograph with its own analysis, or its error.
+        Each photograph with its own analysis, or its error; of several sizes of one, the largest.
 
     Raises:
         ImageError: no photograph is given, or none can be used.
@@ -96,7 +97,7 @@ def search_flight(
     failures = [each for each in found if isinstance(each, Failure)]
     if len(failures) == len(found):
         raise failures[0].error
-    return found
+    return without_copies(found)
 
 
 def _search(
@@ -117,7 +118,8 @@ def _search(
         if known is not None:
             return known, features
         view = search_raster(raster, detector, options)
-        return StoredPhotograph.of(view, analyse_view(view)), features
+        kept = StoredPhotograph.of(view, analyse_view(view))
+        return replace(kept, reduced=reduced_picture(raster)), features
 
 
 def check_options(options: ScaleOptions) -> None:

@@ -17,6 +17,8 @@ from vehanchor.storage.codec import Codec
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.scene_scale import SceneScalePrior
@@ -37,6 +39,7 @@ class StoredPhotograph:
         others: evidence of the rulers beside vehicles, with the tilt; None if they have not measured.
         prior: the scene-scale prior; None without one.
         tilt: of the camera; None at nadir.
+        reduced: the image in a few grey levels, ``[32, 32]``; None if it was not kept.
     """
 
     image: ImageFacts
@@ -45,6 +48,7 @@ class StoredPhotograph:
     others: tuple[Witness, ...] | None = None
     prior: SceneScalePrior | None = None
     tilt: CameraTilt | None = None
+    reduced: NDArray[np.uint8] | None = None
 
     @classmethod
     def of(cls, view: View, analysis: ScaleAnalysis) -> StoredPhotograph:
@@ -66,12 +70,14 @@ class Photograph:
         view: input of the rulers, without pixels.
         analysis: result of the rulers.
         features: for overlaps with other photographs; None if they are not needed.
+        reduced: as in ``StoredPhotograph``.
     """
 
     name: str
     view: View
     analysis: ScaleAnalysis
     features: Features | None = None
+    reduced: NDArray[np.uint8] | None = None
 
     @property
     def measured(self) -> Detections:
@@ -97,7 +103,7 @@ class Photograph:
             prior=kept.prior,
             tilt=kept.tilt,
         )
-        return cls(name, view, analyse_view(view, kept.others or ()), features)
+        return cls(name, view, analyse_view(view, kept.others or ()), features, kept.reduced)
 
 
 def chief_member(members: Sequence[Photograph]) -> int:

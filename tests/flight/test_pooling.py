@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -136,8 +138,18 @@ def test_a_stretch_of_the_camera_is_that_of_the_photographs_with_the_vehicles() 
     assert pooled_detections([NOT_SEARCHED, NOT_SEARCHED], np.zeros(2)).stretch is None
 
 
+def test_two_stretched_photographs_are_as_doubtful_together_as_alone() -> None:
+    view = _photograph(_FLEET).view
+    searched = replace(view.detections, scales=np.ones(len(_FLEET)), stretch=3.0)
+    stored = StoredPhotograph(view.image, searched, 1.0)
+    photographs = [Photograph.of(name, stored, view.card, view.options) for name in ("one", "two")]
+    pooled = pool(photographs, np.zeros(2), 0).estimate
+    for estimate in (photographs[0].analysis.estimate, pooled):
+        assert (estimate.status, [each.code for each in estimate.warnings]) == ("low_confidence", ["stretched"])
+
+
 def test_one_ruler_that_speaks_leaves_the_others_notices_in() -> None:
-    told = Notice(code="camera_cropped", message="a crop")
+    told = Notice(code="camera_unusable", message="a crop")
     spoke = point_witness("camera", 0.1, 0.1, 0.05, "{}")
     pooled = _pooled_witness("camera", [(spoke, 0.0), (no_evidence("camera", told), 0.0)])
     assert (pooled.gsd_m_per_px, pooled.notices) == (0.1, (told,))

@@ -19,6 +19,7 @@ from collections import deque
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
+from unicodedata import normalize
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
@@ -161,8 +162,8 @@ class PathAccess:
             CallError: ``path_not_allowed``.
         """
         for name, root in self._named:
-            if path.is_relative_to(name):
-                return root, path.relative_to(name).parts
+            if _nfc(path).is_relative_to(_nfc(name)):
+                return root, path.parts[len(name.parts) :]
         raise self._refused()
 
     def _opened(self, root: Path, below: tuple[str, ...]) -> int:
@@ -185,6 +186,7 @@ class PathAccess:
                         raise self._refused()
                     os.close(walked.pop())
                     continue
+                part = _present(part, walked[-1])
                 mode = os.stat(part, dir_fd=walked[-1], follow_symlinks=False).st_mode
                 if stat.S_ISLNK(mode):
                     n_links += 1
@@ -230,19 +232,19 @@ class PathAccess:
 
 def _images_below(root: Path, stop: Stop) -> Iterator[Path]:
     """List images below a directory, by folder and name; walk by descriptors, so that no link is followed."""
-    from vehanchor.imagery.sources.files import SUFFIXES
+    from vehanchor.imagery.sources.files import SUFFIXES, holds_photographs
 
     walk: Iterator[tuple[Any, ...]] = os.fwalk(root) if hasattr(os, "fwalk") else os.walk(root)
     n_seen = 0
     for folder, folders, names, *_ in walk:
         stop.check()
-        folders[:] = sorted(name for name in folders if not name.startswith(".") and name.isprintable())
+        folders[:] = sorted(name for name in folders if holds_photographs(name) and name.isprintable())
         n_seen += len(folders) + len(names)
         if n_seen > _MAX_LISTED:
             return
         for name in sorted(names):
             path = Path(folder, name)
-            if path.suffix.lower() in SUFFIXES and not name.startswith(".") and name.isprintable():
+            if path.suffix.lower() in SUFFIXES and holds_photographs(name) and name.isprintable():
                 with suppress(OSError):  # the file is gone
                     if stat.S_ISREG(path.lstat().st_mode):
                         yield path
@@ -250,6 +252,22 @@ def _images_below(root: Path, stop: Stop) -> Iterator[Path]:
 
 def _no_image(named: str) -> CallError:
     return CallError("image_not_found", f"there is no regular file at {shortened(named)!r}. Check the path.")
+
+
+def _nfc(path: Path) -> Path:
+    """Spell a path in the Unicode form NFC."""
+    return Path(normalize("NFC", str(path)))
+
+
+def _present(part: str, directory: int) -> str:
+    """Spell a component of a path as the open directory does: macOS writes NFD where others write NFC."""
+    with suppress(FileNotFoundError):
+        os.stat(part, dir_fd=directory, follow_symlinks=False)
+        return part
+    if part.isascii():
+        return part
+    names = (name for name in sorted(os.listdir(directory)) if normalize("NFC", name) == normalize("NFC", part))
+    return next(names, part)
 
 
 def _open_part(part: str, flags: int, directory: int) -> int:

@@ -45,6 +45,11 @@ def choose_bands(n_bands: int, wanted: BandChoice) -> ChosenBands:
     return ChosenBands((0, 1, 2), (RasterNote("bands_selected", message),))
 
 
+def is_alpha(values: NDArray[Any]) -> bool:
+    """Test whether a band of unknown meaning holds only 0 and one other value, as alpha does and near infrared not."""
+    return bool(np.array_equal(np.unique(values), np.unique([0, values.max()]))) and bool(values.any())
+
+
 def merge_bands(planes: list[NDArray[Any]]) -> NDArray[Any]:
     """Merge three bands ``[h, w]`` into one contiguous ``[h, w, 3]``."""
     return cv2.merge([np.ascontiguousarray(plane) for plane in planes])

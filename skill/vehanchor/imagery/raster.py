@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.imagery.stretch import STRETCH_PERCENTILES, UNIT_RANGE, Stretch, choose_stretch, to_uint8
+from vehanchor.imagery.stretch import STRETCH_PERCENTILES, UNIT_RANGE, Stretch, choose_stretch, find_no_data, to_uint8
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -96,6 +96,7 @@ class Raster(ABC):
         self.warnings = notes
         self._orientation = orientation
         self._stretch: Stretch | None = None
+        self._no_data: float | None = None
 
     def read(self, window: Window | None = None) -> NDArray[np.uint8]:
         """Read a window, or the whole image: [h, w, 3] uint8 RGB, contiguous; pixels without data are black.
@@ -121,6 +122,8 @@ class Raster(ABC):
         shown = to_uint8(stored.rgb, self._stretch)
         if stored.valid is not None:
             shown[~stored.valid] = 0
+        if self._no_data is not None:
+            shown[(stored.rgb == self._no_data).all(axis=2)] = 0
         return np.ascontiguousarray(oriented(shown, self._orientation))
 
     def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:  # noqa: ARG002 - for subclasses
@@ -148,15 +151,20 @@ class Raster(ABC):
         """Read a window of the stored frame."""
 
     def _choose_stretch(self, sample: NDArray[Any]) -> None:
-        """Choose the stretch from a sample of stored values (any shape)."""
+        """Choose no-data value and stretch from a sample of stored values, ``[n, 3]``."""
+        words = []
+        empty = find_no_data(sample)
+        if empty is not None:
+            self._no_data = empty.value
+            sample = sample[(sample != empty.value).any(axis=1)]
+            words.append(f"the value {empty.value:g}, in {empty.share:.0%} of the pixels, counts as no data")
         self._stretch = choose_stretch(sample)
         if self._stretch is not None and self._stretch != UNIT_RANGE:
             low, high = self._stretch
-            message = (
-                f"{sample.dtype} values {low:g} to {high:g} (percentiles {STRETCH_PERCENTILES[0]:g} and"
-                f" {STRETCH_PERCENTILES[1]:g}) become 0 to 255"
-            )
-            self.warnings = (*self.warnings, RasterNote("pixels_stretched", message))
+            percentiles = f"percentiles {STRETCH_PERCENTILES[0]:g} and {STRETCH_PERCENTILES[1]:g}"
+            words.append(f"{sample.dtype} values {low:g} to {high:g} ({percentiles}) become 0 to 255")
+        if words:
+            self.warnings = (*self.warnings, RasterNote("pixels_stretched", "; ".join(words)))
 
 
 def oriented(stored: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:

@@ -162,7 +162,7 @@ class Rulers:
             tilt.
         height_basis: how the height is known.
         height_tolerance_m: half of the 95 % interval of the height, metres; None for the default of its basis.
-        focal_35mm: 35 mm equivalent focal length, millimetres; None takes the file's.
+        focal_35mm: 35 mm equivalent focal length, millimetres, for this height or the file's; None takes the file's.
         stated_scale: scale from elsewhere; None without one.
 
     Raises:
@@ -219,8 +219,8 @@ class Rulers:
         if self.rulers is not None:
             set_frozen(self, "rulers", _ruler_names(self.rulers))
         set_frozen(self, "known_lengths", _lines(self.known_lengths))
-        about_height = {"focal_35mm": self.focal_35mm, "height_tolerance_m": self.height_tolerance_m}
-        lonely = [name for name, value in about_height.items() if value is not None]
+        lonely = ["height_tolerance_m"] if self.height_tolerance_m is not None else []
+        lonely += ["focal_35mm"] if self.focal_35mm is not None and not self.metadata else []
         lonely += ["height_basis"] if self.height_basis == "measured" else []
         if lonely and self.height_m is None:
             raise InvalidParameterError(f"{lonely[0]} needs height_m: also give the height above the ground")

@@ -29,12 +29,10 @@ class NoticeCode(StrEnum):
     CAMERA_TILTED = "camera_tilted"
     RULER_NEEDS_NADIR = "ruler_needs_nadir"
     TILT_SUSPECTED = "tilt_suspected"
-    CAMERA_CROPPED = "camera_cropped"
     CAMERA_UNUSABLE = "camera_unusable"
     UNIT_MISTYPED = "unit_mistyped"
     KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
     HEIGHT_REPEATED = "height_repeated"
-    FOCAL_LENGTH_MISSING = "focal_length_missing"
     # of a flight
     NOT_LINKED = "not_linked"
     SEVERAL_SORTIES = "several_sorties"

@@ -9,7 +9,8 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.metadata.lens import lens, taken_ratio
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.point import no_evidence, point_witness
@@ -22,7 +23,6 @@ from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 
 if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
-    from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.rulers.view import View
     from vehanchor.scale.posterior import Witness
@@ -49,12 +49,11 @@ class Camera(Ruler):
     independent_of_vehicles = True
 
     def measure(self, view: View) -> Witness:
-        """Measure by the camera's height and lens; without either, give no evidence."""
-        camera = view.image.camera
-        if camera is None or (camera.height_m is None and not camera.refused):
-            return no_evidence(self.kind)
+        """Measure by the camera's height and lens; without either, give no evidence and say what is missing."""
+        chosen, camera = view.options.rulers, view.image.camera or CameraMetadata()
+        given_mm = chosen.focal_35mm if chosen.height_m is None else None
         if camera.height_m is None:
-            return self._unusable(f"they were not read: {camera.refused}")
+            return self._without_height(view, camera, given_mm)
         if not 0 < camera.height_m <= _MAX_HEIGHT_M:
             return self._unusable(f"{camera.height_tag} is {camera.height_m:g} m")
         if camera.digital_zoom > _MAX_DIGITAL_ZOOM:
@@ -62,14 +61,25 @@ class Camera(Ruler):
         if taken_ratio(view.image, camera) is None:
             return no_evidence(self.kind, cropped(view.image, camera, "the camera metadata are not usable"))
         tilt_deg = camera.off_nadir_deg if view.plane is None else view.plane.tilt_deg
-        seen = lens(view.image, camera)
+        size = view.image.width_px, view.image.height_px
+        seen = lens(view.image, camera) if given_mm is None else equivalent_lens(*size, given_mm)
         if seen is None:
             if tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG:
                 return no_evidence(self.kind, _tilted(tilt_deg, unusable=True))
-            zero = camera.focal_mm is not None and camera.focal_mm <= 0
-            return self._unusable("the focal length is 0") if zero else no_evidence(self.kind)
+            if chosen.height_m is not None and not camera.refused:
+                return no_evidence(self.kind)
+            known = f"the height is {camera.height_m:g} m, but the focal length is missing: give focal_35mm"
+            return self._unusable(known, camera.refused)
         measured = self._measured(camera, camera.height_m, seen, tilt_deg)
         return replace(measured, marks=(mark_of_height(view.image, camera.height_m),)) if measured.found else measured
+
+    def _without_height(self, view: View, camera: CameraMetadata, given_mm: float | None) -> Witness:
+        """Say that the height is missing, unless the caller gives it or the focal length is missing, too."""
+        if view.options.rulers.height_m is None and (given_mm is not None or lens(view.image, camera) is not None):
+            return self._unusable(
+                "the focal length is known, but the height above the ground is missing: give height_m", camera.refused
+            )
+        return self._unusable(camera.refused) if camera.refused else no_evidence(self.kind)
 
     def _measured(self, camera: CameraMetadata, height_m: float, seen: Lens, tilt_deg: float | None) -> Witness:
         tilted = tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG
@@ -81,6 +91,9 @@ class Camera(Ruler):
             return self._unusable(f"{height_m:g} m and {seen.source} would make {gsd:.3g} m/px")
         said = f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and {seen.source}."
         condition, notices = "camera", []
+        if camera.refused:
+            message = f"A part of the camera metadata is not used: {camera.refused}."
+            notices.append(Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
         if tilted and tilt_deg is not None:
             notices.append(_tilted(tilt_deg))
             said += " This is the scale of the image's centre."
@@ -91,8 +104,8 @@ class Camera(Ruler):
         chance_wrong = RELIABILITY[condition].chance_wrong
         return point_witness(self.kind, gsd, tilt_log_sd, chance_wrong, said, shared=errors, notices=notices)
 
-    def _unusable(self, why: str) -> Witness:
-        message = f"The camera metadata are not usable: {why}."
+    def _unusable(self, *why: str) -> Witness:
+        message = f"The camera metadata are not usable: {'; '.join(filter(None, why))}."
         return no_evidence(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
 
 
@@ -122,7 +135,7 @@ def _tilted(tilt_deg: float, *, unusable: bool = False) -> Notice:
 def cropped(image: ImageFacts, camera: CameraMetadata, means: str) -> Notice:
     """Warn that the image is a crop of the photograph, and of the consequence."""
     return Notice(
-        code=NoticeCode.CAMERA_CROPPED,
+        code=NoticeCode.CAMERA_UNUSABLE,
         message=f"The image is a crop: the photograph had {camera.taken_width_px} x "
         f"{camera.taken_height_px} px, the image has {image.width_px} x {image.height_px}. Therefore {means}. Give the "
         "original.",

@@ -27,8 +27,8 @@ _NO_LENS_OF_A_CROP = (
     "no focal length of the whole photograph holds for it, and the given height is not usable. If focal_35mm is that "
     "of the crop, leave out the metadata"
 )
-_FOCAL_LENGTH_MISSING = Notice(
-    code=NoticeCode.FOCAL_LENGTH_MISSING,
+_NO_FOCAL_LENGTH = Notice(
+    code=NoticeCode.CAMERA_UNUSABLE,
     message="The given height is not usable: the file has no usable focal length. Also give focal_35mm.",
 )
 
@@ -60,7 +60,7 @@ class GivenHeight(Ruler):
         elif camera is not None:
             seen = lens(image, camera)
         if seen is None:
-            return no_evidence(self.kind, _FOCAL_LENGTH_MISSING)
+            return no_evidence(self.kind, _NO_FOCAL_LENGTH)
         coarser, tilt_log_sd = coarsening(0.0 if view.plane is None else view.plane.tilt_deg)
         gsd = chosen.height_m / seen.pixels * coarser
         said = f"The given height, {chosen.height_basis}, gives {{}}: {chosen.height_m:g} m and {seen.source}."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from vehanchor.errors import TooObliqueError
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
 from vehanchor.records import KnownPlane, TiltEstimate
 from vehanchor.scale.lengths import Z95
@@ -80,7 +81,11 @@ def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None
     focal_px, known = focal_length(image, options)
     source = "metadata" if known else "metadata; focal length unknown"
     found = CameraTilt(camera.off_nadir_deg, camera.roll_deg or 0.0, focal_px, source)
-    found.plane(image).check()
+    try:
+        found.plane(image).check()
+    except TooObliqueError as error:
+        remedy = "If the metadata are wrong, leave them out: --no-metadata, or metadata=False"
+        raise TooObliqueError(f"by the metadata, {error}. {remedy}") from None
     return found
 
 

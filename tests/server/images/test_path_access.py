@@ -7,6 +7,7 @@ import socket
 import tempfile
 from pathlib import Path
 from typing import BinaryIO
+from unicodedata import normalize
 
 import pytest
 
@@ -48,6 +49,21 @@ def refusal(root: Path, named: str) -> CallError:
     with pytest.raises(CallError) as caught, PathAccess([root]).open(named) as opened:
         pytest.fail(f"{named!r} was opened: {content(opened)!r}")
     return caught.value
+
+
+def test_a_name_is_opened_in_either_unicode_form(root: Path) -> None:
+    forms = [
+        normalize(form, "\N{LATIN SMALL LETTER E WITH ACUTE}t\N{LATIN SMALL LETTER E WITH ACUTE}")
+        for form in ("NFC", "NFD")
+    ]
+    for stored, other in (forms, forms[::-1]):
+        (root / stored).mkdir()
+        (root / stored / f"{stored}.png").write_bytes(b"summer")
+        assert read(root, f"{other}/{other}.png") == b"summer"
+        assert read(root / stored, str(root / other / f"{other}.png")) == b"summer"
+        assert refusal(root, f"{other}/{other}x.png").code == "image_not_found"
+        (root / stored / f"{stored}.png").unlink()
+        (root / stored).rmdir()
 
 
 def test_files_below_a_root_are_opened(root: Path) -> None:

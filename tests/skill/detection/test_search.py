@@ -19,7 +19,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch, search
 from vehanchor.detection.tile_prior import tile_prior_map
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
@@ -179,6 +179,33 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
     assert found.stopped_because == ("all_searched" if len(tiles) == 4 else "converged")
     assert len(found.boxes) == len(painted)
     assert seen == [(k, 4) for k in [*range(len(tiles)), 4]]
+
+
+@pytest.mark.parametrize(
+    ("length_px", "large_px", "left_out"),
+    [(55.0, 3_000_000, True), (62.0, 3_000_000, False), (55.0, 2_000_000, False)],  # full resolution accepts up to 64
+)
+def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_photograph(
+    searching: Detector, monkeypatch: pytest.MonkeyPatch, length_px: float, large_px: int, left_out: bool
+) -> None:
+    monkeypatch.setattr("vehanchor.detection.limits.ANYTIME_PIXELS", 1_000_000)
+    monkeypatch.setattr("vehanchor.detection.search.LARGE_PIXELS", large_px)
+    image = blank_image(1600, 1400)
+    paint_vehicles(image, [[100 + 130 * k, 120 + 125 * k, length_px, 20, 0.4] for k in range(10)])
+    gsd = CAR_LENGTH_M / length_px
+    narrow = np.exp(-0.5 * ((GRID - np.log(gsd)) / 0.03) ** 2)
+    tiles = {
+        level.factor: len(tile_grid(level.width_px, level.height_px, tile_px=256, stride_px=205))
+        for level in search_levels(1600, 1400, (9, 64), search_scales=True)
+    }
+    with open_raster(image) as raster:
+        work = ImageSearch(raster, searching, Search(tile_px=256, stride_px=205), _ground(gsd))
+        for _ in work:
+            work.leave_out(narrow / narrow.sum())
+        found = work.result()
+    assert len(found.boxes) == 10
+    assert (found.n_tiles < tiles[1] + tiles[2] / 2) == left_out
+    assert tiles[1] <= found.n_tiles <= tiles[1] + tiles[2]
 
 
 # --- Searches that end early -----------------------------------------------------------------------------------------

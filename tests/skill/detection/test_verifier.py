@@ -38,7 +38,6 @@ _METADATA = {
     "vehanchor.weights": "0.5,0.3,-0.6",
     "vehanchor.least_score": "0.15",
     "vehanchor.min_score": "0.5",
-    "vehanchor.clear_score": "0.72",
 }
 
 
@@ -60,7 +59,7 @@ def test_the_card_takes_the_scores_of_the_verifier() -> None:
     verifier = read_auxiliary_card(VerifierCard, Path("verifier.onnx"), "b" * 64, _METADATA)
     own = {"vehanchor.name": "vehicles", "vehanchor.min_score": "0.4"}
     card = read_detector_card(Path("vehicles.onnx"), "a" * 64, own, verifier=verifier)
-    assert (card.min_score, card.clear_score, card.verifier_sha256) == (0.5, 0.72, "b" * 64)
+    assert (card.min_score, card.verifier_sha256) == (0.5, "b" * 64)
     assert read_detector_card(Path("vehicles.onnx"), "a" * 64, own).min_score == 0.4
     with pytest.raises(ModelContractError, match=r"verifier .* 'vehicles', and this is 'mine'"):
         read_detector_card(Path("mine.onnx"), "a" * 64, {"vehanchor.name": "mine"}, verifier=verifier)

@@ -31,14 +31,14 @@ _POSITION_TAGS = {
 }
 
 
-def exif(tags: Mapping[str, Any], order: str = "<") -> bytes:
+def exif(tags: Mapping[str, Any], order: str = "<", pointer_kind: int = 4) -> bytes:
     """A TIFF structure with these tags, those of the camera in a directory of their own."""
     position = [_entry(name, value, order) for name, value in tags.items() if name in _POSITION_TAGS]
     first = [_entry(name, value, order) for name, value in tags.items() if name in _TAGS and not _TAGS[name][2]]
     camera = [_entry(name, value, order) for name, value in tags.items() if name in _TAGS and _TAGS[name][2]]
     further = 2 if position else 1
     camera_at = 8 + 2 + 12 * (len(first) + further) + 4 + sum(len(raw) for *_, raw in first if len(raw) > 4)
-    first.append((0x8769, 4, 1, struct.pack(order + "I", camera_at)))
+    first.append((0x8769, pointer_kind, 1, struct.pack(order + "I", camera_at)))
     start = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
     of_camera = _directory(camera, order, camera_at)
     if not position:
@@ -85,16 +85,24 @@ def xmp(namespaces: Mapping[str, str], properties: str, *, before: str = "") -> 
     ).encode()
 
 
+XMP_PREFIX = b"http://ns.adobe.com/xap/1.0/\0"
+
+
 def jpeg(
     *, exif: bytes | None = None, xmp: bytes | None = None, width_px: int = 80, height_px: int = 60, more: bytes = b""
 ) -> bytes:
     """A JPEG with these blocks before its pixels."""
     plain = encoded(".jpg", smooth_rgb(width_px, height_px))
     blocks = more
-    for prefix, block in ((b"Exif\0\0", exif), (b"http://ns.adobe.com/xap/1.0/\0", xmp)):
+    for prefix, block in ((b"Exif\0\0", exif), (XMP_PREFIX, xmp)):
         if block is not None:
-            blocks += b"\xff\xe1" + struct.pack(">H", 2 + len(prefix) + len(block)) + prefix + block
+            blocks += segment(prefix + block)
     return plain[:2] + blocks + plain[2:]
+
+
+def segment(body: bytes) -> bytes:
+    """A JPEG's segment for metadata."""
+    return b"\xff\xe1" + struct.pack(">H", 2 + len(body)) + body
 
 
 def png_with_xmp(packet: bytes, exif_block: bytes) -> bytes:

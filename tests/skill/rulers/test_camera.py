@@ -109,7 +109,8 @@ def test_a_resized_copy_has_the_scale_of_its_pixels(size: tuple[int, int]) -> No
 def test_a_crop_is_refused(size: tuple[int, int]) -> None:
     witness = _measured(MAVIC, *size)
     assert (witness.gsd_m_per_px, witness.found) == (None, False)
-    assert [notice.code for notice in witness.notices] == ["camera_cropped"]
+    assert [notice.code for notice in witness.notices] == ["camera_unusable"]
+    assert "is a crop" in witness.notices[0].message
 
 
 def test_a_wide_picture_is_a_full_width_with_rows_left_out() -> None:
@@ -152,7 +153,8 @@ def test_the_nearer_the_ground_the_less_a_height_says() -> None:
         ({"height_m": -12.0}, "-12 m"),
         ({"height_m": 1e7}, "1e+07 m"),
         ({"height_m": 0.001}, "m/px"),
-        ({"focal_mm": 0.0, "focal_35mm": None}, "focal length is 0"),
+        ({"model": "", "focal_mm": None, "focal_35mm": None}, "the height is 100 m, but the focal length is missing"),
+        ({"height_m": None}, "the height above the ground is missing"),
         ({"digital_zoom": 2.0}, "enlarged 2 times"),
         ({"height_m": None, "refused": "its XMP declares entities"}, "entities"),
     ],
@@ -164,11 +166,30 @@ def test_what_cannot_be_is_told_and_not_measured_with(changes: dict[str, object]
     assert words in witness.notices[0].message
 
 
-@pytest.mark.parametrize("camera", [None, _but(height_m=None), replace(UNLISTED, focal_mm=None, focal_35mm=None)])
-def test_a_file_that_does_not_tell_both_is_passed_over_in_silence(camera: CameraMetadata | None) -> None:
+@pytest.mark.parametrize("camera", [None, replace(UNLISTED, height_m=None, focal_mm=None, focal_35mm=None)])
+def test_a_file_without_height_and_lens_is_passed_over_in_silence(camera: CameraMetadata | None) -> None:
     witness = _measured(camera)
     assert (witness.gsd_m_per_px, witness.interval, witness.n, witness.notices) == (None, None, 0, ())
     assert not witness.found
+
+
+def test_a_height_that_is_given_is_not_missing() -> None:
+    for lacking in (_but(height_m=None), replace(UNLISTED, focal_mm=None, focal_35mm=None)):
+        assert Camera().measure(_view(lacking, height_m=100, focal_35mm=26)).notices == ()
+
+
+def test_a_given_focal_length_goes_with_the_height_of_the_file() -> None:
+    lacking = replace(UNLISTED, focal_mm=None, focal_35mm=None)
+    assert Camera().measure(_view(lacking, focal_35mm=26)).gsd_m_per_px == _measured(UNLISTED).gsd_m_per_px
+    (notice,) = Camera().measure(_view(None, focal_35mm=26)).notices
+    assert "give height_m" in notice.message
+
+
+def test_metadata_that_are_read_in_part_say_what_is_not_used() -> None:
+    witness = _measured(_but(off_nadir_deg=None, refused="DJI GimbalPitchDegree is both -90 and -45"))
+    assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.01)
+    assert [notice.code for notice in witness.notices] == ["camera_unusable"]
+    assert "both -90 and -45" in witness.notices[0].message
 
 
 @pytest.mark.parametrize("options", [{"metadata": False}, {"rulers": ("vehicles", "height")}])

@@ -96,7 +96,7 @@ def test_a_given_height_measures_with_a_given_focal_length_or_the_files() -> Non
 def test_a_height_without_a_focal_length_asks_for_one(view: View) -> None:
     witness = GivenHeight().measure(view)
     assert witness.gsd_m_per_px is None
-    assert [notice.code for notice in witness.notices] == ["focal_length_missing"]
+    assert [notice.code for notice in witness.notices] == ["camera_unusable"]
 
 
 def test_a_given_height_is_no_ruler_of_a_crop_whose_metadata_say_that_it_is_one() -> None:
@@ -104,7 +104,7 @@ def test_a_given_height_is_no_ruler_of_a_crop_whose_metadata_say_that_it_is_one(
     for options in ({"height_m": 100}, {"height_m": 100, "focal_35mm": 26}):
         witness = GivenHeight().measure(_view(crop, **options))
         assert witness.gsd_m_per_px is None
-        assert [notice.code for notice in witness.notices] == ["camera_cropped"]
+        assert [notice.code for notice in witness.notices] == ["camera_unusable"]
     told = GivenHeight().measure(_view(crop, height_m=100, focal_35mm=26, metadata=False))
     assert told.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
 

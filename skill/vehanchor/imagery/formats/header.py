@@ -7,9 +7,10 @@ not even a truncated JPEG. A TIFF's tags decide whether OpenCV can decode it.
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 
-from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.errors import ImageDecodeError, ImageFormatError, ImageTooLargeError
 from vehanchor.imagery.formats.avif import is_avif, read_avif_size
 from vehanchor.imagery.formats.ifd import (
     MAX_VALUES,
@@ -46,11 +47,14 @@ _TIFF_PIXEL_BYTES = 4  # OpenCV decodes up to 8 bits to four bands
 _MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, is at the start; JPEG allows no more
 
 _TAG_WIDTH, _TAG_HEIGHT, _TAG_BITS, _TAG_PHOTOMETRIC = 256, 257, 258, 262
-_TAG_SUBFILE, _SUBFILE_MASK = 254, 4
+_TAG_SUBFILE, _SUBFILE_REDUCED, _SUBFILE_MASK = 254, 1, 4
 _TAG_SAMPLES, _TAG_ROWS_PER_STRIP, _TAG_PLANAR, _TAG_SAMPLE_FORMAT = 277, 278, 284, 339
-_TAG_TILE_WIDTH, _TAG_TILE_HEIGHT = 322, 323
+_TAG_TILE_WIDTH, _TAG_TILE_HEIGHT, _TAG_EXTRA_SAMPLES = 322, 323, 338
+_TAG_FURTHER, _TAG_DNG_VERSION, _RAW_PHOTOMETRIC = 330, 50706, (32803, 34892)
 _GEO_TAGS = frozenset({33550, 34264, 34735})  # ModelPixelScale, ModelTransformation, GeoKeyDirectory
+_RAW_TAGS = frozenset({_TAG_DNG_VERSION})
 _TAGS_OF_BANDS = frozenset({_TAG_BITS, _TAG_SAMPLE_FORMAT})  # a value for each band
+_TAGS_OF_SOME = frozenset({_TAG_EXTRA_SAMPLES, _TAG_FURTHER, _TAG_SUBFILE})
 _TAGS_OF_ONE = frozenset(
     {
         _TAG_WIDTH,
@@ -77,6 +81,7 @@ class TiffLayout:
         photometric: 0 white is zero, 1 black is zero, 2 RGB, 3 palette, 5 CMYK, 6 YCbCr, 8 Lab.
         planar: whether bands are stored one after the other.
         georeferenced: whether it has GeoTIFF tags.
+        alpha: whether a band is declared to be alpha.
         block_px: pixels of a strip or tile, which is decoded whole.
         mask_block_px: pixels of a strip or tile of its mask; 0 without one.
     """
@@ -87,6 +92,7 @@ class TiffLayout:
     photometric: int
     planar: bool
     georeferenced: bool
+    alpha: bool
     block_px: int
     mask_block_px: int
 
@@ -167,6 +173,8 @@ _ADVICE = (  # offset and first bytes of common unsupported formats, and what to
     (4, b"ftypmif1", "its images are neither AVIF nor HEIC; convert them to JPEG"),
     (4, b"ftyphe", "this is a HEIC sequence; save one image as JPEG and send that"),
     (4, b"ftypavis", "this is an animation; save one frame as PNG and send that"),
+    (4, b"ftypcrx", _RAW := "this is a camera's raw file; export the photograph as JPEG or TIFF in full size"),
+    *((0, mark, _RAW) for mark in (b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"MMOR", b"IIU\0")),
     (4, b"ftyp", _VIDEO := "this is a video; save a frame with 'ffmpeg -i FILE -frames:v 1 OUT.png' and send that"),
     (8, b"AVI ", _VIDEO),
     (0, b"\x1a\x45\xdf\xa3", _VIDEO),
@@ -176,6 +184,27 @@ _ADVICE = (  # offset and first bytes of common unsupported formats, and what to
 def _advice(start: bytes) -> str:
     advice = next((words for at, mark, words in _ADVICE if start[at : at + len(mark)] == mark), None)
     return advice or f"it starts with {start[:8]!r}"
+
+
+def _check_for_preview(read_at: ReadAt, tags: dict[int, tuple[int, ...]], width: int, height: int) -> None:
+    """Refuse a raw file, whose first picture is a preview.
+
+    Raises:
+        ImageFormatError: the file is raw, or a picture within the first one is larger, or the first one is marked as
+            reduced and a later one is larger. Overviews are smaller, and pages of a document are not marked.
+    """
+    if _TAG_DNG_VERSION in tags or tags.get(_TAG_PHOTOMETRIC, (0,))[0] in _RAW_PHOTOMETRIC or read_at(8, 2) == b"CR":
+        raise ImageFormatError(_RAW)
+    reduced = tags.get(_TAG_SUBFILE, (0,))[0] & _SUBFILE_REDUCED
+    for offset in (*tags.get(_TAG_FURTHER, ()), *(later_directories(read_at) if reduced else ())):
+        with suppress(struct.error, ImageDecodeError):  # a damaged directory holds no picture
+            further = read_ifd(read_at, frozenset({_TAG_WIDTH, _TAG_HEIGHT}), offset=offset)
+            (columns, *_), (rows, *_) = further.get(_TAG_WIDTH, (0,)), further.get(_TAG_HEIGHT, (0,))
+            if columns * rows > width * height:
+                raise ImageFormatError(
+                    f"the first picture of the file, {width} x {height} px, is a preview of another with {columns} x "
+                    f"{rows} px, as in cameras' raw files; export the photograph as JPEG or TIFF in full size"
+                )
 
 
 def _read_jpeg(read_at: ReadAt) -> ImageHeader:
@@ -312,13 +341,14 @@ def _read_jpeg2000(read_at: ReadAt) -> ImageHeader:
 
 
 def _read_tiff(read_at: ReadAt) -> ImageHeader:
-    tags = read_ifd(read_at, _TAGS_OF_ONE | _TAGS_OF_BANDS, _GEO_TAGS)
+    tags = read_ifd(read_at, _TAGS_OF_ONE | _TAGS_OF_BANDS | _TAGS_OF_SOME, _GEO_TAGS | _RAW_TAGS)
     if _TAG_WIDTH not in tags or _TAG_HEIGHT not in tags:
         raise ImageDecodeError("the TIFF's first directory declares no width and height: damaged")
     repeated = [tag for tag in _TAGS_OF_ONE if len(tags.get(tag, (0,))) != 1]
     if repeated:
         raise ImageDecodeError(f"the TIFF's tag {repeated[0]} has several values instead of one: damaged")
     (width,), (height,), (bands,) = tags[_TAG_WIDTH], tags[_TAG_HEIGHT], tags.get(_TAG_SAMPLES, (1,))
+    _check_for_preview(read_at, tags, width, height)
     for tag in _TAGS_OF_BANDS:
         if len(tags.get(tag, (0,))) not in (1, min(bands, MAX_VALUES)):
             raise ImageDecodeError(f"the TIFF's tag {tag} has {len(tags[tag])} values for {bands} bands: damaged")
@@ -329,6 +359,7 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         photometric=tags.get(_TAG_PHOTOMETRIC, (1,))[0],
         planar=tags.get(_TAG_PLANAR, (1,))[0] == 2,
         georeferenced=not _GEO_TAGS.isdisjoint(tags),
+        alpha=not {1, 2}.isdisjoint(tags.get(_TAG_EXTRA_SAMPLES, ())),
         block_px=_block_px(tags, width, height),
         mask_block_px=_mask_block_px(read_at),
     )

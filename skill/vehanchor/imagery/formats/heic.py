@@ -59,7 +59,7 @@ def open_heic(data: bytes, source: str, bands: BandChoice, limits: ImageLimits) 
         if isinstance(error, VehAnchorError):
             raise
         raise ImageDecodeError(f"the HEIC ({source}) cannot be decoded: {error}") from error
-    return ArrayRaster(pixels, source, bands)
+    return ArrayRaster(pixels, source, bands, alpha=True)
 
 
 def _import_heif(source: str) -> Any:

@@ -18,7 +18,8 @@ ReadAt = Callable[[int, int], bytes]
 
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # classic and BigTIFF, either byte order
 TAG_ORIENTATION = 274
-_INTEGER_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
+_INTEGER_TYPES = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
+_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
 _MAX_DIRECTORIES = 1000
 _MAX_ENTRIES = 4096  # a real directory has some dozens
 MAX_VALUES = 64
@@ -36,7 +37,12 @@ class _Form(NamedTuple):
 
 
 def read_ifd(
-    read_at: ReadAt, wanted: frozenset[int], bare: frozenset[int] = frozenset(), *, offset: int | None = None
+    read_at: ReadAt,
+    wanted: frozenset[int],
+    bare: frozenset[int] = frozenset(),
+    *,
+    offset: int | None = None,
+    whole: bool = True,
 ) -> dict[int, tuple[int, ...]]:
     """Read tags of a directory.
 
@@ -45,12 +51,14 @@ def read_ifd(
         wanted: tags with integer values to read.
         bare: tags to test for presence; their values are not read.
         offset: offset of the directory; None for the first.
+        whole: whether the file is there to its end.
 
     Returns:
         Up to 64 values for each of these tags that is present.
 
     Raises:
-        ImageDecodeError: a tag occurs twice, or a wanted tag holds no integers.
+        ImageDecodeError: a tag occurs twice, a wanted tag holds no integers, or all values together, which decoders
+            read, are longer than the file.
         struct.error: the file ends within the directory or a value.
     """
     form = _form(read_at)
@@ -61,15 +69,22 @@ def read_ifd(
     table = read_at(table_at, n_entries * entry_bytes)
     seen: set[int] = set()
     tags: dict[int, tuple[int, ...]] = {}
+    outside = 0
     for start in range(0, n_entries * entry_bytes, entry_bytes):
         tag, kind, count = struct.unpack_from(entry_format, table, start)
         if tag in seen:
             raise ImageDecodeError(f"the TIFF directory holds tag {tag} twice, and decoders disagree on it: damaged")
         seen.add(tag)
+        n_bytes = count * _TYPE_BYTES.get(kind, 0)
+        outside += n_bytes if n_bytes > value_bytes else 0
         if tag in bare:
             tags[tag] = ()
         elif tag in wanted:
             tags[tag] = _values(read_at, table, start + value_at, order, (tag, kind, count), value_bytes)
+    if whole and outside and not read_at(outside - 1, 1):
+        raise ImageDecodeError(
+            f"the TIFF directory declares values of {outside} bytes, more than the file has: damaged"
+        )
     return tags
 
 
@@ -134,7 +149,9 @@ def _values(
 def exif_orientation(payload: bytes) -> int:
     """Read the orientation of an EXIF block, 1 to 8; 1 if it is absent or damaged."""
     try:
-        tags = read_ifd(lambda offset, count: payload[offset : offset + count], frozenset({TAG_ORIENTATION}))
+        tags = read_ifd(
+            lambda offset, count: payload[offset : offset + count], frozenset({TAG_ORIENTATION}), whole=False
+        )
     except (struct.error, ImageDecodeError):  # damaged metadata leaves the pixels usable
         return 1
     return orientation_of(tags)

@@ -1,107 +1,50 @@
 """Camera metadata of an image file: height, focal length, orientation, original size.
 
-Drones write the camera's height and orientation into XMP, under names that differ between makers. Focal length and
-sensor are in EXIF, which all makers share. ``MAKERS`` lists the names; docs/how-to/rulers.md names their sources. This
-module only converts units and signs of angles; ``vehanchor.rulers.camera`` measures with them.
+Drones write the camera's height and orientation into XMP, under names that differ between makers
+(``vehanchor.imagery.metadata.makers``). Focal length and sensor are in EXIF, which all makers share. This module
+converts units and signs of angles, and refuses what it does not understand; ``vehanchor.rulers.camera`` measures with
+the numbers.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, find_metadata
 from vehanchor.imagery.metadata.exif import read_exif
-from vehanchor.imagery.metadata.xmp import read_xmp
+from vehanchor.imagery.metadata.makers import MAKERS, makers_of
+from vehanchor.imagery.metadata.sensors import sensor_of
+from vehanchor.imagery.metadata.statements import DEGREES, METRES, PIXELS, Statements
+from vehanchor.imagery.metadata.xmp import DAMAGED, read_xmp
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from vehanchor.imagery.formats.ifd import ReadAt
     from vehanchor.imagery.metadata.exif import ExifTags
+    from vehanchor.imagery.metadata.makers import Maker
+    from vehanchor.imagery.metadata.xmp import Properties
 
-_NUMBER = re.compile(r"\s*([+-]?\d{1,12}(?:\.\d{0,12})?(?:[eE][+-]?\d{1,2})?)(?:\s*/\s*(\d{1,12}))?(?:\s|,|$)")
-_PIX4D = "http://pix4d.com/camera/1.0"
-_AUTEL = "autel"  # its namespace changed with its firmware; each contains the maker's name
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # FocalPlaneResolutionUnit: inch, cm; TIFF/EP's mm, micrometre
-_ZERO_IS_FORWARD, _ZERO_IS_DOWN = 90.0, 0.0  # degrees to add to a pitch to count it from nadir
-_BACKWARDS_DEG = -60.0  # under Pix4D's convention this camera looks backwards: the writer used the other one
-
-
-class Maker(NamedTuple):
-    """XMP names that one maker uses.
-
-    Attributes:
-        name: the maker.
-        namespace: of its XMP properties, without a final slash; for Autel a word that it contains.
-        height: property with the metres above take-off or above ground.
-        pitch: property with the camera's pitch, degrees.
-        roll: property with its roll, degrees.
-        zero_deg: degrees to add to the pitch to count from nadir.
-        yaw: property with its yaw, degrees.
-        focal_px: property with the focal length in pixels of the full image; empty if the maker has none.
-        centre_px: property with the column of the optical centre in the same pixels; empty if the maker has none.
-        focal_mm: property with the focal length, mm; empty if the maker has none.
-    """
-
-    name: str
-    namespace: str
-    height: str
-    pitch: str
-    roll: str
-    zero_deg: float
-    yaw: str = ""
-    focal_px: str = ""
-    centre_px: str = ""
-    focal_mm: str = ""
-
-
-_DJI_NAMES = (
-    "RelativeAltitude",
-    "GimbalPitchDegree",
-    "GimbalRollDegree",
-    _ZERO_IS_FORWARD,
-    "GimbalYawDegree",
-    "CalibratedFocalLength",
-    "CalibratedOpticalCenterX",
+_SENSOR_WIDTHS_MM = (4.0, 60.0)  # a choice: from phones to medium format; a resized copy has a narrower one
+_SENSOR_TOLERANCE = 1.25  # a choice: pictures of another shape leave a fifth of the columns out
+_TIFF_SPACE, _EXIF_SPACE = "http://ns.adobe.com/tiff/1.0", "http://ns.adobe.com/exif/1.0"
+_LENS_TAGS = (
+    "FocalLength",
+    "FocalLengthIn35mmFilm",
+    "FocalPlaneXResolution",
+    "FocalPlaneResolutionUnit",
+    "DigitalZoomRatio",
+    "PixelXDimension",
+    "PixelYDimension",
 )
-MAKERS: tuple[Maker, ...] = (
-    Maker("DJI", "http://www.dji.com/drone-dji/1.0", *_DJI_NAMES),  # newer Autel drones use the same names
-    Maker("Autel", _AUTEL, *_DJI_NAMES),
-    Maker(
-        "Skydio",
-        "https://www.skydio.com/drone-skydio/1.0",
-        "RelativeAltitude",
-        "CameraOrientationNED/Pitch",
-        "CameraOrientationNED/Roll",
-        _ZERO_IS_FORWARD,
-        "CameraOrientationNED/Yaw",
-        "CalibratedFocalLengthX",
-        "CalibratedOpticalCenterX",
-    ),
-    Maker(
-        "Parrot",
-        "http://www.parrot.com/drone-parrot/1.0",
-        "",  # is in Pix4D's namespace
-        "CameraPitchDegree",
-        "CameraRollDegree",
-        _ZERO_IS_FORWARD,
-        "CameraYawDegree",
-    ),
-    Maker(  # senseFly, Parrot, older Autel drones
-        "Pix4D",
-        _PIX4D,
-        "AboveGroundAltitude",
-        "Pitch",
-        "Roll",
-        _ZERO_IS_DOWN,
-        "Yaw",
-        focal_mm="PerspectiveFocalLength",
-    ),
-)
-"""In order of precedence: the first maker with a value is used."""
+_IN_XMP = {"Make": _TIFF_SPACE, "Model": _TIFF_SPACE, **dict.fromkeys(_LENS_TAGS, _EXIF_SPACE)}
+"""Tags that programs copy from EXIF into XMP under the same names."""
+
+_NAMES = (*_IN_XMP, *dict.fromkeys(name for each in MAKERS for name in each.names))
+"""Properties to find in damaged XMP."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +70,7 @@ class CameraMetadata:
         longitude_deg: longitude, positive to the east.
         altitude_m: metres above sea level.
         taken_at: local time of the photograph, as EXIF writes it (2025:10:05 16:40:31); empty if unknown.
-        refused: why the metadata were refused, as a clause; empty if they were read.
+        refused: what was not used and why, as clauses with semicolons; empty if all was read.
     """
 
     make: str = ""
@@ -157,117 +100,117 @@ def read_camera(read_at: ReadAt) -> CameraMetadata | None:
     Time and memory are bounded, so untrusted files are safe.
     """
     blocks = find_metadata(read_at)
-    tags: ExifTags = {} if blocks.exif is None else read_exif(blocks.exif, MAX_XMP_BYTES)
-    notes = tags.get("ApplicationNotes")
-    packet = blocks.xmp or (notes if isinstance(notes, bytes) else None)
-    properties, refused = ({}, "") if packet is None else read_xmp(packet)
-    camera = _combine(tags, {(_namespace(space), name): text for (space, name), text in properties.items()}, refused)
+    tags = [read_exif(each, MAX_XMP_BYTES) for each in blocks.exif]
+    for each in tags:
+        notes = each.get("ApplicationNotes")
+        if isinstance(notes, bytes):
+            blocks.add_xmp(notes)
+    packets = [read_xmp(each, _NAMES) for each in blocks.xmp]
+    without = DAMAGED if any(each.properties for each in packets) else ""  # of others: one had what there is
+    refused = [each.refused for each in packets if each.refused not in ("", without)]
+    camera = _combine(tags, [each.properties for each in packets], refused)
     return None if camera == CameraMetadata() else camera
 
 
-def _namespace(address: str) -> str:
-    return _AUTEL if _AUTEL in address.lower() else address.rstrip("/")
-
-
-def _combine(tags: ExifTags, properties: Mapping[tuple[str, str], str], refused: str) -> CameraMetadata:
-    def first(field: str) -> tuple[float | None, Maker | None]:
-        for maker in MAKERS:
-            name = getattr(maker, field)
-            value = _number(properties.get((maker.namespace, name))) if name else None
-            if value is not None:
-                return value, maker
-        return None, None
-
-    height, maker = first("height")
-    focal_mm = first("focal_mm")[0]
-    width, rows = _whole(tags.get("PixelXDimension")), _whole(tags.get("PixelYDimension"))
+def _combine(tags: Sequence[ExifTags], packets: Sequence[Properties], refused: Sequence[str]) -> CameraMetadata:
+    stated = Statements(tags, packets, _IN_XMP, refused)
+    make, model = stated.text("Make"), stated.text("Model")
+    makers = makers_of(make)
+    height, height_tag = _first(stated, makers, "height", METRES)
+    focal_px, _ = _first(stated, makers, "focal_px", PIXELS)
+    centre_px, _ = _first(stated, makers, "centre_px", PIXELS)
+    focal_mm = stated.lens_number("FocalLength")
+    for each in makers:
+        value, unit = stated.focal(each) if each.focal else (None, "")
+        if value is not None:
+            focal_px, focal_mm = (focal_px or value, focal_mm) if unit == "px" else (focal_px, value)
+            break
+    width, rows = stated.whole("PixelXDimension"), stated.whole("PixelYDimension")
+    off_nadir, roll = _attitude(stated, makers)
     return CameraMetadata(
-        make=_text(tags.get("Make")),
-        model=_text(tags.get("Model")),
+        make=make,
+        model=model,
         height_m=height,
-        height_tag="" if maker is None else f"{maker.name} {maker.height}",
-        focal_mm=focal_mm if focal_mm is not None else _float(tags.get("FocalLength")),
-        focal_35mm=_float(tags.get("FocalLengthIn35mmFilm")) or None,  # 0 is "unknown" in the standard
-        focal_px=first("focal_px")[0],
-        pixel_mm=_pixel_mm(tags),
+        height_tag=height_tag,
+        focal_mm=focal_mm,
+        focal_35mm=stated.lens_number("FocalLengthIn35mmFilm"),
+        focal_px=focal_px,
+        pixel_mm=_pixel_mm(stated, width if rows else None, make, model),
         taken_width_px=width if width and rows else None,
         taken_height_px=rows if width and rows else None,
-        centre_x_px=first("centre_px")[0],
-        off_nadir_deg=_off_nadir(properties, _text(tags.get("Make"))),
-        digital_zoom=_float(tags.get("DigitalZoomRatio")) or 1.0,  # 0 is "not used"
-        roll_deg=_gimbal_roll(properties),
-        **_position(tags),
-        taken_at=_text(tags.get("DateTimeOriginal")),
-        refused=refused,
+        centre_x_px=centre_px,
+        off_nadir_deg=off_nadir,
+        digital_zoom=stated.lens_number("DigitalZoomRatio") or 1.0,
+        roll_deg=roll,
+        **_position(next((each for each in tags if "GPSLatitude" in each), {})),
+        taken_at=stated.text("DateTimeOriginal"),
+        refused="; ".join(dict.fromkeys(stated.refused)),
     )
 
 
-def _gimbal_roll(properties: Mapping[tuple[str, str], str]) -> float | None:
-    """Give the gimbal's roll from the first maker with a pitch; None if it is unknown or zero."""
-    for maker in MAKERS:
-        if _number(properties.get((maker.namespace, maker.pitch))) is None:
+def _first(
+    stated: Statements, makers: Sequence[Maker], field: str, units: Mapping[str, float]
+) -> tuple[float | None, str]:
+    """Take a quantity from the first maker that has it; give it with the maker's and the property's name."""
+    for each in makers:
+        name = getattr(each, field)
+        value = stated.quantity(each, name, units) if name else None
+        if value is not None:
+            return value, f"{each.name} {name}"
+    return None, ""
+
+
+def _attitude(stated: Statements, makers: Sequence[Maker]) -> tuple[float | None, float | None]:
+    """Compute the off-nadir angle and the gimbal's roll from the first maker with a pitch; None for unknown ones."""
+    for each in makers:
+        pitch = stated.quantity(each, each.pitch, DEGREES)
+        if pitch is None:
             continue
-        roll = _number(properties.get((maker.namespace, maker.roll)))
-        return roll or None if maker.zero_deg == _ZERO_IS_FORWARD else None
-    return None
+        roll = stated.quantity(each, each.roll, DEGREES) or 0.0
+        level = pitch < each.level_below_deg
+        if level and pitch == roll == 0:
+            stated.refused.append(
+                f"{each.name} {each.pitch} and {each.roll} are 0, as some drones write unknown angles"
+            )
+            continue
+        from_down = math.radians(pitch + 90 if level else pitch)
+        if each.level_below_deg == math.inf:  # a gimbal's roll turns the image about the optical axis
+            return math.degrees(math.acos(math.cos(from_down))), roll or None
+        tilt = math.cos(from_down) * (1.0 if level else math.cos(math.radians(roll)))
+        return math.degrees(math.acos(max(-1.0, min(1.0, tilt)))), None
+    return None, None
 
 
 def _position(tags: ExifTags) -> dict[str, float | None]:
     """Give latitude, longitude and altitude; empty if latitude or longitude is invalid."""
-    north, east = _float(tags.get("GPSLatitude")), _float(tags.get("GPSLongitude"))
-    if north is None or east is None or north > 90 or east > 180 or north == east == 0:  # 0, 0 is "no fix"
+    north, east, above = (tags.get(name) for name in ("GPSLatitude", "GPSLongitude", "GPSAltitude"))
+    if not isinstance(north, float) or not isinstance(east, float):
         return {}
-    above, below = _float(tags.get("GPSAltitude")), tags.get("GPSAltitudeRef") == 1
+    if north > 90 or east > 180 or north == east == 0:  # 0, 0 is "no fix"
+        return {}
+    below = tags.get("GPSAltitudeRef") == 1
     return {
         "latitude_deg": -north if tags.get("GPSLatitudeRef") == "S" else north,
         "longitude_deg": -east if tags.get("GPSLongitudeRef") == "W" else east,
-        "altitude_m": None if above is None else -above if below else above,
+        "altitude_m": None if not isinstance(above, float) else -above if below else above,
     }
 
 
-def _off_nadir(properties: Mapping[tuple[str, str], str], make: str) -> float | None:
-    """Compute the off-nadir angle from the first maker with a pitch, and from its roll if it has one."""
-    for maker in MAKERS:
-        pitch = _number(properties.get((maker.namespace, maker.pitch)))
-        roll = _number(properties.get((maker.namespace, maker.roll))) or 0.0
-        yaw = _number(properties.get((maker.namespace, maker.yaw))) or 0.0
-        if pitch is None:
-            continue
-        zero = maker.zero_deg
-        if zero == _ZERO_IS_FORWARD and pitch == roll == yaw == 0:
-            continue  # some drones write zeros for unknown angles
-        # In Pix4D's convention 0 is nadir; Autel writes -90 in the same namespace.
-        if zero == _ZERO_IS_DOWN and (pitch <= _BACKWARDS_DEG or (pitch < 0 and "autel" in make.lower())):
-            zero = _ZERO_IS_FORWARD
-        from_down = math.radians(pitch + zero)
-        if zero == _ZERO_IS_FORWARD:  # a gimbal's roll turns the image about the optical axis
-            return math.degrees(math.acos(math.cos(from_down)))
-        return math.degrees(math.acos(max(-1.0, min(1.0, math.cos(from_down) * math.cos(math.radians(roll))))))
-    return None
-
-
-def _number(text: str | None) -> float | None:
-    """Parse a decimal number or a fraction, with or without a unit; the first if commas separate several."""
-    matched = None if text is None else _NUMBER.match(text)
-    if matched is None:
+def _pixel_mm(stated: Statements, width_px: int | None, make: str, model: str) -> float | None:
+    """Compute the pixel pitch from the focal plane's resolution; None if the sensor that it makes is impossible."""
+    per_unit, unit = stated.lens_number("FocalPlaneXResolution"), stated.whole("FocalPlaneResolutionUnit") or 2
+    if not per_unit or per_unit < 0 or unit not in _MM_PER_UNIT:
         return None
-    denominator = float(matched[2] or 1)
-    value = float(matched[1]) / denominator if denominator else math.nan
-    return value if math.isfinite(value) else None
-
-
-def _pixel_mm(tags: ExifTags) -> float | None:
-    per_unit, unit = _float(tags.get("FocalPlaneXResolution")), _whole(tags.get("FocalPlaneResolutionUnit")) or 2
-    return _MM_PER_UNIT[unit] / per_unit if per_unit and per_unit > 0 and unit in _MM_PER_UNIT else None
-
-
-def _float(value: object) -> float | None:
-    return value if isinstance(value, float) else None
-
-
-def _whole(value: object) -> int | None:
-    return int(value) if isinstance(value, float) and 0 < value < 1e9 else None
-
-
-def _text(value: object) -> str:
-    return "".join(each for each in value if each.isprintable()) if isinstance(value, str) else ""
+    pixel_mm = _MM_PER_UNIT[unit] / per_unit
+    wide, sensor = pixel_mm * (width_px or 0), sensor_of(make, model)
+    least, most = (
+        _SENSOR_WIDTHS_MM
+        if sensor is None
+        else (sensor.width_mm / _SENSOR_TOLERANCE, sensor.width_mm * _SENSOR_TOLERANCE)
+    )
+    if width_px and not least <= wide <= most:
+        stated.refused.append(
+            f"FocalPlaneXResolution makes the sensor {wide:.2g} mm wide, as in a copy of another size"
+        )
+        return None
+    return pixel_mm

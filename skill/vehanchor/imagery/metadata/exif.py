@@ -46,7 +46,7 @@ _POINTERS = (_CAMERA_DIRECTORY, _POSITION_DIRECTORY)
 _SEXAGESIMAL = ("GPSLatitude", "GPSLongitude")
 _MAX_ENTRIES = 512  # a real directory has some dozens
 _MAX_TEXT_BYTES = 64
-_BYTE, _ASCII, _LONG, _UNDEFINED, _RATIONAL, _SIGNED_RATIONAL = 1, 2, 4, 7, 5, 10
+_BYTE, _ASCII, _LONG, _IFD, _UNDEFINED, _RATIONAL, _SIGNED_RATIONAL = 1, 2, 4, 13, 7, 5, 10
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8, 11: 4, 12: 8}
 _FORMATS = {1: "B", 3: "H", 4: "I", 5: "II", 9: "i", 10: "ii", 11: "f", 12: "d"}
 
@@ -56,7 +56,7 @@ def read_exif(read_at: ReadAt, max_notes_bytes: int) -> ExifTags:
 
     Args:
         read_at: reads the TIFF structure, with offsets from its first byte; classic TIFF only, as in EXIF.
-        max_notes_bytes: limit for the XMP in a TIFF tag; larger packets are skipped.
+        max_notes_bytes: limit for the XMP in a TIFF tag; of a larger packet the start is read.
     """
     head = read_at(0, 8)
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(head[:4])
@@ -84,13 +84,13 @@ def _read_directory(
     further: dict[int, int] = {}
     for at in range(0, len(table) - 11, 12):
         tag, kind, count = struct.unpack_from(order + "HHI", table, at)
-        if tag in _POINTERS and kind == _LONG:
+        if tag in _POINTERS and kind in (_LONG, _IFD):
             further.setdefault(tag, struct.unpack_from(order + "I", table, at + 8)[0])
         name = names.get(tag)
         if name is None or name in tags or kind not in _SIZES or count == 0:
             continue
         limit = max_notes_bytes if name == "ApplicationNotes" else _MAX_TEXT_BYTES
-        if name == "ApplicationNotes" and (kind not in (_BYTE, _UNDEFINED) or count > limit):
+        if name == "ApplicationNotes" and kind not in (_BYTE, _ASCII, _UNDEFINED):
             continue
         whole = _SIZES[kind] * count
         wanted = min(whole, limit) if kind in (_BYTE, _ASCII, _UNDEFINED) else _SIZES[kind]

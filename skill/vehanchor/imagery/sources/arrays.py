@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import ImageFormatError
-from vehanchor.imagery.bands import check_dtype, check_finite, choose_bands, merge_bands
+from vehanchor.imagery.bands import check_dtype, check_finite, choose_bands, is_alpha, merge_bands
 from vehanchor.imagery.limits import check_side
 from vehanchor.imagery.raster import Raster, StoredPixels, Window
 from vehanchor.imagery.stretch import SAMPLE_PX
@@ -29,6 +29,7 @@ class ArrayRaster(Raster):
         bands: bands to use as red, green and blue.
         bgr: whether the first three bands are blue, green and red.
         orientation: EXIF orientation to apply.
+        alpha: whether the last of two or four bands is alpha. If this is unknown, its values decide.
 
     Raises:
         InvalidParameterError: ``bands`` names a missing band.
@@ -45,6 +46,7 @@ class ArrayRaster(Raster):
         *,
         bgr: bool = False,
         orientation: int = 1,
+        alpha: bool = False,
     ) -> None:
         pixels = _check_array(pixels)
         height, width, n_bands = pixels.shape
@@ -59,11 +61,17 @@ class ArrayRaster(Raster):
         stored = (2, 1, 0, 3) if bgr and n_bands >= 3 else tuple(range(n_bands))
         self._channels = tuple(stored[channel] for channel in channels)
         self._pixels = pixels
+        step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
+        sample = pixels[::step, ::step]
+        unused = n_bands in (2, 4) and n_bands - 1 not in self._channels
+        self._alpha = -1 if unused and (alpha or is_alpha(sample[..., -1])) else None
+        if self._alpha is not None and not pixels[..., -1].any():
+            raise ImageFormatError("all pixels are transparent: save the image without its alpha band")
         if pixels.dtype != np.uint8:
             for channel in sorted(set(self._channels)):
                 check_finite(pixels[:, :, channel])
-            step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
-            self._choose_stretch(pixels[::step, ::step][:, :, list(self._channels)])
+            seen = sample.reshape(-1, n_bands) if self._alpha is None else sample[sample[..., -1] != 0]
+            self._choose_stretch(seen[:, list(self._channels)])
 
     def _read_stored(self, window: Window) -> StoredPixels:
         part = self._pixels[
@@ -74,7 +82,8 @@ class ArrayRaster(Raster):
             return StoredPixels(part, None)
         if self._channels == (2, 1, 0) and part.shape[2] == 3 and part.dtype != np.float64:
             return StoredPixels(cv2.cvtColor(part, cv2.COLOR_BGR2RGB), None)  # one pass, for most files
-        return StoredPixels(merge_bands([part[:, :, channel] for channel in self._channels]), None)
+        valid = None if self._alpha is None else part[..., self._alpha] != 0
+        return StoredPixels(merge_bands([part[:, :, channel] for channel in self._channels]), valid)
 
 
 def _check_array(pixels: NDArray[Any]) -> NDArray[Any]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import glob
 import os
-from itertools import chain
+import unicodedata
+from itertools import chain, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,22 @@ _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset(chain.from_iterable(IMAGE_FORMATS.values()))
 """Suffixes of the images in directories."""
 
+_SYSTEM_FOLDERS = frozenset(
+    (
+        "__macosx",
+        "$recycle.bin",
+        "#recycle",
+        "#snapshot",
+        "@eadir",
+        "@recycle",
+        "@tmp",
+        "@__thumb",
+        "thumbnails",
+        "thumbs",
+    )
+)
+"""Folders of systems, network storage and viewers, in lower case."""
+
 
 def find_images(
     inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], *, leave_out: Iterable[Path] = ()
@@ -25,9 +42,9 @@ def find_images(
     """List every image once, in an order that depends on the names alone.
 
     Args:
-        inputs: one or several: directories (searched by suffix, recursively, also behind links), patterns
-            (``photos/*.jpg``, also ``**``), and files. A missing file with an image suffix stays in the list if other
-            images exist: it becomes a row with an error.
+        inputs: one or several: directories (searched by suffix, recursively, also behind links, but not hidden files
+            and the folders of systems and viewers), patterns (``photos/*.jpg``, also ``**``), and files. A missing file
+            with an image suffix stays in the list if other images exist: it becomes a row with an error.
         leave_out: files that match a pattern but are not images, such as the table to write.
 
     Returns:
@@ -66,9 +83,31 @@ def _is_left_out(image: str, excluded: Mapping[str, Path]) -> bool:
     return True
 
 
+def holds_photographs(name: str) -> bool:
+    """Test by its name whether a file or folder in a directory is no copy that a system or viewer keeps for itself."""
+    return not name.startswith(".") and name.casefold() not in _SYSTEM_FOLDERS
+
+
+def existing(path: str) -> str:
+    """Give a path that exists in another Unicode form (NFC or NFD) in that form; other paths unchanged."""
+    if path.isascii() or os.path.lexists(path):
+        return path
+    folder, name = os.path.split(path)
+    if folder == path or not name:
+        return path
+    folder = existing(folder) if folder else folder
+    wanted = unicodedata.normalize("NFC", name)
+    try:
+        names = os.listdir(folder or ".")  # noqa: PTH208 - names as they are
+    except OSError:
+        return path
+    found = (each for each in sorted(names) if unicodedata.normalize("NFC", each) == wanted)
+    return os.path.join(folder, next(found, name))  # noqa: PTH118 - keeps the caller's spelling
+
+
 def where_it_is(image: str | os.PathLike[str]) -> str:
     """Give the unique name of an image: its absolute path without links."""
-    return str(Path(image).resolve())
+    return str(Path(existing(os.fspath(image))).resolve())
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -84,18 +123,23 @@ def _files(folder: Path) -> Iterator[Path]:
                     folders.clear()
                     continue
                 known.add((state.st_dev, state.st_ino))
+                folders[:] = filter(holds_photographs, folders)
                 links += [path for each in sorted(folders) if (path := Path(here, each)).is_symlink()]
-                yield from (Path(here, each) for each in files)
+                yield from (Path(here, each) for each in files if holds_photographs(each))
         waiting = links
 
 
 def _images(name: str) -> list[str]:
+    name = existing(name)
     path = Path(name)
     if path.is_dir():
         return sorted(str(file) for file in _files(path) if file.suffix.lower() in SUFFIXES and file.is_file())
     if not path.exists() and glob.has_magic(name):
         matches = glob.glob(name, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
-        return sorted(file for file in matches if Path(file).is_file())
+        fixed = len(list(takewhile(lambda part: not glob.has_magic(part), path.parts)))
+        return sorted(
+            file for file in matches if Path(file).is_file() and all(map(holds_photographs, Path(file).parts[fixed:]))
+        )
     if not path.exists() and (name.endswith(_SEPARATORS) or path.suffix.lower() not in SUFFIXES):
         raise ImageNotFoundError(f"there is no file or directory {name!r}")
     return [name]

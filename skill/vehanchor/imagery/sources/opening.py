@@ -25,6 +25,7 @@ from vehanchor.imagery.limits import check_bytes, read_checked_header
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
 from vehanchor.imagery.sources.arrays import ArrayRaster
+from vehanchor.imagery.sources.files import existing
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
 from vehanchor.options import ImageLimits
@@ -42,6 +43,7 @@ rasterio dataset, or a Pillow image."""
 
 _MIB = 1 << 20
 _JPEG = b"\xff\xd8\xff"
+_WITH_ALPHA = frozenset({"PNG", "WebP", "AVIF"})  # formats whose fourth band is alpha
 
 
 def open_raster(
@@ -55,7 +57,8 @@ def open_raster(
 
     uint8 stays unchanged. uint16 is stretched between percentiles 2 and 98 of the whole image. Floats within 0..1 are
     scaled by 255, other floats stretched by percentiles. Arrays and plain files must be finite; in files read by
-    windows NaN means "no data". One band becomes grey, alpha is dropped, and of more bands the first three are used.
+    windows NaN means "no data". One band becomes grey. Pixels of alpha 0
+    are not seen. Of more bands the first three are used.
 
     Args:
         image: one of
@@ -83,12 +86,12 @@ def open_raster(
     if isinstance(image, np.ndarray):
         return ArrayRaster(image, "array", bands, bgr=bgr)
     if isinstance(image, str | os.PathLike):
-        return _open_path(os.fspath(image), bands, limits)
+        return _open_path(existing(os.fspath(image)), bands, limits)
     if isinstance(image, bytes | bytearray | memoryview):
         check_bytes(memoryview(image).nbytes, limits)
         return _open_bytes(bytes(image), "bytes", bands, limits)
     if is_pillow(image):
-        return ArrayRaster(pillow_pixels(image, limits), "image", bands)
+        return ArrayRaster(pillow_pixels(image, limits), "image", bands, alpha=True)
     if is_dataset(image):
         return open_dataset(image, bands, limits)
     if hasattr(image, "read"):
@@ -141,7 +144,8 @@ def _open_bytes(
         return _open_by_windows(data, source, header, bands, limits, read_at)
     pixels = decode(data, source, header)
     orientation = 1 if header.tiff else header.orientation  # OpenCV has already applied a TIFF's orientation
-    raster = ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation)
+    alpha = header.tiff.alpha if header.tiff else header.format in _WITH_ALPHA
+    raster = ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation, alpha=alpha)
     raster.camera = read_camera(read_at)
     return raster
 

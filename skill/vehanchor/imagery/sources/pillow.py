@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from vehanchor.options import ImageLimits
 
 _ARRAY_MODES = {"L": 1, "RGB": 3, "RGBA": 4, "I;16": 2, "I;16B": 2, "F": 4}
-"""Modes that become arrays directly, with bytes per pixel; all others are converted to RGB first."""
+"""Modes that become arrays directly, with bytes per pixel; all others are converted to RGB or RGBA first."""
 
 _HELD_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2}
 """Bytes per pixel in Pillow's memory; 4 for all other modes."""
@@ -64,7 +64,8 @@ def pillow_pixels(image: PillowImage, limits: ImageLimits) -> NDArray[Any]:
             f"the Pillow image has {width} x {height} px, the limit is {limits.max_pixels} pixels "
             "(--max-megapixels, ImageLimits.max_pixels)"
         )
-    held, shown = _HELD_BYTES.get(image.mode, 4), _ARRAY_MODES.get(image.mode, 3)
+    plain = "RGBA" if getattr(image, "has_transparency_data", False) else "RGB"
+    held, shown = _HELD_BYTES.get(image.mode, 4), _ARRAY_MODES.get(image.mode, len(plain))
     taken = width * height * (held + 2 * shown)  # Pillow copies its pixels in pieces and then joins them
     if taken > limits.max_decoded_bytes:
         raise ImageTooLargeError(
@@ -76,7 +77,7 @@ def pillow_pixels(image: PillowImage, limits: ImageLimits) -> NDArray[Any]:
         if image.getexif().get(_TAG_ORIENTATION, 1) != 1:  # exif_transpose always copies
             upright = ImageOps.exif_transpose(cast("Any", image))
         if upright.mode not in _ARRAY_MODES:
-            upright = upright.convert("RGB")
+            upright = upright.convert(plain)
         return np.asarray(upright)
     except MemoryError as error:
         size = f"{width} x {height} px"

@@ -19,7 +19,7 @@ from vehanchor.errors import (
     OutOfMemoryError,
     VehAnchorError,
 )
-from vehanchor.imagery.bands import check_dtype, choose_bands, merge_bands
+from vehanchor.imagery.bands import check_dtype, choose_bands, is_alpha, merge_bands
 from vehanchor.imagery.limits import check_block, check_windowed_size
 from vehanchor.imagery.metadata.georeference import Ground, dataset_gsd_m_per_px
 from vehanchor.imagery.raster import Raster, StoredPixels, Window, stored_window
@@ -189,10 +189,11 @@ def gdal_environment(source: str, **options: str) -> Iterator[None]:
     """Run GDAL with these options, silent on stderr, and translate its errors."""
     from rasterio import Env
     from rasterio._err import CPLE_BaseError, CPLE_OutOfMemoryError
-    from rasterio.errors import RasterioError
+    from rasterio.errors import NodataShadowWarning, RasterioError
 
     try:
-        with Env(GDAL_CACHEMAX=_CACHE_BYTES, **options):
+        with Env(GDAL_CACHEMAX=_CACHE_BYTES, **options), warnings.catch_warnings():
+            warnings.simplefilter("ignore", NodataShadowWarning)  # the alpha band is read by itself
             yield
     except VehAnchorError:
         raise
@@ -257,9 +258,11 @@ class DatasetRaster(Raster):
         check_dtype(dtype)
         self._dataset = dataset
         self._unique = sorted(set(self._indexes))
-        flags = [{flag.name for flag in dataset.mask_flag_enums[index - 1]} for index in self._unique]
+        with gdal_environment(source):
+            flags = [{flag.name for flag in dataset.mask_flag_enums[index - 1]} for index in self._unique]
         self._masked = any("all_valid" not in names for names in flags)
         self._stack = ExitStack()
+        self._alpha = self._alpha_band()
         if dtype != np.uint8 and self._palette is None:
             self._choose_stretch(self._sample())
 
@@ -290,16 +293,16 @@ class DatasetRaster(Raster):
             return all(factor in self._dataset.overviews(k) for k in self._unique)
 
     def _read_stored(self, window: Window, shape: tuple[int, int] | None = None) -> StoredPixels:
-        bounds = (
-            (window.y_px, window.y_px + window.height_px),
-            (window.x_px, window.x_px + window.width_px),
-        )
-        more: dict[str, Any] = {} if shape is None else {"out_shape": (len(self._unique), *shape)}
+        bounds = _bounds(window)
+        more, of_one = ({} if shape is None else {"out_shape": (n, *shape)} for n in (len(self._unique), 1))
         with gdal_environment(self.source):
             planes = dict(zip(self._unique, self._dataset.read(self._unique, window=bounds, **more), strict=True))
             masks = self._dataset.read_masks(self._unique, window=bounds, **more) if self._masked else None
+            opaque = None if self._alpha is None else self._dataset.read([self._alpha], window=bounds, **of_one)[0] != 0
         # With "nodata = 0" a dark band counts as empty; a pixel has no data only if all bands are empty.
         valid: NDArray[np.bool_] | None = None if masks is None else masks.any(axis=0)
+        if opaque is not None:
+            valid = opaque if valid is None else valid & opaque
         if self._palette is not None:
             return StoredPixels(self._palette[planes[1]], valid)
         rgb = merge_bands([planes[index] for index in self._indexes])
@@ -309,20 +312,40 @@ class DatasetRaster(Raster):
             rgb[~valid] = 0
         return StoredPixels(rgb, valid)
 
+    def _alpha_band(self) -> int | None:
+        """Find the band that is declared to be alpha, or undeclared and without other values than alpha has."""
+        kinds = [each.name for each in self._dataset.colorinterp]
+        if "alpha" in kinds:
+            band = kinds.index("alpha") + 1
+            return None if band in self._indexes else band
+        last = len(kinds)
+        if last not in (2, 4) or kinds[-1] != "undefined" or last in self._indexes:
+            return None
+        with gdal_environment(self.source):
+            parts = [self._dataset.read(last, window=_bounds(each)).ravel() for each in self._sample_windows()]
+        return last if is_alpha(np.concatenate(parts)) else None
+
     def _sample(self) -> NDArray[Any]:
-        """Sample valid values ``[n, 3]``: all of a small raster, a grid of windows of a large one."""
-        width, height = self._dataset.width, self._dataset.height
-        if width * height <= SAMPLE_PX:
-            windows = [Window(0, 0, width, height)]
-        else:
-            side = math.isqrt(SAMPLE_PX) // _SAMPLE_GRID
-            spots = np.linspace(0, 1, _SAMPLE_GRID)
-            w, h = min(side, width), min(side, height)
-            windows = [Window(int(x * (width - w)), int(y * (height - h)), w, h) for y in spots for x in spots]
-        parts = [self._read_stored(window) for window in windows]
+        """Sample valid values ``[n, 3]``."""
+        parts = [self._read_stored(window) for window in self._sample_windows()]
         return np.concatenate(
             [part.rgb.reshape(-1, 3) if part.valid is None else part.rgb[part.valid] for part in parts]
         )
+
+    def _sample_windows(self) -> list[Window]:
+        """Lay out the sample: all of a small raster, a grid of windows of a large one."""
+        width, height = self._dataset.width, self._dataset.height
+        if width * height <= SAMPLE_PX:
+            return [Window(0, 0, width, height)]
+        side = math.isqrt(SAMPLE_PX) // _SAMPLE_GRID
+        spots = np.linspace(0, 1, _SAMPLE_GRID)
+        w, h = min(side, width), min(side, height)
+        return [Window(int(x * (width - w)), int(y * (height - h)), w, h) for y in spots for x in spots]
+
+
+def _bounds(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Rows and columns of a window, as rasterio takes them."""
+    return (window.y_px, window.y_px + window.height_px), (window.x_px, window.x_px + window.width_px)
 
 
 def _palette(dataset: Any) -> NDArray[np.uint8] | None:

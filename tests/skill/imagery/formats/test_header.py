@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests import bombs
 from tests.skill.imagery.files import (
     RGB,
     bigtiff_header,
@@ -20,9 +21,8 @@ from tests.skill.imagery.files import (
     tiff_header,
     webp_header,
 )
-from vehanchor.errors import (
-    ImageDecodeError,
-)
+from vehanchor.errors import ImageDecodeError, ImageFormatError
+from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.sources.opening import open_raster
 
 
@@ -86,3 +86,58 @@ def test_what_is_no_image_is_undecodable(data: bytes, tmp_path: Path, capfd: pyt
             open_raster(image)
         assert caught.value.code == "image_undecodable"
     assert capfd.readouterr().err == ""
+
+
+def _raw(first: tuple[int, int], further: tuple[int, int], *, reduced: bool = False, chained: bool = False) -> bytes:
+    """A TIFF with a picture in its first directory, and another in a directory within or after it."""
+    entries = [(254, 4, 1, int(reduced)), (256, 4, 1, first[0]), (257, 4, 1, first[1]), (258, 3, 1, 8), (262, 3, 1, 1)]
+    at = 8 + 2 + 12 * (len(entries) + 1) + 4
+    entries.append((315, 4, 1, 0) if chained else (330, 13, 1, at))
+    data = bombs.tiff_of_directory(entries)
+    inner = struct.pack("<H", 2) + struct.pack("<HHIIHHII", 256, 4, 1, further[0], 257, 4, 1, further[1]) + bytes(4)
+    return data[:-4] + struct.pack("<I", at if chained else 0) + inner
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        _raw((64, 64), (640, 480)),
+        _raw((64, 64), (640, 480), reduced=True, chained=True),
+        bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), (262, 3, 1, 2), (50706, 1, 4, 1025)]),
+        bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), (262, 3, 1, 32803)]),
+        b"II*\0\x10\0\0\0CR\2\0\0\0\0\0" + bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64)])[8:],
+    ],
+)
+def test_a_raw_file_is_refused_with_what_to_export(data: bytes) -> None:
+    with pytest.raises(ImageFormatError, match="export the photograph as JPEG or TIFF in full size"):
+        read_header(lambda offset, count: data[offset : offset + count])
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        _raw((640, 480), (64, 64)),  # an overview
+        _raw((64, 64), (640, 480), chained=True),  # pages
+        _raw((640, 480), (320, 240), reduced=True, chained=True),
+    ],
+)
+def test_overviews_and_pages_stay_as_they_are(data: bytes) -> None:
+    header = read_header(lambda offset, count: data[offset : offset + count])
+    assert (header.width_px, header.height_px) in ((640, 480), (64, 64))
+
+
+@pytest.mark.parametrize(
+    "start", [b"\0\0\0\x18ftypcrx ", b"FUJIFILMCCD-RAW 0201", b"IIRO\x08\0\0\0", b"IIU\0\x18\0\0\0"]
+)
+def test_raw_files_of_other_forms_are_named(start: bytes) -> None:
+    with pytest.raises(ImageDecodeError, match="raw file; export"):
+        open_raster(start + bytes(40))
+
+
+def test_a_directory_whose_values_exceed_the_file_is_refused() -> None:
+    shared = [(tag, 1, 1000, 0) for tag in range(60_000, 60_010)]
+    data = bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), *shared], after=bytes(9000))
+    with pytest.raises(ImageDecodeError, match="values of 10000 bytes, more than the file has"):
+        read_header(lambda offset, count: data[offset : offset + count])
+    longer = data + bytes(1000)
+    assert read_header(lambda offset, count: longer[offset : offset + count]).width_px == 64
