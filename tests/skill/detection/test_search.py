@@ -26,6 +26,8 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import Effort, ScaleOptions, Search
+from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor.scale.density import GRID
 
 _RANGE = {"vehanchor.length_range_px": "9,64"}
 _SEARCHING = _RANGE | {"vehanchor.search_scales": "1"}
