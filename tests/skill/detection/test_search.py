@@ -344,16 +344,6 @@ def test_every_tile_is_taken_once_whatever_the_others_showed(side: int, at_once:
     assert sorted(taken) == list(range(len(places)))
 
 
-def test_what_promises_cars_comes_first_and_every_fourth_tile_comes_from_anywhere() -> None:
-    places = _places(1600, (1,))
-    tile_prior = np.array([0.9 if place.window.x_px > 1000 else 0.1 for place in places])
-    first = TileScheduler(places, tile_prior, {1: 1.0}).next_tiles(40)
-    right = np.array([places[k].window.x_px > 1000 for k in first])
-    assert right.mean() >= 0.75
-    assert {k for k, is_right in enumerate(right) if not is_right} <= set(range(3, 40, 4))
-    assert (~right).any()
-
-
 def test_a_town_promises_more_than_fields_in_every_cell_of_it() -> None:
     image = blank_image(3000, 1100)
     image[:] += np.random.default_rng(0).integers(0, 5, (*image.shape[:2], 1), dtype=np.uint8)

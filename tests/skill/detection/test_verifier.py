@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from vehanchor.detection.card import VerifierCard, read_auxiliary_card, read_det
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.networks import networks_sha256
-from vehanchor.detection.position_sample import position_sample
 from vehanchor.detection.search import search
 from vehanchor.detection.verifier import CHIP_PX, Verifier, surroundings
 from vehanchor.errors import ModelContractError, ModelNotFoundError
@@ -135,15 +133,6 @@ def test_another_car_verifier_is_refused(tmp_path: Path) -> None:
         CarVerifier(tmp_path / "none.onnx")
 
 
-def test_a_larger_view_of_the_same_scene_gets_the_same_answer(verifier: CarVerifier) -> None:
-    pixels, box = _square(109, 84), np.array([[105.0, 88.0, 32.0, 14.0, 0.4]])
-    small = _answers(verifier, pixels, box)
-    for factor in (2, 4):  # the second is read in a reduced copy
-        larger = np.asarray(cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), np.uint8)
-        large = _answers(verifier, larger, box * (factor, factor, factor, factor, 1))
-        np.testing.assert_allclose(large.box[0, :2], small.box[0, :2], atol=0.02)
-
-
 def test_the_bundled_one_prefers_rendered_cars_to_boxes_of_twice_their_size() -> None:
     file = car_verifier_beside(resolve_model())
     assert file is not None
@@ -204,23 +193,6 @@ def test_many_vehicles_are_left_as_they_are(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.boxes, plain.boxes)
     np.testing.assert_array_equal(found.scores, plain.scores)
     assert networks_sha256(with_one.card) != before
-
-
-def _car_park() -> NDArray[np.float64]:
-    """Rows of 2,000 cars, each found twice, two pixels apart; the cars of the right half are longer."""
-    grid = np.stack(np.meshgrid(np.arange(20.0, 1000, 24), np.arange(15.0, 1000, 20)), axis=-1).reshape(-1, 2)
-    lengths = np.where(grid[:, 0] < 512, 20.0, 24.0)
-    once = np.column_stack([grid, lengths, np.full(len(grid), 9.0), np.zeros(len(grid))])
-    return np.concatenate([once, once + np.array([2, 0, 0, 0, 0])])
-
-
-def test_a_sample_is_large_enough_and_favours_no_place_and_no_size() -> None:
-    boxes = _car_park()
-    chosen = position_sample(boxes, 128)
-    assert 128 <= len(chosen) < 160
-    assert 0.3 < np.mean(boxes[chosen, 2] > 22) < 0.7
-    for axis in (0, 1):
-        assert np.bincount((boxes[chosen, axis] // 256).astype(int), minlength=4).min() >= 10
 
 
 @pytest.mark.slow

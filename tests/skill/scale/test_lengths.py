@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import gaussian_kde
 
 from vehanchor.errors import InvalidParameterError, TooObliqueError
-from vehanchor.scale.density import GRID, LOG_STEP, blurred, credible_interval, lognormal, mass_within
+from vehanchor.scale.density import GRID, LOG_STEP, blurred, lognormal, mass_within
 from vehanchor.scale.lengths import (
     gsd_interval,
     guard_length,
@@ -140,18 +140,6 @@ def test_few_vehicles_never_give_a_narrow_interval() -> None:
 _VOTES = Votes(-2.0, 5.0)
 
 
-def _peak(density: np.ndarray) -> float:
-    return float(np.exp(GRID[np.argmax(density)]))
-
-
-def test_votes_of_many_cars_make_a_narrow_density_at_their_scale() -> None:
-    lengths = 30 * np.exp(np.random.default_rng(0).normal(0, 0.1, 40))
-    density = vehicle_likelihood(lengths, np.full(40, 0.9), 4.5, _VOTES)
-    assert _peak(density) == pytest.approx(0.15, rel=0.04)
-    low, high = credible_interval(density)
-    assert low < 0.15 < high < 1.12 * low
-
-
 def test_the_binned_votes_are_the_product_of_the_boxes_likelihoods() -> None:
     lengths, scores = np.array([20.0, 22.0, 60.0]), np.array([0.9, 0.3, 0.6])
     odds = np.exp(_VOTES.log_odds(scores))
@@ -166,12 +154,6 @@ def test_a_box_of_a_low_score_says_less_than_one_of_a_high_score() -> None:
     low, high = (vehicle_likelihood([30.0], [score], 4.5, Votes(-13.76, 17.4)) for score in (0.6, 0.95))
     assert low.max() < high.max()
     assert low.max() < 1.5 * low.min()
-
-
-def test_two_humps_of_like_weight_give_an_interval_that_holds_both() -> None:
-    low, high = credible_interval((lognormal(0.1, 0.03) + lognormal(0.3, 0.03)) / 2)
-    assert low < 0.1
-    assert high > 0.3
 
 
 @given(st.floats(0.02, 1.0), st.floats(0.02, 0.3), st.floats(0.0, 0.3), st.floats(-0.2, 0.2))
