@@ -12,17 +12,12 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from research.scenes.render import render_scene
+from tests.conftest import ROOT
 from vehanchor import estimate_gsd
 
-_GSD = 0.1
+_GSD = 0.12
 _BARREL = 0.35  # share of the squared distance from the centre, in half sides
 _Image = NDArray[np.uint8]
-
-
-@pytest.fixture(scope="module")
-def photograph() -> _Image:
-    return render_scene(_GSD, width_px=900, height_px=900, seed=9011, mean_vehicle_length_m=4.4, layout="parking").image
 
 
 def _resized(image: _Image, across: float, down: float) -> _Image:
@@ -30,23 +25,25 @@ def _resized(image: _Image, across: float, down: float) -> _Image:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def test_true_proportions_have_no_notice(photograph: _Image) -> None:
-    estimate = estimate_gsd(photograph)
+def test_true_proportions_have_no_notice(car_park: _Image) -> None:
+    estimate = estimate_gsd(car_park)
     assert estimate.status == "ok"
     assert "stretched" not in {notice.code for notice in estimate.warnings}
 
 
 @pytest.mark.parametrize(("across", "down"), [(1.0, 1.5), (0.67, 1.0)])
-def test_a_stretched_image_is_never_ok_and_says_why(photograph: _Image, across: float, down: float) -> None:
-    estimate = estimate_gsd(_resized(photograph, across, down))
+def test_a_stretched_image_is_never_ok_and_says_why(car_park: _Image, across: float, down: float) -> None:
+    estimate = estimate_gsd(_resized(car_park, across, down))
     assert estimate.status != "ok"
     assert estimate.reason == "disagree"
     assert "stretched" in {notice.code for notice in estimate.warnings}
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def few_cars() -> _Image:
-    return render_scene(_GSD, width_px=640, height_px=640, seed=9029, mean_vehicle_length_m=4.4, n_vehicles=4).image
+    picture = cv2.imread(str(ROOT / "examples/car_park.jpg"))
+    assert picture is not None
+    return np.ascontiguousarray(picture[:260, 400:660, ::-1], dtype=np.uint8)
 
 
 def test_few_cars_of_true_proportions_have_no_notice(few_cars: _Image) -> None:
@@ -59,8 +56,8 @@ def test_few_cars_tell_a_stretch(few_cars: _Image) -> None:
     assert (estimate.status, estimate.reason) == ("low_confidence", "disagree")
 
 
-def test_a_scale_does_not_hide_a_stretch(photograph: _Image) -> None:
-    estimate = estimate_gsd(_resized(photograph, 1.5, 1.0), known_lengths=[(100, 100, 400, 100, 30.0)])
+def test_a_scale_does_not_hide_a_stretch(car_park: _Image) -> None:
+    estimate = estimate_gsd(_resized(car_park, 1.5, 1.0), known_lengths=[(100, 100, 400, 100, 30.0)])
     assert estimate.status != "ok"
 
 
@@ -102,8 +99,8 @@ CONDITIONS: dict[str, Callable[[_Image], _Image]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("condition", CONDITIONS)
-def test_an_unusual_image_is_refused_or_right(photograph: _Image, condition: str) -> None:
-    estimate = estimate_gsd(CONDITIONS[condition](photograph))
+def test_an_unusual_image_is_refused_or_right(car_park: _Image, condition: str) -> None:
+    estimate = estimate_gsd(CONDITIONS[condition](car_park))
     true = _GSD * (_mean_scale_of_fisheye() if condition == "fisheye" else 1)
     assert estimate.status != "ok" or estimate.gsd_m_per_px == pytest.approx(true, rel=0.2)
 

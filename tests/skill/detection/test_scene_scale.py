@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from research.scenes import render_scene
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import (
     FACTORS,
@@ -46,10 +45,9 @@ def test_a_sharp_place_may_be_finer_than_it_looks(gsd: float, wider: float) -> N
     assert high == pytest.approx(plain.high, rel=0.03)
 
 
-def test_the_grounds_word_moves_the_scores_of_the_bundled_detector() -> None:
-    scene = render_scene(0.12, width_px=400, height_px=400, seed=3, layout="parking")
+def test_the_grounds_word_moves_the_scores_of_the_bundled_detector(car_park: NDArray[np.uint8]) -> None:
     detector = Detector(resolve_model(), runtime=Runtime(threads=1))
-    with open_raster(scene.image) as raster:
+    with open_raster(car_park[:400, :400]) as raster:
         alone, right, wrong = (
             search(raster, detector, Search(min_score=0.3, search_scales=False), prior=ground).scores
             for ground in (None, _ground(0.12, 0.15), _ground(0.5, 0.15))
