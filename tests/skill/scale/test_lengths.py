@@ -36,6 +36,7 @@ def test_the_outlier_filter_is_one_sided() -> None:
 
 
 @given(_LENGTHS, st.booleans())
+@settings(max_examples=40)
 def test_density_equals_scipys(lengths: list[float], weighted: bool) -> None:
     assume(np.std(lengths) >= 1e-3)
     weights = np.linspace(0.2, 1.0, len(lengths)) if weighted else None
