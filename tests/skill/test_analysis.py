@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import vehanchor
 from tests.conftest import ROOT
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import blank_image, paint_vehicles
 from vehanchor import analyse_area, analyse_distance, analyse_scale
 from vehanchor.analysis.measured import AreaAnalysis
 from vehanchor.cli.app import app
@@ -26,11 +26,6 @@ from vehanchor.options import ScaleOptions
 from vehanchor.pictures.measured import MEASURED_RGB
 from vehanchor.records import KnownPlane, Notice, Reason, SceneScaleEstimate
 from vehanchor.records.advice import ADVICE, advice_for
-
-
-@pytest.fixture(scope="module")
-def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    return Detector(write_detector(tmp_path_factory.mktemp("models") / "m.onnx", fixed_size=256))
 
 
 @pytest.fixture(scope="module")

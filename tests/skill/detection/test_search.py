@@ -33,12 +33,6 @@ _RANGE = {"vehanchor.length_range_px": "9,64"}
 _SEARCHING = _RANGE | {"vehanchor.search_scales": "1"}
 
 
-@pytest.fixture(scope="module")
-def searching(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    """A detector of painted vehicles whose file asks for the search."""
-    return Detector(write_detector(tmp_path_factory.mktemp("model") / "m.onnx", metadata=_SEARCHING))
-
-
 def _painted(
     factor: int, lengths: list[float], columns: int = 6, **kinds: Any
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:

@@ -29,16 +29,6 @@ BOX = (410.7, 273.9, 477.3, 382.1)
 GSD = 0.15
 
 
-@pytest.fixture(scope="module")
-def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    return Detector(write_detector(tmp_path_factory.mktemp("detector") / "painted.onnx"))
-
-
-@pytest.fixture(scope="module")
-def segmenter(tmp_path_factory: pytest.TempPathFactory) -> Segmenter:
-    return Segmenter(*write_sam(tmp_path_factory.mktemp("segmenter")))
-
-
 def _place(n_vehicles: int = 30, rectangle: tuple[int, int, int, int] = POOL) -> NDArray[np.uint8]:
     """A pool of 48 x 96 px below rows of cars."""
     image = blank_image(800, 600)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 import vehanchor
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import blank_image, paint_vehicles
 from tests.sam_models import write_sam
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
@@ -22,16 +22,6 @@ from vehanchor.segmentation.segmenter import Segmenter
 
 SIZE = 800, 600
 BOX = (410.7, 273.9, 477.3, 382.1)
-
-
-@pytest.fixture(scope="module")
-def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    return Detector(write_detector(tmp_path_factory.mktemp("detector") / "painted.onnx"))
-
-
-@pytest.fixture(scope="module")
-def segmenter(tmp_path_factory: pytest.TempPathFactory) -> Segmenter:
-    return Segmenter(*write_sam(tmp_path_factory.mktemp("segmenter")))
 
 
 def _place(n_vehicles: int = 30) -> NDArray[np.uint8]:

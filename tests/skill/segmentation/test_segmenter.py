@@ -162,11 +162,6 @@ def test_what_names_nothing_in_this_image_is_refused(prompt: Prompt, frame: Fram
         prompt_in_image(prompt, frame, 60, 40)
 
 
-@pytest.fixture(scope="module")
-def sam(tmp_path_factory: pytest.TempPathFactory) -> Segmenter:
-    return Segmenter(*write_sam(tmp_path_factory.mktemp("sam")))
-
-
 @pytest.mark.parametrize(
     ("prompt", "side"),
     [
@@ -174,33 +169,37 @@ def sam(tmp_path_factory: pytest.TempPathFactory) -> Segmenter:
         (Prompt(box=(1200.0, 1500.0, 1500.0, 1600.0)), 600),
     ],
 )
-def test_the_crop_of_a_box_has_twice_its_side_and_at_least_256_px(sam: Segmenter, prompt: Prompt, side: int) -> None:
-    window = segmented(sam, blank_image(3000, 3000), prompt).window
+def test_the_crop_of_a_box_has_twice_its_side_and_at_least_256_px(
+    segmenter: Segmenter, prompt: Prompt, side: int
+) -> None:
+    window = segmented(segmenter, blank_image(3000, 3000), prompt).window
     assert (window.width_px, window.height_px) == (side, side)
 
 
-def test_the_crop_of_a_point_grows_until_the_object_is_in_it(sam: Segmenter) -> None:
+def test_the_crop_of_a_point_grows_until_the_object_is_in_it(segmenter: Segmenter) -> None:
     image = blank_image(3000, 2600)
     image[1100:1612, 1000:2200] = OBJECT_RGB
-    found = segmented(sam, image, Prompt(points=((1500.0, 1300.0, True),)))
+    found = segmented(segmenter, image, Prompt(points=((1500.0, 1300.0, True),)))
     assert found.window.width_px == pytest.approx(2 * 1200, rel=0.05)
     assert found.alternatives == ()
     bounds = mask_bounds(full_mask(found, image))
     assert bounds is not None
     assert (bounds.x1, bounds.y1, bounds.x2, bounds.y2) == pytest.approx((1000, 1100, 2200, 1612), abs=40)
-    everything = segmented(sam, np.full((1300, 1300, 3), OBJECT_RGB, np.uint8), Prompt(points=((450.0, 650.0, True),)))
+    everything = segmented(
+        segmenter, np.full((1300, 1300, 3), OBJECT_RGB, np.uint8), Prompt(points=((450.0, 650.0, True),))
+    )
     assert everything.window == Window(0, 0, 1300, 1300)
     assert everything.mask.all()
 
 
-def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(sam: Segmenter) -> None:
+def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(segmenter: Segmenter) -> None:
     image = np.full((2500, 3000, 3), OBJECT_RGB, np.uint8)
     box = (100.9, 60.1, 2850.1, 2300.9)
-    bounds = mask_bounds(segmented(sam, image, Prompt(box=box)).mask)
+    bounds = mask_bounds(segmented(segmenter, image, Prompt(box=box)).mask)
     assert bounds is not None
     assert [bounds.x1, bounds.y1, bounds.x2, bounds.y2] == [101, 60, 2850, 2301]
     with pytest.raises(ImageTooLargeError, match="smaller box"):
-        segmented(sam, image, Prompt(box=box), limits=ImageLimits(max_pixels=1_000_000))
+        segmented(segmenter, image, Prompt(box=box), limits=ImageLimits(max_pixels=1_000_000))
 
 
 def test_a_mask_is_placed_by_bilinear_interpolation_between_cell_centres() -> None:
