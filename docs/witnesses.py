@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from research.scenes import Scene, render_scene
-from vehanchor import Engine, ScaleAnalysis
+from vehanchor import Engine
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.boxes import box_corners
 from vehanchor.pictures.ruler_plot import plot_rulers
 from vehanchor.records.digits import significant

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import sys
-
 import pytest
 
 from tests.needs import needed_module, needed_program
@@ -30,11 +28,3 @@ def test_a_missing_program_skips_here_and_fails_in_ci_unless_it_is_excused(
         needed_program(PROGRAM, "build it")
     with pytest.raises(outcome, match=PROGRAM):
         needed_module(f"{PROGRAM}.part", "build it")
-
-
-def test_the_first_candidate_that_is_there_is_taken() -> None:
-    assert needed_program(PROGRAM, "build it", candidates=(None, PROGRAM, sys.executable)) == sys.executable
-
-
-def test_a_module_that_is_there_is_imported() -> None:
-    assert needed_module("sys", "wonder") is sys

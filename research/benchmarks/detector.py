@@ -3,51 +3,38 @@
 ``python -m research.benchmarks.detector [--split val] [--detector FILE]``.
 
 Prints Markdown; ``--record`` keeps it. "Labelled" images have at least five labelled cars; no estimate counts as
-an error of 100 %. ``--part`` chooses: ``scale`` (the estimates), ``precision`` (AP50); default both.
+an error of 100 %.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import os
-from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from scipy.stats import spearmanr
 
 from research.results.record import add_record_option, recording, values_table
-from research.training.detector.precision import MatchedDetections, average_precision, match_detections
 from vehanchor.analysis.pipeline import analyse_view
-from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.search import search as search_image
 from vehanchor.imagery.facts import ImageFacts
-from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor.rulers.view import View
-from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
 from vehanchor_evaluation.table import read_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
+    from collections.abc import Callable
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor_evaluation.known_scale import KnownScaleImage
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _LABELLED = 5
-_LEAST_SCORE = 0.05  # precision is asked for at every recall
-_MODEL_MADE = "ours"
-_PARTS = ("scale", "precision")
 _REGION_OF_SET = {"cannes": "europe", "saopaulo": "south_america", "ucm": "north_america", "empty": "north_america"}
 
 
@@ -140,67 +127,6 @@ def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
     return lines
 
 
-# --- Boxes against labels --------------------------------------------------------------------------------------------
-
-
-class LabelledImage(NamedTuple):
-    """An image with its boxes; ``ignored`` holds what is neither hit nor false alarm."""
-
-    path: Path
-    set: str
-    by_people: bool
-    labels: NDArray[np.float64]
-    ignored: NDArray[np.float64]
-
-
-def labelled_images(folder: Path, split: str) -> Iterator[LabelledImage]:
-    """The images of a split that have labels."""
-    with (folder / "index.csv").open(newline="", encoding="utf-8") as handle:
-        rows = [row for row in csv.DictReader(handle) if row["split"] == split]
-    for row in rows:
-        found = read_labels(folder / "labels" / f"{Path(row['file']).stem}.txt")
-        car = np.array([name == "small-vehicle" for name in found.classes], dtype=bool) & ~found.difficult
-        neither = found.difficult | np.array([name == "ignore" for name in found.classes], dtype=bool)
-        yield LabelledImage(
-            folder / row["file"],
-            row["set"],
-            not row["labels_by"].startswith(_MODEL_MADE),
-            boxes_from_corners(found.corners[car]),
-            boxes_from_corners(found.corners[neither]),
-        )
-
-
-def _rgb(path: Path) -> NDArray[np.uint8]:
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if pixels is None:
-        raise FileNotFoundError(path)
-    return np.ascontiguousarray(pixels[:, :, ::-1], dtype=np.uint8)
-
-
-def _matched(
-    pixels: NDArray[np.uint8], image: LabelledImage, detector: Detector, min_score: float, search: bool | None
-) -> MatchedDetections:
-    with open_raster(pixels) as raster:
-        found = search_image(raster, detector, Search(min_score=min_score, search_scales=search))
-    return match_detections(found.boxes, found.scores, image.labels, image.ignored)
-
-
-def precision(images: list[LabelledImage], detector: Detector, search: bool | None) -> list[str]:
-    """AP50 by set, and of all images labelled by people and by a model."""
-    matched: dict[str, list[MatchedDetections]] = defaultdict(list)
-    for image in images:
-        if image.set == "empty":
-            continue
-        one = _matched(_rgb(image.path), image, detector, _LEAST_SCORE, search)
-        matched["labelled by people" if image.by_people else "labelled by a model"].append(one)
-        matched[image.set].append(one)
-    lines = ["| images | n | labelled cars | AP50 |", "|---|---|---|---|"]
-    for name in sorted(matched, key=lambda name: (not name.startswith("labelled"), name)):
-        cars = sum(len(one.label_lengths_px) for one in matched[name])
-        lines.append(f"| {name} | {len(matched[name])} | {cars} | {average_precision(matched[name]):.3f} |")
-    return lines
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -209,9 +135,7 @@ def main() -> None:
     parser.add_argument("--min-score", type=float)
     parser.add_argument("--aggregation", help="default: the model's choice")
     parser.add_argument("--search-scales", action=argparse.BooleanOptionalAction, help="default: the model's choice")
-    parser.add_argument("--part", choices=_PARTS, action="append", help="may be repeated; default both")
     options = add_record_option(parser).parse_args()
-    parts = options.part or _PARTS
     detector = Detector(resolve_model(options.detector))
     images = [image for image in read_table(DATA / "gsd" / "table.csv") if image.split == options.split]
     scale = ScaleOptions(
@@ -220,15 +144,10 @@ def main() -> None:
     )
     print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`, split {options.split}:\n")
     model = {detector.card.name: detector.card.sha256}
-    if "scale" in parts:
-        trials = list(run_trials(images, detector, scale))
-        regional = [_with_region(trial, detector.card, scale) for trial in trials]
-        with recording("scale", ["val", "val_confidence"], options.record, model=model):
-            print("\n".join(report(trials, regional)), flush=True)
-    if "precision" in parts:
-        labelled = list(labelled_images(DATA / "vehicles", options.split))
-        with recording("detection", ["precision"], options.record, model=model):
-            print("\n" + "\n".join(precision(labelled, detector, options.search_scales)))
+    trials = list(run_trials(images, detector, scale))
+    regional = [_with_region(trial, detector.card, scale) for trial in trials]
+    with recording("scale", ["val", "val_confidence"], options.record, model=model):
+        print("\n".join(report(trials, regional)))
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
 """Measure flights of known scale, made from real pixels.
 
-``python -m research.benchmarks.flights {pooled,matched,real} DATA``.
+``python -m research.benchmarks.flights {pooled,matched} DATA``.
 
 ``pooled`` turns, dims, blurs and JPEG-codes tiles of one scale into flights of 24 photographs and compares the scale by
 all of them with the truth, with the region unknown and given. ``matched`` cuts overlapping photographs of mixed scales
-out of mosaics; two thirds of them lose their vehicles. ``real`` holds the scales of
-DATA/flights/garfield, which ``vehanchor flight --out`` wrote, against the heights and positions of its metadata.
+out of mosaics; two thirds of them lose their vehicles.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from research.results.record import add_record_option, recording, values_table
+from research.results.record import add_record_option, recording
 from vehanchor.engine import Engine
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
@@ -31,7 +30,6 @@ from vehanchor_flight.components import single_component
 from vehanchor_flight.estimate import conclude, search_flight
 from vehanchor_flight.features import find_features
 from vehanchor_flight.inputs import InputPhotograph
-from vehanchor_flight.matching import match
 from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
 from vehanchor_flight.record import Failure, conclude_flight
 from vehanchor_flight.records import FlightEstimate
@@ -42,12 +40,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector
-    from vehanchor_flight.records import FlightLink
 
 _REGIONS = {"cannes": "europe", "estonia": "northern_europe", "ucm": "north_america", "saopaulo": "south_america"}
 _FLIGHTS, _PHOTOGRAPHS = 4, 24
-_NEAR, _PAIR = 0.1, 0.2  # of a ratio; of a scale by one pair of positions
-_LEAST_APART_M = 15.0  # two positions: each is off by metres
 
 
 def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
@@ -254,82 +249,6 @@ def _components_held(record: FlightEstimate, truth: NDArray[np.float64]) -> list
     return held
 
 
-def real(data: Path, written: Path) -> None:
-    """Compare the scales of a flight with the heights above the sea and the track in its metadata.
-
-    Args:
-        data: with ``flights/table.csv``.
-        written: the flight's record.
-    """
-    record = FlightEstimate.model_validate_json(written.read_bytes())
-    with (data / "flights" / "table.csv").open() as file:
-        seas = {Path(row["file"]).name: float(row["altitude_above_sea_m"]) for row in csv.DictReader(file)}
-    members = [each for each in record.photographs if each.gsd_m_per_px and each.component == 0]
-    sea = {each.photograph: seas[Path(each.photograph).name] for each in members}
-    scale = {each.photograph: math.log(each.gsd_m_per_px or 1.0) for each in members}
-    ground = _ground_height(np.array(list(sea.values())), np.array(list(scale.values())))
-    up = {name: math.log(height - ground) for name, height in sea.items()}
-    links = [each for each in record.links if each.first in scale and each.second in scale]
-    by_match = [abs(math.expm1(math.log(each.ratio) - up[each.first] + up[each.second])) for each in links]
-    solved = [
-        abs(math.expm1(scale[each.first] - scale[each.second] - up[each.first] + up[each.second])) for each in links
-    ]
-    sizes = ", ".join(str(component.n_photographs) for component in record.components)
-    dropped = sum(each.dropped is not None for each in record.links)
-    pooled = record.components[0].pooled
-    values: dict[str, float | str] = {
-        "components, overlaps, dropped": f"{sizes}; {len(record.links)}; {dropped}",
-        "scale in the pixels of the reference": f"{pooled.gsd_m_per_px:.4f} m/px "
-        f"({pooled.gsd_ci95_low_m_per_px:.4f} to {pooled.gsd_ci95_high_m_per_px:.4f})",
-    }
-    for each in pooled.rulers:
-        values[f"{each.kind}, m/px ({'agrees' if each.p_right >= 0.5 else 'does not agree'})"] = (
-            f"{each.gsd_m_per_px:.4f}"
-        )
-    for name, errors in (("matches by themselves", by_match), ("solved scales", solved)):
-        values[f"{name} against the heights: within 10 %, %"] = 100 * float(np.mean(np.array(errors) <= _NEAR))
-        values[f"{name} against the heights: median, %"] = 100 * float(np.median(errors))
-    off = np.array(_off_track(record, [each for each in links if each.dropped is None]))
-    values |= {
-        f"pairs of {_LEAST_APART_M:.0f} m and more on the track": len(off),
-        "scales against the track: median ratio": np.exp(np.median(off)),
-        "scales against the track: within a fifth, %": 100 * np.mean(np.abs(np.expm1(off)) <= _PAIR),
-    }
-    print(*values_table(values), sep="\n")
-
-
-def _ground_height(seas_m: NDArray[np.float64], logs: NDArray[np.float64]) -> float:
-    """Height of the ground above the sea that fits scales to heights best, metres."""
-    tried = seas_m.min() - np.geomspace(5.0, 500.0, 400)
-    spreads = []
-    for ground in tried:
-        off = logs - np.log(seas_m - ground)
-        spreads.append(float(np.median(np.abs(off - np.median(off)))))
-    return float(tried[int(np.argmin(spreads))])
-
-
-def _off_track(record: FlightEstimate, links: Sequence[FlightLink]) -> list[float]:
-    """Log ratio of each pair's scale to the scale by its positions and its matched shift."""
-    members = {each.photograph: each for each in record.photographs if each.placed_by == "positions"}
-    features, centres = {}, {}
-    for name in members:
-        with open_raster(name) as raster:
-            features[name] = find_features(raster)
-            centres[name] = np.array([raster.width_px / 2, raster.height_px / 2])
-    off = []
-    for link in links:
-        if link.first not in members or link.second not in members:
-            continue
-        first, second = members[link.first], members[link.second]
-        east, north = (second.east_m or 0.0) - (first.east_m or 0.0), (second.north_m or 0.0) - (first.north_m or 0.0)
-        matched = match(features[link.first], features[link.second])
-        if matched is None or math.hypot(east, north) < _LEAST_APART_M or not second.gsd_m_per_px:
-            continue
-        moved = matched.turn[:, :2] @ centres[link.first] + matched.turn[:, 2] - centres[link.second]
-        off.append(math.log(second.gsd_m_per_px * float(np.hypot(*moved)) / math.hypot(east, north)))
-    return off
-
-
 def without_vehicles(photograph: Photograph) -> Photograph:
     """Remove the vehicles of a photograph."""
     seen = photograph.view.detections
@@ -348,19 +267,15 @@ def without_vehicles(photograph: Photograph) -> Photograph:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("pooled", "matched", "real"))
+    parser.add_argument("what", choices=("pooled", "matched"))
     parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
     parser.add_argument("--split", default="val")
     parser.add_argument("--flights", type=int, help="a set (pooled: 4), over each world (matched, 1)")
     parser.add_argument("--cache", type=Path, help="folder that keeps what was found in each image")
-    parser.add_argument("--flight", type=Path, default=Path("flight.json"), help="real: what 'vehanchor flight' wrote")
     arguments = add_record_option(parser).parse_args()
-    key = {"real": "garfield"}.get(arguments.what, arguments.what)
-    with recording("flights", [key], arguments.record):
+    with recording("flights", [arguments.what], arguments.record):
         if arguments.what == "pooled":
             pooled(arguments.data, arguments.split, arguments.flights or _FLIGHTS, arguments.cache)
-        elif arguments.what == "real":
-            real(arguments.data, arguments.flight)
         else:
             matched(arguments.data, arguments.flights or 1, arguments.cache)
 

@@ -20,12 +20,12 @@ import numpy as np
 
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
 from research.results.record import add_record_option, header, recording
-from vehanchor.analysis.pipeline import search_convergence as convergence
+from vehanchor.analysis.convergence import convergence, has_converged, stop_rule
 from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.convergence import LARGE_PIXELS, has_converged, next_check, stop_rule
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import load_detector
 from vehanchor.detection.levels import search_levels
+from vehanchor.detection.limits import LARGE_PIXELS, next_pause, search_limits
 from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares
 from vehanchor.detection.search import search
 from vehanchor.detection.tile_prior import car_prior, tile_prior_of
@@ -140,10 +140,11 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
     ranges = {each.factor: (max(card.length_range_px[0], each.shortest_px), each.longest_px) for each in levels}
     promises = np.array([tile_prior_of(mosaic.tile_prior, place.window, place.factor) for place in places])
     order = TileScheduler(places, promises, level_shares(ranges, lognormal(GSD_M, _SCENE_LOG_SD)))
-    rule = stop_rule(options.search, max(side * side, LARGE_PIXELS), len(places))
+    n_pixels = max(side * side, LARGE_PIXELS)
+    rule, limits = stop_rule(options.search.effort, n_pixels), search_limits(options.search, n_pixels, len(places))
     view = partial(View, ImageFacts(side, side), card=card, options=options, resolved_share=lambda *_: 1.0)
-    found, visited, due, checks = np.zeros(len(mosaic.boxes), bool), 0, rule.first_check, []
-    most, done = min(len(places), rule.max_tiles or len(places)), False
+    found, visited, due, checks = np.zeros(len(mosaic.boxes), bool), 0, limits.first_pause, []
+    most, done = min(len(places), limits.max_tiles or len(places)), False
     while visited < most and not done:
         for k in order.next_tiles(min(4, most - visited)):
             place, n_new = places[k], 0
@@ -155,17 +156,16 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
                 found |= inside
             order.report(k, n_new)
             visited += 1
-        if rule.share is not None and due <= visited < most:
-            due = next_check(visited)
-            seen = mosaic.detections(found)
-            checks.append(convergence(view(detections=seen), seen))
+        if due is not None and due <= visited < most:
+            due = next_pause(visited)
+            checks.append(convergence(view(detections=mosaic.detections(found))))
             done = has_converged(checks, rule)
     seen = mosaic.detections(found)
     told = answer([Vehicles().measure(view(detections=seen))])
     if told is None:
         return Outcome(visited / len(places), math.nan, False, math.inf, done)
     covered = told.interval.low <= GSD_M <= told.interval.high
-    statistical = convergence(view(detections=seen), seen).statistical_log_sd
+    statistical = convergence(view(detections=seen)).statistical_log_sd
     return Outcome(visited / len(places), told.gsd_m_per_px, covered, statistical, done)
 
 

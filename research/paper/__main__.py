@@ -1,12 +1,12 @@
-"""Run a baseline of the paper: ``python -m research.paper rs-gsd | vlm | questions | agents``."""
+"""Run a baseline of the paper: ``python -m research.paper rs-gsd | vlm | questions | agents | transcript``."""
 
 from __future__ import annotations
 
 import typer
 
-from research.paper.agents_command import agents
-from research.paper.questions_command import questions
+from research.paper.planner_commands import agents, questions
 from research.paper.rs_gsd_command import rs_gsd
+from research.paper.transcript import transcript
 from research.paper.vlm_command import vlm
 
 app = typer.Typer(
@@ -17,6 +17,7 @@ app.command("rs-gsd")(rs_gsd)
 app.command("vlm")(vlm)
 app.command("questions")(questions)
 app.command("agents")(agents)
+app.command("transcript")(transcript)
 
 if __name__ == "__main__":
     app(prog_name="python -m research.paper")

@@ -1,4 +1,4 @@
-"""Deeds of a language model with the tools: did it act, or abstain, and rightly; with which descriptions of the tools.
+"""Deeds of a language model with the tools: did it act, or abstain, and rightly.
 
 The tasks are those of ``question_set``: forty pictures with what a careful observer recognises in them, traps among
 the facts. A model acts by an interval, by yes or no, or by a direction with an interval, and abstains by
@@ -7,17 +7,16 @@ the facts. A model acts by an interval, by yes or no, or by a direction with an 
 
 from __future__ import annotations
 
-import json
 import math
 import re
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from research.paper.asked_model import SYSTEM, encoded_picture, read_answer
+from research.paper.conversation import converse
 from research.paper.question_set import Answered, Direction, TaskKind, checked_file, image_size
-from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
-from vehanchor.errors import InvalidParameterError
+from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -37,7 +36,7 @@ _BEARING = re.compile(r"\bANSWER[ *_`]*=[ *_`]*(\d+(?:\.\d+)?) *(?:degrees|deg|\
 
 
 class AgentScore(BaseModel):
-    """Row of the table: the deeds of one planner in tasks of one kind, with one version of the tools' descriptions."""
+    """Row of the table: the deeds of one planner in tasks of one kind."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -61,46 +60,6 @@ class AgentRun(NamedTuple):
     stopped: str | None
 
 
-class Redescribed:
-    """Tools with other descriptions.
-
-    Args:
-        tools: the tools.
-        descriptions: by the tool's name; other tools keep theirs.
-    """
-
-    def __init__(self, tools: ToolCaller, descriptions: dict[str, str]) -> None:
-        def described(tool: dict[str, Any]) -> dict[str, Any]:
-            return {**tool, "description": descriptions.get(tool["name"], tool["description"])}
-
-        self._tools = tools
-        self.anthropic_tools = [described(tool) for tool in tools.anthropic_tools]
-        self.openai_tools = [{**tool, "function": described(tool["function"])} for tool in tools.openai_tools]
-
-    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
-        """Execute a tool call."""
-        return self._tools.call(name, arguments)
-
-
-def read_descriptions(path: Path, tools: ToolCaller) -> Redescribed:
-    """Read other descriptions of tools, a JSON object by the tool's name.
-
-    Raises:
-        InvalidParameterError: the file is not such an object, or names a tool that does not exist.
-    """
-    known = [tool["name"] for tool in tools.anthropic_tools]
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InvalidParameterError(f"--descriptions {path} cannot be read as JSON: {error}") from None
-    valid = isinstance(found, dict) and all(isinstance(text, str) and name in known for name, text in found.items())
-    if not valid or not found:
-        raise InvalidParameterError(
-            f'--descriptions {path}: give {{"tool": "its description"}} with some of {", ".join(known)}'
-        )
-    return Redescribed(tools, found)
-
-
 def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCaller) -> AgentRun:
     """Give a model each task separately, with the picture, the recognised facts and the tools.
 
@@ -114,16 +73,9 @@ def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCall
     try:
         for task, path in asked:
             image = checked_file(task.question, path)
-            messages = api.first_messages(SYSTEM, _words(task, image), encoded_picture(image))
-            for _ in range(_MAX_TURNS):
-                reply = api.ask(SYSTEM, messages, tools)
-                tokens += reply.input_tokens + reply.output_tokens
-                if not reply.tool_calls:
-                    break
-                results = [ToolResult(*tools.call(call.name, call.arguments)) for call in reply.tool_calls]
-                calls += len(results)
-                messages = api.next_messages(messages, reply, results)
-            answers.append(_answered(task, image, "" if reply.tool_calls else reply.text))
+            told = converse(api, SYSTEM, _words(task, image), encoded_picture(image), tools, max_turns=_MAX_TURNS)
+            calls, tokens = calls + len(told.called), tokens + told.tokens
+            answers.append(_answered(task, image, told.text))
     except (ApiRefusedError, BudgetSpentError, RequestFailedError) as error:
         return AgentRun(answers, calls, tokens, str(error))
     return AgentRun(answers, calls, tokens, None)

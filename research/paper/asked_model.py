@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import base64
-import json
 import re
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
 
+from research.paper.conversation import converse
 from research.paper.questions import Outcome, judge_answer
-from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
+from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.scale import read_reduced
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
@@ -34,7 +34,6 @@ _MEASURING = (
 )
 _LAST_LINES = {
     "distance": "ANSWER=<low> to <high>, the 95 % interval in metres",
-    "area": "ANSWER=<low> to <high>, the 95 % interval in square metres",
     "fit": "ANSWER=yes or ANSWER=no",
 }
 _MAX_SIDE_PX, _JPEG_QUALITY = 1568, 90
@@ -50,9 +49,7 @@ class ModelAnswers(NamedTuple):
     stopped: str | None
 
 
-def ask_model(
-    questions: Iterable[Question], api: ModelApi, tools: ToolCaller | None = None, *, max_turns: int = 8
-) -> ModelAnswers:
+def ask_model(questions: Iterable[Question], api: ModelApi, tools: ToolCaller | None = None) -> ModelAnswers:
     """Ask a model each question separately, with the image.
 
     The run ends early if the budget is spent, the service refuses the key or the model, or a request fails after all
@@ -62,12 +59,11 @@ def ask_model(
         questions: questions in order.
         api: the model.
         tools: tools that it may call; None for none.
-        max_turns: maximum number of replies to one question.
     """
     outcomes: list[Outcome] = []
     try:
         for question in questions:
-            outcomes.append(_ask(question, api, tools, max_turns))
+            outcomes.append(_ask(question, api, tools))
     except (ApiRefusedError, BudgetSpentError, RequestFailedError) as error:
         return ModelAnswers(outcomes, str(error))
     return ModelAnswers(outcomes, None)
@@ -83,41 +79,18 @@ def read_answer(reply: str) -> tuple[float, float] | bool | None:
     return None if found is None else (float(found[1]), float(found[2]))
 
 
-def _ask(question: Question, api: ModelApi, tools: ToolCaller | None, max_turns: int) -> Outcome:
-    messages = api.first_messages(SYSTEM, _words(question, tools is not None), encoded_picture(question.image))
-    tokens, calls, measured_well = 0, 0, True
-    for _ in range(max_turns):
-        reply = api.ask(SYSTEM, messages, tools)
-        tokens += reply.input_tokens + reply.output_tokens
-        if tools is None or not reply.tool_calls:
-            break
-        results = [ToolResult(*tools.call(call.name, call.arguments)) for call in reply.tool_calls]
-        calls += len(results)
-        for result in results:
-            measured_well = _status(result, before=measured_well)
-        messages = api.next_messages(messages, reply, results)
-    verdict = judge_answer(question, None if reply.tool_calls else read_answer(reply.text))
-    return Outcome(question, verdict, verdict != "no answer" and not measured_well, calls, tokens)
-
-
-def _status(result: ToolResult, *, before: bool) -> bool:
-    """Update whether the latest measurement is usable; calls without a measurement leave it unchanged."""
-    record: Any = None
-    if not result.is_error:
-        try:
-            record = json.loads(result.text.splitlines()[-1])
-        except (ValueError, IndexError):
-            record = None
-    return record["status"] == "ok" if isinstance(record, dict) and "status" in record else before
+def _ask(question: Question, api: ModelApi, tools: ToolCaller | None) -> Outcome:
+    told = converse(api, SYSTEM, _words(question, tools is not None), encoded_picture(question.image), tools)
+    verdict = judge_answer(question, read_answer(told.text))
+    return Outcome(question, verdict, len(told.called), told.tokens)
 
 
 def _words(question: Question, measuring: bool) -> str:
     (x1, y1), (x2, y2) = question.places
     first, second = f"({x1:.4f}, {y1:.4f})", f"({x2:.4f}, {y2:.4f})"
-    where = f"in the box from {first} to {second}" if question.kind == "area" else f"from {first} to {second}"
     words = [
         question.words,
-        f"That is {where}, as fractions of the image's width and height from its upper left corner.",
+        f"That is from {first} to {second}, as fractions of the image's width and height from its upper left corner.",
     ]
     if measuring:
         words.append(_MEASURING.format(path=question.image.resolve()))

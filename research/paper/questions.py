@@ -1,8 +1,8 @@
-"""Planner questions about images (how far, how large, does it fit), answered with and without tools.
+"""Planner questions about photographs of known scale (how far, does it fit), answered with and without tools.
 
-The images are rendered scenes, or photographs of known scale. The planner is a script, so the results
-depend only on the tools' answers and their cost; ``asked_model`` uses a real model. If a scale is not usable, the
-planner can ask a person, who has measured one line on the ground. Without tools it assumes a usual pixel size.
+The planner is a script, so the results depend only on the tools' answers and their cost; ``asked_model`` uses a real
+model. If a scale is not usable, the planner can ask a person, who has measured one line on the ground. Without tools it
+assumes a usual pixel size.
 """
 
 from __future__ import annotations
@@ -13,12 +13,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-import cv2
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from research.scenes import render_scene
-from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
 
@@ -26,39 +22,19 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from research.paper.tools import ToolCaller
-    from research.scenes import Layout
     from vehanchor_evaluation.known_scale import KnownScaleImage
 
-Kind: TypeAlias = Literal["distance", "area", "fit"]
+Kind: TypeAlias = Literal["distance", "fit"]
 Verdict: TypeAlias = Literal["right", "wrong", "no answer"]
 
 CHARACTERS_A_TOKEN = 4
 USUAL_GSD_M = 0.15  # assumption of a planner without tools
 USUAL_ERROR = 0.3  # and its assumed relative error
 _FIT_SHARES = (0.6, 1.6)  # required length as a share of the available one: one fits, one does not
-_LEAST_OBJECT_PX = 900
 _QUESTIONS_PER_TWO = 7  # questions per two photographs: four distances and three fits
-_CATEGORIES = ("swimming-pool", "building", "sports-court")  # objects with a clear outline
-_FALLBACK = 0.5
 
 STRETCH = ((0.4, 0.6), (0.6, 0.6))
 """Ends of the line that a person has measured, as fractions of the sides."""
-
-_SCENES: tuple[tuple[float, Layout], ...] = (
-    (0.07, "parking"),
-    (0.1, "urban"),
-    (0.12, "sports"),
-    (0.15, "urban"),
-    (0.09, "parking"),
-    (0.18, "urban"),
-    (0.12, "countryside"),
-    (0.2, "parking"),
-    (0.1, "sports"),
-    (0.14, "urban"),
-    (0.11, "parking"),
-    (0.16, "sports"),
-)
-_FIRST_SEED = 100
 
 
 @dataclass(frozen=True)
@@ -66,11 +42,11 @@ class Question:
     """Question and its true answer.
 
     Attributes:
-        kind: distance and area need a number, fit needs yes or no.
-        image: the scene.
+        kind: distance needs a number, fit needs yes or no.
+        image: the photograph.
         words: the question in a user's words.
-        places: x, y of the ends of a line, or of two corners of a box, as fractions of the sides.
-        truth: metres, square metres, or whether it fits (1 or 0).
+        places: x, y of the ends of a line, as fractions of the sides.
+        truth: metres, or whether it fits (1 or 0).
         needed_m: length that must fit.
         size_px: size of the image.
         stretch_m: length of ``STRETCH`` on the ground, measured with a tape to a decimetre.
@@ -93,14 +69,12 @@ class Outcome:
     Attributes:
         question: the question.
         verdict: "no answer" if the result is not usable, or if the interval leaves "does it fit" open.
-        acted_on_low: whether the planner used a number of low confidence.
         calls: number of tool calls.
         tokens: tokens sent to and read from tools; for a model, the service's count.
     """
 
     question: Question
     verdict: Verdict
-    acted_on_low: bool = False
     calls: int = 0
     tokens: float = 0
 
@@ -115,52 +89,12 @@ class PlannerScore(BaseModel):
     right: int = Field(description="The interval contains the truth, or yes/no is correct.")
     wrong: int
     no_answer: int
-    acted_on_low: int = Field(description="Numbers of low confidence that the planner used.")
     calls_per_right: float | None
     tokens_per_right: float | None
 
 
-def render_questions(folder: Path) -> None:
-    """Render twelve scenes with their truth into a folder that is missing or empty."""
-    if folder.is_dir() and any(folder.iterdir()):
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    for number, (gsd, layout) in enumerate(_SCENES):
-        scene = render_scene(gsd, width_px=1024, height_px=800, seed=_FIRST_SEED + number, layout=layout)
-        scene.write(folder / f"s{number:02}.png")
-
-
-def read_questions(folder: Path, limit: int) -> list[Question]:
-    """Create questions about scenes: two distances, fits, and an area if possible; the same scenes give the same ones.
-
-    Args:
-        folder: scenes with their ground truth.
-        limit: maximum number of questions.
-
-    Raises:
-        InvalidParameterError: the folder has no scene.
-    """
-    questions: list[Question] = []
-    for record_path in sorted(folder.glob("*.json")):
-        image = next((p for s in (".png", ".jpg") if (p := record_path.with_suffix(s)).is_file()), None)
-        if image is None:
-            continue
-        record = json.loads(record_path.read_text(encoding="utf-8"))
-        if isinstance(record, dict) and "gsd_m_per_px" in record:
-            stretch_m = round((STRETCH[1][0] - STRETCH[0][0]) * record["width_px"] * record["gsd_m_per_px"], 1)
-            size_px, odd = (record["width_px"], record["height_px"]), len(record["objects"]) % 2 == 1
-            distances = _distances(image, size_px, record["gsd_m_per_px"], both_fits=odd)
-            about = [*distances, *_areas(image, record)]
-            questions += [replace(question, stretch_m=stretch_m) for question in about]
-    if not questions:
-        raise InvalidParameterError(
-            f"{str(folder)!r} has no scene: create some with 'python -m research.scenes {folder}/a.png ...'"
-        )
-    return questions[:limit]
-
-
 def questions_of_photographs(images: Sequence[KnownScaleImage], limit: int) -> list[Question]:
-    """Create questions about images of known scale: two distances and one or two fits each, no areas.
+    """Create questions about images of known scale: two distances and one or two fits each.
 
     Args:
         images: images whose scale counts as exact; if there are more than needed, evenly spaced ones are used.
@@ -197,31 +131,6 @@ def _distances(image: Path, size_px: tuple[int, int], gsd: float, *, both_fits: 
         places = ((0.25, 0.4), (0.75, 0.4))
         questions.append(Question("fit", image, words, places, float(needed <= metres), size_px, needed))
     return questions
-
-
-def _areas(image: Path, record: dict[str, Any]) -> list[Question]:
-    """Ask for the area of the largest object that lies completely inside the image."""
-    width, height = record["width_px"], record["height_px"]
-    whole = [
-        item
-        for item in record["objects"]
-        if item["category"] in _CATEGORIES
-        and item["area_m2"] >= 0.999 * item["full_area_m2"]
-        and item["area_m2"] >= _LEAST_OBJECT_PX * record["gsd_m_per_px"] ** 2
-    ]
-    for item in sorted(whole, key=lambda each: -each["area_m2"]):
-        masks = image.with_name(f"{image.stem}_{item['category']}.png")
-        numbers = cv2.imread(str(masks), cv2.IMREAD_UNCHANGED)
-        if numbers is None:
-            continue
-        rows, columns = np.nonzero(numbers == item["instance"])
-        x1, y1, x2, y2 = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
-        if min(x1, y1) < 1 or x2 >= width or y2 >= height:
-            continue
-        box = ((float(x1 / width), float(y1 / height)), (float(x2 / width), float(y2 / height)))
-        words = f"How large is the {item['category']}?"
-        return [Question("area", image, words, box, item["area_m2"], (width, height))]
-    return []
 
 
 @dataclass
@@ -266,20 +175,14 @@ class _Dialogue:
     def _measure(self, question: Question) -> tuple[Outcome, dict[str, Any]]:
         (x1, y1), (x2, y2) = question.places
         arguments = _image_arguments(question)
-        if question.kind == "area":
-            tool, arguments["targets"] = "measure_area", [{"box": {"x_min": x1, "y_min": y1, "x_max": x2, "y_max": y2}}]
-        else:
-            tool, arguments["lines"] = "measure_distance", [{"points": [{"x": x1, "y": y1}, {"x": x2, "y": y2}]}]
+        arguments["lines"] = [{"points": [{"x": x1, "y": y1}, {"x": x2, "y": y2}]}]
         if question.image in self.scales:
             arguments["scale"] = self.scales[question.image]
-        record, tokens = self._call(question, tool, arguments)
+        record, tokens = self._call(question, "measure_distance", arguments)
         verdict: Verdict = "no answer"
         if record.get("status") == "ok":
-            unit = "area_ci95_{}_m2" if question.kind == "area" else "distance_ci95_{}_m"
-            verdict = _interval_verdict(question, record[unit.format("low")], record[unit.format("high")])
-        confidence = record.get("confidence")
-        low = verdict != "no answer" and confidence is not None and confidence < _FALLBACK
-        return Outcome(question, verdict, low, 1, tokens), record
+            verdict = _interval_verdict(question, record["distance_ci95_low_m"], record["distance_ci95_high_m"])
+        return Outcome(question, verdict, 1, tokens), record
 
 
 def _image_arguments(question: Question) -> dict[str, Any]:
@@ -304,10 +207,7 @@ def ask_blindly(questions: Iterable[Question]) -> list[Outcome]:
     for question in questions:
         (x1, y1), (x2, y2) = question.places
         across, down = ((b - a) * side for a, b, side in zip((x1, y1), (x2, y2), question.size_px, strict=True))
-        if question.kind == "area":
-            value, spread = across * down * USUAL_GSD_M**2, (1 + USUAL_ERROR) ** 2
-        else:
-            value, spread = math.hypot(across, down) * USUAL_GSD_M, 1 + USUAL_ERROR
+        value, spread = math.hypot(across, down) * USUAL_GSD_M, 1 + USUAL_ERROR
         outcomes.append(Outcome(question, _interval_verdict(question, value / spread, value * spread)))
     return outcomes
 
@@ -345,7 +245,6 @@ def score(name: str, outcomes: Sequence[Outcome]) -> PlannerScore:
         right=right,
         wrong=verdicts.count("wrong"),
         no_answer=verdicts.count("no answer"),
-        acted_on_low=sum(outcome.acted_on_low for outcome in outcomes),
         calls_per_right=calls / right if right else None,
         tokens_per_right=tokens / right if right else None,
     )

@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from research.paper.conversation import converse
 from research.paper.stated_area import read_area
-from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
+from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
@@ -232,19 +233,9 @@ def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None
         text += " " + _AGENT.format(
             path=entry.image, width=question.width_px, height=question.height_px, x1=x1, y1=y1, x2=x2, y2=y2
         )
-    messages = api.first_messages(SYSTEM, text, base64.b64encode(question.jpeg).decode())
-    turns = input_tokens = output_tokens = 0
-    called: list[str] = []
-    while True:
-        reply = api.ask(SYSTEM, messages, tools)
-        turns += 1
-        input_tokens += reply.input_tokens
-        output_tokens += reply.output_tokens
-        if tools is None or not reply.tool_calls or turns >= query.max_turns:
-            break
-        results = [ToolResult(*tools.call(call.name, call.arguments)) for call in reply.tool_calls]
-        called += [call.name for call in reply.tool_calls]
-        messages = api.next_messages(messages, reply, results)
+    picture = base64.b64encode(question.jpeg).decode()
+    told = converse(api, SYSTEM, text, picture, tools, max_turns=query.max_turns)
+    reply = told.last
     stated = read_area(reply.text)
     problem: str | None = stated.problem
     if problem and reply.refused:
@@ -259,10 +250,10 @@ def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None
         stated_area_m2=stated.area_m2,
         problem=problem,
         last_line=(reply.text.strip().splitlines() or [""])[-1][:200],
-        turns=turns,
-        tool_calls=" ".join(called),
-        input_tokens=input_tokens,
-        output_tokens=output_tokens,
+        turns=told.turns,
+        tool_calls=" ".join(told.called),
+        input_tokens=told.input_tokens,
+        output_tokens=told.output_tokens,
     )
 
 

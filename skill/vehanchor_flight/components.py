@@ -26,7 +26,6 @@ class Component:
         reference: index, among the members, of the photograph in whose pixels the evidence is pooled.
         ties: ``[n, n]`` sparse matrix, standard deviation of the log ratio of each link; None for one common scale.
         extra: evidence of rulers that only a flight has, in the reference's pixels.
-        layout: ``[n]`` points below the cameras in pixels of the reference, y down; None if unknown.
         maybe_tilted: whether the ratios of its scales may be those of a tilted camera at one height.
     """
 
@@ -36,7 +35,6 @@ class Component:
     reference: int
     ties: Any = None
     extra: tuple[Witness, ...] = ()
-    layout: NDArray[np.complex128] | None = None
     maybe_tilted: bool = False
 
     def __len__(self) -> int:

@@ -208,7 +208,6 @@ def _component(
         reference,
         subgraph.ties,
         positions_witness(extra),
-        layout,
         bool(by_tilt.any()),
     )
     return component, off

@@ -12,8 +12,6 @@ import numpy as np
 from vehanchor.analysis.pipeline import model_id
 from vehanchor.records import KnownScale, Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.positions import Positions, places_of
-from vehanchor.rulers.registry import uses
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import TOLERANCE
@@ -32,7 +30,7 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
     from vehanchor.errors import VehAnchorError
-    from vehanchor.records import GsdEstimate, Reason, Status
+    from vehanchor.records import Reason, Status
     from vehanchor_flight.components import Component
     from vehanchor_flight.photograph import Photograph
     from vehanchor_flight.records import FlightLink
@@ -81,7 +79,7 @@ def conclude_flight(
     Returns:
         The record.
     """
-    positions, sorties = _positions(results), _sorties(results)
+    sorties = _sorties(results)
     photographs: dict[int, FlightPhotograph] = {
         place: _failed(each) for place, each in enumerate(results) if isinstance(each, Failure)
     }
@@ -102,8 +100,7 @@ def conclude_flight(
         rulers = _supporting_rulers(members, component, pooled)
         for place, at in enumerate(component.members):
             record = _photograph(members[place], component, place, of_component, rulers[place])
-            where = _place(component, place, estimate, positions.get(int(at)))
-            photographs[int(at)] = record.model_copy(update={**where, "sortie": sorties[int(at)]})
+            photographs[int(at)] = record.model_copy(update={"sortie": sorties[int(at)]})
     ordered = tuple(photographs[place] for place in range(len(results)))
     whole = pooled_components[0].pooled if same_scale else None
     return FlightEstimate(
@@ -141,33 +138,6 @@ def _several_sorties(numbers: Iterable[int]) -> tuple[Notice, ...]:
         "same scale; otherwise give each sortie alone, or leave out same_scale."
     )
     return (Notice(code=NoticeCode.SEVERAL_SORTIES, message=message),)
-
-
-def _positions(results: Sequence[Photograph | Failure]) -> dict[int, tuple[float, float]]:
-    """Read positions from metadata, metres, by index of the photograph."""
-    usable = [(place, result) for place, result in enumerate(results) if not isinstance(result, Failure)]
-    if not usable or not uses(usable[0][1].view.options.rulers, Positions.kind):
-        return {}
-    places = places_of([result.view.image for _, result in usable])
-    if places is None:
-        return {}
-    return {
-        place: (float(east), float(north))
-        for (place, _), (east, north) in zip(usable, places, strict=True)
-        if math.isfinite(east)
-    }
-
-
-def _place(
-    component: Component, place: int, pooled: GsdEstimate, position: tuple[float, float] | None
-) -> dict[str, float | str]:
-    """Make the position fields of a photograph's record; empty if the position is unknown."""
-    if position is not None:
-        return {"east_m": position[0], "north_m": position[1], "placed_by": "positions"}
-    if component.layout is None or pooled.gsd_m_per_px is None or len(component) < 2:
-        return {}
-    lies = complex(component.layout[place]) * pooled.gsd_m_per_px
-    return {"east_m": lies.real, "north_m": -lies.imag, "placed_by": "overlaps"}
 
 
 def _failed(failure: Failure) -> FlightPhotograph:

@@ -58,8 +58,7 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
     choices |= {*signature(Engine.analyse_area).parameters, *KnownLength._fields}
     choices |= set(json.loads((ROOT / "schemas/measure_area.input.json").read_text(encoding="utf-8"))["properties"])
-    if document.name != "records-names.md":  # has former names; test_records_names.py reads it
-        assert not set(measured) - records - choices
+    assert not set(measured) - records - choices
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)

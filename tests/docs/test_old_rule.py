@@ -24,9 +24,8 @@ OLD_RULE = re.compile(
 ALLOWED = {
     "skill/vehanchor/scale/paper.py": "",
     "docs/concepts.md": "than five cars it stays below 0.5",
-    "docs/records-names.md": "p_within_20",
 }
-"""By file, a part of each line that may name the rule: it is about the preset ``paper``, or about old names."""
+"""By file, a part of each line that may name the rule: it is about the preset ``paper``."""
 
 
 def _texts() -> dict[str, str]:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from mcp import Client, StdioServerParameters
-from typer.testing import CliRunner
 
 import vehanchor
 from tests.analyses import made_card
@@ -19,22 +18,18 @@ from tests.docs.track_package import install_track, track_code, write_track, wri
 from tests.server.conversation import by_path, text_of
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.scale import ScaleAnalysis
-from vehanchor.cli.app import app
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detections import Detections, Objects
-from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.records.flat import flat_row
 from vehanchor.records.ruler_kinds import RULERS
-from vehanchor.rulers.registry import ruler_class, rulers_help
+from vehanchor.rulers.registry import ruler_class
 from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor_flight.verbs import estimate_flight
-from vehanchor_server.app_page.page import page_html
-from vehanchor_server.tools.messages import ruler_explanations, ruler_names
 
 LENGTH_PX, GSD = 800.0, 176.91 / 800.0
 WIDTH_PX = LENGTH_PX * 92.52 / 176.91
@@ -74,14 +69,6 @@ def test_a_running_track_makes_the_scale_of_an_image_without_cars() -> None:
     assert (record.rulers[0].label, record.rulers[0].sets_scale) == ("running track", True)
     assert record.rulers[0].explanation is not None
     assert record.rulers[0].explanation.startswith("A running track of 800 px says 0.2211 m/px")
-
-
-@pytest.mark.usefixtures("track")
-def test_its_outline_is_there_to_be_drawn() -> None:
-    (mark,) = _analysed().marks
-    assert (mark.label, mark.closed, len(mark.points)) == ("176.91 m", True, 4)
-    sides = [np.hypot(*np.subtract(mark.points[k], mark.points[k - 1])) for k in range(4)]
-    assert max(sides) == pytest.approx(LENGTH_PX)
 
 
 @pytest.mark.usefixtures("track")
@@ -166,22 +153,6 @@ def test_a_flight_pools_it_and_its_error_as_the_class_says(detector: Path, photo
     assert widths[0] / widths[1] == pytest.approx(2**0.25, rel=0.05)  # two photographs count as 2 ** 0.5
 
 
-@pytest.mark.usefixtures("track")
-def test_the_command_takes_it_and_shows_it(detector: Path, photograph: Path) -> None:
-    assert "track" in rulers_help()
-    done = CliRunner().invoke(app, ["estimate", str(photograph), "--detector", str(detector), "--rulers", "track"])
-    assert done.exit_code == 0
-    assert "running track 0.8" in done.stdout
-
-
-@pytest.mark.usefixtures("track")
-def test_the_server_names_it_in_sentences_and_the_page_by_its_label() -> None:
-    record = _analysed().estimate
-    assert ruler_names(record) == "running track"
-    assert ruler_explanations(record)[0].startswith("A running track")
-    assert "ruler.label" in page_html()
-
-
 @pytest.mark.anyio
 async def test_a_server_and_its_workers_measure_with_the_ruler_of_an_installed_package(
     detector: Path, photograph: Path, tmp_path: Path
@@ -196,15 +167,3 @@ async def test_a_server_and_its_workers_measure_with_the_ruler_of_an_installed_p
     assert "running track" in [ruler.label for ruler in record.rulers]
     assert record.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
     assert "running track" in text_of(result)
-
-
-def test_a_plot_draws_it_in_its_colour(track: Any) -> None:
-    figure = _analysed().plot()
-    lines = {str(line.get_label()): line.get_color() for axes in figure.axes for line in axes.get_lines()}
-    (curve,) = (label for label in lines if label.startswith("running track 0.221 (right: "))
-    assert lines[curve] == track.colour
-
-
-def test_a_ruler_that_is_not_registered_is_refused_before_the_work() -> None:
-    with pytest.raises(InvalidParameterError, match="use some of vehicles"):
-        vehanchor.estimate_gsd("none.png", detector="nowhere.onnx", rulers=("track",))

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -134,6 +136,16 @@ def test_a_stretch_of_the_camera_is_that_of_the_photographs_with_the_vehicles() 
     many = Detections(np.full((9, 5), 40.0), np.full(9, 0.9), stretch=0.0)
     assert pooled_detections([few, many], np.zeros(2)).stretch == pytest.approx(0.9)
     assert pooled_detections([NOT_SEARCHED, NOT_SEARCHED], np.zeros(2)).stretch is None
+
+
+def test_two_stretched_photographs_are_as_doubtful_together_as_alone() -> None:
+    view = _photograph(_FLEET).view
+    searched = replace(view.detections, scales=np.ones(len(_FLEET)), stretch=3.0)
+    stored = StoredPhotograph(view.image, searched, 1.0)
+    photographs = [Photograph.of(name, stored, view.card, view.options) for name in ("one", "two")]
+    pooled = pool(photographs, np.zeros(2), 0).estimate
+    for estimate in (photographs[0].analysis.estimate, pooled):
+        assert (estimate.status, [each.code for each in estimate.warnings]) == ("low_confidence", ["stretched"])
 
 
 def test_one_ruler_that_speaks_leaves_the_others_notices_in() -> None:

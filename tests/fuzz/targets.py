@@ -274,7 +274,6 @@ def _cards() -> list[bytes]:
         "vehanchor.min_length_px": "12",
         "vehanchor.min_score": "0.3",
         "vehanchor.search_scales": "1",
-        "vehanchor.clear_score": "0.8",
         "vehanchor.aggregation": "weighted_kde",
         "license": "Apache-2.0",
     }

@@ -199,27 +199,6 @@ def test_a_request_that_a_replica_died_of_is_not_sent_to_the_other(tmp_path: Pat
             listener.shutdown(socket.SHUT_RDWR)
 
 
-def test_a_request_that_a_replica_did_not_take_is_sent_to_the_other(tmp_path: Path) -> None:
-    def answer(listener: socket.socket) -> None:
-        with suppress(OSError):
-            while True:
-                connection, _ = listener.accept()
-                with connection:
-                    connection.recv(65536)
-                    connection.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nConnection: close\r\n\r\nok")
-
-    with ExitStack() as stack:
-        listener = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
-        threading.Thread(target=answer, args=(listener,), daemon=True).start()
-        addresses = [
-            f"127.0.0.1:{free_port()}",
-            f"127.0.0.1:{listener.getsockname()[1]}",
-        ]  # nobody listens at the first
-        url = stack.enter_context(nginx_before(addresses, tmp_path))
-        assert {httpx2.post(url, json={}).status_code for _ in range(4)} == {200}
-        listener.shutdown(socket.SHUT_RDWR)
-
-
 @pytest.mark.promise("proxy")
 def test_idle_connections_lock_nobody_out(tmp_path: Path) -> None:
     """Send 40 honest calls at a time beside 512 silent connections and 512 that stay after an answer."""

@@ -43,7 +43,7 @@ def random_value(node: dict[str, Any], chance: random.Random) -> Any:
 def documented_calls() -> list[tuple[str, dict[str, Any]]]:
     """The tools and arguments of all calls in the documentation and the examples' transcripts."""
     found: list[tuple[str, dict[str, Any]]] = []
-    for path in [*ROOT.glob("docs/**/*.md"), ROOT / "README.md", ROOT / "skill" / "SKILL.md"]:
+    for path in [*ROOT.glob("docs/**/*.md"), ROOT / "README.md", ROOT / "server/vehanchor_server/SKILL.md"]:
         for block in re.findall(r"```json\n(.*?)\n```", path.read_text(encoding="utf-8"), re.DOTALL):
             call = json.loads(block)
             if isinstance(call, dict) and "tool" in call:

@@ -44,10 +44,6 @@ def test_the_front_matter_is_what_hosts_read() -> None:
     assert len(TEXT.splitlines()) < LINES
 
 
-def test_the_repositorys_copy_is_current() -> None:
-    assert (ROOT / "skill" / "SKILL.md").read_text(encoding="utf-8") == TEXT, "copy server/vehanchor_server/SKILL.md"
-
-
 def test_the_command_prints_it() -> None:
     done = CliRunner().invoke(app, ["serve", "--skill"])
     assert (done.exit_code, done.stdout) == (0, TEXT)

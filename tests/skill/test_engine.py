@@ -201,7 +201,7 @@ def test_load_fails_before_the_work(tmp_path: Path) -> None:
         Engine("vehicles-none", runtime=Runtime(precision="int8")).load()
 
 
-@pytest.mark.parametrize("threads", [0, 257, 1.5, True, "2"])
+@pytest.mark.parametrize("threads", [0, -1, 257, 1.5, True, "2", float("nan"), float("inf")])
 def test_a_runtime_without_meaning_is_refused_before_any_model_is_opened(threads: Any) -> None:
     with pytest.raises(InvalidParameterError, match="whole number from 1 to 256"):
         vehanchor.estimate_gsd(_place(), threads=threads)

@@ -10,7 +10,6 @@ import pytest
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +19,7 @@ _SEARCHING = {
     "vehanchor.search_scales": "1",
     "vehanchor.reference_length_sd_m": "0.5",  # so that hundreds of vehicles do, not thousands
 }
+_LARGE_PIXELS = ("detection.limits.LARGE_PIXELS", "detection.search.LARGE_PIXELS", "analysis.convergence.LARGE_PIXELS")
 _TILES: dict[str, Any] = {"tile_px": 128, "stride_px": 96}
 
 
@@ -30,8 +30,8 @@ def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
 
 @pytest.fixture(autouse=True)
 def _large(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("convergence.ANYTIME_PIXELS", "search.ANYTIME_PIXELS", "convergence.LARGE_PIXELS"):
-        monkeypatch.setattr(f"vehanchor.detection.{name}", 1_000_000)
+    for name in ("detection.limits.ANYTIME_PIXELS", "detection.search.ANYTIME_PIXELS", *_LARGE_PIXELS):
+        monkeypatch.setattr(f"vehanchor.{name}", 1_000_000)
 
 
 def _town(spread: float = 0.07, seed: int = 0) -> NDArray[np.uint8]:
@@ -63,7 +63,8 @@ def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(detector: Detec
 def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
     detector: Detector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("vehanchor.detection.convergence.LARGE_PIXELS", 100_000_000)
+    for name in _LARGE_PIXELS:
+        monkeypatch.setattr(f"vehanchor.{name}", 100_000_000)
     image = _town()
     full, auto, again = (
         estimate_gsd(image, detector=detector, effort=effort, **_TILES) for effort in ("full", "auto", "auto")
@@ -104,9 +105,3 @@ def test_a_search_that_no_ruler_needs_counts_no_tiles(detector: Detector) -> Non
         blank_image(300, 300), detector=detector, rulers=["known_length"], known_lengths=[(10, 10, 200, 10, 38.0)]
     )
     assert (given.tiles_searched, given.tiles_total, given.stopped_because) == (0, 0, None)
-
-
-@pytest.mark.parametrize("options", [{"effort": "most"}, {"max_tiles": 0}, {"max_seconds": -1.0}, {"max_tiles": 1.5}])
-def test_an_effort_that_is_none_is_refused(detector: Detector, options: dict[str, Any]) -> None:
-    with pytest.raises(InvalidParameterError):
-        estimate_gsd(blank_image(100, 100), detector=detector, **options)

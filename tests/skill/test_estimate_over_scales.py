@@ -85,15 +85,6 @@ def test_the_dominant_group_is_a_fleet_whatever_the_order(found: list[tuple[floa
     assert sorted(lengths[shuffled][again.members]) == sorted(chosen)
 
 
-def test_the_heavier_of_two_groups_dominates_and_the_rival_is_measured_by_it() -> None:
-    lengths = np.array(_fleet(30, 40) + _fleet(100, 10))
-    group = dominant_group(lengths, np.r_[np.full(40, 0.5), np.full(10, 0.4)])
-    assert group.members.tolist() == [True] * 40 + [False] * 10
-    assert group.rival_share == pytest.approx(4 / 20)
-    turned = dominant_group(lengths, np.r_[np.full(40, 0.05), np.full(10, 0.4)])
-    assert turned.members.tolist() == [False] * 40 + [True] * 10
-
-
 def test_a_level_with_little_evidence_neither_moves_nor_lowers_the_answer(searching: Detector) -> None:
     alone = _analysis(searching, [(30.0, 40, 0.8, 1.0)])
     beside = _analysis(searching, [(30.0, 40, 0.8, 1.0), (190.0, 6, 0.6, 0.25)])
@@ -110,21 +101,6 @@ def test_two_levels_that_disagree_are_not_averaged_and_never_sure(searching: Det
     assert e.status == "low_confidence"
     assert e.mode_length_px == pytest.approx(30.0, rel=0.02)
     assert e.n_vehicles == 30
-
-
-@pytest.mark.parametrize(("n", "spread", "sure"), [(40, 0.02, False), (40, 0.08, True), (12, 0.02, True)])
-def test_a_yard_of_equal_things_is_no_fleet(searching: Detector, n: int, spread: float, sure: bool) -> None:
-    lengths = 40.0 * np.exp(np.random.default_rng(1).normal(0, spread, n))
-    boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.2, lengths * 0])
-
-    def estimate(scales: NDArray[np.float64] | None) -> Any:
-        found = Detections(boxes, np.full(n, 0.9), scales=scales)
-        return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
-
-    searched = estimate(np.ones(n))
-    assert (searched.status == "ok") is sure
-    assert [w.code for w in searched.warnings] == ([] if sure else ["look_alikes"])
-    assert estimate(None).status == "ok"  # at full resolution their size speaks for them
 
 
 @pytest.mark.parametrize(
@@ -167,15 +143,6 @@ def test_a_fleet_at_the_border_of_two_levels_is_one_fleet(searching: Detector) -
     e = _analysis(searching, [(55.0, 20, 0.8, 1.0), (60.0, 18, 0.8, 0.5)])
     assert (e.status, e.n_vehicles, e.working_scale) == ("ok", 38, 1.0)
     assert 54 < e.mode_length_px < 61
-
-
-def test_without_the_search_the_papers_filter_stays_as_it_is(tmp_path: Path) -> None:
-    plain = Detector(write_detector(tmp_path / "m.onnx"))
-    boxes = np.array([[99.0 * k, 0, 30 if k < 20 else 12, 8, 0] for k in range(36)])
-    e = analyse_found(
-        Detections(boxes, np.full(36, 0.9)), plain.card, ScaleOptions(), image_width_px=4000, image_height_px=40
-    ).estimate
-    assert (e.n_vehicles, e.warnings) == (36, ())
 
 
 # --- Missing detail --------------------------------------------------------------------------------------------------
@@ -229,16 +196,6 @@ def test_a_yard_of_things_shaped_like_cars_is_never_a_confident_scale(
     image = paint_yard(yard, YARDS[yard][0] / length_px, max(500, 8 * length_px), seed=1)
     e = estimate_gsd(image, detector=bundled, search_scales=True)
     assert e.status != "ok", e
-
-
-@pytest.mark.data
-@pytest.mark.slow
-def test_searching_photographs_without_vehicles_finds_next_to_nothing(real_data: Path, bundled: Detector) -> None:
-    images = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "empty" and i.split == "val"]
-    assert len(images) == 30
-    estimates = [estimate_gsd(image.path, detector=bundled, search_scales=True) for image in images]
-    assert sum(e.n_detections > 0 for e in estimates) <= 4
-    assert all(e.status != "ok" for e in estimates)
 
 
 @pytest.mark.data

@@ -11,8 +11,7 @@ Writes what ``export.py --calibration`` puts into the file:
 * ``reference_length_m``: the middle one of them, each region counting once, however many images it has;
 * ``reference_length_sd_m``: their standard deviation, likewise;
 * ``min_length_px``: the shortest length from which boxes are unbiased against labels, on train images made coarser;
-* ``search_scales``: 1, the image is searched at reduced resolutions, too;
-* ``clear_score``: what the clearest tenth of the cars of an image reaches in all but 2 of 100 images with many cars.
+* ``search_scales``: 1, the image is searched at reduced resolutions, too.
 """
 
 from __future__ import annotations
@@ -31,8 +30,7 @@ from numpy.typing import NDArray
 
 from research.training.detector.data import LENGTH_RANGE_PX, is_dev
 from research.training.detector.export import export
-from vehanchor import analyse_scale
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor import estimate_gsd
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
@@ -63,7 +61,6 @@ _CORRECTION_BINS_PX = (11, 13, 16, 20, 26, 34, 46, 64)
 _LENGTH_BINS_PX = (8, 9, 10, 11, 12, 13, 14, 16, 18, 20, 24, 28, 34, 40, 50, 64)
 _MAX_BIAS = 0.03  # of the length, beyond what all bins have in common
 _SHORT_PX = 24
-_MANY_CARS = 20
 
 
 class Found(NamedTuple):
@@ -189,12 +186,6 @@ def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
     ]
 
 
-def clear_score(analyses: list[ScaleAnalysis]) -> float:
-    """2nd percentile, over images with many cars, of each image's 90th percentile of scores."""
-    scores = [analysis.detections.scores for analysis in analyses]
-    return float(np.percentile([np.percentile(some, 90) for some in scores if len(some) >= _MANY_CARS], 2))
-
-
 def hash_of(name: str) -> int:
     """A stable number for a file name."""
     return sum(ord(letter) * (k + 1) for k, letter in enumerate(name))
@@ -236,14 +227,14 @@ def main() -> None:
         export(options.run, file, calibration)
         detector = Detector(file)
         bias = length_bias(length_pairs(options.data / "vehicles", detector, min_score))
-        analyses = [analyse_scale(image.path, detector=detector) for image in images]
+        modes = [estimate_gsd(image.path, detector=detector).mode_length_px for image in images]
     for low, (count, value) in bias.items():
         print(f"labelled length from {low} px: {count} boxes, median log error {value:+.3f}")
     lengths = region_lengths(
         [
-            (image.set, analysis.estimate.mode_length_px * image.gsd_m_per_px)
-            for image, analysis in zip(images, analyses, strict=True)
-            if (image.labelled_vehicles or 0) >= _LABELLED and analysis.estimate.mode_length_px is not None
+            (image.set, mode * image.gsd_m_per_px)
+            for image, mode in zip(images, modes, strict=True)
+            if (image.labelled_vehicles or 0) >= _LABELLED and mode is not None
         ]
     )
     logs = np.log(list(lengths.values()))
@@ -255,7 +246,6 @@ def main() -> None:
         "reference_length_sd_m": round(float(np.median(list(lengths.values())) * np.std(logs, ddof=1)), 4),
         "region_lengths_m": {region: round(length, 4) for region, length in (lengths | MEASURED_ELSEWHERE).items()},
         "min_length_px": float(first_good),
-        "clear_score": round(clear_score(analyses) - 0.005, 2),
     }
     with whole_file(options.out) as partial:
         partial.write_text(json.dumps(calibration, indent=2) + "\n")

@@ -80,7 +80,6 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--detector", default="vehicles", help="name of the detector whose candidates these are")
-    parser.add_argument("--clear-score", type=float, default=0.0, help="of research.training.verifier.calibrate")
     parser.add_argument("--size-weight", type=float, default=0.3, help="of the scene-scale prior")
     options = parser.parse_args()
     found = load(options.run / "held_out.npz")
@@ -102,7 +101,6 @@ def main() -> None:
         "vehanchor.weights": ",".join(f"{value:.4f}" for value in weights),
         "vehanchor.least_score": f"{_LEAST_SCORE:g}",
         "vehanchor.min_score": f"{_MIN_SCORE:g}",
-        "vehanchor.clear_score": f"{options.clear_score:g}",
     }
     write_metadata(options.out, metadata)
     print(chances, weights, f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB", sep="\n")

@@ -13,12 +13,12 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
+from vehanchor.analysis.convergence import search_until_settled
 from vehanchor.analysis.scale import ScaleAnalysis
-from vehanchor.detection.convergence import Convergence
 from vehanchor.detection.corrections import corrected
 from vehanchor.detection.detections import NOT_SEARCHED, Detections
 from vehanchor.detection.scene_scale import load_scene_scale
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
@@ -43,9 +43,7 @@ from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.stated_scale import StatedScale
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.rulers.view import View
-from vehanchor.scale.defaults import USABLE_CHANCE
-from vehanchor.scale.density import product
-from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX, MIN_KDE_VEHICLES, statistical_log_sds
+from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judged, sharing
 from vehanchor.scale.reliability import STRETCH
 from vehanchor.tilt.camera_tilt import metadata_tilt
@@ -67,7 +65,6 @@ if TYPE_CHECKING:
 
 _MODEL_DIGITS = 12
 _SAME_SCALE = 0.02  # of the log: a stated scale this near to the answer repeats it; a choice
-_CHANCE_MARGIN = 0.03  # early and full searches of nine photographs differed by at most 0.017
 GEOREFERENCE_TOLERANCE = 0.10  # largest difference of the file's own scale without a warning
 
 
@@ -124,46 +121,16 @@ def search_raster(
         if options.by_hand.given:
             raise InvalidParameterError(f"{options.by_hand.given} needs the ruler vehicles: add it to rulers")
         return replace(view, image=facts._replace(image_id=image_id()))
-    detections = search(
-        raster,
-        detector,
-        options.search,
-        prior=prior,
-        convergence=None
-        if tilt
-        else partial(search_convergence, view),  # in a tilted view, lengths vary over the image
-        check_stretch=check_stretch,
-    )
+    work = ImageSearch(raster, detector, options.search, prior)
+    if tilt is None:
+        search_until_settled(work, view)
+    else:  # lengths vary over the image
+        for _ in work:
+            pass
+    detections = work.result(check_stretch=check_stretch)
     chosen, size_px = options.search, (raster.width_px, raster.height_px)
     detections = corrected(detections, options.by_hand, options.frame, size_px, chosen.nms_iou)
     return replace(view, image=facts._replace(image_id=image_id()), detections=detections)
-
-
-def search_convergence(view: View, detections: Detections) -> Convergence:
-    """Measure how far more vehicles would change the scale found so far, by the vehicles and the prior alone."""
-    view = replace(view, detections=detections)
-    priors = [ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale]
-    vehicles = Vehicles().measure(view)
-    mode_px, lengths = vehicles.paper.mode_length_px, vehicles.fleet.lengths
-    if mode_px is None:
-        return Convergence(math.inf, 0.0, doubted=True)
-    scores = vehicles.fleet.scores if vehicles.paper.aggregation == "weighted_kde" else None
-    resampling, spread = statistical_log_sds(lengths, mode_px, scores=scores)
-    found = answer([vehicles, *priors])
-    return Convergence(
-        math.hypot(resampling, spread),
-        vehicles.reference.log_sd,
-        doubted=vehicles.doubted or found is None or not _is_settled(found),
-        value_log_sd=math.hypot(resampling, vehicles.reference.sampling_log_sd)
-        if vehicles.n >= MIN_KDE_VEHICLES
-        else math.inf,
-        density=product(vehicles.density, *(prior.density for prior in priors if prior.found)),
-    )
-
-
-def _is_settled(found: Answer) -> bool:
-    """Test whether a little change of the value leaves the status as it is: usable, or clearly too imprecise."""
-    return found.usable or (found.reason == "imprecise" and found.chance < USABLE_CHANCE - _CHANCE_MARGIN)
 
 
 def analyse_view(view: View, known: Sequence[Witness] = ()) -> ScaleAnalysis:

@@ -59,13 +59,12 @@ class DetectorCard(_Card):
         min_score: detections with a lower score are dropped.
         licence: licence of the weights, from the file.
         search_scales: whether the model should also run at reduced resolutions.
-        clear_score: score that the best tenth of any place's cars reaches; 0 if unknown.
         aggregation: default rule for the modal length.
         stride_px: the sides of the input are multiples of it.
         fleet_lengths: calibration of the fleet network to a reference length; None without that network.
         fleet_sha256: checksum of the fleet network's file.
-        verifier_sha256: checksum of the verifier's file; None without one. With a verifier, ``min_score`` and
-            ``clear_score`` are the verifier's.
+        verifier_sha256: checksum of the verifier's file; None without one. With a verifier, ``min_score`` is the
+            verifier's.
         car_verifier_sha256: checksum of the car verifier's file; None without one.
         votes: calibration of the boxes' votes; None if it was never fitted, as for other people's models.
         quantised_from: name of the detector from which this one was quantised; it shares that one's auxiliary models.
@@ -82,7 +81,6 @@ class DetectorCard(_Card):
     min_score: _Share
     licence: str | None
     search_scales: bool = False
-    clear_score: _Share = 0.0
     aggregation: Aggregation = "kde"
     stride_px: Annotated[int, Field(ge=1, le=_MAX_STRIDE_PX)] = _STRIDE_PX
     fleet_lengths: FleetLengths | None = None
@@ -143,13 +141,11 @@ class VerifierCard(AuxiliaryCard):
             bias, and weight of the size odds (0 if it is missing).
         least_score: detections with at least this detector score are candidates.
         min_score: candidates with a lower combined score are dropped.
-        clear_score: combined score that the best tenth of any place's cars reaches; 0 if unknown.
     """
 
     weights: tuple[_Weight, _Weight, float] | tuple[_Weight, _Weight, float, _Weight]
     least_score: _Share
     min_score: _Share
-    clear_score: _Share = 0.0
 
 
 class CarVerifierCard(AuxiliaryCard):
@@ -228,7 +224,6 @@ _DETECTOR_ENTRIES: dict[str, _Entry] = {
     "min_score": ("vehanchor.min_score", float, "a number from 0 to 1"),
     "licence": ("license", str, "a name"),
     "search_scales": ("vehanchor.search_scales", _switch, "0 or 1"),
-    "clear_score": ("vehanchor.clear_score", float, "a number from 0 to 1"),
     "aggregation": ("vehanchor.aggregation", str, "a name"),
     "stride_px": ("stride", _whole, "a whole number >= 1"),
     "votes": ("vehanchor.votes", _votes, "a JSON object of the fields of Votes"),
@@ -240,7 +235,6 @@ _VERIFIER_ENTRIES: dict[str, _Entry] = {
     "weights": ("vehanchor.weights", _range, "three or four numbers, 'detector,verifier,bias,size'"),
     "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
     "min_score": ("vehanchor.min_score", float, "a number from 0 to 1"),
-    "clear_score": ("vehanchor.clear_score", float, "a number from 0 to 1"),
 }
 _FLEET_ENTRIES: dict[str, _Entry] = {
     **_FOR_DETECTOR,
@@ -342,8 +336,7 @@ def read_detector_card(
     if fleet is not None:
         values |= {"fleet_lengths": fleet.lengths, "fleet_sha256": fleet.sha256}
     if verifier is not None:
-        values |= {"min_score": verifier.min_score, "clear_score": verifier.clear_score}
-        values |= {"verifier_sha256": verifier.sha256}
+        values |= {"min_score": verifier.min_score, "verifier_sha256": verifier.sha256}
     if car_verifier is not None:
         values |= {"car_verifier_sha256": car_verifier.sha256}
     return _validated(DetectorCard, path, metadata, _DETECTOR_ENTRIES, {**values, "sha256": sha256})

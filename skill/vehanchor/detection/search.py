@@ -1,13 +1,14 @@
 """Search of an image: overlapping tiles at one or more resolutions, merged into one ``Detections``.
 
 Tiles are visited where cars are likely first. Resolutions that the scene-scale prior excludes come last, and only if
-the others show few vehicles. The search of a photograph or a larger image ends when the caller's ``convergence`` shows
-that more tiles cannot change the scale. In crowded tiles the verifier scores a sample of the candidates. If few
+the others show few vehicles. The caller ends the search of a photograph or a larger image when more tiles cannot change
+its scale. In crowded tiles the verifier scores a sample of the candidates. If few
 vehicles are found, the car verifier scores them and weaker candidates again, and corrects their boxes.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -17,17 +18,15 @@ import numpy as np
 
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.car_verifier import candidate_chips, corrected_boxes
-from vehanchor.detection.convergence import (
+from vehanchor.detection.detections import Detections, Objects
+from vehanchor.detection.levels import search_levels
+from vehanchor.detection.limits import (
     ANYTIME_PIXELS,
     LARGE_PIXELS,
     WINDOWED_PIXELS,
-    has_converged,
-    is_narrow,
-    next_check,
-    stop_rule,
+    next_pause,
+    search_limits,
 )
-from vehanchor.detection.detections import Detections, Objects
-from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.position_sample import position_sample
 from vehanchor.detection.proportions import stretch, stretch_of_few
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.car_verifier import CarVerifier
-    from vehanchor.detection.convergence import Convergence, StopRule
     from vehanchor.detection.detector import Detector, PreparedTile, TileDetections
     from vehanchor.detection.levels import SearchLevel
     from vehanchor.detection.scene_scale import SceneScalePrior
@@ -68,18 +66,15 @@ def search(
     options: Search | None = None,
     *,
     prior: SceneScalePrior | None = None,
-    convergence: Callable[[Detections], Convergence] | None = None,
     check_stretch: bool = True,
 ) -> Detections:
-    """Search an image tile by tile, at one or more resolutions, and merge the results (paper, section III-B).
+    """Search an image to the limits of the options (paper, section III-B); see ``ImageSearch``.
 
     Args:
         raster: the image; at most two of its tiles are in memory.
         detector: the model; the search reports its tiles to the progress of the detector's runtime.
         options: how to search; None for the defaults.
         prior: scene-scale prior, which orders the resolutions and weighs the boxes' sizes; None without one.
-        convergence: measures the uncertainty of the scale from the detections so far; None leaves only the options'
-            limits to end the search early.
         check_stretch: whether to test that width and height have one scale; a running camera needs it now and then.
 
     Returns:
@@ -88,62 +83,18 @@ def search(
     Raises:
         InvalidParameterError: a tile larger than the model's fixed input, a stride beyond the tile.
     """
-    chosen = options or Search()
-    work, tell = _Work(raster, detector, chosen, prior), detector.runtime.tell
-    total = len(work.visits)
-    rule = stop_rule(chosen, raster.width_px * raster.height_px, total)
-    because = _search_all(work, tell) if rule.everything else _search_likely(work, rule, convergence, tell)
-    tell(total, total)
-    return work.detections(because, check_stretch=check_stretch)
+    work = ImageSearch(raster, detector, options or Search(), prior)
+    for _ in work:
+        pass
+    return work.result(check_stretch=check_stretch)
 
 
-def _search_all(work: _Work, tell: Callable[[int, int], None]) -> Stopped:
-    """Visit all tiles."""
-    order = work.reading_order()
-    for k, tile in work.read(order):
-        tell(work.n_visited, len(order))
-        work.visit(k, tile)
-    return "all_searched"
+class ImageSearch:
+    """Search of an image, which visits tiles while it is iterated over.
 
-
-def _search_likely(
-    work: _Work,
-    rule: StopRule,
-    convergence: Callable[[Detections], Convergence] | None,
-    tell: Callable[[int, int], None],
-) -> Stopped:
-    """Visit likely resolutions and tiles first, until the stopping rule holds; return why the search ended."""
-    started, due = time.monotonic(), rule.first_check
-    checks: list[Convergence] = []
-    total = len(work.visits)
-    most = min(total, rule.max_tiles or total)
-    for factors in work.levels_by_chance(every_level=rule.every_level):
-        order = work.order(factors)
-        if work.n_visited and work.n_vehicles >= _ENOUGH_VEHICLES:
-            return "converged"
-        if work.n_visited and convergence is not None and rule.share is not None:
-            order.leave_out(work.excluded(convergence(work.detections(embed=False))))
-        while tiles := order.next_tiles(min(_TILES_AT_ONCE, most - work.n_visited)):
-            for k, tile in work.read(tiles):
-                if rule.max_seconds is not None and work.n_visited and time.monotonic() - started > rule.max_seconds:
-                    return "max_seconds"
-                tell(work.n_visited, total)
-                order.report(k, work.visit(k, tile))
-            if convergence is not None and rule.share is not None and due <= work.n_visited < most:
-                due = next_check(work.n_visited)
-                for embed in (False, True):  # most checks fail without the appearance, which costs more than the rest
-                    check = convergence(work.detections(embed=embed))._replace(unseen_share=order.unseen_share)
-                    if not is_narrow(check, rule):
-                        break
-                order.leave_out(work.excluded(check))
-                checks.append(check)
-                if has_converged(checks, rule):
-                    return "converged"
-    return "all_searched" if work.n_visited == total else "max_tiles" if work.n_visited == most else "converged"
-
-
-class _Work:
-    """Tiles of an image, and the detections in the visited ones."""
+    An iteration yields the expected share of the vehicles in the tiles that are not visited, at growing intervals; its
+    caller may then ask what was ``found``, ``leave_out`` resolutions, or ``stop``. Arguments as in ``search``.
+    """
 
     def __init__(self, raster: Raster, detector: Detector, options: Search, prior: SceneScalePrior | None) -> None:
         card = detector.card
@@ -167,12 +118,67 @@ class _Work:
             for level in self.levels
             for tile in tile_grid(level.width_px, level.height_px, tile_px=tile_px, stride_px=stride_px)
         ]
+        n_pixels = raster.width_px * raster.height_px
+        self._limits = search_limits(options, n_pixels, len(self.visits))
         self._found: dict[int, TileDetections] = {}
-        large = raster.width_px * raster.height_px >= ANYTIME_PIXELS  # in small images all vehicles are counted
-        self._samples, self._n_skipped = large and options.effort != "full", 0
+        # in small images all vehicles are counted
+        self._samples, self._n_skipped = n_pixels >= ANYTIME_PIXELS and options.effort != "full", 0
+        self._because: Stopped | None = None
+        self._left_out: frozenset[int] = frozenset()
+
+    def __iter__(self) -> Iterator[float]:
+        """Visit tiles until the limits or the caller end the search."""
+        tell, total = self._detector.runtime.tell, len(self.visits)
+        if self._limits.everything:
+            order = self._reading_order()
+            for k, tile in self._read(order):
+                tell(self.n_visited, len(order))
+                self._visit(k, tile)
+        else:
+            yield from self._likely_first(tell)
+        self._because = self._because or ("all_searched" if self.n_visited == total else self._unfinished)
+        tell(total, total)
+
+    @property
+    def _unfinished(self) -> Stopped:
+        return "max_tiles" if self.n_visited == self._limits.max_tiles else "converged"
+
+    def stop(self) -> None:
+        """End the search: more tiles cannot change the scale."""
+        self._because = "converged"
+
+    def _likely_first(self, tell: Callable[[int, int], None]) -> Iterator[float]:
+        """Visit likely resolutions and tiles first, until the limits or the caller end the search."""
+        started, due = time.monotonic(), self._limits.first_pause
+        total, limits = len(self.visits), self._limits
+        most = min(total, limits.max_tiles or total)
+        for factors in self._levels_by_chance():
+            order = self._order(factors)
+            if self.n_visited and self.n_vehicles >= _ENOUGH_VEHICLES:
+                return self.stop()
+            pause = bool(self.n_visited) and due is not None
+            while True:
+                if pause:
+                    yield order.unseen_share
+                    if self._because:
+                        return None
+                    order.leave_out(self._left_out)
+                tiles = order.next_tiles(min(_TILES_AT_ONCE, most - self.n_visited))
+                if not tiles:
+                    break
+                for k, tile in self._read(tiles):
+                    if self.n_visited and time.monotonic() - started > (limits.max_seconds or math.inf):
+                        self._because = "max_seconds"
+                        return None
+                    tell(self.n_visited, total)
+                    order.report(k, self._visit(k, tile))
+                pause = due is not None and due <= self.n_visited < most
+                due = next_pause(self.n_visited) if pause else due
+        return None
 
     @property
     def n_visited(self) -> int:
+        """Number of visited tiles."""
         return len(self._found)
 
     @property
@@ -183,7 +189,7 @@ class _Work:
     def _count(self, vehicles: Objects) -> int:
         return int(np.count_nonzero(vehicles.scores >= self._min_score))
 
-    def order(self, factors: Collection[int]) -> TileScheduler:
+    def _order(self, factors: Collection[int]) -> TileScheduler:
         """Schedule the tiles of some resolutions by the tile prior and the scene-scale prior."""
         places = [TilePlace(level.factor, tile) for level, tile in self.visits]
         priors = np.array([tile_prior_of(self._cells, place.window, place.factor) for place in places])
@@ -195,44 +201,47 @@ class _Work:
     def _cells(self) -> NDArray[np.float64]:
         return tile_prior_map(self._raster)
 
-    def levels_by_chance(self, *, every_level: bool) -> list[frozenset[int]]:
+    def _levels_by_chance(self) -> list[frozenset[int]]:
         """Group the resolutions: first those that may show cars, last those at which the prior excludes them."""
         ranges = self._length_ranges_px()
         everything = frozenset(ranges)
-        if self._prior is None or every_level:
+        if self._prior is None or self._limits.every_level:
             return [everything]
         chances = level_chances(ranges, self._prior.density)
         likely = frozenset(factor for factor, chance in chances.items() if chance >= _LEAST_CHANCE)
         return [group for group in (likely, everything - likely) if group]
 
-    def excluded(self, check: Convergence) -> frozenset[int]:
-        """List the resolutions that the scale found so far makes superfluous; none without a vehicle or a prior.
+    def leave_out(self, density: NDArray[np.float64]) -> None:
+        """Leave out the resolutions that the scale found so far makes superfluous; none without a prior.
 
         Cars there have a length that the detector does not know, or, in a photograph, that a finer resolution accepts
         as well. In larger images the tiles of a coarser one show more cars, and few are visited.
+
+        Args:
+            density: ``[g]`` of the scale on ``vehanchor.scale.density.GRID``.
         """
-        if self._prior is None or check.density is None:
-            return frozenset()
+        if self._prior is None:
+            return
         ranges = self._length_ranges_px()
         if self._raster.width_px * self._raster.height_px < LARGE_PIXELS:
             for level in self.levels:
                 shortest, longest = ranges[level.factor]
                 ranges[level.factor] = max(shortest, level.shortest_own_px), longest
-        chances = level_chances(ranges, check.density)
-        return frozenset(factor for factor, chance in chances.items() if chance < _EXCLUDED_CHANCE)
+        chances = level_chances(ranges, density)
+        self._left_out = frozenset(factor for factor, chance in chances.items() if chance < _EXCLUDED_CHANCE)
 
     def _length_ranges_px(self) -> dict[int, tuple[float, float]]:
         shortest = self._card_range_px[0]
         return {level.factor: (max(shortest, level.shortest_px), level.longest_px) for level in self.levels}
 
-    def reading_order(self) -> list[int]:
+    def _reading_order(self) -> list[int]:
         """List all tiles; in a large image a coarse tile follows the fine ones under it, which are still decoded."""
         if self._raster.width_px * self._raster.height_px < WINDOWED_PIXELS:
             return list(range(len(self.visits)))
         ends = [(level.factor * (tile.y_px + tile.height_px), k) for k, (level, tile) in enumerate(self.visits)]
         return [k for _, k in sorted(ends)]
 
-    def read(self, tiles: Sequence[int]) -> Iterator[tuple[int, PreparedTile]]:
+    def _read(self, tiles: Sequence[int]) -> Iterator[tuple[int, PreparedTile]]:
         """Yield prepared tiles; the next one is read and prepared while the caller works on this one."""
 
         def read_one(k: int) -> PreparedTile:
@@ -247,7 +256,7 @@ class _Work:
                     ahead = reader.submit(read_one, following)
                 yield k, tile
 
-    def visit(self, k: int, prepared: PreparedTile) -> int:
+    def _visit(self, k: int, prepared: PreparedTile) -> int:
         """Detect objects in a tile; return its number of vehicles."""
         level, tile = self.visits[k]
         seen = self._detect(prepared, level)
@@ -274,16 +283,16 @@ class _Work:
         # The range of lengths applies to vehicles only.
         return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= self._min_score))
 
-    def detections(
-        self, because: Stopped | None = None, *, check_stretch: bool = True, embed: bool = True
-    ) -> Detections:
-        """Merge the detections of all visited tiles, independent of the order of the visits.
+    def found(self, *, embed: bool) -> Detections:
+        """Merge the detections so far; ``embed`` predicts the vehicles' appearance."""
+        return self._merge(ended=False, check_stretch=False, embed=embed)
 
-        Args:
-            because: reason for the end of the search; the car verifier is used only at the end.
-            check_stretch: as in ``search``.
-            embed: whether to predict the vehicles' appearance.
-        """
+    def result(self, *, check_stretch: bool = True) -> Detections:
+        """Merge the detections of a search that has ended; ``check_stretch`` as in ``search``."""
+        return self._merge(ended=True, check_stretch=check_stretch)
+
+    def _merge(self, *, ended: bool, check_stretch: bool, embed: bool = True) -> Detections:
+        """Merge the detections of all visited tiles, independent of the order of the visits."""
         parts = [self._found[k] for k in sorted(self._found)]
         visited = [self.visits[k][0].factor for k in sorted(self._found)]
         factors = np.repeat(visited, [len(part.vehicles) for part in parts])
@@ -291,7 +300,7 @@ class _Work:
         boxes = vehicles.boxes  # the fleet network is calibrated to the detector's boxes
         kept = _merged(vehicles, self._min_score, self._nms_iou)
         verified = False
-        if because and self._car_verifier and len(kept) <= _FEW_VEHICLES:
+        if ended and self._car_verifier and len(kept) <= _FEW_VEHICLES:
             verified = True
             candidates = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
             boxes, factors = boxes[candidates], factors[candidates]
@@ -309,10 +318,10 @@ class _Work:
             vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
-            because,
-            self._stretch(vehicles.boxes, verified=verified) if because and check_stretch else None,
+            self._because,
+            self._stretch(vehicles.boxes, verified=verified) if check_stretch else None,
             n_skipped=self._n_skipped,
-            areas=self._areas(factors[kept]) if because == "converged" else None,
+            areas=self._areas(factors[kept]) if ended and self._because == "converged" else None,
             verified=verified,
         )
 

@@ -12,22 +12,23 @@ import numpy as np
 from vehanchor.errors import KnownLengthError
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.point import assumed, density_witness, in_words, no_evidence
+from vehanchor.rulers.point import assumed, in_words, no_evidence
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.rulers.standards import Variant, lengths_of
-from vehanchor.scale.density import lognormal, mass_within, on_grid, product
+from vehanchor.scale.density import lognormal, mass_within, on_grid, product, quantile
 from vehanchor.scale.lengths import Z95
-from vehanchor.scale.posterior import Mark
+from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import CALLER, RECOGNITION, RELIABILITY
 from vehanchor.tilt.camera_tilt import TILT_SD_DEG
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from vehanchor.options import KnownLength
     from vehanchor.rulers.view import View
     from vehanchor.scale.plane import GroundPlane
-    from vehanchor.scale.posterior import Witness
 
 _END_SD_PX = 1.0  # error of a drawn end, in pixels of the picture where it was drawn
 _LEAST_CHANCE = 0.01  # that one thing of known size is mistaken, beside the caller's chance to mistake all
@@ -65,7 +66,7 @@ class KnownLengths(Ruler):
         found = replace(
             found,
             n=len(lines),
-            notices=_lines_disagree([_witness(group, view.options.reference.region) for group in groups]),
+            notices=_lines_disagree(groups, [_witness(group, view.options.reference.region) for group in groups]),
             said=f"{given} {in_words(found.gsd_m_per_px, found.interval)}."
             + (" This is the scale of the image's centre." if view.plane else ""),
             marks=tuple(Mark(one.ends, _label(one.line)) for one in drawn),
@@ -134,12 +135,16 @@ def _witness(drawn: Sequence[_Drawn], region: str | None) -> Witness:
         each.weight / total * lognormal(each.metres / length_px, math.hypot(each.log_sd, drawn_log_sd))
         for each in possible
     ]
-    return density_witness(KnownLengths.kind, sum(densities, np.zeros(1)), chance_wrong, "")
+    return _of_density(sum(densities, np.zeros(1)), chance_wrong)
 
 
 def _combined(lines: Sequence[Witness]) -> Witness:
     """Multiply lines, each of which may be wrong by itself; contradictions show as several modes."""
-    return density_witness(KnownLengths.kind, product(*(each.density for each in lines)), 0.0, "")
+    return _of_density(product(*(each.density for each in lines)), 0.0)
+
+
+def _of_density(right: NDArray[np.float64], chance_wrong: float) -> Witness:
+    return Witness(KnownLengths.kind, quantile(right, 0.5), right, chance_wrong)
 
 
 def _mean_length(drawn: Sequence[_Drawn]) -> tuple[float, float]:
@@ -171,17 +176,22 @@ def _length_at_centre(
     return here, abs(math.log(here / there))
 
 
-def _lines_disagree(lines: Sequence[Witness]) -> tuple[Notice, ...]:
-    """Warn of two lines of which neither allows the other's scale."""
-    scales = [(each.density, each.gsd_m_per_px) for each in lines if each.gsd_m_per_px is not None]
-    if not any(
-        max(mass_within(one, its), mass_within(other, this)) < _AGREED
-        for (one, this), (other, its) in combinations(scales, 2)
-    ):
+def _lines_disagree(groups: Sequence[Sequence[_Drawn]], lines: Sequence[Witness]) -> tuple[Notice, ...]:
+    """Warn of two lines of which neither allows the other's scale; name the line without which all agree."""
+    scales = [(each.density, each.gsd_m_per_px or 0.0) for each in lines]
+    apart = [
+        pair
+        for pair in combinations(range(len(lines)), 2)
+        if max(mass_within(scales[a][0], scales[b][1]) for a, b in (pair, pair[::-1])) < _AGREED
+    ]
+    if not apart:
         return ()
     finest, coarsest = min(scale for _, scale in scales), max(scale for _, scale in scales)
-    message = (
-        f"The given lines disagree, from {finest:.4g} to {coarsest:.4g} m/px: a line is wrong, or the camera was "
-        "tilted."
-    )
+    off = [k for k in range(len(lines)) if len(lines) > 2 and all(k in pair for pair in apart)]
+    cause = "A line is wrong, or the camera was tilted."
+    if len(off) == 1:
+        cause = (
+            f"Without the line {_label(groups[off[0]][0].line)} ({scales[off[0]][1]:.4g} m/px) they agree: check it."
+        )
+    message = f"The given lines disagree, from {finest:.4g} to {coarsest:.4g} m/px. {cause}"
     return (Notice(code=NoticeCode.KNOWN_LENGTHS_DISAGREE, message=message),)

@@ -51,45 +51,18 @@ def point_witness(
         notices: warnings.
         marks: measured lines, for pictures.
     """
-    return density_witness(
+    witness = Witness(
         kind,
+        gsd_m_per_px,
         lognormal(gsd_m_per_px, log_sd),
         chance_wrong,
-        said,
-        gsd_m_per_px=gsd_m_per_px,
         shared=tuple(shared),
         n=n,
         notices=tuple(notices),
         marks=tuple(marks),
     )
-
-
-def density_witness(
-    kind: str,
-    right: NDArray[np.float64],
-    chance_wrong: float,
-    said: str,
-    *,
-    gsd_m_per_px: float | None = None,
-    shared: tuple[Shared, ...] = (),
-    n: int = 1,
-    notices: tuple[Remark, ...] = (),
-    marks: tuple[Mark, ...] = (),
-) -> Witness:
-    """Make a witness from a density ``[g]``; its scale is the median unless given. See ``point_witness``."""
-    witness = Witness(
-        kind,
-        quantile(right, 0.5) if gsd_m_per_px is None else gsd_m_per_px,
-        right,
-        chance_wrong,
-        shared=shared,
-        n=n,
-        notices=notices,
-        marks=marks,
-    )
-    assert witness.gsd_m_per_px is not None
     assert witness.interval is not None
-    return replace(witness, said=said.replace("{}", in_words(witness.gsd_m_per_px, witness.interval)))
+    return replace(witness, said=said.replace("{}", in_words(gsd_m_per_px, witness.interval)))
 
 
 def assumed(witness: Witness, caller: Shared = CALLER) -> Witness:

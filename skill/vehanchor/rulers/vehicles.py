@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +16,7 @@ from vehanchor.rulers.look_alikes import look_alikes
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.density import GRID, blurred, flat, lognormal, on_grid
+from vehanchor.scale.density import GRID, blurred, flat, lognormal, on_grid, product
 from vehanchor.scale.lengths import dominant_group, guard_length, inlier_mask
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
@@ -23,6 +25,8 @@ from vehanchor.scale.votes import UNCALIBRATED, vehicle_likelihood
 from vehanchor.tilt.rectified import rectified
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from vehanchor.detection.appearance import FleetAppearance
@@ -31,7 +35,9 @@ if TYPE_CHECKING:
     from vehanchor.options import Lengths
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.view import View
+    from vehanchor.scale.defaults import Reason
     from vehanchor.scale.paper import PaperScale
+    from vehanchor.scale.votes import Votes
 
 _LEAST_SCORE = 1e-3  # floor of the scores, so that a detection counts
 _LOOK_ALIKE_LENGTHS = 1.5  # of cars: vans, caravans, lorries, containers, boats; a choice
@@ -218,7 +224,8 @@ class Vehicles(Ruler):
         return self.measure(replace(view, detections=NOT_SEARCHED, tilt=None))
 
 
-class _Votes(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Votes:
     """Votes of the boxes, and doubts about them.
 
     Attributes:
@@ -261,41 +268,57 @@ class _Votes(NamedTuple):
             return flat()
         return (lognormal(min(gsd_m_per_px * _LOOK_ALIKE_LENGTHS, _COARSEST), _LOOK_ALIKE_LOG_SD) + flat()) / 2
 
-    def density(self, *, cars: int = 0, clear: bool = False, fleet_known: bool = False) -> NDArray[np.float64]:
-        """Compute the density ``[g]`` of the scale, widened by the errors of the fleet and of too coarse vehicles.
+    @cached_property
+    def _likelihood(self) -> NDArray[np.float64]:
+        return self._likelihood_of(self.fleet.detections.scores)
 
-        Args:
-            cars: clear cars of the modal length to add.
-            clear: whether to take all vehicles of the fleet for clear cars.
-            fleet_known: whether to leave out the errors of the fleet.
-        """
+    def _likelihood_of(self, scores: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute the density ``[g]`` of the scale for a known reference length, with these scores ``[n]``."""
         found = self.fleet.detections
         alone = self.only_kept or self.fleet.is_stated
         voting = self.fleet.kept if alone else np.ones(len(self.fleet.kept), bool)
         pointed = np.zeros(len(voting)) if found.corrections is None else found.corrections.pointed_log_sds
-        scores = np.where(self.fleet.kept, _CLEAR_SCORE, found.scores) if clear else found.scores
-        likelihood = vehicle_likelihood(
-            np.append(found.boxes[voting, 2], [np.median(self.fleet.lengths)] * cars),
-            np.append(scores[voting], [_CLEAR_SCORE] * cars),
-            self.reference.length_m,
-            self.card.votes or UNCALIBRATED,
-            np.append(pointed[voting], np.zeros(cars)),
+        return vehicle_likelihood(
+            found.boxes[voting, 2], scores[voting], self.reference.length_m, self._model, pointed[voting]
         )
+
+    @property
+    def _model(self) -> Votes:
+        return self.card.votes or UNCALIBRATED
+
+    def density(self) -> NDArray[np.float64]:
+        """Compute the density ``[g]`` of the scale, widened by the errors of the fleet and of too coarse vehicles."""
+        return self._widened(self._likelihood, self.reference.errors)
+
+    def _widened(
+        self, likelihood: NDArray[np.float64], errors: Sequence[tuple[float, float, float]] = ((1.0, 0.0, 0.0),)
+    ) -> NDArray[np.float64]:
         coarse_log_sd = unresolved(self.coarseness).log_sd
-        errors = ((1.0, 0.0, 0.0),) if fleet_known else self.reference.errors
-        return blurred(likelihood, *((weight, mean, float(np.hypot(sd, coarse_log_sd))) for weight, mean, sd in errors))
+        return blurred(likelihood, *((weight, mean, math.hypot(sd, coarse_log_sd)) for weight, mean, sd in errors))
 
     def lacks(self) -> tuple[Lack, ...]:
         """List what would raise the vehicles' weight: detail, cars without doubt, one car more, a known fleet."""
-        sharp = self._replace(coarseness=0.0)
-        alike = self._replace(doubts=tuple(doubt for doubt in self.doubts if doubt != NoticeCode.LOOK_ALIKES))
-        true = self._replace(fleet=replace(self.fleet, rival_share=0.0))
-        return (
-            Lack("too_coarse", Witness(Vehicles.kind, None, sharp.density(), sharp.chance_wrong)),
-            Lack("not_cars", Witness(Vehicles.kind, None, self.density(clear=True), alike.chance_wrong)),
-            Lack("disagree", Witness(Vehicles.kind, None, self.density(), true.chance_wrong)),
-            Lack("too_few", Witness(Vehicles.kind, None, self.density(cars=1), self.chance_wrong)),
-            Lack("imprecise", Witness(Vehicles.kind, None, self.density(fleet_known=True), self.chance_wrong)),
+        sharp = blurred(self._likelihood, *self.reference.errors)
+        clear = self._likelihood_of(np.where(self.fleet.kept, _CLEAR_SCORE, self.fleet.detections.scores))
+        car_px = np.median(self.fleet.lengths)
+        one_more = product(
+            self._likelihood, vehicle_likelihood([car_px], [_CLEAR_SCORE], self.reference.length_m, self._model)
+        )
+        known_doubts = tuple(doubt for doubt in self.doubts if doubt != NoticeCode.LOOK_ALIKES)
+        sharp_wrong = replace(self, coarseness=0.0).chance_wrong
+        alike_wrong = replace(self, doubts=known_doubts).chance_wrong
+        alone_wrong = replace(self, fleet=replace(self.fleet, rival_share=0.0)).chance_wrong
+        errors = self.reference.errors
+        without: list[tuple[Reason, NDArray[np.float64], float]] = [
+            ("too_coarse", sharp, sharp_wrong),
+            ("not_cars", self._widened(clear, errors), alike_wrong),
+            ("disagree", self.density(), alone_wrong),
+            ("too_few", self._widened(one_more, errors), self.chance_wrong),
+            ("imprecise", self._widened(self._likelihood), self.chance_wrong),
+        ]
+        return tuple(
+            Lack(reason, Witness(Vehicles.kind, None, density, chance_wrong))
+            for reason, density, chance_wrong in without
         )
 
 

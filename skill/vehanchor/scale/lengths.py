@@ -25,7 +25,7 @@ WEIGHTED_SMOOTHING = 2.0  # of Scott's bandwidth; on the train split 1.5 to 3 do
 _LEAST_SCORE = 1e-3  # some models give scores of 0
 _BOOTSTRAP_REPLICATES = 400
 _BOOTSTRAP_SEED = 20260
-_FLEET_LOG_SD = 0.40  # error of an estimate from one car, false alarms included: fit_confidence.py, held-out tenth
+_FLEET_LOG_SD = 0.40  # error of an estimate from one car, false alarms included, fitted on the held-out tenth
 Z95 = 1.959963984540054  # standard deviations to either end of a 95 % interval
 
 

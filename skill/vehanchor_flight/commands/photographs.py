@@ -48,10 +48,6 @@ SameScale: TypeAlias = Annotated[
         "--same-scale", help="All photographs have one scale, as in a survey at one height: pool their evidence."
     ),
 ]
-ReportFile: TypeAlias = Annotated[
-    Path | None,
-    typer.Option("--report", metavar="OUT.html", help="Write a page with the track, the components and all scales."),
-]
 TableFile: TypeAlias = Annotated[
     Path | None,
     typer.Option("--table", metavar="FILE", help="Write a table with a row for each photograph, as 'batch' does."),
@@ -79,7 +75,6 @@ def photographs(
         ),
     ] = None,
     table: TableFile = None,
-    page: ReportFile = None,
     known_lengths: KnownLengthsFile = None,
     every: Seconds = _EVERY_S,
     *,
@@ -89,12 +84,11 @@ def photographs(
     with exit_on_error():
         from vehanchor.batch.table import check_table_path
         from vehanchor_flight.io import check_output, write_record
-        from vehanchor_flight.report import write_report
         from vehanchor_flight.table import write_flight_table
         from vehanchor_flight.verbs import estimate_flight
 
         engine = chosen.engine()
-        outputs = [check_output(path, suffix) for path, suffix in ((out, ".json"), (page, ".html")) if path is not None]
+        outputs = [] if out is None else [check_output(out, ".json")]
         outputs += [] if table is None else [check_table_path(table)]
         journal = (kept := out or table) and kept.with_name(kept.name + ".journal")
         limits = chosen.options().reading.limits
@@ -117,8 +111,6 @@ def photographs(
             write_record(out, record)
         if table is not None:
             write_flight_table(table, record)
-        if page is not None:
-            write_report(page, record)
         _tell(record, as_json=as_json)
 
 

@@ -1,9 +1,9 @@
-"""``vehanchor flight rescale``: the size of a reconstruction or an orthophoto."""
+"""``vehanchor flight rescale``: the size of a reconstruction."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,72 +21,49 @@ from vehanchor.cli.terminal import (
     print_warnings,
     printable,
     resumable,
-    tile_progress,
 )
-from vehanchor.errors import ImageNotFoundError, InvalidParameterError
+from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from rich.table import Table
 
-    from vehanchor_flight.reconstruction.model import Reconstruction
     from vehanchor_flight.records import ModelPhotograph, ModelScale
 
 _FILES = "Files to write"
 _METADATA = ("metadata", "height_m", "height_basis", "height_tolerance_m", "focal_35mm")
 
 
-Folder: TypeAlias = Annotated[
-    Path | None, typer.Option("--images", metavar="FOLDER", help="Photographs of the model. Default: near its files.")
-]
-Lines: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(
-        "--known-lengths",
-        metavar="LINES.csv",
-        help="Lines of known length in the photographs: file, x1, y1, x2, y2, metres; files are relative to the table.",
-    ),
-]
-Project: TypeAlias = Annotated[
-    Path | None,
-    typer.Option("--project", metavar="FOLDER", help="Model in metres, in its format.", rich_help_panel=_FILES),
-]
-Matrix: TypeAlias = Annotated[
-    Path | None,
-    typer.Option("--matrix", metavar="OUT.txt", help="Similarity as a 4 x 4 matrix.", rich_help_panel=_FILES),
-]
-Geo: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(
-        "--geo", metavar="geo.txt", help="Camera positions in metres for OpenDroneMap.", rich_help_panel=_FILES
-    ),
-]
-GeoTiff: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(
-        "--geotiff", metavar="OUT.tif", help="Copy of an orthophoto, in local metres.", rich_help_panel=_FILES
-    ),
-]
-
-
-@scale_command(without=("frame", "coordinates", *_METADATA))
+@scale_command(without=("frame", "coordinates", "known_lengths", *_METADATA))
 def rescale(
     source: Annotated[
         str,
         typer.Argument(
             metavar="MODEL",
-            help="Project of OpenDroneMap or OpenSfM, its reconstruction.json, a folder of COLMAP (text or binary), or "
-            "an orthophoto.",
+            help="Project of OpenDroneMap or OpenSfM, its reconstruction.json, or a folder of COLMAP (text or binary).",
             show_default=False,
         ),
     ],
-    images: Folder = None,
-    lines: Lines = None,
-    project: Project = None,
-    matrix: Matrix = None,
-    geo: Geo = None,
-    geotiff: GeoTiff = None,
+    images: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Photographs of the model. Default: near its files.")
+    ] = None,
+    lines: Annotated[
+        Path | None,
+        typer.Option(
+            "--known-lengths",
+            metavar="LINES.csv",
+            help="Lines of known length in the photographs: file, x1, y1, x2, y2, metres; files are relative to the "
+            "table.",
+        ),
+    ] = None,
+    project: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Model in metres, in its format.", rich_help_panel=_FILES)
+    ] = None,
+    geo: Annotated[
+        Path | None,
+        typer.Option(metavar="geo.txt", help="Camera positions in metres for OpenDroneMap.", rich_help_panel=_FILES),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -100,109 +77,44 @@ def rescale(
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Give a reconstruction or an orthophoto its size in metres. Files in metres need a usable size."""
+    """Give a reconstruction its size in metres. Files in metres need a usable size."""
     with exit_on_error():
         from vehanchor_flight.io import check_output, write_record
-        from vehanchor_flight.reconstruction.files import find_model
+        from vehanchor_flight.reconstruction.files import (
+            check_project_path,
+            images_of,
+            read_model,
+            write_geo,
+            write_rescaled,
+        )
+        from vehanchor_flight.verbs import rescale as rescaled
 
         journal = out and check_output(out, ".json").with_name(out.name + ".journal")
-        for path in filter(None, (matrix, geo)):
-            check_output(path)
-        if not Path(source).suffix and not Path(source).exists():
-            raise ImageNotFoundError(f"there is no folder {source!r}: name a reconstruction or an orthophoto")
-        if find_model(source) is not None or Path(source).is_dir():
-            _refuse({"--geotiff": geotiff}, "an orthophoto")
-            record, write = _model(source, images, lines, chosen, (project, matrix, geo), journal)
-        else:
-            given = {"--project": project, "--matrix": matrix, "--geo": geo, "--images": images}
-            _refuse(given, "a reconstruction")
-            if lines is not None:
-                raise InvalidParameterError("an orthophoto is one image: give each line with --known-length")
-            record, write = _orthophoto(source, chosen, geotiff)
-        usable = record.status == "ok"
-        written = write(record) if usable else []
+        if geo is not None:
+            check_output(geo)
+        if project is not None:
+            check_project_path(project)
+        model = read_model(source)
+        if geo is not None and model.origin is None:
+            raise InvalidParameterError("--geo needs a model with a position on Earth (reference_lla of OpenSfM)")
+        folder = images or images_of(model)
+        with image_progress() as progress, resumable(journal):
+            engine = chosen.engine(progress=progress)
+            record = rescaled(model, engine=engine, images=folder, known_lengths_table=lines, journal=journal)
+        written = [] if out is None else [out]
+        if record.status == "ok" and record.factor is not None:
+            if geo is not None:
+                write_geo(geo, model, record.factor)
+                written.append(geo)
+            if project is not None:
+                written.append(write_rescaled(model, project, record.factor))
         if out is not None:
             write_record(out, record)
-            written.append(out)
         _tell(record, source, written, as_json=as_json)
-        if not usable and any((project, matrix, geo, geotiff)):
+        if record.status != "ok" and (project or geo):
             typer.echo("no file in metres was written: the size is not usable", err=True)
             raise typer.Exit(NOT_OK)
         exit_strictly(strict, [record.status])
-
-
-def _model(
-    source: str,
-    images: Path | None,
-    lines: Path | None,
-    chosen: ParsedOptions,
-    out: Sequence[Path | None],
-    journal: Path | None,
-) -> tuple[ModelScale, Callable[[ModelScale], list[Path]]]:
-    """Measure a reconstruction; return the record, and a function that writes its files."""
-    from vehanchor_flight.reconstruction.files import check_project_path, images_of, read_model
-    from vehanchor_flight.verbs import rescale as rescaled
-
-    project, matrix, geo = out
-    if chosen.typed.get("known_lengths"):
-        raise InvalidParameterError("a model has many photographs: give lines as a table with --known-lengths")
-    if project is not None:
-        check_project_path(project)
-    model = read_model(source)
-    if geo is not None and model.origin is None:
-        raise InvalidParameterError("--geo needs a model with a position on Earth (reference_lla of OpenSfM)")
-    folder = images or images_of(model)
-    with image_progress() as progress, resumable(journal):
-        engine = chosen.engine(progress=progress)
-        record = rescaled(model, engine=engine, images=folder, known_lengths_table=lines, journal=journal)
-    return record, lambda found: _write_model(model, found, project, matrix, geo)
-
-
-def _write_model(
-    model: Reconstruction, record: ModelScale, project: Path | None, matrix: Path | None, geo: Path | None
-) -> list[Path]:
-    from vehanchor_flight.reconstruction.files import write_geo, write_matrix, write_rescaled
-
-    assert record.factor is not None
-    written = [] if project is None else [write_rescaled(model, project, record.factor)]
-    if matrix is not None:
-        write_matrix(matrix, record.factor)
-    if geo is not None:
-        write_geo(geo, model, record.factor)
-    return written + [path for path in (matrix, geo) if path is not None]
-
-
-def _orthophoto(
-    source: str, chosen: ParsedOptions, geotiff: Path | None
-) -> tuple[ModelScale, Callable[[ModelScale], list[Path]]]:
-    """Measure an orthophoto; return the record, and a function that writes its files."""
-    from vehanchor.export.geotiff import check_copy_path, write_metric_copy
-    from vehanchor.imagery.sources.opening import open_raster
-    from vehanchor.storage.atomic import check_apart
-    from vehanchor_flight.reconstruction.estimate import orthophoto_scale
-
-    if geotiff is not None:
-        check_apart(check_copy_path(geotiff), source)
-    with tile_progress(1, lines_on_terminal=False) as step:
-        engine = chosen.engine(progress=step(0, source))
-        record = orthophoto_scale(engine.estimate(source, metadata=False))
-
-    def write(found: ModelScale) -> list[Path]:
-        assert found.gsd_m_per_px is not None
-        if geotiff is None:
-            return []
-        reading = engine.options.reading
-        with open_raster(source, bands=reading.bands, limits=reading.limits) as raster:
-            write_metric_copy(geotiff, raster, found.gsd_m_per_px)
-        return [geotiff]
-
-    return record, write
-
-
-def _refuse(given: dict[str, Path | None], noun: str) -> None:
-    for name, value in given.items():
-        if value is not None:
-            raise InvalidParameterError(f"{name} is for {noun}: leave it out")
 
 
 def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: bool) -> None:

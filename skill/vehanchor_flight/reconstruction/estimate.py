@@ -24,7 +24,7 @@ from vehanchor_flight.record import Failure
 from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from vehanchor.storage.journal import Journal
     from vehanchor_flight.photograph import StoredPhotograph
     from vehanchor_flight.reconstruction.model import Reconstruction
-    from vehanchor_flight.records.model_scale import ModelSource
+
 _WIDEST_USED = 2.0  # largest ratio of the ends of a photograph's interval, with which it carries the factor
 
 
@@ -74,45 +74,22 @@ def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Fai
     pooled = pool(members, np.log([each.sight.gsd for each in seen]), chief).estimate
     found = _Scaled.of(pooled, gsd)
     photographs = [_failed(each) if isinstance(each, Failure) else _photograph(each, found) for each in results]
-    warnings = (*pooled.warnings, *_parts_notice(model))
-    said = verdict("model", found, usable=pooled.status == "ok")
-    record = _record(pooled, model.kind, gsd, said, warnings)
-    return record.model_copy(update={"n_photographs": len(model.shots), "photographs": tuple(photographs)})
-
-
-def orthophoto_scale(estimate: GsdEstimate) -> ModelScale:
-    """Compare the scale of an orthophoto with the one that its file states.
-
-    Args:
-        estimate: of the orthophoto, with the scale of its georeference if it has one.
-    """
-    own, true = estimate.georeference_gsd_m_per_px, _Scaled.of(estimate, 1.0)
-    found = None if own is None else _Scaled.of(estimate, own)
-    warnings = [each for each in estimate.warnings if each.code != NoticeCode.GEOREFERENCE_DIFFERS]
-    said = verdict("orthophoto", found, usable=estimate.status == "ok", pixel=true)
-    record = _record(estimate, "orthophoto", own, said, warnings)
-    return record.model_copy(update={"gsd_m_per_px": estimate.gsd_m_per_px})
-
-
-def _record(
-    estimate: GsdEstimate, source: ModelSource, gsd: float | None, said: str, warnings: Iterable[Notice]
-) -> ModelScale:
-    """Divide an estimate by ``gsd``, model units per pixel; None for no factor."""
-    found = None if gsd is None else _Scaled.of(estimate, gsd)
     return ModelScale(
-        status=estimate.status,
-        source=source,
+        status=pooled.status,
+        source=model.kind,
         factor=found and found.factor,
         factor_ci95_low=found and found.low,
         factor_ci95_high=found and found.high,
-        confidence=estimate.confidence,
-        reason=estimate.reason,
-        verdict=said,
-        n_vehicles=estimate.n_vehicles,
-        rulers=() if gsd is None else _rulers(estimate, gsd),
-        model=estimate.model,
-        model_sha256=estimate.model_sha256,
-        warnings=tuple(warnings),
+        confidence=pooled.confidence,
+        reason=pooled.reason,
+        verdict=verdict(found, usable=pooled.status == "ok"),
+        n_photographs=len(model.shots),
+        n_vehicles=pooled.n_vehicles,
+        rulers=_rulers(pooled, gsd),
+        photographs=tuple(photographs),
+        model=pooled.model,
+        model_sha256=pooled.model_sha256,
+        warnings=(*pooled.warnings, *_parts_notice(model)),
     )
 
 

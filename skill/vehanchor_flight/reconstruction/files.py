@@ -1,4 +1,4 @@
-"""Files of a reconstruction: reading in any format, the rescaled copy, the matrix and ``geo.txt``."""
+"""Files of a reconstruction: reading in any format, the rescaled copy and ``geo.txt``."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def read_model(path: str | os.PathLike[str]) -> Reconstruction:
     if found is None:
         raise ReconstructionError(
             f"there is no reconstruction in {str(path)!r}: name a reconstruction.json of OpenSfM or OpenDroneMap, or a "
-            "folder with COLMAP's cameras, images and points3D"
+            "folder with COLMAP's cameras, images and points3D; an orthophoto goes to 'vehanchor estimate --geotiff'"
         )
     model = read_opensfm(found) if found.suffix.lower() == ".json" else read_colmap(found)
     if not model.shots:
@@ -107,17 +107,6 @@ def check_project_path(target: Path) -> Path:
     if target.is_dir() and any(target.iterdir()):
         raise OutputError(f"{str(target)!r} is not empty: name a new folder")
     return target
-
-
-def write_matrix(path: Path, factor: float) -> None:
-    """Write the similarity as four rows of four numbers, as CloudCompare and Open3D read them.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    rows = np.diag([factor, factor, factor, 1.0])
-    with whole_file(path) as partial:
-        np.savetxt(partial, rows, fmt="%.10g")
 
 
 def write_geo(path: Path, model: Reconstruction, factor: float) -> None:

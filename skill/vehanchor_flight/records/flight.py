@@ -57,13 +57,6 @@ class FlightPhotograph(Record):
     scale: KnownScale | None = Field(
         default=None, description="The scale to give back for measurements in this photograph; null without a scale."
     )
-    east_m: float | None = Field(default=None, description="Position of its camera, metres east (overlaps: right).")
-    north_m: float | None = Field(default=None, description="Metres north (overlaps: up).")
-    placed_by: Literal["positions", "overlaps"] | None = Field(
-        default=None,
-        description="positions: from metadata, relative to the first known position. overlaps: relative to the "
-        "component's reference, in its orientation. Null: no position.",
-    )
     own: GsdEstimate | None = Field(default=None, description="The estimate from this photograph alone.")
     error_code: str | None = Field(default=None, description="Stable code of the error; null without an error.")
     error: str | None = Field(default=None, description="The error and its remedy.")

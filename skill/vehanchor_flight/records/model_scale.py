@@ -1,4 +1,4 @@
-"""The record of a reconstruction's or an orthophoto's size."""
+"""The record of a reconstruction's size."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 from vehanchor.scale.defaults import Reason
 
-ModelSource: TypeAlias = Literal["opensfm", "colmap_text", "colmap_binary", "orthophoto"]
+ModelSource: TypeAlias = Literal["opensfm", "colmap_text", "colmap_binary"]
 
 
 class ModelRuler(Record):
@@ -52,23 +52,19 @@ class ModelPhotograph(Record):
 
 
 class ModelScale(Record):
-    """Factor that gives a reconstruction, or an orthophoto, its size in metres."""
+    """Factor that gives a reconstruction its size in metres."""
 
     status: Status = Field(description="ok: usable. low_confidence: use another source. no_scale: nothing found.")
     source: ModelSource = Field(description="Format of the model.")
     factor: float | None = Field(
-        description="Metres per unit of the model: multiply its lengths by it. Of an orthophoto: true over stated "
-        "metres per pixel; null if it states none."
+        description="Metres per unit of the model: multiply its lengths by it; null if nothing of known size is found."
     )
     factor_ci95_low: float | None = Field(description="Lower end of its 95 % interval.")
     factor_ci95_high: float | None = Field(description="Upper end of its 95 % interval.")
-    gsd_m_per_px: float | None = Field(
-        default=None, description="True metres per pixel of an orthophoto; null for a model."
-    )
     confidence: float = Field(ge=0, le=1, description="Chance of an error below 20 %.")
     reason: Reason | None = Field(description="Why the factor is not usable; null if it is.")
     verdict: str = Field(description="The result in one sentence.")
-    n_photographs: int = Field(default=1, ge=0, description="Photographs of the model.")
+    n_photographs: int = Field(ge=0, description="Photographs of the model.")
     n_vehicles: int = Field(ge=0, description="Distinct cars behind the factor.")
     rulers: tuple[ModelRuler, ...] = Field(description="The rulers and their shares.")
     photographs: tuple[ModelPhotograph, ...] = Field(

@@ -103,14 +103,6 @@ def test_a_table_has_the_scale_of_the_flight_in_every_row(run: Any, tmp_path: Pa
     assert run("flight", ".", "--table", "scales.pdf").exit_code == 2
 
 
-def test_the_report_is_written_and_a_wrong_name_told_before_the_work(run: Any, tmp_path: Path) -> None:
-    assert run("flight", ".", "--same-scale", "--report", "flight.html").exit_code == 0
-    assert "One scale for all photographs" in (tmp_path / "flight.html").read_text()
-    refused = run("flight", ".", "--report", "flight.pdf")
-    assert refused.exit_code == 2
-    assert "output_unwritable" in refused.stderr
-
-
 @pytest.mark.parametrize(("arguments", "last"), [((), "linking"), (("--same-scale",), "pooling the evidence of")])
 def test_progress_names_the_present_work(
     run: Any, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], last: str

@@ -3,12 +3,10 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.flight.photographs import car_park
 from tests.flight.reconstruction.flights import Pose, write_opensfm
 from tests.models import write_detector
 from vehanchor.cli import app as cli
@@ -24,11 +22,10 @@ LENGTHS = 4.8 * (1 + 0.06 * np.linspace(-1, 1, 12) ** 3)
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``vehanchor flight rescale`` in a folder with a model at 92 % of its size, and an orthophoto."""
+    """Runs ``vehanchor flight rescale`` in a folder with a model at 92 % of its size."""
     cars = np.column_stack([[(80 + 9 * (k % 4), 80 + 9 * (k // 4)) for k in range(12)], LENGTHS, np.arange(12) * 0.3])
     poses = [Pose(80, 80, 70), Pose(110, 85, 70, 8, 100), Pose(100, 90, 75)]
     write_opensfm(tmp_path / "project", [pose.painted(cars) for pose in poses], poses, 1 / 0.92)
-    cv2.imwrite(str(tmp_path / "ortho.png"), car_park(list(LENGTHS * 6.25))[:, :, ::-1])
     write_detector(tmp_path / "detector.onnx")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
@@ -42,7 +39,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_the_verdict_is_told_and_the_files_are_in_metres(run: Any, tmp_path: Path) -> None:
-    done = run("project", "--project", "metric", "--matrix", "matrix.txt", "--geo", "geo.txt", "--out", "scale.json")
+    done = run("project", "--project", "metric", "--geo", "geo.txt", "--out", "scale.json")
     assert done.exit_code == 0, done.output
     assert json.loads((tmp_path / "scale.json").read_text())["status"] == "ok"
     assert "too small" in done.stdout
@@ -50,7 +47,6 @@ def test_the_verdict_is_told_and_the_files_are_in_metres(run: Any, tmp_path: Pat
     assert max(map(len, done.stdout.splitlines())) <= 80
     heights = [shot.centre[2] for shot in read_model(tmp_path / "metric").shots]
     assert heights == pytest.approx([70, 70, 75], rel=0.015)
-    assert np.loadtxt("matrix.txt")[0, 0] == pytest.approx(1 / 0.92, rel=0.015)
     assert len((tmp_path / "geo.txt").read_text().splitlines()) == 4
 
 
@@ -62,39 +58,13 @@ def test_json_is_the_record_and_nothing_else(run: Any) -> None:
     assert [each["status"] for each in record["photographs"]] == ["used"] * 3
 
 
-def test_an_orthophoto_without_scale_gets_one(run: Any) -> None:
-    rasterio = pytest.importorskip("rasterio")
-    done = run("ortho.png", "--geotiff", "metric.tif", "--rulers", "vehicles")
-    assert done.exit_code == 0, done.output
-    assert "states no scale" in " ".join(done.stdout.split())
-    with rasterio.open("metric.tif") as copy:
-        assert copy.res == pytest.approx((0.16, 0.16), rel=0.02)
-
-
-def test_an_orthophoto_of_a_wrong_scale_is_told_how_wrong(run: Any) -> None:
-    rasterio = pytest.importorskip("rasterio")
-    pixels = car_park(list(LENGTHS * 6.25)).transpose(2, 0, 1)
-    shape = {"width": pixels.shape[2], "height": pixels.shape[1], "count": 3, "dtype": "uint8"}
-    placed = {"crs": "EPSG:32632", "transform": rasterio.Affine(0.1472, 0, 5e5, 0, -0.1472, 5e6)}
-    with rasterio.open("ortho.tif", "w", driver="GTiff", photometric="RGB", **shape, **placed) as file:
-        file.write(pixels)
-    done = run("ortho.tif", "--json", "--geotiff", "metric.tif", "--rulers", "vehicles")
-    assert json.loads(done.stdout)["factor"] == pytest.approx(1 / 0.92, rel=0.02)
-    with rasterio.open("metric.tif") as copy:
-        assert copy.res == pytest.approx((0.16, 0.16), rel=0.02)
-
-
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [
-        (["nothing.json"], "image_not_found"),
-        (["nowhere", "--matrix", "a.txt"], "image_not_found"),
+        (["nothing.json"], "reconstruction_unusable"),
         (["."], "reconstruction_unusable"),
-        (["project", "--geotiff", "a.tif"], "invalid_parameter"),
-        (["ortho.png", "--matrix", "a.txt"], "invalid_parameter"),
-        (["ortho.png", "--known-lengths", "lines.csv"], "invalid_parameter"),
         (["project", "--images", "."], "reconstruction_unusable"),
-        (["project", "--matrix", "nowhere/a.txt"], "output_unwritable"),
+        (["project", "--geo", "nowhere/a.txt"], "output_unwritable"),
         (["project", "--project", "project"], "output_unwritable"),
     ],
 )
@@ -107,7 +77,7 @@ def test_what_cannot_be_done_is_told_with_its_remedy(run: Any, arguments: list[s
 def test_nothing_is_written_without_a_usable_size(run: Any, tmp_path: Path) -> None:
     pose = Pose(80, 80, 70)
     write_opensfm(tmp_path / "bare", [pose.painted(np.zeros((0, 4)))], [pose], 1.0)
-    done = run("bare", "--matrix", "matrix.txt")
+    done = run("bare", "--geo", "geo.txt")
     assert done.exit_code == 3
     assert "no file in metres was written" in done.stderr
-    assert not (tmp_path / "matrix.txt").exists()
+    assert not (tmp_path / "geo.txt").exists()

@@ -152,5 +152,5 @@ def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
     ],
 )
 def test_the_verdict_is_one_sentence(factor: tuple[float, float, float], words: str) -> None:
-    assert verdict("model", factor, usable=True) == words
-    assert verdict("model", factor, usable=False).startswith("Uncertain, do not use: ")
+    assert verdict(factor, usable=True) == words
+    assert verdict(factor, usable=False).startswith("Uncertain, do not use: ")

@@ -15,7 +15,6 @@ from vehanchor_flight.reconstruction.files import (
     on_earth,
     read_model,
     write_geo,
-    write_matrix,
     write_rescaled,
 )
 
@@ -146,8 +145,3 @@ def test_positions_on_earth_are_those_of_proj() -> None:
     shrunk = 1 + 500 / 6_380_000  # that plane lies at sea level
     assert np.column_stack([x, y]) * shrunk == pytest.approx(points[:, :2], abs=0.02)
     assert found[:, 2] == pytest.approx([500, 500.02, 520.04], abs=0.01)
-
-
-def test_the_matrix_scales_and_keeps_the_rest(tmp_path: Path) -> None:
-    write_matrix(tmp_path / "matrix.txt", 1.087)
-    assert np.loadtxt(tmp_path / "matrix.txt") @ [1, 2, 3, 1] == pytest.approx([1.087, 2.174, 3.261, 1])

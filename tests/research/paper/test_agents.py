@@ -11,19 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from research.paper.__main__ import app
-from research.paper.agents import (
-    AgentRun,
-    Redescribed,
-    agent_score,
-    ask_agent,
-    read_descriptions,
-    read_reply,
-)
-from research.paper.question_set import Direction, Task, picture_of, question_set, task_of
+from research.paper.agents import AgentRun, agent_score, ask_agent, read_reply
+from research.paper.question_set import TASKS, Direction, Task, picture_of, question_set, task_of
 from research.paper.vlm_api import Budget, open_api, reply_journal
 from research.results.record import tables_of
 from tests.research.paper.model_service import Answer, Asked, ModelService, UseTool, model_service
-from vehanchor.errors import InvalidParameterError
 
 RENDERED = [each for each in question_set() if each.scene is not None]
 
@@ -173,55 +165,21 @@ def test_a_transcript_is_read_without_a_request(asked: list[tuple[Task, Path]], 
             assert [each.deed for each in again.answers] == [each.deed for each in first.answers]
 
 
-def test_other_descriptions_reach_the_model_for_both_apis(tmp_path: Path) -> None:
-    tools = Tools({})
-    path = tmp_path / "b.json"
-    path.write_text(json.dumps({"measure_distance": "Other words."}))
-    other = read_descriptions(path, tools)
-    assert isinstance(other, Redescribed)
-    assert other.anthropic_tools[0]["description"] == other.openai_tools[0]["function"]["description"] == "Other words."
-    assert tools.anthropic_tools[0]["description"] == "Measures distances."
-    for text in ("[]", "{}", '{"no_such_tool": "x"}', '{"measure_distance": 5}', "not JSON"):
-        path.write_text(text)
-        with pytest.raises(InvalidParameterError, match="--descriptions"):
-            read_descriptions(path, tools)
-
-
-def test_the_command_compares_two_versions_of_the_descriptions(
-    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_asks_script_and_model(pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENAI_API_KEY", "k")
-    descriptions = tmp_path / "b.json"
-    descriptions.write_text(json.dumps({"measure_distance": "Other words."}))
     with model_service(ModelService(answer=lambda _: "ANSWER=unknown")) as service:
-        tasks = ["--task", "distance", "--task", "direction"]
         options = ["--provider", "openai-compatible", "--model", "m", "--base-url", f"{service.url}/v1"]
-        done = CliRunner().invoke(
-            app,
-            [
-                "agents",
-                str(pictures),
-                "--limit",
-                "1",
-                "--descriptions",
-                str(descriptions),
-                *tasks,
-                *options,
-            ],
-        )
+        done = CliRunner().invoke(app, ["agents", str(pictures), "--limit", "1", *options])
     assert done.exit_code == 0, done.output
     (table,) = tables_of(done.stdout)
-    planners = ["with what it recognises", "without", "m", "m, b.json"]
-    assert [row[0] for row in table.rows] == [name for name in planners for _ in range(2)]
-    assert [row[1] for row in table.rows] == 4 * ["distance", "direction"]
+    assert [row[0] for row in table.rows] == [
+        name for name in ("with what it recognises", "without", "m") for _ in TASKS
+    ]
+    assert [row[1] for row in table.rows] == 3 * list(TASKS)
     assert all(row[table.columns.index("acted wrongly")] == 0 for row in table.rows)
-    offered = [[tool["function"] for tool in payload["tools"]] for _, _, payload in service.requests]
-    seen = [next(each["description"] for each in tools if each["name"] == "measure_distance") for tools in offered]
-    assert len(seen) == 4
-    assert seen[0] == seen[1] != seen[2] == seen[3] == "Other words."
 
 
 def test_missing_pictures_are_rendered(tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, ["agents", str(tmp_path / "new"), "--limit", "1", "--task", "fit"])
+    done = CliRunner().invoke(app, ["agents", str(tmp_path / "new"), "--limit", "1"])
     assert done.exit_code == 0, done.output
     assert (tmp_path / "new" / RENDERED[0].file).is_file()

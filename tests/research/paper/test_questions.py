@@ -10,23 +10,27 @@ from typer.testing import CliRunner
 
 from research.paper.__main__ import app
 from research.paper.asked_model import ask_model, read_answer
-from research.paper.questions import ask_blindly, ask_with_tools, questions_of_photographs, read_questions, score
+from research.paper.questions import Question, ask_blindly, ask_with_tools, questions_of_photographs, score
 from research.paper.vlm_api import Budget, ModelApi, open_api, reply_journal
 from research.scenes import render_scene
 from tests.research.paper.model_service import Answer, Asked, ModelService, UseTool, model_service
-from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.survey import survey_known_scale
 
 GSD = 0.12
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A scene with buildings."""
-    where = tmp_path_factory.mktemp("scenes")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A table of one photograph."""
+    where = tmp_path_factory.mktemp("photographs")
     render_scene(GSD, width_px=512, height_px=400, seed=3).write(where / "scene.png")
-    (where / "other.json").write_text("[]")
-    return where
+    (where / "table.csv").write_text(f"file,gsd_m_per_px,split\n{where}/scene.png,{GSD},val\n")
+    return where / "table.csv"
+
+
+@pytest.fixture(scope="module")
+def asked(table: Path) -> list[Question]:
+    return questions_of_photographs(survey_known_scale(table=table, split="val").images, 40)
 
 
 class Tools:
@@ -35,57 +39,45 @@ class Tools:
     anthropic_tools: list[dict[str, Any]] = []  # noqa: RUF012
     openai_tools = [{"type": "function", "function": {"name": "measure_distance", "parameters": {}}}]  # noqa: RUF012
 
-    def __init__(self, gsd: float | None, status: str = "ok", areas: list[float] | None = None) -> None:
-        self.gsd, self.status, self.areas = gsd, status, areas or []
+    def __init__(self, gsd: float | None, status: str = "ok") -> None:
+        self.gsd, self.status = gsd, status
         self.asked: list[tuple[str, dict[str, Any]]] = []
 
     def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
         self.asked.append((name, arguments))
         if self.gsd is None:
             return "busy: later.", True
-        record: dict[str, Any] = {"status": self.status, "confidence": 0.9, "scale": {"gsd_m_per_px": self.gsd}}
-        if name == "measure_area":
-            low, high = 0.9 * self.areas[0], 1.1 * self.areas[0]
-            record |= {"area_ci95_low_m2": low, "area_ci95_high_m2": high}
-        else:
-            first, second = arguments["lines"][0]["points"]
-            px = ((512 * (second["x"] - first["x"])) ** 2 + (400 * (second["y"] - first["y"])) ** 2) ** 0.5
-            record |= {"distance_ci95_low_m": 0.95 * px * self.gsd, "distance_ci95_high_m": 1.05 * px * self.gsd}
+        record: dict[str, Any] = {"status": self.status, "scale": {"gsd_m_per_px": self.gsd}}
+        first, second = arguments["lines"][0]["points"]
+        px = ((512 * (second["x"] - first["x"])) ** 2 + (400 * (second["y"] - first["y"])) ** 2) ** 0.5
+        record |= {"distance_ci95_low_m": 0.95 * px * self.gsd, "distance_ci95_high_m": 1.05 * px * self.gsd}
         return f"A sentence.\n{json.dumps(record)}", False
 
 
-def test_a_scene_is_asked_how_far_how_large_and_whether_it_fits(folder: Path) -> None:
-    questions = read_questions(folder, 40)
-    kinds = [question.kind for question in questions]
-    assert kinds.count("distance") == 2
-    assert kinds.count("fit") >= 1
-    wide = questions[0]
-    assert wide.truth == pytest.approx(0.8 * 512 * GSD)
-    assert read_questions(folder, 40) == questions
-    assert len(read_questions(folder, 2)) == 2
-    truth = json.loads((folder / "scene.json").read_text())["objects"]
-    assert all(q.truth in [item["area_m2"] for item in truth] for q in questions if q.kind == "area")
+def test_a_photograph_is_asked_how_far_and_whether_it_fits(table: Path) -> None:
+    images = survey_known_scale(table=table, split="val").images
+    questions = questions_of_photographs(images, 40)
+    assert [question.kind for question in questions] == ["distance", "distance", "fit"]
+    assert questions[0].truth == pytest.approx(0.8 * 512 * GSD)
+    assert len(questions_of_photographs(images, 2)) == 2
 
 
-def test_right_tools_are_right_and_wrong_ones_wrong(folder: Path) -> None:
-    questions = read_questions(folder, 40)
-    areas = [question.truth for question in questions if question.kind == "area"]
-    good = Tools(GSD, areas=areas)
-    told = score("tools", ask_with_tools(questions, good))
-    assert (told.right, told.wrong, told.no_answer, told.acted_on_low) == (len(questions), 0, 0, 0)
+def test_right_tools_are_right_and_wrong_ones_wrong(asked: list[Question]) -> None:
+    good = Tools(GSD)
+    told = score("tools", ask_with_tools(asked, good))
+    assert (told.right, told.wrong, told.no_answer) == (len(asked), 0, 0)
     assert told.calls_per_right == 1
     assert told.tokens_per_right
     assert "scale" not in good.asked[0][1]
     assert all(arguments["scale"] == {"gsd_m_per_px": GSD} for _, arguments in good.asked[1:])
-    bad = score("tools", ask_with_tools([q for q in questions if q.kind == "distance"], Tools(2 * GSD)))
+    bad = score("tools", ask_with_tools(asked[:2], Tools(2 * GSD)))
     assert (bad.right, bad.wrong) == (0, 2)
 
 
-@pytest.mark.parametrize("tools", [Tools(GSD, "low_confidence", [1.0]), Tools(None)])
-def test_a_low_confidence_or_an_error_is_no_answer(folder: Path, tools: Tools) -> None:
-    questions = read_questions(folder, 40)
-    told = score("tools", ask_with_tools(questions, tools))
-    assert (told.no_answer, told.acted_on_low, told.calls_per_right) == (len(questions), 0, None)
+@pytest.mark.parametrize("tools", [Tools(GSD, "low_confidence"), Tools(None)])
+def test_a_low_confidence_or_an_error_is_no_answer(asked: list[Question], tools: Tools) -> None:
+    told = score("tools", ask_with_tools(asked, tools))
+    assert (told.no_answer, told.calls_per_right) == (len(asked), None)
 
 
 class ToolsThatNeedHelp(Tools):
@@ -103,25 +95,20 @@ class ToolsThatNeedHelp(Tools):
         return answer.replace('"scale"', '"by"') if told else answer, is_error  # one that was given back is not given
 
 
-def test_at_low_confidence_a_person_is_asked_once_an_image_and_what_they_measured_answers(folder: Path) -> None:
-    questions = [question for question in read_questions(folder, 40) if question.kind == "distance"]
+def test_at_low_confidence_a_person_is_asked_once_an_image_and_what_they_measured_answers(
+    asked: list[Question],
+) -> None:
     tools = ToolsThatNeedHelp(GSD)
-    told = score("helped", ask_with_tools(questions, tools, with_person=True))
-    assert (told.right, told.wrong, told.acted_on_low) == (2, 0, 0)
+    told = score("helped", ask_with_tools(asked[:2], tools, with_person=True))
+    assert (told.right, told.wrong) == (2, 0)
     assert [name for name, _ in tools.asked] == ["measure_distance", "estimate_gsd", *["measure_distance"] * 2]
-    alone = score("alone", ask_with_tools(questions, ToolsThatNeedHelp(GSD)))
-    assert (alone.no_answer, alone.acted_on_low) == (2, 0)
+    assert score("alone", ask_with_tools(asked[:2], ToolsThatNeedHelp(GSD))).no_answer == 2
 
 
-def test_without_tools_the_scale_is_guessed(folder: Path) -> None:
-    told = score("blind", ask_blindly(read_questions(folder, 40)))
+def test_without_tools_the_scale_is_guessed(asked: list[Question]) -> None:
+    told = score("blind", ask_blindly(asked))
     assert told.calls_per_right in (0, None)
     assert told.right + told.wrong + told.no_answer == told.questions
-
-
-def test_a_folder_without_scenes_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidParameterError, match=r"research\.scenes"):
-        read_questions(tmp_path, 40)
 
 
 def _obedient(asked: Asked) -> Answer:
@@ -144,27 +131,23 @@ def _api(service: ModelService, budget: Budget) -> ModelApi:
     return open_api("openai-compatible", "m", reply_journal(None), budget, base_url=f"{service.url}/v1")
 
 
-def test_a_real_model_is_asked_with_the_tools_and_by_its_eye(folder: Path) -> None:
-    questions = [question for question in read_questions(folder, 40) if question.kind != "area"]
+def test_a_real_model_is_asked_with_the_tools_and_by_its_eye(asked: list[Question]) -> None:
     with model_service(ModelService(answer=_obedient)) as service:
         api = _api(service, Budget())
-        good, stopped = ask_model(questions, api, Tools(GSD))
-        low, _ = ask_model(questions, api, Tools(GSD, "low_confidence"))
-        blind, _ = ask_model(questions, api)
-        bad, _ = ask_model(questions, api, Tools(2 * GSD))
+        good, stopped = ask_model(asked, api, Tools(GSD))
+        blind, _ = ask_model(asked, api)
+        bad, _ = ask_model(asked, api, Tools(2 * GSD))
     told = score("m", good)
     assert stopped is None
-    assert (told.right, told.wrong, told.acted_on_low) == (len(questions), 0, 0)
-    assert told.calls_per_right == 1
+    assert (told.right, told.wrong, told.calls_per_right) == (len(asked), 0, 1)
     assert told.tokens_per_right
-    assert score("m", low).acted_on_low == len(questions), "it does not look at the status"
-    assert score("m", blind).no_answer == len(questions)
+    assert score("m", blind).no_answer == len(asked)
     assert score("m", bad).wrong >= 2
 
 
-def test_a_run_of_a_real_model_ends_with_its_ceiling_and_says_so(folder: Path) -> None:
+def test_a_run_of_a_real_model_ends_with_its_ceiling_and_says_so(asked: list[Question]) -> None:
     with model_service(ModelService(answer=_obedient)) as service:
-        outcomes, stopped = ask_model(read_questions(folder, 3), _api(service, Budget(max_requests=2)), Tools(GSD))
+        outcomes, stopped = ask_model(asked, _api(service, Budget(max_requests=2)), Tools(GSD))
     assert len(outcomes) == 1
     assert stopped is not None
     assert "--max-requests" in stopped
@@ -187,21 +170,7 @@ def test_a_models_last_line_is_its_answer(reply: str, answer: Any) -> None:
     assert read_answer(reply) == answer
 
 
-def test_photographs_of_known_scale_are_asked_about_by_their_table(folder: Path, tmp_path: Path) -> None:
-
-    table = tmp_path / "table.csv"
-    table.write_text(f"file,gsd_m_per_px,split\n{folder / 'scene.png'},{GSD},val\n{folder / 'scene.png'},{GSD},val\n")
-    questions = questions_of_photographs(survey_known_scale(table=table, split="val").images, 40)
-    scenes = [question for question in read_questions(folder, 40) if question.kind != "area"]
-    assert [question.truth for question in questions[:3]] == [question.truth for question in scenes[:3]]
-    assert questions[0].stretch_m == scenes[0].stretch_m
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [([], "give the images as a FOLDER"), (["x", "--provider", "openai"], "needs --provider and --model")],
-)
-def test_what_is_asked_by_half_is_refused(words: list[str], told: str) -> None:
-    result = CliRunner().invoke(app, ["questions", *words])
+def test_a_model_without_a_name_is_refused(table: Path) -> None:
+    result = CliRunner().invoke(app, ["questions", str(table), "--provider", "openai"])
     assert result.exit_code == 2
-    assert told in result.stderr
+    assert "needs --provider and --model" in result.stderr

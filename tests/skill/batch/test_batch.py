@@ -9,28 +9,28 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
-import onnxruntime
 import pytest
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
-from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
+from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import estimate_gsd
 from vehanchor.analysis.pipeline import analyse_raster
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch, worker
 from vehanchor.batch.engines.local import local_workers
+from vehanchor.batch.pool import finished, finished_in_threads
 from vehanchor.batch.row import COLUMNS
-from vehanchor.batch.run import journal_path, open_journal
+from vehanchor.batch.run import journal_path
 from vehanchor.batch.worker import Task, Worker
 from vehanchor.cli import app as cli
-from vehanchor.courts import proposals
-from vehanchor.detection import scene_scale as scene
-from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import (
@@ -42,20 +42,11 @@ from vehanchor.errors import (
     VehAnchorError,
     WorkerDiedError,
 )
+from vehanchor.imagery.raster import Raster
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Frame, Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.records.advice import ADVICE
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future
-
-    from typer.testing import Result
-
-    from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.imagery.raster import Raster
 
 FILES = ["broken.jpg", "cars.png", "deep/below/cars.PNG", "empty.png"]
 
@@ -148,23 +139,6 @@ def test_nothing_found_is_an_error_before_the_work(nothing: list[str], monkeypat
 # --- Rows and columns ------------------------------------------------------------------------------------------------
 
 
-def test_every_value_of_an_estimate_has_its_column() -> None:
-    nested = {"by_hand", "confidence_terms", "frame", "rulers", "scale", "scene_scale", "tilt", "warnings"}
-    assert set(GsdEstimate.model_fields) - nested < set(COLUMNS)
-    assert {
-        "file",
-        "confidence_terms_sample",
-        "scene_scale_gsd_m_per_px",
-        "warning_codes",
-        "error_code",
-        "error",
-    } < set(COLUMNS)
-    assert COLUMNS["gsd_m_per_px"] is float
-    assert COLUMNS["n_vehicles"] is int
-    assert COLUMNS["resolution_guard"] is bool
-    assert COLUMNS["status"] is str
-
-
 def test_a_row_holds_what_estimate_gsd_says(detector: Path, table: Path) -> None:
     run_batch(["."], table, detector=detector, workers=1)
     broken, cars, _, empty = _rows(table)
@@ -183,45 +157,19 @@ def test_a_row_holds_what_estimate_gsd_says(detector: Path, table: Path) -> None
     assert "not an image in one of the formats JPEG" in broken["error"]
 
 
-def test_a_defect_found_by_one_image_is_its_row(detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Detector, "detect_tile", lambda *_, **__: 1 / 0)
-    summary = run_batch(["cars.png", "broken.jpg"], table, detector=detector, workers=1)
-    assert [row["error_code"] for row in _rows(table)] == ["internal_error", "image_undecodable"]
-    assert _rows(table)[0]["error"] == "ZeroDivisionError: division by zero"
-    assert summary.statuses == {"error": 2}
-
-
-def test_want_of_memory_is_an_images_row_under_its_code(
-    detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("error", "code"), [(ZeroDivisionError("division by zero"), "internal_error"), (MemoryError(), "out_of_memory")]
+)
+def test_a_defect_found_by_one_image_is_its_row(
+    error: Exception, code: str, detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def hungry(*_: object, **__: object) -> None:
-        raise MemoryError
+    def fail(*_: object, **__: object) -> None:
+        raise error
 
-    monkeypatch.setattr(Detector, "detect_tile", hungry)
-    run_batch(["cars.png"], table, detector=detector, workers=1)
-    assert [row["error_code"] for row in _rows(table)] == ["out_of_memory"]
-
-
-def test_a_worker_of_one_thread_wakes_no_other_core(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    job = BatchJob("vehicles", networks_sha256(Detector(resolve_model()).card))
-    opened: list[int | None] = []
-    session = onnxruntime.InferenceSession
-
-    def counted(path: Any, options: Any, **more: Any) -> Any:
-        opened.append(options.intra_op_num_threads)
-        return session(path, options, **more)
-
-    monkeypatch.setattr(onnxruntime, "InferenceSession", counted)
-    for load in (scene, proposals):  # what another test has loaded stays there
-        monkeypatch.setattr(load, "_loaded", load._loaded.__wrapped__)
-    before = cv2.getNumThreads()
-    try:
-        alone = Worker.of_own_process(job)
-        assert cv2.getNumThreads() == 1
-        assert alone.make(Task.of(str(folder / "empty.png")), None).row.estimate is not None
-    finally:
-        cv2.setNumThreads(before)
-    assert opened == [1] * 6  # the detector, the three networks beside it, the ground's and that of courts
+    monkeypatch.setattr(Detector, "detect_tile", fail)
+    summary = run_batch(["cars.png", "broken.jpg"], table, detector=detector, workers=1)
+    assert [row["error_code"] for row in _rows(table)] == [code, "image_undecodable"]
+    assert summary.statuses == {"error": 2}
 
 
 def test_a_worker_refuses_another_model_than_the_runs(detector: Path) -> None:
@@ -352,13 +300,6 @@ def test_an_interrupted_run_goes_on_and_ends_as_one_that_was_not(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["at once.jsonl", "table.jsonl"]
 
 
-def test_other_images_than_before_change_only_what_is_missing(analysed: list[str], detector: Path, table: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        run_batch(["."], table, detector=detector, workers=1)
-    assert run_batch(["empty.png", "cars.png"], table, detector=detector, workers=1).n_resumed == 1
-    assert [row["file"] for row in _rows(table)] == ["empty.png", "cars.png"]
-
-
 def test_rows_of_other_options_are_not_mixed_in(analysed: list[str], detector: Path, table: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_batch(["."], table, detector=detector, workers=1)
@@ -367,16 +308,6 @@ def test_rows_of_other_options_are_not_mixed_in(analysed: list[str], detector: P
         run_batch(["."], table, detector=detector, workers=1, options=other)
     assert run_batch(["."], table, detector=detector, workers=1, options=other, overwrite=True).n_resumed == 0
     assert {row["reference_length_m"] for row in _rows(table)} == {4.3, None}
-
-
-def test_rows_of_other_networks_beside_the_detector_are_not_mixed_in(
-    analysed: list[str], detector: Path, table: Path
-) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        run_batch(["."], table, detector=detector, workers=1)
-    write_fleet_network(detector, FleetLengths((1.4, 1.6), (4.3, 5.1), 0.3, 1.0))
-    with pytest.raises(InvalidParameterError, match="networks_sha256"):
-        run_batch(["."], table, detector=detector, workers=1)
 
 
 def test_an_image_that_was_replaced_meanwhile_is_looked_at_again(
@@ -390,13 +321,6 @@ def test_an_image_that_was_replaced_meanwhile_is_looked_at_again(
     image.write_bytes((folder / "cars.png").read_bytes())
     assert run_batch(images, table, detector=detector, workers=1).n_resumed == 1
     assert [row["n_vehicles"] for row in _rows(table)] == [20, 20, 0]
-
-
-def test_an_unfinished_run_of_other_classes_is_not_mixed_in(analysed: list[str], detector: Path, table: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        run_batch(["."], table, detector=detector, workers=1)
-    with pytest.raises(InvalidParameterError, match=r"classes None \(now \[0\]\)"):
-        run_batch(["."], table, detector=detector, classes=[0], workers=1)
 
 
 @pytest.mark.parametrize("trouble", ["detector", "provider", "input"])
@@ -571,38 +495,7 @@ def test_the_next_image_is_decoded_while_one_is_computed(
     assert all(0 <= each.waited_s <= each.seconds for each in made)
 
 
-@pytest.mark.parametrize(("slow", "bounded_by"), [("open_raster", "decoding"), ("analyse_raster", "computing")])
-def test_a_run_tells_what_bounded_it(
-    slow: str, bounded_by: str, detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    original = getattr(worker, slow)
-
-    def slowly(*arguments: Any, **more: Any) -> Any:
-        time.sleep(0.4)
-        return original(*arguments, **more)
-
-    monkeypatch.setattr(worker, slow, slowly)
-    pace = run_batch(["cars.png", "empty.png"], table, detector=detector, workers=1).pace
-    assert pace is not None
-    assert pace.bounded_by == bounded_by
-    assert 0.5 < pace.busy <= 1
-    assert pace.images_per_s == pytest.approx(2 / pace.seconds)
-    assert pace.seconds > 0.8
-
-
 # --- The command -----------------------------------------------------------------------------------------------------
-
-
-def test_the_command_says_what_would_help_images_without_a_usable_scale(
-    detector: Path, table: Path, tmp_path: Path
-) -> None:
-    image = blank_image(400, 300)
-    paint_vehicles(image, np.array([[100.0, 100, 30, 12, 0.3]]))
-    for name in ("a.png", "b.png"):
-        cv2.imwrite(str(tmp_path / name), image[:, :, ::-1])
-    result = _batch(tmp_path, "--output", table, "--detector", detector, "--workers", 1)
-    reason = _rows(table)[0]["reason"]
-    assert f"2 x {reason}: {ADVICE[reason].why}; {ADVICE[reason].helps}" in result.stderr.splitlines()
 
 
 def test_the_command_tells_what_it_did(detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -629,32 +522,12 @@ def test_the_command_tells_what_it_did(detector: Path, table: Path, monkeypatch:
     assert alone.stderr.splitlines()[-1].startswith(f"{table}: 1 row (1 no_scale); 1 image in ")
 
 
-def test_the_commands_options_reach_the_estimate(detector: Path, table: Path) -> None:
-    options = ("--reference-length", 4.3, "--min-score", 0.95, "--provider", "CPUExecutionProvider")
+def test_batch_takes_the_options_of_estimate(detector: Path, table: Path) -> None:
+    options = ("--alpha", 1, "--region", "europe", "--tile", 512, "--bands", 3, 2, 1, "--provider", "cpu", "--class", 0)
     result = _batch("cars.png", "-o", table, "--detector", detector, "--workers", 1, *options)
     assert result.exit_code == 0, result.output
     (row,) = _rows(table)
-    assert (row["reference_length_m"], row["n_detections"]) == (4.3, 0)
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        (("--alpha", "1", "--aggregation", "mean"), {"alpha": 1.0, "aggregation": "mean"}),
-        (
-            ("--region", "europe", "--tile", 512, "--stride", 300),
-            {"region": "europe", "tile_px": 512, "stride_px": 300},
-        ),
-        (("--nms-iou", 0.9, "--bands", 3, 2, 1, "--no-search-scales"), {"nms_iou": 0.9, "bands": (3, 2, 1)}),
-    ],
-)
-def test_batch_takes_the_options_of_estimate(
-    options: tuple[object, ...], expected: dict[str, Any], detector: Path, table: Path
-) -> None:
-    result = _batch("cars.png", "-o", table, "--detector", detector, "--workers", 1, "--class", 0, *options)
-    assert result.exit_code == 0, result.output
-    (row,) = _rows(table)
-    estimate = estimate_gsd("cars.png", detector=detector, **expected)
+    estimate = estimate_gsd("cars.png", detector=detector, alpha=1.0, region="europe", tile_px=512, bands=(3, 2, 1))
     same = set(GsdEstimate.model_fields) & set(COLUMNS)
     assert {name: row[name] for name in same} == {name: getattr(estimate, name) for name in same}
 
@@ -701,31 +574,6 @@ def test_a_table_of_lines_that_cannot_be_used_is_told_before_the_work(
     assert list(table.parent.iterdir()) == []
 
 
-def test_a_run_begun_with_other_lines_is_not_mixed_in(folder: Path, detector: Path, table: Path) -> None:
-    job = BatchJob(str(detector.resolve()), networks_sha256(Detector(detector).card))
-    with open_journal(table, job) as journal:
-        journal.add(Task.of("cars.png").key(), BatchRow(file="cars.png", error_code="e", error="e"))
-    lines = folder / "lines.csv"
-    lines.write_text("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,4,40\n")
-    result = _batch("cars.png", "-o", table, "--detector", detector, "--known-lengths", lines)
-    assert result.exit_code == 2
-    assert "lines_of" in result.stderr
-
-
-def test_a_class_that_the_model_does_not_know_is_told_before_the_work(detector: Path, table: Path) -> None:
-    result = _batch("cars.png", "-o", table, "--detector", detector, "--class", "boat")
-    assert result.exit_code == 2
-    assert "boat" in result.stderr
-    assert list(table.parent.iterdir()) == []
-
-
-def test_the_command_tells_errors_in_a_line(table: Path) -> None:
-    result = _batch("*.tiff", "--output", table)
-    assert result.exit_code == 2
-    assert result.stderr.startswith("error[image_not_found]: no image in '*.tiff'")
-    assert len(result.stderr.splitlines()) == 1
-
-
 def test_on_a_terminal_a_bar_shows_how_far_it_is(
     detector: Path, table: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -741,17 +589,6 @@ def test_the_default_is_a_worker_a_cpu_but_no_more_than_images(monkeypatch: pyte
     assert [local_workers(n) for n in (1, 2, 3, 100)] == [1, 2, 3, 3]
 
 
-def test_a_second_run_on_one_table_is_refused_and_the_first_loses_nothing(detector: Path, table: Path) -> None:
-    job = BatchJob(str(detector.resolve()), networks_sha256(Detector(detector).card))
-    with open_journal(table, job) as journal:
-        journal.add(Task.of("cars.png").key(), BatchRow(file="cars.png", error_code="e", error="e"))
-        for more in ([], ["--overwrite"]):
-            result = _batch("cars.png", "-o", table, "--detector", detector, *more)
-            assert result.exit_code == 2
-            assert result.stderr.startswith("error[output_unwritable]: another run is using")
-        assert len(journal) == 1
-
-
 def test_a_table_that_is_a_link_to_an_image_is_refused(folder: Path, detector: Path, table: Path) -> None:
     table.symlink_to(folder / "cars.png")
     for inputs in ("cars.png", "."):
@@ -759,3 +596,28 @@ def test_a_table_that_is_a_link_to_an_image_is_refused(folder: Path, detector: P
         assert result.exit_code == 2
         assert "are one file by a link" in result.stderr
     assert table.is_symlink()
+
+
+def test_every_item_comes_back_with_its_result_or_its_error() -> None:
+    with closing(finished_in_threads(3, lambda n: 10 // n, range(-5, 6))) as results:
+        found = dict(results)
+    assert {n: future.result() for n, future in found.items() if n} == {n: 10 // n for n in range(-5, 6) if n}
+    with pytest.raises(ZeroDivisionError):
+        found[0].result()
+
+
+def test_items_are_taken_up_as_the_pool_gets_through_them_and_left_when_it_is_closed() -> None:
+    begun: list[int] = []
+    lock = threading.Lock()
+
+    def work(n: int) -> int:
+        with lock:
+            begun.append(n)
+        return n
+
+    pool = ThreadPoolExecutor(2)
+    with closing(finished(pool, 2, work, range(10**9))) as results:
+        next(results)
+    assert len(begun) < 50
+    with pytest.raises(RuntimeError, match="shutdown"):
+        pool.submit(work, 1)

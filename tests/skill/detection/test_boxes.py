@@ -1,12 +1,50 @@
+"""Oriented boxes: corners, IoU and NMS, against an oracle on polygons."""
+
 from __future__ import annotations
+
+import time
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from tests.skill.detection.polygons import NEARBY_BOX, polygon_iou
 from vehanchor.detection.boxes import box_corners, boxes_from_corners, canonical_boxes, oriented_iou
+from vehanchor.detection.nms import oriented_nms
+
+NEARBY_BOX = st.tuples(
+    st.floats(-60, 60), st.floats(-60, 60), st.floats(4, 60), st.floats(2, 40), st.floats(-7, 7)
+)  # near one another, so that many overlap
+
+
+def _clip(subject: NDArray[np.float64], clip: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What two convex polygons share (Sutherland and Hodgman)."""
+    output = list(subject)
+    for a, b in zip(clip, np.roll(clip, -1, axis=0), strict=True):
+        points, output = output, []
+        for p, q in zip(points, points[1:] + points[:1], strict=True):
+            side_p = (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+            side_q = (b[0] - a[0]) * (q[1] - a[1]) - (b[1] - a[1]) * (q[0] - a[0])
+            if side_p >= 0:
+                output.append(p)
+            if (side_p >= 0) != (side_q >= 0):
+                output.append(p + (q - p) * side_p / (side_p - side_q))
+        if not output:
+            break
+    return np.array(output).reshape(-1, 2)
+
+
+def _area(polygon: NDArray[np.float64]) -> float:
+    x, y = polygon[:, 0], polygon[:, 1]
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def polygon_iou(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """IoU of two canonical boxes, from their corners."""
+    corners = box_corners(np.stack([a, b]))
+    shared = _area(_clip(corners[0], corners[1]))
+    return float(shared / (a[2] * a[3] + b[2] * b[3] - shared))
 
 
 @given(st.lists(NEARBY_BOX, min_size=1, max_size=4))
@@ -48,5 +86,79 @@ def test_iou_keeps_its_precision_far_from_the_origin() -> None:
     assert far == pytest.approx(near, abs=1e-5)
 
 
-def test_iou_with_no_boxes_is_an_empty_table() -> None:
-    assert oriented_iou(np.zeros((0, 5)), [[0, 0, 2, 1, 0]]).shape == (0, 1)
+def _oracle_nms(boxes: NDArray[np.float64], scores: NDArray[np.float64], threshold: float) -> list[int]:
+    kept: list[int] = []
+    for i in np.argsort(-scores, kind="stable"):
+        if all(polygon_iou(boxes[i], boxes[k]) <= threshold for k in kept):
+            kept.append(int(i))
+    return kept
+
+
+@given(st.lists(NEARBY_BOX, min_size=1, max_size=14), st.sampled_from([0.2, 0.45, 0.7]))
+def test_nms_equals_the_oracle(rows: list[tuple[float, ...]], threshold: float) -> None:
+    boxes = canonical_boxes(rows)
+    scores = np.linspace(0.9, 0.1, len(boxes))
+    ious = [polygon_iou(boxes[i], boxes[j]) for i in range(len(boxes)) for j in range(i)]
+    assume(all(abs(iou - threshold) >= 5e-3 for iou in ious))  # a tie within float32: either answer is right
+    assert oriented_nms(boxes, scores, iou_threshold=threshold).tolist() == _oracle_nms(boxes, scores, threshold)
+
+
+def _crowd(rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """80 boxes, two of each vehicle, and their scores."""
+    centres = rng.uniform(0, 200, (40, 2))
+    boxes = np.column_stack([centres, rng.uniform(15, 25, 40), rng.uniform(7, 10, 40), rng.uniform(0, np.pi, 40)])
+    boxes = np.concatenate([boxes, boxes + rng.normal(0, 0.3, boxes.shape) * (1, 1, 1, 1, 0.02)])
+    return boxes, rng.uniform(0.1, 1, len(boxes))
+
+
+@given(st.integers(0, 1000))
+@settings(max_examples=25)
+def test_nms_does_not_depend_on_the_order(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    boxes, scores = _crowd(rng)
+    shuffle = rng.permutation(len(boxes))
+    shuffled = {int(shuffle[k]) for k in oriented_nms(boxes[shuffle], scores[shuffle])}
+    assert shuffled == set(oriented_nms(boxes, scores).tolist())
+
+
+@given(st.integers(0, 1000), st.floats(0, np.pi))
+@settings(max_examples=25)
+def test_nms_does_not_depend_on_rotation(seed: int, turn: float) -> None:
+    boxes, scores = _crowd(np.random.default_rng(seed))
+    assume((np.abs(oriented_iou(boxes, boxes) - 0.45) > 1e-3).all())  # a tie may fall either way
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    turned = np.column_stack([boxes[:, :2] @ rotation.T, boxes[:, 2:4], boxes[:, 4] + turn])
+    assert set(oriented_nms(turned, scores).tolist()) == set(oriented_nms(boxes, scores).tolist())
+
+
+def test_boxes_that_overlap_by_exactly_the_limit_are_both_kept() -> None:
+    boxes = np.array([[0, 0, 10, 4, 0], [5, 0, 10, 4, 0]], dtype=float)
+    limit = oriented_iou(boxes, boxes)[0, 1]
+    assert limit == pytest.approx(1 / 3, rel=1e-6)
+    assert oriented_nms(boxes, [0.9, 0.5], iou_threshold=limit).tolist() == [0, 1]
+    assert oriented_nms(boxes, [0.9, 0.5], iou_threshold=np.nextafter(limit, 0)).tolist() == [0]
+
+
+def test_equal_scores_are_ordered_by_position_not_by_input_order() -> None:
+    boxes = np.array([[0, 0, 10, 4, 0], [1, 0, 10, 4, 0]], dtype=float)
+    assert oriented_nms(boxes, [0.5, 0.5]).tolist() == [0]
+    assert oriented_nms(boxes[::-1], [0.5, 0.5]).tolist() == [1]
+
+
+def test_nms_of_nothing_is_nothing() -> None:
+    assert oriented_nms(np.zeros((0, 5)), []).tolist() == []
+
+
+@pytest.mark.slow
+def test_one_huge_box_does_not_spoil_the_gate() -> None:
+    rng = np.random.default_rng(1)
+    boxes = np.column_stack(
+        [rng.uniform(0, 6000, (10_000, 2)), np.full(10_000, 20.0), np.full(10_000, 8.0), rng.uniform(0, np.pi, 10_000)]
+    )
+    boxes[0] = (3000, 3000, 9000, 9000, 0.3)
+    scores = rng.uniform(0.1, 1, len(boxes))
+    oriented_nms(boxes[:10], scores[:10])
+    started = time.perf_counter()
+    kept = oriented_nms(boxes, scores)
+    assert time.perf_counter() - started < 2.0
+    assert 0 in kept

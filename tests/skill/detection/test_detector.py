@@ -1,31 +1,39 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import json
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
 import pytest
+from numpy.typing import NDArray
 from onnx.external_data_helper import set_external_data
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
 from vehanchor.detection.appearance import FleetLengths
-from vehanchor.detection.card import MIN_SCORE
+from vehanchor.detection.card import (
+    LENGTH_RANGE_PX,
+    MIN_SCORE,
+    REFERENCE_LENGTH_M,
+    DetectorCard,
+    FleetCard,
+    read_auxiliary_card,
+    read_detector_card,
+)
+from vehanchor.detection.classes import vehicle_classes
+from vehanchor.detection.contracts import recognise_contract
+from vehanchor.detection.contracts.end_to_end import EndToEnd
+from vehanchor.detection.contracts.raw import Raw
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.search import search
 from vehanchor.errors import (
     InvalidParameterError,
     ModelContractError,
     ModelNotFoundError,
-    ProviderUnavailableError,
 )
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.models.runtime import Runtime
 from vehanchor.options import Search
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 _DOTA = {
     0: "plane", 1: "ship", 2: "storage tank", 3: "baseball diamond", 4: "tennis court", 5: "basketball court",
@@ -67,13 +75,6 @@ def test_every_layout_gives_the_painted_boxes(
         found = search(raster, detector)
     _assert_same(found.boxes, painted)
     np.testing.assert_allclose(found.scores, 0.9, atol=1 / 255)
-
-
-def test_half_precision_exports_work(tmp_path: Path) -> None:
-    image, painted = _picture()
-    detector = Detector(write_detector(tmp_path / "m.onnx", dtype="float16"))
-    with open_raster(image) as raster:
-        _assert_same(search(raster, detector).boxes, painted, within=2e-2)
 
 
 def test_swapped_sides_and_unbounded_angles_are_the_same_boxes(tmp_path: Path) -> None:
@@ -130,23 +131,6 @@ def test_scores_below_the_threshold_are_dropped(tmp_path: Path) -> None:
         assert len(search(raster, detector, Search(min_score=0.5)).boxes) == 1
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("vehanchor.reference_length_m", "0"),
-        ("vehanchor.reference_length_m", "nan"),
-        ("vehanchor.length_range_px", "64,9"),
-        ("vehanchor.length_range_px", "nan,64"),
-        ("stride", "inf"),
-        ("names", "{0: small"),
-        ("names", "{1: 'car'}"),  # this layout has a score for every class from 0 on
-    ],
-)
-def test_metadata_without_meaning_is_a_contract_error_that_names_the_file(tmp_path: Path, key: str, value: str) -> None:
-    with pytest.raises(ModelContractError, match=r"m\.onnx"):
-        Detector(write_detector(tmp_path / "m.onnx", metadata={key: value}))
-
-
 def test_a_detector_with_its_weights_in_a_file_beside_it_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,42 +168,6 @@ def test_files_that_are_no_such_model_say_what_was_found(tmp_path: Path) -> None
         Detector(write_detector(tmp_path / "boats.onnx", names={0: "ship", 1: "harbor"}))
 
 
-def test_a_missing_execution_provider_is_named(tmp_path: Path) -> None:
-    path = write_detector(tmp_path / "m.onnx")
-    with pytest.raises(ProviderUnavailableError, match=r"TensorrtExecutionProvider.*CPUExecutionProvider"):
-        Detector(path, runtime=Runtime(providers=["TensorrtExecutionProvider"]))
-
-
-@pytest.mark.parametrize("threads", [0, -2, 1.5])
-def test_thread_counts_without_meaning_are_refused(tmp_path: Path, threads: Any) -> None:
-    with pytest.raises(InvalidParameterError, match="threads"):
-        Detector(write_detector(tmp_path / "m.onnx"), runtime=Runtime(threads=threads))
-
-
-def test_a_model_is_opened_once(tmp_path: Path) -> None:
-    path = write_detector(tmp_path / "m.onnx")
-    assert load_detector(path, Runtime(threads=1)) is load_detector(path, Runtime(threads=1))
-    assert load_detector(path, Runtime(threads=1)) is not load_detector(path, Runtime(threads=2))
-
-
-def test_a_model_that_was_replaced_is_opened_anew(tmp_path: Path) -> None:
-    path = write_detector(tmp_path / "m.onnx")
-    before = load_detector(path).card
-    write_detector(path, names={0: "car"}, metadata={"vehanchor.min_score": "0.25"})
-    after = load_detector(path).card
-    assert (before.min_score, after.min_score) == (MIN_SCORE, 0.25)
-    assert before.sha256 != after.sha256
-
-
-def test_a_relative_path_is_another_model_in_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        write_detector(tmp_path / name / "m.onnx", metadata={"vehanchor.name": name})
-    for name in ("a", "b", "a"):
-        monkeypatch.chdir(tmp_path / name)
-        assert load_detector("m.onnx").card.name == name
-
-
 def test_a_fleet_network_that_comes_changes_or_goes_is_noticed(tmp_path: Path) -> None:
     path = write_detector(tmp_path / "m.onnx")
     assert load_detector(path).fleet is None
@@ -229,3 +177,202 @@ def test_a_fleet_network_that_comes_changes_or_goes_is_noticed(tmp_path: Path) -
     assert load_detector(path).card.fleet_lengths == _LENGTHS._replace(sd_m=0.125)
     network.unlink()
     assert load_detector(path).fleet is None
+
+
+_PATH = Path("models/foreign.onnx")
+_FLEET = {"vehanchor.detector": "foreign", "vehanchor.fleet_lengths": json.dumps(_LENGTHS._asdict())}
+
+
+def _card(**entries: str) -> DetectorCard:
+    return read_detector_card(_PATH, "0" * 64, {key.replace("__", "."): text for key, text in entries.items()})
+
+
+def _refusal(key: str, text: str) -> str:
+    with pytest.raises(ModelContractError) as refused:
+        read_detector_card(_PATH, "0" * 64, {key: text})
+    return str(refused.value)
+
+
+def test_a_foreign_model_gets_the_papers_values() -> None:
+    card = _card()
+    assert (card.name, card.reference_length_m, card.min_score) == ("foreign", REFERENCE_LENGTH_M, MIN_SCORE)
+    assert card.reference_length_m == 5.045
+    assert card.length_range_px == LENGTH_RANGE_PX
+    assert card.min_length_px == 0
+    assert card.region_lengths_m == pytest.approx({"europe": 4.5, "north_america": 5.5})
+    assert (card.stride_px, card.search_scales, card.aggregation) == (32, False, "kde")
+    assert (card.class_names, card.licence, card.fleet_lengths, card.fleet_sha256) == ({}, None, None, None)
+
+
+@pytest.mark.parametrize(("length", "regions"), [("19", {"europe"}), ("2.1", {"north_america"})])
+def test_regions_that_follow_from_a_models_length_are_left_out_where_no_vehicle_is_so_long(
+    length: str, regions: set[str]
+) -> None:
+    assert set(_card(vehanchor__reference_length_m=length).region_lengths_m) == regions
+
+
+def test_the_card_reads_our_metadata() -> None:
+    card = _card(
+        vehanchor__name="mine",
+        vehanchor__reference_length_m="4.6",
+        vehanchor__reference_length_sd_m="0.3",
+        vehanchor__length_range_px="9,64",
+        vehanchor__min_length_px="13",
+        vehanchor__min_score="0.35",
+        vehanchor__region_lengths_m='{"asia": 4.3}',
+        vehanchor__search_scales="1",
+        vehanchor__aggregation="median",
+        license="Apache-2.0",
+        stride="16",
+        names="{0: 'small vehicle', 1: 'ship'}",
+    )
+    assert (card.name, card.reference_length_m, card.reference_length_sd_m) == ("mine", 4.6, 0.3)
+    assert (card.length_range_px, card.min_length_px, card.min_score) == ((9.0, 64.0), 13.0, 0.35)
+    assert card.region_lengths_m["asia"] == 4.3
+    assert card.region_lengths_m["europe"] == pytest.approx(4.6 * 4.5 / 5.045)
+    assert (card.search_scales, card.aggregation) == (True, "median")
+    assert (card.licence, card.stride_px) == ("Apache-2.0", 16)
+    assert card.class_names == {0: "small vehicle", 1: "ship"}
+
+
+@pytest.mark.parametrize(
+    ("key", "text"),
+    [
+        *(("vehanchor.reference_length_m", text) for text in ("long", "", "nan", "inf", "0", "-4.4")),
+        *(("vehanchor.reference_length_sd_m", text) for text in ("nan", "-0.1")),
+        *(("vehanchor.length_range_px", text) for text in ("9", "9,64,80", "64,9", "9,9", "0,64", "nan,64", "9,inf")),
+        *(("vehanchor.min_length_px", text) for text in ("-1", "nan")),
+        *(("vehanchor.min_score", text) for text in ("-1", "1.5", "nan")),
+        *(
+            ("vehanchor.region_lengths_m", text)
+            for text in ("[1]", "{", '{"asia": 0}', '{"asia": NaN}', '{"asia": "4"}')
+        ),
+        *(("vehanchor.search_scales", text) for text in ("yes", "2", "nan")),
+        ("vehanchor.aggregation", "mode"),
+        *(("stride", text) for text in ("inf", "nan", "0", "-32", "1.5", "1e9", "wide")),
+        *(("vehanchor.region_lengths_m", text) for text in ('{"a":' * 5_000, '{"a": 1' + "0" * 4000 + "}")),
+        *(("vehanchor.reference_length_m", text) for text in ("1e-300", "50")),
+        *((f"vehanchor.{name}", "1e308") for name in ("reference_length_sd_m", "min_length_px")),
+        ("vehanchor.length_range_px", "1e-9,1e300"),
+        *(("names", text) for text in ("{0: small", "7", "'car'", "{-1: 'car'}", "{'a': 'car'}")),
+    ],
+)
+def test_an_entry_without_meaning_is_refused_by_its_name(key: str, text: str) -> None:
+    message = _refusal(key, text)
+    assert f"metadata {key!r} is {text!r}"[:60] in message
+    assert message.startswith(str(_PATH))
+
+
+@pytest.mark.parametrize("text", ["(" * 5_000, "{" * 200_000, "[" + "1," * 600_000 + "]"])
+def test_names_that_no_parser_bears_are_refused(text: str) -> None:
+    assert "names" in _refusal("names", text)
+
+
+def test_names_may_be_a_list_or_nothing() -> None:
+    assert _card(names="['car', 'ship']").class_names == {0: "car", 1: "ship"}
+    assert _card(names="").class_names == {}
+
+
+def test_the_card_of_a_fleet_network_names_its_detector_and_its_lengths() -> None:
+    fleet = read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, _FLEET)
+    assert fleet == FleetCard(sha256="1" * 64, detector="foreign", lengths=_LENGTHS)
+    card = read_detector_card(_PATH, "0" * 64, {}, fleet)
+    assert (card.fleet_lengths, card.fleet_sha256) == (_LENGTHS, "1" * 64)
+    assert card.sha256 == "0" * 64
+
+
+def test_a_fleet_network_made_for_another_detector_is_refused() -> None:
+    fleet = read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, _FLEET)
+    with pytest.raises(ModelContractError, match=r"'foreign'.*'mine'"):
+        read_detector_card(_PATH, "0" * 64, {"vehanchor.name": "mine"}, fleet)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"log_lengths": [1.0, -1.0]},
+        {"log_lengths": [0.0, float("nan")]},
+        {"length_m": [4.0]},
+        {"length_m": [0.0, 5.0]},
+        {"sd_m": "wide"},
+        {"sd_m": -0.1},
+        {"neutral_vehicles": 0.0},
+        {"colour": 1.0},
+    ],
+)
+def test_fleet_lengths_without_meaning_are_refused_by_name(wrong: dict[str, Any]) -> None:
+    metadata = _FLEET | {"vehanchor.fleet_lengths": json.dumps({**_LENGTHS._asdict(), **wrong})}
+    with pytest.raises(ModelContractError, match=r"m\.fleet\.onnx: metadata 'vehanchor\.fleet_lengths'"):
+        read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, metadata)
+
+
+@pytest.mark.parametrize("key", sorted(_FLEET))
+def test_a_fleet_network_that_does_not_say_what_it_is_for_is_refused(key: str) -> None:
+    with pytest.raises(ModelContractError, match=f"no metadata '{key}'"):
+        read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, {k: v for k, v in _FLEET.items() if k != key})
+
+
+@pytest.mark.parametrize(
+    ("names", "n_classes", "wanted", "found"),
+    [
+        ({0: "plane", 1: "small-vehicle", 2: "car"}, 3, None, [1]),
+        ({0: "bus", 1: "Car"}, 2, None, [1]),
+        ({0: "roof", 1: "VEHICLE"}, None, None, [1]),
+        ({3: "thing"}, None, None, [3]),
+        ({}, 1, None, [0]),
+        ({}, 15, None, [10]),  # DOTA's order
+        ({}, 15, ["large_vehicle", "ship"], [1, 9]),
+        ({0: "a", 1: "b", 2: "b"}, 3, ["b", 0], [0, 1, 2]),
+        ({}, 3, [2, 0, 2], [0, 2]),
+        ({}, None, [7], [7]),
+    ],
+)
+def test_vehicles_are_told_by_name_or_as_asked(
+    names: Any, n_classes: int | None, wanted: Any, found: list[int]
+) -> None:
+    assert vehicle_classes(names, n_classes, wanted).tolist() == found
+
+
+def test_a_model_without_vehicles_says_what_it_has() -> None:
+    with pytest.raises(ModelContractError, match=r"ship, harbor.*classes="):
+        vehicle_classes({0: "ship", 1: "harbor"}, 2)
+    with pytest.raises(ModelContractError, match="no names"):
+        vehicle_classes({}, 2)
+
+
+@pytest.mark.parametrize(
+    ("shape", "named", "kind"),
+    [
+        ((1, 6, 21504), {0}, Raw),
+        ((1, 20, 21504), range(15), Raw),
+        ((1, 20, 21504), (), Raw),
+        ((1, 7, 7), {0, 1}, Raw),  # the names decide
+        ((1, 300, 7), {0}, EndToEnd),
+        ((1, 300, 7), {3}, EndToEnd),
+        ((1, 300, 7), (), EndToEnd),
+        ((1, 6, 7), (), EndToEnd),
+    ],
+)
+def test_a_layout_is_told_by_its_shape_and_the_named_classes(shape: tuple[int, ...], named: range, kind: type) -> None:
+    assert type(recognise_contract([shape], named)) is kind
+
+
+@pytest.mark.parametrize(
+    ("shape", "named"),
+    [
+        ((1, 3), ()),
+        ((1, 84, 8400), range(80)),  # upright boxes: no angle
+        ((1, 5, 8400), ()),
+        ((1, 7, 8400), {1, 2}),  # the second score is of class 1, there is none of class 2
+        ((1, 300, 6), ()),
+    ],
+)
+def test_other_layouts_are_refused_with_what_was_found_and_what_is_expected(
+    shape: tuple[int, ...], named: range
+) -> None:
+    with pytest.raises(ModelContractError) as refused:
+        recognise_contract([shape], named)
+    message = str(refused.value)
+    assert str(list(shape)) in message
+    assert f"{len(named)} class names" in message
+    assert "[1, 4+classes+1, anchors] or [1, n, 7]" in message

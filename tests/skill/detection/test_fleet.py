@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
 from vehanchor import analyse_scale
-from vehanchor.detection.appearance import MAX_CHIPS, FleetLengths
+from vehanchor.detection.appearance import CHIP_SHAPE, MAX_CHIPS, FleetLengths, chip, vehicle_chips
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.fleet import FleetNetwork
 from vehanchor.detection.search import search
-from vehanchor.errors import ModelContractError, ModelNotFoundError
+from vehanchor.errors import ModelContractError
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 _LENGTHS = FleetLengths((-1.0, 1.0), (4.0, 5.0), 0.3, 2.0)
 
@@ -78,11 +74,6 @@ def test_what_the_caller_says_comes_first(model: Detector, options: Any, source:
     assert (estimate.reference_source, estimate.reference_length_m) == (source, length)
 
 
-def test_without_vehicles_the_reference_is_the_models(model: Detector) -> None:
-    estimate = analyse_scale(blank_image(200, 200), detector=model).estimate
-    assert (estimate.reference_source, estimate.reference_length_m) == ("model", model.card.reference_length_m)
-
-
 def test_no_more_than_a_hundred_vehicles_are_asked(model: Detector) -> None:
     image = blank_image(900, 700)
     paint_vehicles(image, [[40 + 60 * (k % 14), 40 + 60 * (k // 14), 30, 12, 0.4] for k in range(140)])
@@ -102,40 +93,6 @@ def test_a_detector_without_such_a_network_cannot_tell(tmp_path: Path) -> None:
     assert analyse_scale(_car_park([40] * 6), detector=detector).estimate.reference_source == "model"
 
 
-def test_a_network_may_lie_elsewhere_when_it_is_named(tmp_path: Path) -> None:
-    (tmp_path / "elsewhere").mkdir()
-    network = write_fleet_network(tmp_path / "elsewhere" / "m.onnx", _LENGTHS)
-    path = write_detector(tmp_path / "m.onnx")
-    assert Detector(path).fleet is None
-    assert Detector(path, fleet=network).card.fleet_lengths == _LENGTHS
-    with pytest.raises(ModelNotFoundError, match="nowhere"):
-        Detector(path, fleet=tmp_path / "nowhere.onnx")
-
-
-def test_the_bundled_detector_comes_with_its_network() -> None:
-    detector = Detector(resolve_model(), runtime=Runtime(threads=1))
-    assert detector.fleet is not None
-    assert detector.fleet.card.detector == detector.card.name
-    assert detector.card.fleet_lengths == detector.fleet.card.lengths
-    assert detector.card.fleet_sha256 not in (None, detector.card.sha256)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"vehanchor.fleet_lengths": None},
-        {"vehanchor.fleet_lengths": "[]"},
-        {"vehanchor.detector": None},
-        {"vehanchor.detector": "another"},
-    ],
-)
-def test_a_network_without_its_numbers_or_for_another_detector_is_refused(tmp_path: Path, wrong: Any) -> None:
-    path = write_detector(tmp_path / "m.onnx")
-    write_fleet_network(path, _LENGTHS, metadata=wrong)
-    with pytest.raises(ModelContractError):
-        Detector(path)
-
-
 def test_a_network_of_another_contract_is_refused(tmp_path: Path) -> None:
     network = write_fleet_network(tmp_path / "m.onnx", _LENGTHS, outputs=("fleet", "log_length"))
     with pytest.raises(ModelContractError, match=r"chips, fleet, log_length: expected.*log_odds"):
@@ -145,3 +102,80 @@ def test_a_network_of_another_contract_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.onnx").write_text("not a model")
     with pytest.raises(ModelContractError, match=r"text\.onnx"):
         FleetNetwork(tmp_path / "text.onnx")
+
+
+def _drawn_car(length: float, angle: float, *, gain: float = 1.0) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """A car with a bright body, a dark windscreen towards its front and a bright spot on its right wing."""
+    side, fine = int(3 * length), 4
+    box = np.array([side / 2 + 0.3, side / 2 - 0.2, length, 0.4 * length, angle])
+    image = np.full((side * fine, side * fine), 60.0, np.float32)
+    rows, columns = (np.mgrid[0 : side * fine, 0 : side * fine] + 0.5) / fine
+    dx, dy = columns - box[0], rows - box[1]
+    along = (dx * np.cos(angle) + dy * np.sin(angle)) / length
+    across = (-dx * np.sin(angle) + dy * np.cos(angle)) / length
+    image[(np.abs(along) < 0.5) & (np.abs(across) < 0.2)] = 180
+    image[(np.abs(along - 0.15) < 0.08) & (np.abs(across) < 0.17)] = 20
+    image[(np.abs(along - 0.4) < 0.08) & (np.abs(across - 0.1) < 0.08)] = 250
+    seen = cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
+    return np.rint(np.clip(gain * seen, 0, 255)).astype(np.uint8), box
+
+
+def test_a_chip_has_the_front_at_the_right_whatever_the_angle() -> None:
+    for angle in np.linspace(-3, 3, 9):
+        cut = chip(*_drawn_car(30.0, float(angle)))
+        assert cut.shape == CHIP_SHAPE
+        assert abs(cut.mean()) < 1e-5
+        spot = np.unravel_index(np.argmax(cut), CHIP_SHAPE)
+        assert abs(spot[1] - (11.5 + 0.4 * 16)) <= 1.5  # towards the front
+        assert abs(spot[0] - (7.5 + 0.1 * 16)) <= 1.5  # on the right side
+        assert cut[7:9, 13:15].mean() < cut[7:9, 8:10].mean() - 0.5  # the windscreen
+
+
+@pytest.mark.parametrize("length", [11.0, 16.0, 25.0, 60.0])
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.4])
+@pytest.mark.parametrize("gain", [1.0, 0.6])
+def test_a_chip_keeps_nothing_of_scale_direction_and_exposure(length: float, angle: float, gain: float) -> None:
+    expected = chip(*_drawn_car(40.0, 0.0))
+    cut = chip(*_drawn_car(length, angle, gain=gain))
+    assert np.sqrt(np.mean((cut - expected) ** 2)) < 0.25  # of a standard deviation of 1
+    assert np.corrcoef(cut.ravel(), expected.ravel())[0, 1] > 0.97
+
+
+def test_a_chip_without_contrast_is_flat_and_not_noise() -> None:
+    grey = np.full((40, 40), 100, np.uint8)
+    grey[::2] += 1
+    assert np.abs(chip(grey, (20, 20, 16, 7, 0.4))).max() < 0.1
+
+
+def test_chips_of_a_raster_are_those_of_its_green_band_also_where_it_is_reduced_or_ends() -> None:
+    small, box = _drawn_car(20.0, 0.6)
+    large, far = _drawn_car(150.0, -1.1)  # read at an eighth
+    image = np.zeros((700, 700, 3), np.uint8)
+    image[:, :, 1] = 60
+    image[:60, :60, 1] = small
+    image[200:650, 200:650, 1] = large
+    edge = np.array([3.0, 690.0, 40.0, 16.0, 0.2])
+    boxes = np.array([box, far + np.array([200, 200, 0, 0, 0]), edge])
+    with open_raster(image) as raster:
+        chips = vehicle_chips(raster, boxes)
+        assert vehicle_chips(raster, np.zeros((0, 5))).shape == (0, 1, *CHIP_SHAPE)
+    assert chips.shape == (3, 1, *CHIP_SHAPE)
+    assert chips.dtype == np.float32
+    np.testing.assert_allclose(chips[0, 0], chip(small, box), atol=0.02)
+    assert np.corrcoef(chips[1, 0].ravel(), chip(large, far).ravel())[0, 1] > 0.995
+    assert np.isfinite(chips[2]).all()
+
+
+def test_vehicles_larger_than_their_image_have_chips() -> None:
+    with open_raster(blank_image(40, 16)) as raster:
+        chips = vehicle_chips(raster, np.array([[10.0, 4.0, 600.0, 160.0, 1.0]]))
+    assert np.isfinite(chips).all()
+
+
+def test_the_reference_length_moves_between_two_fleets() -> None:
+    assert _LENGTHS.reference_length([]) == pytest.approx(4.5)
+    assert _LENGTHS.reference_length(np.full(1000, 9.0)) == 5.0
+    assert _LENGTHS.reference_length(np.full(1000, -9.0)) == 4.0
+    assert _LENGTHS.reference_length([0.9]) == pytest.approx(4.5 + 0.5 * 0.9 / 3)  # one car among two neutral ones
+    many = _LENGTHS.reference_length(np.full(98, 0.9))
+    assert many == pytest.approx(4.5 + 0.5 * 0.9 * 98 / 100)

@@ -17,12 +17,10 @@ from vehanchor.detection.scene_scale import (
     SceneCalibration,
     SceneLevel,
     SceneScalePrior,
-    read_tile,
     scene_density,
     tile_windows,
 )
 from vehanchor.detection.search import search
-from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
@@ -61,17 +59,16 @@ def test_ground_that_is_lost_prefers_no_size() -> None:
     assert (np.abs(odds) < 1.3).all()
 
 
-@pytest.mark.parametrize(("said", "more"), [(0.12, True), (0.5, False)])
-def test_the_grounds_word_moves_the_scores_of_the_bundled_detector(said: float, more: bool) -> None:
-    scene = render_scene(0.12, width_px=500, height_px=400, seed=3, layout="parking")
+def test_the_grounds_word_moves_the_scores_of_the_bundled_detector() -> None:
+    scene = render_scene(0.12, width_px=400, height_px=400, seed=3, layout="parking")
     detector = Detector(resolve_model(), runtime=Runtime(threads=1))
     with open_raster(scene.image) as raster:
-        alone, told = (
-            search(raster, detector, Search(min_score=0.3, search_scales=False), prior=ground)
-            for ground in (None, _ground(said, 0.15))
+        alone, right, wrong = (
+            search(raster, detector, Search(min_score=0.3, search_scales=False), prior=ground).scores
+            for ground in (None, _ground(0.12, 0.15), _ground(0.5, 0.15))
         )
-    assert len(alone.boxes) > 20
-    assert bool(np.median(told.scores[:20]) > np.median(alone.scores[:20])) is more
+    assert len(alone) > 20
+    assert np.median(right[:20]) > np.median(alone[:20]) > np.median(wrong[:20])
 
 
 @pytest.mark.parametrize(("width", "height"), [(160, 160), (256, 256), (1000, 700), (4096, 4096), (9000, 200)])
@@ -82,30 +79,6 @@ def test_tiles_lie_inside_the_image_and_are_not_too_many(width: int, height: int
         assert 1 <= len(windows) <= MOST_TILES
         assert all(window.x_px >= 0 and window.x_px + window.width_px <= width // factor for window in windows)
         assert all(window.y_px >= 0 and window.y_px + window.height_px <= height // factor for window in windows)
-
-
-def test_the_tiles_of_a_level_reach_all_sides_of_the_image() -> None:
-    for factor, windows in tile_windows(3000, 2000):
-        assert (windows[0].x_px, windows[0].y_px) == (0, 0)
-        last = windows[-1]
-        assert (last.x_px + last.width_px, last.y_px + last.height_px) == (3000 // factor, 2000 // factor)
-
-
-def test_a_reduced_tile_shows_the_mean_of_what_it_covers() -> None:
-    image = np.zeros((320, 320, 3), np.uint8)
-    image[::2] = 100
-    with open_raster(image) as raster:
-        tile = read_tile(raster, Window(0, 0, TILE_PX, TILE_PX), 2)
-    assert tile.shape == (3, TILE_PX, TILE_PX)
-    np.testing.assert_array_equal(tile, 50)
-
-
-def test_a_small_image_is_mirrored_to_fill_its_tile() -> None:
-    image = np.arange(40, dtype=np.uint8)[None, :, None].repeat(30, 0).repeat(3, 2)
-    ((factor, (window,)),) = tile_windows(40, 30)
-    with open_raster(image) as raster:
-        row = read_tile(raster, window, factor)[0, 0]
-    np.testing.assert_array_equal(row[:80], [*range(40), *range(39, -1, -1)])
 
 
 def _log_probs(gsd_m_per_px: float) -> NDArray[np.float64]:
@@ -136,16 +109,7 @@ def test_tiles_that_disagree_widen_the_density() -> None:
     assert np.log(torn.high / torn.low) > 1.2 * np.log(agreed.high / agreed.low)
 
 
-def test_a_scene_that_shows_nothing_leaves_the_scale_open() -> None:
-    density = scene_density([SceneLevel(1, 5, np.full(60, -np.log(60)))], _CALIBRATION)
-    np.testing.assert_allclose(density, 1 / len(GRID))
-
-
 def test_what_is_finer_than_all_training_is_not_denied() -> None:
     assert credible_interval(_density((1, [0.01]))).low < 0.005
     known = _density((1, [0.01]), (8, [8 * 0.01]))
     assert np.exp(GRID[known.argmax()]) == pytest.approx(0.01, rel=0.1)
-
-
-def test_the_floor_bounds_what_one_witness_can_deny() -> None:
-    assert _density((1, [0.1]), temperature=4.0, floor=0.02).min() >= 0.02 / len(GRID) * 0.999

@@ -2,38 +2,32 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
+from pathlib import Path
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
-from vehanchor.detection.boxes import oriented_iou
-from vehanchor.detection.convergence import Convergence
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
-from vehanchor.detection.search import search
+from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares
+from vehanchor.detection.search import ImageSearch, search
+from vehanchor.detection.tile_prior import tile_prior_map
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.runtime import Runtime
-from vehanchor.options import ScaleOptions, Search
+from vehanchor.options import Effort, ScaleOptions, Search
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import GRID
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from vehanchor.options import Effort
 
 _RANGE = {"vehanchor.length_range_px": "9,64"}
 _SEARCHING = _RANGE | {"vehanchor.search_scales": "1"}
@@ -86,13 +80,6 @@ def test_every_length_counts_at_some_level_and_at_two_around_their_border(
         assert coarse.shortest_px * coarse.factor < 0.81 * fine.longest_px * fine.factor
 
 
-def test_full_resolution_alone_has_no_limits() -> None:
-    (only,) = search_levels(4000, 3000, (9, 64), search_scales=False)
-    assert (only.factor, only.shortest_px, only.longest_px) == (1, 0.0, np.inf)
-    (small,) = search_levels(180, 4000, (9, 64), search_scales=True)
-    assert small == search_levels(180, 4000, (9, 64), search_scales=False)[0]
-
-
 # --- The search ------------------------------------------------------------------------------------------------------
 
 
@@ -117,7 +104,7 @@ def test_the_search_is_the_models_choice_and_the_callers(tmp_path: Path, searchi
     image, painted = _painted(2, _fleet(45.0, 12), columns=4)
     plain = Detector(write_detector(tmp_path / "plain.onnx", metadata=_RANGE))
     found = {
-        (name, wanted): estimate_gsd(image, detector=detector, search_scales=wanted)
+        (name, wanted): estimate_gsd(image, detector=detector, search_scales=wanted, rulers=("vehicles",))
         for name, detector in (("plain", plain), ("searching", searching))
         for wanted in (None, False, True)
     }
@@ -203,30 +190,24 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
 def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_photograph(
     searching: Detector, monkeypatch: pytest.MonkeyPatch, length_px: float, large_px: int, left_out: bool
 ) -> None:
-    monkeypatch.setattr("vehanchor.detection.convergence.ANYTIME_PIXELS", 1_000_000)
+    monkeypatch.setattr("vehanchor.detection.limits.ANYTIME_PIXELS", 1_000_000)
     monkeypatch.setattr("vehanchor.detection.search.LARGE_PIXELS", large_px)
     image = blank_image(1600, 1400)
     paint_vehicles(image, [[100 + 130 * k, 120 + 125 * k, length_px, 20, 0.4] for k in range(10)])
     gsd = CAR_LENGTH_M / length_px
     narrow = np.exp(-0.5 * ((GRID - np.log(gsd)) / 0.03) ** 2)
-    unsettled = Convergence(math.inf, 0.0, doubted=True, density=narrow / narrow.sum())
     tiles = {
         level.factor: len(tile_grid(level.width_px, level.height_px, tile_px=256, stride_px=205))
         for level in search_levels(1600, 1400, (9, 64), search_scales=True)
     }
     with open_raster(image) as raster:
-        found = search(
-            raster, searching, Search(tile_px=256, stride_px=205), prior=_ground(gsd), convergence=lambda _: unsettled
-        )
+        work = ImageSearch(raster, searching, Search(tile_px=256, stride_px=205), _ground(gsd))
+        for _ in work:
+            work.leave_out(narrow / narrow.sum())
+        found = work.result()
     assert len(found.boxes) == 10
     assert (found.n_tiles < tiles[1] + tiles[2] / 2) == left_out
     assert tiles[1] <= found.n_tiles <= tiles[1] + tiles[2]
-
-
-def test_the_search_costs_about_a_third_more_pixels() -> None:
-    levels = search_levels(8000, 6000, (9, 64), search_scales=True)
-    pixels = sum(level.width_px * level.height_px for level in levels)
-    assert pixels == pytest.approx(8000 * 6000 * 1.33, rel=0.015)
 
 
 # --- Searches that end early -----------------------------------------------------------------------------------------
@@ -240,30 +221,6 @@ def test_the_order_of_the_visits_does_not_show_in_what_was_found(searching: Dete
     assert full.boxes.tobytes() == ordered.boxes.tobytes()
     assert full.scores.tobytes() == ordered.scores.tobytes()
     assert (ordered.n_tiles, ordered.stopped_because) == (full.n_tiles, "all_searched")
-
-
-def test_a_full_search_of_a_large_file_reads_coarse_tiles_while_the_fine_ones_are_decoded(
-    searching: Detector, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    image, options = blank_image(700, 900), Search(tile_px=128, stride_px=96, effort="full")
-    paint_vehicles(image, np.array([[300.0, 200, 30, 12, 0.4], [400, 700, 30, 12, 1.0]]))
-    lowest: dict[str, list[int]] = {"small": [], "large": []}
-    found = {}
-    for name in lowest:
-        with open_raster(image) as raster:
-            read = raster.read
-
-            def followed(window: Any, read: Any = read, ends: list[int] = lowest[name]) -> Any:
-                ends.append(window.y_px + window.height_px)
-                return read(window)
-
-            monkeypatch.setattr(raster, "read", followed)
-            found[name] = search(raster, searching, options)
-        monkeypatch.setattr("vehanchor.detection.search.WINDOWED_PIXELS", 100_000)
-    assert np.array_equal(found["small"].boxes, found["large"].boxes)
-    assert len(found["large"].boxes) == 2
-    assert lowest["large"] == sorted(lowest["large"])
-    assert lowest["small"] != sorted(lowest["small"])
 
 
 def test_a_search_ends_at_the_limit_of_tiles_or_seconds_and_says_so(searching: Detector) -> None:
@@ -321,50 +278,6 @@ def test_a_model_of_fixed_size_sets_the_tile_and_pads_small_images(tmp_path: Pat
             search(raster, detector, Search(tile_px=1024))
 
 
-def test_a_tile_whose_rows_ran_out_is_counted(tmp_path: Path) -> None:
-    image, painted = _street(400, 400)
-    detector = Detector(write_detector(tmp_path / "m.onnx", layout="end2end", cap=20))
-    with open_raster(image) as raster:
-        found = search(raster, detector)
-    assert len(painted) > len(found.boxes) == 20
-    assert (found.n_tiles, found.n_capped_tiles) == (1, 1)
-
-
-def test_overlapping_boxes_of_one_vehicle_are_merged(tmp_path: Path) -> None:
-    boxes = np.array([[60.5, 60.5, 30, 12, 0.3], [60.5, 64.2, 30, 12, 0.3], [150, 60, 30, 12, 0.3]])
-    image = blank_image(256, 256)
-    paint_vehicles(image, boxes, scores=[0.9, 0.8, 0.7])
-    with open_raster(image) as raster:
-        detector = Detector(write_detector(tmp_path / "m.onnx"))
-        merged = search(raster, detector)
-        every = search(raster, detector, Search(nms_iou=1.0))
-    assert oriented_iou(boxes[:1], boxes[1:2])[0, 0] > 0.45
-    assert (len(merged.boxes), len(every.boxes)) == (2, 3)
-
-
-def test_progress_counts_tiles_and_may_stop_the_search(tmp_path: Path) -> None:
-    image, _ = _street(700, 500)
-    detector = Detector(write_detector(tmp_path / "m.onnx"))
-    seen: list[tuple[int, int]] = []
-    with open_raster(image) as raster:
-        told = detector.under(Runtime(progress=lambda done, total: seen.append((done, total))))
-        search(raster, told, Search(tile_px=256))
-    assert seen == [(k, len(seen) - 1) for k in range(len(seen))]
-
-    def stop(done: int, total: int) -> None:
-        raise TimeoutError
-
-    with open_raster(image) as raster, pytest.raises(TimeoutError):
-        search(raster, detector.under(Runtime(progress=stop)))
-
-
-@pytest.mark.parametrize("options", [{"tile_px": 16}, {"tile_px": 256, "stride_px": 257}])
-def test_tiles_without_meaning_are_refused(tmp_path: Path, options: dict[str, Any]) -> None:
-    detector = Detector(write_detector(tmp_path / "m.onnx"))
-    with open_raster(blank_image(300, 300)) as raster, pytest.raises(InvalidParameterError, match="tile"):
-        search(raster, detector, Search(**options))
-
-
 # --- Other objects ---------------------------------------------------------------------------------------------------
 
 _KINDS = {0: "small vehicle", 1: "ship", 2: "tennis court"}
@@ -394,17 +307,6 @@ def test_objects_of_other_classes_are_kept_beside_the_vehicles_with_their_class(
     assert set(ships.others.classes.tolist()) == {2}
 
 
-def test_others_are_merged_within_their_class_alone(tmp_path: Path) -> None:
-    image = blank_image(256, 256)
-    boxes = [[60.5, 60.5, 30, 12, 0.3], [60.5, 64.2, 30, 12, 0.3], [60.5, 68.5, 30, 12, 0.3]]
-    paint_vehicles(image, boxes, scores=[0.9, 0.8, 0.7], classes=[1, 1, 2])
-    with open_raster(image) as raster:
-        found = search(raster, Detector(write_detector(tmp_path / "m.onnx", names=_KINDS)))
-    assert found.others.classes.tolist() == [1, 2]
-    np.testing.assert_allclose(found.others.scores, [0.9, 0.7], atol=1 / 255)
-    assert len(found.boxes) == 0
-
-
 def test_the_range_of_vehicle_lengths_does_not_bound_other_objects(tmp_path: Path) -> None:
     small = blank_image(500, 200)
     paint_vehicles(small, [[60, 100, 20, 12, 0.4], [200, 100, 20, 12, 0.4]], classes=[0, 2])
@@ -417,11 +319,66 @@ def test_the_range_of_vehicle_lengths_does_not_bound_other_objects(tmp_path: Pat
     assert np.rint(courts[:, 2] / 2).tolist().count(20.0) == 1
 
 
-def test_a_detector_of_vehicles_alone_sees_no_others(searching: Detector) -> None:
-    image, _ = _painted(1, _fleet(30.0, 12))
+_RANGES = {1: (9.0, 64.0), 2: (25.6, 64.0), 4: (25.6, 64.0), 8: (25.6, np.inf)}
+
+
+def _places(side: int, factors: tuple[int, ...] = (1, 2)) -> list[TilePlace]:
+    return [
+        TilePlace(factor, tile)
+        for factor in factors
+        for tile in tile_grid(side // factor, side // factor, tile_px=64, stride_px=48)
+    ]
+
+
+def _around(gsd: float) -> NDArray[np.float64]:
+    density = np.exp(-0.5 * ((GRID - np.log(gsd)) / 0.2) ** 2)
+    return np.asarray(density / density.sum())
+
+
+@settings(max_examples=25)
+@given(st.integers(16, 500), st.integers(1, 9), st.randoms(use_true_random=False))
+def test_every_tile_is_taken_once_whatever_the_others_showed(side: int, at_once: int, random: object) -> None:
+    places = _places(side, (1, 2, 4))
+    rng = np.random.default_rng(random.randrange(1000))  # type: ignore[attr-defined]
+    order = TileScheduler(
+        places, rng.random(len(places)), level_shares({1: (9, 64), 2: (25, 64), 4: (25, np.inf)}, None)
+    )
+    taken: list[int] = []
+    while batch := order.next_tiles(at_once):
+        assert len(batch) <= at_once
+        taken += batch
+        for tile in batch:
+            order.report(tile, int(rng.integers(0, 9)))
+    assert sorted(taken) == list(range(len(places)))
+
+
+def test_what_promises_cars_comes_first_and_every_fourth_tile_comes_from_anywhere() -> None:
+    places = _places(1600, (1,))
+    tile_prior = np.array([0.9 if place.window.x_px > 1000 else 0.1 for place in places])
+    first = TileScheduler(places, tile_prior, {1: 1.0}).next_tiles(40)
+    right = np.array([places[k].window.x_px > 1000 for k in first])
+    assert right.mean() >= 0.75
+    assert {k for k, is_right in enumerate(right) if not is_right} <= set(range(3, 40, 4))
+    assert (~right).any()
+
+
+@pytest.mark.parametrize(("gsd", "factor"), [(0.2, 1), (0.06, 2), (0.03, 4), (0.012, 8)])
+def test_most_tiles_belong_to_the_resolution_that_cars_fit(gsd: float, factor: int) -> None:
+    shares = level_shares(_RANGES, _around(gsd))
+    assert sum(shares.values()) == pytest.approx(1)
+    assert max(shares, key=lambda each: shares[each]) == factor
+    assert min(shares.values()) >= 0.05
+    assert level_shares(_RANGES, None) == dict.fromkeys(_RANGES, 0.25)
+    assert level_shares({1: (9.0, 64.0)}, _around(2.9)) == {1: 1.0}
+
+
+def test_a_town_promises_more_than_fields_in_every_cell_of_it() -> None:
+    image = blank_image(3000, 1100)
+    image[:] += np.random.default_rng(0).integers(0, 5, (*image.shape[:2], 1), dtype=np.uint8)
+    for x, y, grey in np.random.default_rng(1).integers((1024, 0, 0), (2016, 992, 255), (900, 3)):
+        image[y : y + 24, x : x + 32] = grey  # roofs
     with open_raster(image) as raster:
-        found = search(raster, searching)
-    assert found.classes is not None
-    assert found.classes.tolist() == [0] * 12
-    assert len(found.others) == 0
-    assert found.others.boxes.shape == (0, 5)
+        cells = tile_prior_map(raster)
+    assert cells.shape == (3, 6)
+    assert cells[:2, 2:4].min() > cells[:, [0, 1, 4, 5]].max() + 0.2
+    assert ((cells >= 0) & (cells <= 1)).all()

@@ -1,11 +1,8 @@
 from __future__ import annotations
 
-import json
 import math
-from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -13,8 +10,7 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import EMPTY, write_sam
 from vehanchor import analyse_area, estimate_gsd, measure_area
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import FrameError, ImageDecodeError, InvalidParameterError, ModelNotFoundError, PromptError
-from vehanchor.models import zoo as model_zoo
+from vehanchor.errors import FrameError, PromptError
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.area import cut_to_objects, draw_area, full_mask
 from vehanchor.pictures.measured import MEASURED_RGB
@@ -277,129 +273,7 @@ def test_prompts_are_read_in_the_frame_and_answered_in_the_image(segmenter: Segm
 # --- bad input
 
 
-@pytest.mark.parametrize(
-    ("prompt", "said"),
-    [
-        ({}, "neither"),
-        ({"points": []}, "neither"),
-        ({"box": BOX, "points": [(1, 1)]}, "both"),
-        ({"box": (900, 700, 950, 750)}, "not inside"),
-        ({"box": (-50, -50, -10, -10)}, "not inside"),
-        ({"box": (700, 500, 900, 590)}, "not inside"),
-        ({"box": (477, 382, 410, 273)}, "reversed"),
-        ({"box": (410, 382, 477, 273)}, "reversed"),
-        ({"box": (410, 273, 410, 382)}, "empty"),
-        ({"box": (410, float("nan"), 477, 382)}, "finite"),
-        ({"box": (410, 273, float("inf"), 382)}, "finite"),
-        ({"box": (410, 273, 411.9, 382)}, "at least 2 px"),
-        ({"box": (410, 273, 477)}, "3 numbers"),
-        ({"box": ("left", 273, 477, 382)}, "numbers"),
-        ({"points": [(800, 10)]}, "not inside"),
-        ({"points": [(10, -0.5)]}, "not inside"),
-        ({"points": [(10, float("nan"))]}, "finite"),
-        ({"points": [(10,)]}, "1 parts"),
-        ({"points": [(10, 10, False)]}, "at least one"),
-    ],
-)
-def test_prompts_that_name_nothing_are_refused(segmenter: Segmenter, prompt: dict[str, Any], said: str) -> None:
-    with pytest.raises(PromptError, match=said) as caught:
-        measure_area(_place(0), gsd_m_per_px=GSD, segmenter=segmenter, **prompt)
-    assert caught.value.code == "invalid_prompt"
-    assert isinstance(caught.value, ValueError)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"gsd_m_per_px": -0.1},
-        {"gsd_m_per_px": 0.0},
-        {"gsd_m_per_px": float("nan")},
-        {"alpha": -1.0},
-        {"frame_width_px": 100},
-        {"segmenter": "encoder.onnx"},
-        {"segmenter": ("a", "b", "c")},
-    ],
-)
-def test_options_without_meaning_are_refused(segmenter: Segmenter, options: dict[str, Any]) -> None:
-    usual: dict[str, Any] = {"segmenter": segmenter, "gsd_m_per_px": GSD}
-    with pytest.raises(InvalidParameterError) as caught:
-        measure_area(_place(0), box=BOX, **(usual | options))
-    assert caught.value.code == "invalid_parameter"
-
-
-def test_a_box_beside_the_edge_by_a_rounding_is_pulled_in(segmenter: Segmenter) -> None:
-    image = _place(0, (752, 280, 800, 376))
-    exact = measure_area(image, box=(742.0, 270.0, 800.0, 386.0), gsd_m_per_px=GSD, segmenter=segmenter)
-    over = measure_area(image, box=(742.0, 270.0, 800.6, 386.0), gsd_m_per_px=GSD, segmenter=segmenter)
-    assert over == exact
-
-
-def test_images_of_every_kind_are_read_once(segmenter: Segmenter, detector: Detector) -> None:
-    image = _place()
-    _, encoded = cv2.imencode(".png", image[:, :, ::-1])
-    expected = measure_area(image, box=BOX, detector=detector, segmenter=segmenter)
-    for source in (encoded.tobytes(), BytesIO(encoded.tobytes())):
-        assert measure_area(source, box=BOX, detector=detector, segmenter=segmenter) == expected
-    with pytest.raises(ImageDecodeError):
-        measure_area(b"no image", box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
-
-
-def test_without_a_bundled_segmenter_it_says_how_to_bring_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
-    with pytest.raises(ModelNotFoundError, match="MobileSAM"):
-        measure_area(_place(0), box=BOX, gsd_m_per_px=GSD)
-    with pytest.raises(ModelNotFoundError, match=r"none\.onnx"):
-        measure_area(_place(0), box=BOX, gsd_m_per_px=GSD, segmenter=(tmp_path / "none.onnx", tmp_path / "none.onnx"))
-
-
-def test_the_bundled_segmenter_is_the_default_and_no_detector(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    encoder, decoder = write_sam(tmp_path, metadata={"vehanchor.name": "bundled"})
-    encoder.rename(tmp_path / "segmenter-encoder.onnx")
-    decoder.rename(tmp_path / "segmenter-decoder.onnx")
-    monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
-    assert measure_area(_place(0), box=BOX, gsd_m_per_px=GSD).segmenter == "bundled"
-    assert model_zoo.bundled_models() == {}
-
-
 # --- the record and its picture
-
-
-def test_the_same_input_gives_the_same_bytes_whatever_the_threads(detector: Detector, segmenter: Segmenter) -> None:
-    files = segmenter.encoder_path, segmenter.decoder_path
-    records = {
-        measure_area(
-            _place(), box=BOX, detector=detector.path, segmenter=files, threads=n, rulers=("vehicles",)
-        ).model_dump_json()
-        for n in (1, 2, 1)
-    }
-    assert len(records) == 1
-    record = records.pop()
-    assert AreaMeasurement.model_validate_json(record).model_dump_json() == record
-    assert json.loads(record)["status"] == "ok"
-
-
-def test_every_field_of_the_record_is_described() -> None:
-    schema = AreaMeasurement.model_json_schema()
-    for definition in (schema, *schema["$defs"].values()):
-        for name, field in definition.get("properties", {}).items():
-            assert field.get("description"), name
-
-
-@pytest.mark.parametrize("prompt", [{"box": BOX}, {"points": [(444, 330), (100, 500, False)]}])
-def test_the_overlay_shows_the_outline_where_the_object_is(
-    detector: Detector, segmenter: Segmenter, prompt: dict[str, Any]
-) -> None:
-    image = _place()
-    analysis = analyse_area(image, detector=detector, segmenter=segmenter, **prompt)
-    picture = draw_area(image, analysis)
-    assert (image == _place()).all()
-    assert picture.shape[1] == 800
-    ys, xs = np.nonzero((picture[:600] == MEASURED_RGB).all(axis=2))
-    box = _corners(analysis.measurement.bounding_box)
-    assert (xs.min(), ys.min(), xs.max(), ys.max()) == pytest.approx(box, abs=2)
-    for gsd in (None, GSD):
-        bare = analyse_area(_place(0), segmenter=segmenter, detector=detector, gsd_m_per_px=gsd, **prompt)
-        assert draw_area(image, bare).shape[0] > 600
 
 
 def test_a_cut_shows_every_pixel_of_the_mask(segmenter: Segmenter) -> None:
@@ -416,15 +290,6 @@ def test_a_cut_shows_every_pixel_of_the_mask(segmenter: Segmenter) -> None:
     found = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
     assert found == pytest.approx((4 * box).ravel(), abs=4)  # four picture pixels for each, and the outline's width
     assert tinted.sum() == pytest.approx(16 * analysis.measurement.mask_area_px, rel=0.1)
-
-
-def test_several_objects_are_numbered(segmenter: Segmenter) -> None:
-    image = _place(0)
-    one = analyse_area(image, segmenter=segmenter, box=BOX, gsd_m_per_px=GSD)
-    alone, both = draw_area(image, one), draw_area(image, one, one)
-    letters = (both == 255).all(axis=2)[300:360, 420:470].sum() - (alone == 255).all(axis=2)[300:360, 420:470].sum()
-    assert letters > 10
-    assert len(both) > len(alone)  # a line of the caption for each
 
 
 def test_the_full_mask_is_as_large_as_the_image(segmenter: Segmenter) -> None:

@@ -2,23 +2,29 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
 
 import vehanchor
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import write_sam
+from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import InvalidParameterError, KnownLengthError, PromptError, ScaleMismatchError
+from vehanchor.errors import InvalidParameterError, KnownLengthError, PromptError, ScaleMismatchError, TooObliqueError
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.measure.resolved_scale import CameraAbove, ResolvedScale, camera_above, raised
+from vehanchor.measure.spread import Spread
+from vehanchor.options import ScaleOptions
+from vehanchor.pictures.scale import write_picture
 from vehanchor.records import KnownScale
+from vehanchor.scale.plane import GroundPlane
+from vehanchor.scale.reliability import RELIABILITY
 from vehanchor.segmentation.segmenter import Segmenter
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 SIZE = 800, 600
 BOX = (410.7, 273.9, 477.3, 382.1)
@@ -213,13 +219,6 @@ def test_a_scale_is_refused_for_another_image(estimate: vehanchor.GsdEstimate) -
     assert refused.value.code == "scale_mismatch"
 
 
-def test_a_low_confidence_stays_low_when_it_is_given_back(detector: Detector) -> None:
-    few = vehanchor.estimate_gsd(_place(2), detector=detector)
-    record = vehanchor.measure_distance(_place(2), [(1, 1), (99, 99)], scale=few)
-    assert record.status == few.status == "low_confidence"
-    assert record.confidence == few.confidence < 0.9
-
-
 @pytest.mark.parametrize(
     "change",
     [{"gsd_m_per_px": -1}, {"confidence": 2}, {"image_id": None}, {"more": 1}, {"gsd_ci95_high_m_per_px": 0.001}],
@@ -230,13 +229,6 @@ def test_six_fields_without_meaning_are_refused(estimate: vehanchor.GsdEstimate,
         vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], scale={**estimate.scale.model_dump(), **change})
 
 
-def test_an_estimate_without_an_anchor_has_no_scale_to_give_back(detector: Detector) -> None:
-    nothing = vehanchor.estimate_gsd(_place(0), detector=detector)
-    assert nothing.scale is None
-    with pytest.raises(InvalidParameterError, match="without a scale"):
-        vehanchor.measure_distance(_place(0), [(1, 1), (9, 9)], scale=nothing)
-
-
 def test_a_dumped_estimate_is_the_estimate(estimate: vehanchor.GsdEstimate, detector: Detector) -> None:
     path, given = [(100.0, 150.0), (500.0, 450.0)], vehanchor.measure_distance
     expected = given(_place(), path, scale=estimate)
@@ -245,8 +237,9 @@ def test_a_dumped_estimate_is_the_estimate(estimate: vehanchor.GsdEstimate, dete
     measured: Any = expected  # a measurement has the scale to give back, too
     assert given(_place(), path, scale=measured) == given(_place(), path, scale=expected.model_dump()) == expected
     nothing = vehanchor.estimate_gsd(_place(0), detector=detector)
-    with pytest.raises(InvalidParameterError, match="without a scale"):
-        given(_place(0), path, scale=nothing.model_dump())
+    for known in (nothing, nothing.model_dump()):
+        with pytest.raises(InvalidParameterError, match="without a scale"):
+            given(_place(0), path, scale=known)
 
 
 def test_a_scale_too_large_to_be_squared_is_refused(estimate: vehanchor.GsdEstimate) -> None:
@@ -292,3 +285,94 @@ def test_an_image_is_itself_however_it_is_handed_over(tmp_path: Path, estimate: 
     for image in (path, path.read_bytes(), _place()):
         record = vehanchor.measure_distance(image, [(1, 1), (9, 9)], scale=estimate)
         assert record.scale_source == "reused"
+
+
+FOCAL_35MM = 24.0
+FOCAL_PX = FOCAL_35MM * np.hypot(1000, 750) / np.hypot(36, 24)
+GROUND = 0.05  # metres per pixel: the camera is 50 m up by the given height
+LINE = [(100.0, 100.0), (500.0, 400.0)]  # 500 px
+
+
+def _distance(**options: Any) -> Any:
+    return vehanchor.measure_distance(blank_image(1000, 750), LINE, gsd_m_per_px=GROUND, **options)
+
+
+def test_a_roof_is_shorter_than_the_same_pixels_on_the_ground_by_its_share_of_the_cameras_height() -> None:
+    ground = _distance(height_m=50.0)
+    roof = _distance(height_m=50.0, object_height_m=10.0)
+    assert ground.distance_m == pytest.approx(25)
+    assert (roof.distance_m, roof.gsd_m_per_px) == (pytest.approx(20), pytest.approx(0.8 * GROUND))
+    assert _distance(height_m=50.0, object_height_m=0.0) == ground
+    assert roof.distance_ci95_high_m / roof.distance_m > ground.distance_ci95_high_m / ground.distance_m
+
+
+def test_with_a_lens_the_cameras_height_is_that_of_the_scale() -> None:
+    roof = _distance(height_m=70.0, focal_35mm=FOCAL_35MM, object_height_m=10.0)
+    assert roof.gsd_m_per_px == pytest.approx(GROUND - 10 / FOCAL_PX)
+
+
+def test_an_area_on_a_roof_is_smaller_by_the_square() -> None:
+    image = blank_image(400, 300)
+    image[100:200, 120:260] = (200, 60, 40)
+    common: dict[str, Any] = {"box": (110, 90, 270, 210), "gsd_m_per_px": GROUND, "height_m": 50.0}
+    more_options: tuple[dict[str, Any], ...] = ({}, {"object_height_m": 10.0})
+    ground, roof = (vehanchor.measure_area(image, **common, **more) for more in more_options)
+    assert ground.area_m2 is not None
+    assert roof.area_m2 == pytest.approx(0.64 * ground.area_m2)
+
+
+def test_under_a_camera_that_looked_aside_the_whole_plane_is_raised() -> None:
+    plane = GroundPlane(GROUND, 40.0, FOCAL_PX, 1000, 750)
+    found = ResolvedScale(GROUND, Spread(0.05, 0.05), 0.9, "estimated", None, (), plane)
+    up = raised(found, 5.0, CameraAbove(None, 999.0))
+    share = 5.0 / plane.height_m
+    assert up.gsd_m_per_px == pytest.approx(GROUND * (1 - share))
+    assert up.length_m(LINE) == pytest.approx((found.length_m(LINE) or 0) * (1 - share))
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"object_height_m": 10.0}, InvalidParameterError, "give height_m"),
+        ({"object_height_m": 60.0, "height_m": 50.0}, TooObliqueError, "above the camera"),
+        ({"object_height_m": 50.0, "height_m": 50.0}, TooObliqueError, "above the camera"),
+        ({"object_height_m": -1.0, "height_m": 50.0}, InvalidParameterError, "0 to 1000"),
+        ({"object_height_m": float("nan"), "height_m": 50.0}, InvalidParameterError, "finite"),
+        ({"object_height_m": "tall", "height_m": 50.0}, InvalidParameterError, "finite"),
+    ],
+)
+def test_a_height_that_means_nothing_is_refused(options: dict[str, Any], error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        _distance(**options)
+
+
+def test_the_commands_take_it(tmp_path: Path) -> None:
+    write_picture(tmp_path / "a.png", blank_image(1000, 750))
+    ends = ["--point", 100, 100, "--point", 500, 400]
+    asked = ["distance", tmp_path / "a.png", *ends, "--gsd", GROUND, "--json", "--height", 50, "--object-height", 10]
+    result = CliRunner().invoke(cli.app, [str(each) for each in asked])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["distance_m"] == pytest.approx(20)
+
+
+def test_a_given_height_has_the_spread_that_the_ruler_gives_it() -> None:
+    with open_raster(np.zeros((300, 400, 3), np.uint8)) as raster:
+        camera = camera_above(raster, ScaleOptions.of({"height_m": 50.0}), 10.0)
+    found = ResolvedScale(0.1, Spread(), None, "given", None, ())
+    assert raised(found, 10.0, camera).spread == pytest.approx([10 / 40 * RELIABILITY["measured height"].log_sd] * 2)
+
+
+def test_a_skewed_interval_stays_skewed_at_the_height_of_the_object() -> None:
+    ground = Spread.of_interval(0.136, 0.121, 0.185)
+    assert ground.around(0.136) == pytest.approx((0.121, 0.185))
+    found = ResolvedScale(0.136, ground, 0.9, "estimated", None, ())
+    above = raised(found, 10.0, CameraAbove(None, 50.0, 0.05))
+    assert above.gsd_m_per_px == pytest.approx(0.136 * 0.8)
+    low, high = above.spread.around(0.136 * 0.8)
+    assert low < 0.121 * 0.8 < 0.185 * 0.8 < high
+    assert above.spread == pytest.approx([math.hypot(side, 0.25 * 0.05) for side in ground])
+
+
+@pytest.mark.parametrize(("low", "high"), [(None, None), (None, 0.2), (0.2, 0.1)])
+def test_without_an_interval_nothing_is_made_up(low: float | None, high: float | None) -> None:
+    assert Spread.of_interval(0.15, low, high) == Spread()

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import hashlib
-from typing import TYPE_CHECKING, Any
+import os
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -9,14 +11,20 @@ import pytest
 from onnx import helper, numpy_helper
 from onnx.external_data_helper import set_external_data
 
-from tests.models import write_other_model
 from tests.sam_models import keep_weights_beside, write_sam2
 from vehanchor.errors import ModelContractError, ModelNotFoundError
-from vehanchor.models.files import external_locations, models_sha256, read_model
-from vehanchor.models.zoo import bundled_models, bundled_segmenter
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from vehanchor.models import zoo
+from vehanchor.models.cache import file_cached
+from vehanchor.models.files import check_model_file, external_locations, models_sha256, read_model
+from vehanchor.models.zoo import (
+    DEFAULT_DETECTOR,
+    bundled_models,
+    bundled_segmenter,
+    fleet_beside,
+    resolve_model,
+    resolve_segmenter,
+    verifier_beside,
+)
 
 
 def outside(name: str, location: str) -> onnx.TensorProto:
@@ -39,33 +47,6 @@ def test_weights_are_found_wherever_a_graph_can_hold_a_tensor() -> None:
     model = helper.make_model(graph, functions=[function])
     expected = {"constant.bin", "one.bin", "two.bin", "branch.bin", "sparse.bin", "main.bin", "füße.bin"}
     assert set(external_locations(model.SerializeToString())) == expected
-
-
-def test_a_file_is_named_once_however_many_tensors_it_holds() -> None:
-    graph = helper.make_graph([], "g", [], [], [outside("a", "w"), outside("b", "v"), outside("c", "w")])
-    assert external_locations(helper.make_model(graph).SerializeToString()) == ("w", "v")
-
-
-def test_words_in_a_graph_are_no_weights(tmp_path: Path) -> None:
-    path = write_other_model(tmp_path / "model.onnx", metadata={"location": "weights.bin"})
-    assert b"location" in path.read_bytes()
-    assert external_locations(path.read_bytes()) == ()
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"location", b"\xff" * 50 + b"location", b"\x3a\xff\x7flocation", b"\x3b location"]
-)
-def test_what_is_no_onnx_file_names_no_weights(content: bytes) -> None:
-    assert external_locations(content + b"location") == ()
-
-
-def test_a_graph_cut_off_anywhere_names_no_other_weights_than_the_whole() -> None:
-    graph = helper.make_graph([], "g", [], [], [outside("a", "w" * 20), outside("b", "v" * 20)])
-    content = helper.make_model(graph).SerializeToString()
-    whole = external_locations(content)
-    for end in range(len(content)):
-        for name in external_locations(content[:end]):
-            assert any(each.startswith(name) for each in whole)
 
 
 def test_the_checksum_covers_graph_and_weights_in_their_order(tmp_path: Path) -> None:
@@ -103,3 +84,170 @@ def test_a_file_that_cannot_be_read_is_no_model(tmp_path: Path, monkeypatch: pyt
 def test_the_bundled_models_keep_their_weights_in_their_file() -> None:
     for path in (*bundled_models().values(), *(bundled_segmenter() or ())):
         assert read_model(path).weights == ()
+
+
+class Loaded:
+    """A stand-in for a model: what its file held."""
+
+    def __init__(self, path: Path, threads: int | None) -> None:
+        check_model_file(path)
+        self.content, self.threads = path.read_bytes(), threads
+
+
+@file_cached(max_models=2)
+def load(path: Path, *, threads: int | None = None, providers: tuple[str, ...] = ("CPU",)) -> Loaded:
+    del providers
+    return Loaded(path, threads)
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    path = tmp_path / "model.onnx"
+    path.write_bytes(b"first")
+    return path
+
+
+def test_a_file_is_loaded_once_for_each_set_of_options(model: Path) -> None:
+    first = load(model)
+    assert load(model) is first
+    assert load(model, threads=1) is not first
+    assert load(model, threads=1) is load(model, threads=1)
+
+
+def test_a_replaced_file_is_loaded_anew(model: Path) -> None:
+    before = load(model)
+    other = model.with_name("other")
+    other.write_bytes(b"other")  # of the same size
+    os.utime(other, ns=(model.stat().st_mtime_ns, model.stat().st_mtime_ns))
+    other.replace(model)
+    after = load(model)
+    assert (before.content, after.content) == (b"first", b"other")
+    assert load(model) is after
+
+
+def test_a_relative_path_is_another_file_in_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "model.onnx").write_text(name)
+    found = []
+    for name in ("a", "b", "a"):
+        monkeypatch.chdir(tmp_path / name)
+        found.append(load(Path("model.onnx")))
+    assert [each.content for each in found] == [b"a", b"b", b"a"]
+    assert found[2] is found[0]
+    assert load(tmp_path / "a" / "model.onnx") is found[0]
+
+
+def test_other_weights_beside_the_file_are_loaded_anew(tmp_path: Path) -> None:
+    _, decoder = write_sam2(tmp_path)
+    beside = keep_weights_beside(decoder, ".weights")
+    first = load(decoder)
+    assert load(decoder) is first
+    beside.write_bytes(beside.read_bytes() + b"\0")
+    assert load(decoder) is not first
+
+
+def test_what_fails_is_tried_again(tmp_path: Path) -> None:
+    path = tmp_path / "late.onnx"
+    with pytest.raises(ModelNotFoundError):
+        load(path)
+    path.write_bytes(b"here now")
+    assert load(path).content == b"here now"
+
+
+def test_the_one_unused_for_longest_goes_first(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in "abc"]
+    for path in paths:
+        path.write_text(path.name)
+    first, second = load(paths[0]), load(paths[1])
+    assert load(paths[0]) is first
+    load(paths[2])
+    assert load(paths[0]) is first
+    assert load(paths[1]) is not second
+
+
+@pytest.fixture
+def bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An installation's folder of models with one of each kind, and a second detector."""
+    folder = tmp_path / "bundled"
+    folder.mkdir()
+    for name in ("vehicles", "boats", "fleet", "segmenter-encoder", "segmenter-decoder"):
+        (folder / f"{name}.onnx").touch()
+    (folder / "vehicles.md").touch()
+    monkeypatch.setattr(zoo, "_BUNDLED", folder)
+    return folder
+
+
+def test_neither_a_segmenter_nor_a_fleet_network_is_a_detector(bundled: Path) -> None:
+    assert bundled_models() == {"boats": bundled / "boats.onnx", "vehicles": bundled / "vehicles.onnx"}
+
+
+def test_this_installation_ships_a_detector_of_the_default_name() -> None:
+    assert resolve_model() == resolve_model(DEFAULT_DETECTOR) == bundled_models()[DEFAULT_DETECTOR]
+    assert resolve_model().is_file()
+
+
+def test_a_detector_is_given_by_its_name_or_its_path(bundled: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own.onnx"
+    own.touch()
+    assert resolve_model("boats") == bundled / "boats.onnx"
+    assert resolve_model(own) == resolve_model(str(own)) == own
+    for name in ("fleet", "segmenter-encoder", str(tmp_path / "absent.onnx"), str(tmp_path)):
+        with pytest.raises(ModelNotFoundError, match=r"bundled detectors \(boats, vehicles\)"):
+            resolve_model(name)
+
+
+def test_a_bundled_detector_in_eight_bits_is_asked_for_by_precision(
+    bundled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, small = bundled / "vehicles.onnx", bundled / "vehicles-int8.onnx"
+    with pytest.raises(ModelNotFoundError, match="no int8 version of 'vehicles'"):
+        resolve_model(None, "int8")
+    small.touch()
+    for quick in (True, False):
+        monkeypatch.setattr(zoo, "has_byte_dot_products", lambda quick=quick: quick)
+        assert resolve_model(None, "auto") == resolve_model("vehicles", "auto") == (small if quick else plain)
+        assert resolve_model(None, "int8") == resolve_model("vehicles-int8") == small
+        assert resolve_model("vehicles-int8", "int8") == resolve_model("vehicles-int8", "auto") == small
+        assert resolve_model(None, "float32") == resolve_model() == plain
+        assert resolve_model("boats", "auto") == bundled / "boats.onnx"
+    own = tmp_path / "own.onnx"
+    own.touch()
+    assert resolve_model(own, "auto") == own
+    with pytest.raises(ModelNotFoundError, match="no int8 version"):
+        resolve_model(own, "int8")
+    assert fleet_beside(small) == fleet_beside(plain) == bundled / "fleet.onnx"
+    (bundled / "verifier-int8.onnx").touch()
+    assert verifier_beside(small) == bundled / "verifier-int8.onnx"
+    assert verifier_beside(plain) is None
+    assert list(bundled_models()) == ["boats", "vehicles", "vehicles-int8"]
+
+
+def test_the_fleet_network_lies_beside_its_detector(bundled: Path, tmp_path: Path) -> None:
+    assert fleet_beside(bundled / "vehicles.onnx") == bundled / "fleet.onnx"
+    assert fleet_beside(bundled / "boats.onnx") is None
+    own = tmp_path / "own.onnx"
+    assert fleet_beside(own) is None
+    (tmp_path / "own.fleet.onnx").touch()
+    assert fleet_beside(own) == tmp_path / "own.fleet.onnx"
+    (bundled / "fleet.onnx").unlink()
+    assert fleet_beside(bundled / "vehicles.onnx") is None
+
+
+def test_a_segmenter_is_bundled_whole_or_not_at_all(bundled: Path) -> None:
+    pair = bundled / "segmenter-encoder.onnx", bundled / "segmenter-decoder.onnx"
+    assert bundled_segmenter() == resolve_segmenter() == pair
+    pair[0].unlink()
+    assert bundled_segmenter() is None
+    with pytest.raises(ModelNotFoundError, match="no bundled segmenter"):
+        resolve_segmenter()
+
+
+def test_a_segmenter_is_given_by_both_its_paths(bundled: Path, tmp_path: Path) -> None:
+    del bundled
+    encoder, decoder = tmp_path / "encoder.onnx", tmp_path / "decoder.onnx"
+    encoder.touch()
+    with pytest.raises(ModelNotFoundError, match=r"decoder\.onnx"):
+        resolve_segmenter((encoder, decoder))
+    decoder.touch()
+    assert resolve_segmenter((str(encoder), decoder)) == (encoder, decoder)

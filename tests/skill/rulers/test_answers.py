@@ -72,12 +72,6 @@ def test_more_cars_that_agree_are_a_better_chance() -> None:
     assert chances[0] < 0.9 < chances[-1]
 
 
-@pytest.mark.parametrize(("cars", "ok"), [(1, False), (30, True)])
-def test_a_detector_without_fitted_votes_is_usable_from_a_fleet_of_clear_cars(cars: int, ok: bool) -> None:
-    record = record_of(cars, votes=None)
-    assert (record.status == "ok") is ok
-
-
 def test_vehicles_of_too_few_pixels_are_not_usable() -> None:
     record = record_of(300, car_px=8.0)
     assert (record.status, record.reason, record.resolution_guard) == ("low_confidence", "too_coarse", True)
@@ -164,12 +158,6 @@ def test_a_height_that_repeats_the_files_changes_nothing() -> None:
         assert repeated.confidence == alone.confidence
         assert repeated.gsd_m_per_px == alone.gsd_m_per_px
         assert repeated.rulers == alone.rulers
-
-
-def test_a_line_given_twice_counts_once() -> None:
-    once, twice = (record_of(0, known_lengths=_lines(0.05)["known_lengths"] * times) for times in (1, 2))
-    assert twice.confidence == once.confidence
-    assert twice.gsd_m_per_px == once.gsd_m_per_px
 
 
 def test_an_assumed_line_that_contradicts_the_cars_lowers_the_chance() -> None:
@@ -289,3 +277,9 @@ def test_a_liar_among_cars_and_two_assumed_lines_is_named(cars_lie: bool) -> Non
     assert cars_lie or near / DRAWS >= 0.9
     assert cars_lie or wrong / DRAWS <= 0.005
     assert unnamed / DRAWS <= 0.01  # a lie of a half can fall between two intervals
+
+
+def test_a_line_given_twice_counts_once() -> None:
+    once, twice = (record_of(0, known_lengths=_lines(0.05)["known_lengths"] * times) for times in (1, 2))
+    assert twice.confidence == once.confidence
+    assert twice.gsd_m_per_px == once.gsd_m_per_px

@@ -17,7 +17,6 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
 from vehanchor.rulers.view import View
-from vehanchor.scale.density import GRID, credible_interval
 from vehanchor.scale.posterior import Witness
 
 MAVIC = CameraMetadata(
@@ -191,24 +190,6 @@ def test_metadata_that_are_read_in_part_say_what_is_not_used() -> None:
     assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.01)
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]
     assert "both -90 and -45" in witness.notices[0].message
-
-
-def test_the_density_lies_around_the_scale_with_a_floor_below_it() -> None:
-    witness = _measured(MAVIC)
-    assert witness.gsd_m_per_px is not None
-    assert witness.density.sum() == pytest.approx(1)
-    assert GRID[witness.density.argmax()] == pytest.approx(math.log(witness.gsd_m_per_px), abs=0.005)
-    assert witness.density.min() == pytest.approx(0.05 / len(GRID), rel=1e-3)
-    low, high = credible_interval(witness.density, 0.8)
-    assert low < TRUE_GSD < high
-
-
-def test_an_image_without_cars_has_the_cameras_scale_which_alone_is_too_open_to_act_on() -> None:
-    record = analyse_view(_view(MAVIC)).estimate
-    assert record.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
-    assert (record.status, record.reason, record.leading_ruler) == ("low_confidence", "imprecise", "camera")
-    assert (record.n_vehicles, record.mode_length_px) == (0, None)
-    assert record.confidence < 0.9
 
 
 @pytest.mark.parametrize("options", [{"metadata": False}, {"rulers": ("vehicles", "height")}])

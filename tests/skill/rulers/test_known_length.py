@@ -1,24 +1,34 @@
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import vehanchor
 from tests.analyses import log_sd, made_card
 from tests.models import blank_image, write_detector
+from tests.skill.rulers.test_answers import record_of
 from tests.skill.rulers.test_camera import MAVIC
+from vehanchor.cli.app import app
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
-from vehanchor.options import ScaleOptions
+from vehanchor.options import KnownLength, ScaleOptions
+from vehanchor.options.rulers import Rulers
 from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
+from vehanchor.rulers.known_length_table import read_known_lengths
+from vehanchor.rulers.positions import baseline
+from vehanchor.rulers.registry import check_rulers
+from vehanchor.rulers.standards import lengths_of, standards
 from vehanchor.rulers.view import View
+from vehanchor.scale.countries import COUNTRY_REGIONS
 
 
 def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
@@ -57,6 +67,8 @@ def test_lines_that_contradict_each_other_are_told_and_believed_less() -> None:
     assert [notice.code for notice in witness.notices] == ["known_lengths_disagree"]
     assert witness.interval is not None
     assert witness.interval.low < 0.05 < 0.08 < witness.interval.high
+    three = KnownLengths().measure(_view(known_lengths=[*lines, (0, 10, 1000, 10, 51.0)]))
+    assert "Without the line 80 m (0.08 m/px) they agree" in three.notices[0].message
 
 
 @pytest.mark.parametrize("line", [(10, 10, 11, 10, 5), (10, 10, 10, 10, 5), (10, 10, 5000, 10, 5), (-3, 10, 90, 10, 5)])
@@ -105,3 +117,161 @@ def test_a_height_that_would_make_an_impossible_scale_is_told() -> None:
 def test_without_a_word_from_the_caller_both_are_silent() -> None:
     for ruler in (KnownLengths(), GivenHeight()):
         assert (ruler.measure(_view()).gsd_m_per_px, ruler.measure(_view()).notices) == (None, ())
+
+
+WIDEST_CUSTOM = 0.25
+EXACT = {  # metres by rules that the catalogue must repeat to the centimetre
+    "iso_container_20ft": 6.058,
+    "iso_container_40ft": 12.192,
+    "football_penalty_area_width": 40.32,
+    "football_penalty_area_depth": 16.5,
+    "football_centre_circle": 2 * 9.15,
+    "tennis_court_length": 23.77,
+    "american_football_field_length": 120 * 0.9144,
+    "american_football_field_width": 160 * 0.3048,
+    "volleyball_court_length": 18.0,
+    "padel_court_width": 10.0,
+}
+
+
+def _evidence(what: str, *lengths_px: float, **options: Any) -> Any:
+    lines = [(100, 100 + 10 * k, 100 + px, 100 + 10 * k, what) for k, px in enumerate(lengths_px)]
+    return KnownLengths().measure(_view(known_lengths=lines, **options))
+
+
+@pytest.mark.parametrize("name", standards())
+def test_a_thing_has_a_source_its_ends_a_spread_and_measures(name: str) -> None:
+    thing = standards()[name]
+    assert name.isidentifier()
+    assert name.islower()
+    assert any(character.isdigit() for character in thing.source) or thing.source.startswith("as ")
+    assert len(thing.between) > 10
+    assert 0.05 <= thing.chance_wrong <= 0.3
+    assert sum(each.weight for each in thing.lengths_in(None)) == pytest.approx(1)
+    for each in thing.variants:
+        assert 1 <= each.metres <= 120
+        assert 0.005 <= each.log_sd <= WIDEST_CUSTOM
+        assert all((len(code) == 2 and code.isupper()) or code in COUNTRY_REGIONS.values() for code in each.countries)
+        found = _evidence(name, 200.0, region=each.countries[0] if each.countries else None)
+        chosen = thing.lengths_in(each.countries[0] if each.countries else None)
+        if len(chosen) == 1:
+            assert found.gsd_m_per_px == pytest.approx(each.metres / 200, rel=0.01)
+        assert found.assumed
+
+
+@pytest.mark.parametrize(("name", "metres"), EXACT.items())
+def test_lengths_by_rule_are_exact(name: str, metres: float) -> None:
+    (variant,) = standards()[name].variants
+    assert variant.metres == pytest.approx(metres, abs=0.005)
+
+
+def test_the_country_or_the_region_chooses_and_without_one_the_mixture_stays() -> None:
+    assert [each.metres for each in lengths_of("railway_gauge/RU")[1]] == [1.52]
+    assert [each.metres for each in lengths_of("lane_dash_cycle", "north_america")[1]] == [12.19]
+    assert [each.metres for each in lengths_of("lane_dash_cycle", "us")[1]] == [12.19]
+    assert [each.metres for each in lengths_of("city_bus", "SE")[1]] == [12.0]
+    assert [each.metres for each in lengths_of("railway_gauge/RU", "us")[1]] == [1.52]
+    assert {each.metres for each in lengths_of("railway_gauge", "europe")[1]} == {1.435, 1.52, 1.6, 1.668}
+    everywhere, american = (
+        _evidence("lane_dash_cycle", 200.0),
+        _evidence("lane_dash_cycle", 200.0, region="north_america"),
+    )
+    assert american.gsd_m_per_px == pytest.approx(12.19 / 200, rel=0.01)
+    width = math.log(american.interval.high / american.interval.low)
+    assert math.log(everywhere.interval.high / everywhere.interval.low) > 3 * width
+
+
+def test_things_of_one_kind_share_their_size() -> None:
+    one, many = _evidence("parking_bay_width/DE", 50.0), _evidence("parking_bay_width/DE", 50.0, 50.2, 49.9, 50.1)
+    assert many.n == 4
+    assert many.interval.high / many.interval.low > 1.12  # the custom's spread stays
+    assert many.interval.high / many.interval.low < one.interval.high / one.interval.low
+    both = KnownLengths().measure(
+        _view(known_lengths=[(0, 0, 50, 0, "parking_bay_width/DE"), (0, 9, 242, 9, "iso_container_40ft")])
+    )
+    assert both.n == 2
+    assert log_sd(both) < log_sd(many)
+
+
+def test_one_thing_alone_is_usable_only_if_its_kind_allows() -> None:
+    def status(what: str) -> str:
+        return record_of(0, known_lengths=[(100, 100, 300, 100, what)]).status
+
+    assert status("football_penalty_area_width") == "ok"
+    assert status("railway_gauge/DE") == "ok"
+    assert status("railway_gauge") == "low_confidence"
+    assert status("parking_bay_length") == "low_confidence"
+
+
+def test_two_things_of_one_family_are_one_witness() -> None:
+    def record(*whats: str) -> Any:
+        metres = {what: standards()[what].variants[0].metres for what in whats}
+        lines = [(100, 100 + 9 * k, 100 + metres[what] / 0.05, 100 + 9 * k, what) for k, what in enumerate(whats)]
+        return record_of(0, known_lengths=lines)
+
+    same = record("iso_container_20ft", "iso_container_width")
+    assert (same.status, same.gsd_m_per_px) == ("ok", pytest.approx(0.05, rel=0.01))
+    assert record("iso_container_20ft", "semi_trailer").confidence == pytest.approx(same.confidence, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("parking_width", "the nearest are parking_bay_width"),
+        ("Container", "the nearest are iso_container"),
+        ("railway_gauge/Spain", "use two capital letters, as in railway_gauge/DE"),
+    ],
+)
+def test_a_wrong_name_is_refused_before_the_work_with_the_nearest(what: str, words: str) -> None:
+    with pytest.raises(KnownLengthError, match=words):
+        check_rulers(Rulers(known_lengths=(KnownLength.of((0, 0, 50, 0, what)),)))
+
+
+def test_a_table_takes_names(tmp_path: Any) -> None:
+    table = tmp_path / "lines.csv"
+    table.write_text("file,x1,y1,x2,y2,metres,what\na.png,0,0,50,0,pool_50m,\na.png,0,9,50,9,,railway_gauge/ES\n")
+    (lines,) = read_known_lengths(table).values()
+    assert [line.what for line in lines] == ["pool_50m", "railway_gauge/ES"]
+    table.write_text("file,x1,y1,x2,y2,metres\na.png,0,0,50,0,pool_51m\n")
+    with pytest.raises(KnownLengthError, match="line 2: there is no thing of known size 'pool_51m'"):
+        read_known_lengths(table)
+
+
+def test_the_command_lists_every_thing_with_its_lengths_and_source() -> None:
+    shown = CliRunner().invoke(app, ["models", "--sizes"], env={"COLUMNS": "100"}).stdout
+    assert all(name in shown for name in standards())
+    rows = [json.loads(line) for line in CliRunner().invoke(app, ["models", "--sizes", "--json"]).stdout.splitlines()]
+    assert [row["name"] for row in rows] == list(standards())
+    assert all(row["variants"][0]["metres"] > 0 and row["source"] for row in rows)
+
+
+def test_the_cars_choose_among_the_lengths_of_a_mixture() -> None:
+    spread = np.array([12.19, 18.0])
+    record = record_of(30, known_lengths=[(100, 100, 100 + spread[1] / 0.1, 100, "lane_dash_cycle")])  # cars: 0.1 m/px
+    assert record.status == "ok"
+    assert record.gsd_m_per_px == pytest.approx(0.1, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [(0, 0, 50, 0, None), (0, 0, 50, 0, 5.0, "assumed", None, "pool_50m"), (0, 0, 50, 0, "pool_50m", "measured")],
+)
+def test_a_line_has_metres_or_a_name(line: tuple[Any, ...]) -> None:
+    with pytest.raises(KnownLengthError):
+        KnownLength.of(line)
+
+
+GSD, WIDTH_PX = 0.07, 4000.0
+
+
+def test_two_or_more_photographs_in_a_line_give_the_scale() -> None:
+    """Their layouts agree exactly; rounding may put the agreement above 1."""
+    rng = np.random.default_rng(1)
+    for n in (2, 3, 3, 5) * 50:
+        turned = np.exp(1j * rng.uniform(0, 2 * np.pi))
+        layout = (rng.uniform(0, 100) + 1e4 * np.arange(n)) * turned
+        metres = GSD * layout * np.exp(1j * rng.uniform(0, 2 * np.pi))
+        found = baseline(layout, np.column_stack([metres.real, -metres.imag]), WIDTH_PX)
+        assert found is not None
+        assert found.n == n
+        assert found.gsd_m_per_px == pytest.approx(GSD)

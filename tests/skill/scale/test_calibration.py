@@ -79,13 +79,6 @@ def test_the_interval_holds_the_true_mode_about_as_often_as_it_says() -> None:
     assert 48 <= held <= 60  # 95 % of 60 is 57
 
 
-def test_the_interval_narrows_with_more_vehicles_and_never_leaves_the_mode_out() -> None:
-    few, many = (modal_length_m([SurveyedImage(_boxes(n), GSD)]) for n in (100, 3000))
-    assert few.low_m <= few.mode_m <= few.high_m
-    assert many.low_m <= many.mode_m <= many.high_m
-    assert many.high_m - many.low_m < 0.75 * (few.high_m - few.low_m)
-
-
 def test_cars_of_one_place_count_as_less_than_cars_of_many_places() -> None:
     rng = np.random.default_rng(1)
     spread: list[SurveyedImage] = []
@@ -95,11 +88,6 @@ def test_cars_of_one_place_count_as_less_than_cars_of_many_places() -> None:
         spread += [SurveyedImage(boxes[[k]], GSD) for k in range(25)]
         crowded.append(SurveyedImage(np.column_stack([np.full((25, 2), 10.0), boxes[:, 2:]]), GSD))
     assert modal_length_m(crowded).sd_m > 1.2 * modal_length_m(spread).sd_m
-
-
-def test_vehicles_all_of_one_length_are_that_length() -> None:
-    length = modal_length_m([SurveyedImage(_boxes(120, spread_m=0.0), GSD)])
-    assert length == pytest.approx((FLEET_M, FLEET_M, FLEET_M, 0.0), abs=1e-9)
 
 
 def test_a_calibration_says_what_it_rests_on_and_is_the_same_each_time() -> None:
@@ -196,27 +184,9 @@ def test_a_file_that_is_no_calibration_is_refused_by_its_field(
     assert refusal.value.code == "calibration_unreadable"
 
 
-@pytest.mark.parametrize("given", [{"reference_length_m": 4.5}, 4.5, object()])
-def test_what_is_neither_a_calibration_nor_a_path_is_a_wrong_parameter(given: Any) -> None:
-    with pytest.raises(InvalidParameterError, match="give a Calibration"):
-        ScaleOptions.of({"calibration": given})
-
-
-def test_a_path_that_no_file_system_knows_is_no_calibration() -> None:
-    with pytest.raises(CalibrationFileError, match="cannot read"):
-        load_calibration("a\0b")
-
-
 def test_lengths_that_no_vehicle_has_are_refused() -> None:
     with pytest.raises(CalibrationRefusedError, match="Check the images' scales"):
         calibrate([SurveyedImage(_boxes(300), 10 * GSD)], source="labels", region_sd_m=0.2)
-
-
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"[]", b"{"])
-def test_bytes_that_are_no_calibration_are_refused(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "c.json").write_bytes(content)
-    with pytest.raises(CalibrationFileError, match="not a calibration"):
-        load_calibration(tmp_path / "c.json")
 
 
 def test_a_missing_file_and_an_unwritable_one_are_told(tmp_path: Path) -> None:
@@ -398,12 +368,6 @@ def test_two_reference_lengths_are_refused(other: dict[str, Any]) -> None:
 # --- The command
 
 
-def test_the_plot_is_drawn(folder: Path, calibration: Path) -> None:
-    picture = cv2.imread(str(folder / "plot.png"))
-    assert picture is not None
-    assert picture.std() > 20
-
-
 def test_labels_can_be_asked_for_and_bound_to_a_detector(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "images").mkdir()
     (tmp_path / "labels").mkdir()
@@ -425,23 +389,6 @@ def test_labels_can_be_asked_for_and_bound_to_a_detector(folder: Path, tmp_path:
     assert (record.source, record.n_vehicles, record.detector) == ("labels", 120, "detector")
     measured = labelled_boxes(tmp_path / "labels" / "a.txt", ("car",))
     assert record.reference_length_m == pytest.approx(modal_length_m([SurveyedImage(measured, GSD)]).mode_m)
-
-
-def test_the_command_refuses_with_a_reason(folder: Path, tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "none.png"), blank_image(64, 64))
-    (tmp_path / "table.csv").write_text("file,gsd_m_per_px\nnone.png,0.1\n")
-    result = _run(
-        "calibrate",
-        "--table",
-        tmp_path / "table.csv",
-        "--detector",
-        folder / "detector.onnx",
-        "--out",
-        tmp_path / "c.json",
-    )
-    assert result.exit_code == 2
-    assert "error[calibration_refused]: vehicles found for a reference length: 0; at least" in result.stderr
-    assert not (tmp_path / "c.json").exists()
 
 
 @pytest.mark.parametrize(

@@ -170,27 +170,6 @@ def test_the_encoder_sees_colours_as_its_contract_says(segmenter: Segmenter, mon
     assert colour == pytest.approx(expected, abs=1e-4)
 
 
-def test_the_contracts_are_told_by_their_names(tmp_path: Path) -> None:
-    found = {}
-    for number, (name, write) in enumerate(WRITERS.items()):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        card = Segmenter(*write(folder)).card
-        found[name] = card.contract, card.input_px
-    assert found == {
-        "sam, preprocessing in the graph": ("sam", 128),
-        "sam, without preprocessing": ("sam", 128),
-        "sam, without low_res_masks": ("sam", 128),
-        "sam, another embedding": ("sam", 128),
-        "sam, a fixed square": ("sam", 128),
-        "sam2": ("sam2", 128),
-        "transformers, SAM 2": ("transformers", 128),
-        "transformers, SAM 3": ("transformers", 224),
-        "efficient_sam": ("efficient_sam", 128),
-        "efficient_sam, enlarging": ("efficient_sam", 512),
-    }
-
-
 def test_a_box_takes_the_single_mask_and_a_point_the_best_of_the_others(tmp_path: Path) -> None:
     four = Segmenter(*write_sam(tmp_path, masks=[OBJECT, EMPTY, OBJECT, FULL], scores=[0.95, 0.7, 0.9, 0.8]))
     image = picture(512, 512, (224, 64, 352, 128))

@@ -2,34 +2,35 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from tests.models import write_detector, write_other_model
+from tests.models import blank_image, write_detector, write_other_model
 from tests.sam_models import (
     keep_weights_beside,
     write_sam,
     write_sam2,
 )
-from tests.skill.segmentation.objects import OBJECT_RGB, full_mask, picture, segmented
+from tests.skill.segmentation.objects import OBJECT_RGB, OTHER_RGB, full_mask, is_rectangle, picture, segmented
 from vehanchor.errors import (
+    ImageTooLargeError,
     InvalidParameterError,
     ModelContractError,
     ModelNotFoundError,
-    ProviderUnavailableError,
+    PromptError,
 )
+from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.models.runtime import Runtime
-from vehanchor.segmentation.contracts import SamContract
-from vehanchor.segmentation.prompt import Prompt
-from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from vehanchor.segmentation.contracts import Encoding
+from vehanchor.options import Frame, ImageLimits
+from vehanchor.segmentation.contracts import Encoding, MaskLogits, SamContract
+from vehanchor.segmentation.crop import crop_window, place_mask
+from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt, prompt_in_image, read_prompt
+from vehanchor.segmentation.segmenter import Segmentation, Segmenter
+from vehanchor.segmentation.shape import mask_bounds
 
 
 def test_the_card_names_both_files(tmp_path: Path) -> None:
@@ -60,10 +61,6 @@ def test_what_is_no_segmenter_is_refused_with_what_was_found(tmp_path: Path) -> 
         Segmenter(tmp_path / "text.onnx", decoder)
     with pytest.raises(ModelNotFoundError, match="missing"):
         Segmenter(encoder, tmp_path / "missing.onnx")
-    with pytest.raises(ProviderUnavailableError):
-        Segmenter(encoder, decoder, runtime=Runtime(providers=["AbacusExecutionProvider"]))
-    with pytest.raises(InvalidParameterError, match="threads"):
-        Segmenter(encoder, decoder, runtime=Runtime(threads=0))
 
 
 def test_the_files_say_how_much_to_trust_them(tmp_path: Path) -> None:
@@ -87,32 +84,6 @@ def test_weights_kept_beside_the_file_are_used_and_hashed(tmp_path: Path, suffix
     assert outside.card.sha256 == expected != plain
     image = picture(600, 400, (133, 171, 181, 267))
     assert segmented(outside, image, Prompt(box=(118.0, 162.0, 212.0, 276.0))).mask.any()
-
-
-def test_a_pair_of_files_is_loaded_once(tmp_path: Path) -> None:
-    files = write_sam(tmp_path)
-    assert load_segmenter(*files) is load_segmenter(*files)
-    assert load_segmenter(*files, Runtime(threads=1)) is not load_segmenter(*files)
-
-
-def test_replaced_files_are_loaded_anew(tmp_path: Path) -> None:
-    files = write_sam(tmp_path)
-    before = load_segmenter(*files)
-    write_sam(tmp_path, scores=[0.4])
-    after = load_segmenter(*files)
-    assert after.card.sha256 == Segmenter(*files).card.sha256 != before.card.sha256
-    prompt, image = Prompt(box=(95.0, 95.0, 155.0, 155.0)), picture(300, 300, (100, 100, 150, 150))
-    assert segmented(after, image, prompt).score == pytest.approx(0.4)
-
-
-def test_relative_paths_are_other_files_in_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = []
-    for name, score in (("one", 0.4), ("two", 0.5)):
-        (tmp_path / name).mkdir()
-        encoder, decoder = write_sam(tmp_path / name, scores=[score])
-        monkeypatch.chdir(tmp_path / name)
-        found.append(load_segmenter(Path(encoder.name), Path(decoder.name)))
-    assert found[0].card.sha256 != found[1].card.sha256
 
 
 def test_neighbours_of_one_size_share_an_encoding_and_their_masks_are_as_alone(
@@ -139,3 +110,203 @@ def test_neighbours_of_one_size_share_an_encoding_and_their_masks_are_as_alone(
     for mask, found in zip(alone, together, strict=True):
         assert mask.any()
         assert (full_mask(found, image) == mask).all()
+
+
+WHOLE = Frame()
+
+
+def test_a_box_or_points_are_read_as_numbers() -> None:
+    assert read_prompt((1, np.float32(2), "3", 4.5), None) == Prompt(box=(1.0, 2.0, 3.0, 4.5))  # type: ignore[arg-type]
+    assert read_prompt(None, [(1, 2), (3, 4, False), (5, 6, True)]) == Prompt(
+        points=((1.0, 2.0, True), (3.0, 4.0, False), (5.0, 6.0, True))
+    )
+
+
+@pytest.mark.parametrize(
+    ("box", "points", "message"),
+    [
+        (None, None, "neither is given"),
+        (None, [], "neither is given"),
+        ((0, 0, 5, 5), [(1, 1)], "both are given"),
+        (5, None, "box is 5: use x1, y1, x2, y2"),
+        (None, 5, "points is 5: use one or more of x, y"),
+        (None, [5], "a point is 5: use x, y"),
+        ((0, 0, 5), None, "3 numbers"),
+        ((0, 0, 5, 5, 5), None, "5 numbers"),
+        ((5, 0, 5, 5), None, "reversed or empty"),
+        ((0, 6, 5, 5), None, "reversed or empty"),
+        ((0, 0, float("nan"), 5), None, "finite"),
+        ((0, 0, float("inf"), 5), None, "finite"),
+        ((0, 0, "wide", 5), None, "use numbers"),
+        ((0, 0, None, 5), None, "use numbers"),
+        (None, [(1,)], "1 parts"),
+        (None, [(1, 2, True, 4)], "4 parts"),
+        (None, [(1, float("nan"))], "finite"),
+        (None, [(1, 2, False)], "no point is on the object"),
+    ],
+)
+def test_what_names_nothing_in_any_image_is_refused(box: Any, points: Any, message: str) -> None:
+    with pytest.raises(PromptError, match=message) as caught:
+        read_prompt(box, points)
+    assert caught.value.code == "invalid_prompt"
+    assert isinstance(caught.value, InvalidParameterError)
+
+
+def test_a_prompt_in_the_callers_frame_is_scaled_to_the_image() -> None:
+    frame = Frame(width_px=100, height_px=50)
+    box = prompt_in_image(Prompt(box=(10.0, 5.0, 20.0, 25.0)), frame, 400, 200)
+    assert box == Prompt(box=(40.0, 20.0, 80.0, 100.0))
+    points = prompt_in_image(Prompt(points=((10.0, 5.0, True), (99.5, 49.5, False))), frame, 400, 200)
+    assert points == Prompt(points=((40.0, 20.0, True), (398.0, 198.0, False)))
+
+
+def test_a_box_that_rounding_took_over_the_edge_is_pulled_in() -> None:
+    assert prompt_in_image(Prompt(box=(-0.9, -0.5, 60.9, 40.3)), WHOLE, 60, 40) == Prompt(box=(0.0, 0.0, 60.0, 40.0))
+    framed = prompt_in_image(Prompt(box=(-0.9, 0.0, 30.9, 20.0)), Frame(width_px=30, height_px=20), 60, 40)
+    assert framed == Prompt(box=(0.0, 0.0, 60.0, 40.0))
+
+
+@pytest.mark.parametrize(
+    ("prompt", "frame", "message"),
+    [
+        (Prompt(box=(-1.0, 0.0, 30.0, 30.0)), WHOLE, "box -1, 0, 30, 30 is not inside the 60 x 40 px image"),
+        (Prompt(box=(0.0, 0.0, 61.0, 30.0)), WHOLE, "60 x 40 px image"),
+        (Prompt(box=(0.0, 0.0, 32.0, 10.0)), Frame(width_px=30, height_px=20), "30 x 20 px frame"),
+        (Prompt(box=(3.0, 3.0, 4.9, 30.0)), WHOLE, f"at least {MIN_BOX_PX:g} px a side"),
+        (Prompt(box=(59.0, 3.0, 60.9, 30.0)), WHOLE, f"at least {MIN_BOX_PX:g} px a side"),
+        (Prompt(points=((5.0, 5.0, True), (60.0, 5.0, True))), WHOLE, "point 60, 5 is not inside"),
+        (Prompt(points=((-0.1, 5.0, True),)), WHOLE, "point -0.1, 5 is not inside"),
+    ],
+)
+def test_what_names_nothing_in_this_image_is_refused(prompt: Prompt, frame: Frame, message: str) -> None:
+    with pytest.raises(PromptError, match=message):
+        prompt_in_image(prompt, frame, 60, 40)
+
+
+@pytest.fixture(scope="module")
+def sam(tmp_path_factory: pytest.TempPathFactory) -> Segmenter:
+    return Segmenter(*write_sam(tmp_path_factory.mktemp("sam")))
+
+
+@pytest.mark.parametrize(
+    ("prompt", "side", "expected"),
+    [
+        (Prompt(box=(500.0, 400.0, 520.0, 410.0)), 256, Window(382, 277, 256, 256)),
+        (Prompt(box=(0.0, 0.0, 20.0, 10.0)), 256, Window(0, 0, 256, 256)),
+        (Prompt(box=(980.0, 780.0, 1000.0, 800.0)), 256, Window(744, 544, 256, 256)),
+        (Prompt(box=(0.0, 0.0, 1000.0, 800.0)), 2000, Window(0, 0, 1000, 800)),
+        (Prompt(points=((100.0, 100.0, True), (700.0, 300.0, False))), 1200, Window(0, 0, 1000, 800)),
+    ],
+)
+def test_the_crop_is_a_square_around_the_prompt_inside_the_image(prompt: Prompt, side: int, expected: Window) -> None:
+    assert crop_window(prompt, 1000, 800, side) == expected
+
+
+@pytest.mark.parametrize(
+    ("prompt", "side"),
+    [
+        (Prompt(box=(1500.0, 1500.0, 1510.0, 1505.0)), 256),
+        (Prompt(box=(1200.0, 1500.0, 1500.0, 1600.0)), 600),
+    ],
+)
+def test_the_crop_of_a_box_has_twice_its_side_and_at_least_256_px(sam: Segmenter, prompt: Prompt, side: int) -> None:
+    window = segmented(sam, blank_image(3000, 3000), prompt).window
+    assert (window.width_px, window.height_px) == (side, side)
+
+
+@pytest.mark.parametrize(
+    ("points", "object_px", "limits", "sides"),
+    [
+        (((1500.0, 1500.0, True),), (32, 32), {}, [128, 256, 512, 1024, 256]),
+        (((1500.0, 1500.0, True),), (32, 32), {"max_pixels": 300_000}, [128, 256, 512, 256]),
+        (((1500.0, 1500.0, True),), (160, 160), {}, [128, 256, 512, 1024, 320]),  # the last is that of its box
+        (((1500.0, 1500.0, True), (1400.0, 1500.0, False)), (32, 32), {}, [200, 400, 800, 256]),
+        (((1500.0, 1500.0, True), (900.0, 1500.0, False)), (96, 96), {}, [1200, 256]),
+    ],
+)
+def test_points_are_tried_in_crops_of_several_sizes_and_their_box_in_its_own(
+    sam: Segmenter,
+    monkeypatch: pytest.MonkeyPatch,
+    points: tuple[tuple[float, float, bool], ...],
+    object_px: tuple[int, int],
+    limits: dict[str, int],
+    sides: list[int],
+) -> None:
+    image = blank_image(3000, 3000)
+    width, height = object_px
+    image[1500 - height // 2 : 1500 + height // 2, 1500 - width // 2 : 1500 + width // 2] = OBJECT_RGB
+    image[1480:1520, 880:920] = image[1480:1520, 1380:1420] = OTHER_RGB
+    encode, crops = SamContract.encode, []
+
+    def counted(contract: SamContract, crop: NDArray[np.uint8], crop_size: tuple[int, int]) -> Encoding:
+        crops.append(crop_size[0])
+        return encode(contract, crop, crop_size)
+
+    monkeypatch.setattr(SamContract, "encode", counted)
+    found = segmented(sam, image, Prompt(points=points), limits=ImageLimits(**limits))
+    assert crops[:-1] == sides[:-1]
+    assert crops[-1] == pytest.approx(sides[-1], rel=0.1)
+    assert found.mask.sum() == pytest.approx(width * height, rel=0.3)
+
+
+def test_the_crop_of_a_point_grows_until_the_object_is_in_it(sam: Segmenter) -> None:
+    image = blank_image(3000, 2600)
+    image[1100:1612, 1000:2200] = OBJECT_RGB
+    found = segmented(sam, image, Prompt(points=((1500.0, 1300.0, True),)))
+    assert found.window.width_px == pytest.approx(2 * 1200, rel=0.05)
+    assert found.alternatives == ()
+    bounds = mask_bounds(full_mask(found, image))
+    assert bounds is not None
+    assert (bounds.x1, bounds.y1, bounds.x2, bounds.y2) == pytest.approx((1000, 1100, 2200, 1612), abs=40)
+    everything = segmented(sam, np.full((1300, 1300, 3), OBJECT_RGB, np.uint8), Prompt(points=((450.0, 650.0, True),)))
+    assert everything.window == Window(0, 0, 1300, 1300)
+    assert everything.mask.all()
+
+
+def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(sam: Segmenter) -> None:
+    image = np.full((2500, 3000, 3), OBJECT_RGB, np.uint8)
+    box = (100.9, 60.1, 2850.1, 2300.9)
+    bounds = mask_bounds(segmented(sam, image, Prompt(box=box)).mask)
+    assert bounds is not None
+    assert [bounds.x1, bounds.y1, bounds.x2, bounds.y2] == [101, 60, 2850, 2301]
+    with pytest.raises(ImageTooLargeError, match="smaller box"):
+        segmented(sam, image, Prompt(box=box), limits=ImageLimits(max_pixels=1_000_000))
+
+
+def test_a_mask_is_placed_by_bilinear_interpolation_between_cell_centres() -> None:
+    rng = np.random.default_rng(5)
+    logits = np.asarray(cv2.GaussianBlur(rng.normal(size=(40, 30)), (0, 0), 2), dtype=np.float32)
+    placed = place_mask(MaskLogits(logits, 1.0, (30 / 240, 40 / 320)), 240, 320)
+    assert (placed != (cv2.resize(logits, (240, 320), interpolation=cv2.INTER_LINEAR) > 0)).mean() < 1e-3
+    single = place_mask(MaskLogits(np.ones((1, 1), np.float32), 1.0, (0.01, 0.01)), 5, 7)
+    assert single.all()
+
+
+def found(box: tuple[int, int, int, int], score: float, window: Window) -> Segmentation:
+    mask = np.zeros((window.height_px, window.width_px), bool)
+    x1, y1, x2, y2 = box
+    mask[y1 - window.y_px : y2 - window.y_px, x1 - window.x_px : x2 - window.x_px] = True
+    return Segmentation(mask, window, score)
+
+
+def test_a_point_gives_the_object_and_what_else_it_may_mean(tmp_path: Path) -> None:
+    sam = Segmenter(*write_sam(tmp_path))  # it takes all that looks alike: in a large crop both objects
+    image = blank_image(800, 800)
+    image[376:424, 376:424] = image[376:424, 504:552] = OBJECT_RGB
+    seen = segmented(sam, image, Prompt(points=((392.0, 392.0, True),)))
+    assert is_rectangle(full_mask(seen, image), (376, 376, 424, 424))
+    assert seen.bounding_box == (376, 376, 424, 424)
+    assert seen.alternatives[0].bounding_box == (376, 376, 552, 424)
+    assert segmented(sam, image, Prompt(box=(370.0, 370.0, 430.0, 430.0))).alternatives == ()
+
+
+def test_points_in_a_call_with_a_box_have_crops_of_their_own(tmp_path: Path) -> None:
+    sam = Segmenter(*write_sam(tmp_path))
+    image = picture(900, 700, (102, 102, 138, 138))
+    prompts = [Prompt(box=(100.0, 100.0, 140.0, 140.0)), Prompt(points=((120.0, 120.0, True),))]
+    with open_raster(image) as raster:
+        boxed, pointed = sam.segment_all(raster, prompts)
+    alone = segmented(sam, image, prompts[1])
+    assert pointed.window == alone.window
+    assert (pointed.mask == alone.mask).all()
+    assert boxed.window == segmented(sam, image, prompts[0]).window

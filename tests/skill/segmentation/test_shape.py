@@ -66,23 +66,6 @@ def test_a_mask_touches_the_edge_with_its_outer_row_or_column(
     assert touches_edge(_upright(*corners)) is touches
 
 
-@pytest.mark.parametrize(
-    ("corners", "only"),
-    [
-        ((0, 5, 9, 9), (True, False, False, False)),
-        ((5, 0, 9, 9), (False, True, False, False)),
-        ((5, 5, 100, 9), (False, False, True, False)),
-        ((5, 5, 9, 80), (False, False, False, True)),
-    ],
-)
-def test_sides_that_do_not_count_may_be_touched(
-    corners: tuple[int, int, int, int], only: tuple[bool, bool, bool, bool]
-) -> None:
-    mask = _upright(*corners)
-    assert touches_edge(mask, only)
-    assert not touches_edge(mask, (not only[0], not only[1], not only[2], not only[3]))
-
-
 @given(_masks)
 @settings(max_examples=30)
 def test_pieces_hang_together_by_corners_and_add_up(mask: NDArray[np.bool_]) -> None:
@@ -111,11 +94,6 @@ def test_the_perimeter_of_a_disc(radius: float, tolerance: float) -> None:
     assert perimeter(_disc(radius, 0.3, 0.1)) == pytest.approx(2 * np.pi * radius, rel=tolerance)
 
 
-@pytest.mark.parametrize("degrees", [5, 15, 22.5, 30, 45, 60, 77])
-def test_the_perimeter_of_a_slanted_rectangle(degrees: float) -> None:
-    assert perimeter(_rectangle(200, 60, degrees)) == pytest.approx(520, rel=0.02)
-
-
 # --- rotated rectangle
 
 
@@ -129,28 +107,7 @@ def test_the_extents_of_a_slanted_rectangle_are_right_to_a_pixel(degrees: int) -
     assert rotated_extents(_rectangle(180, 70, degrees)) == pytest.approx((180, 70), abs=1.0)
 
 
-def test_the_extents_do_not_depend_on_where_the_mask_lies() -> None:
-    slanted = _rectangle(100, 30, 33)
-    assert rotated_extents(np.roll(slanted, (60, -50), (0, 1))) == rotated_extents(slanted)
-    assert rotated_extents(np.zeros((9, 9), dtype=bool)) == (0.0, 0.0)
-
-
 # --- inscribed circle
-
-
-@pytest.mark.parametrize("size", [(40, 20), (21, 21), (20, 20), (5, 30), (4, 30), (1, 1), (80, 60)])
-def test_the_largest_circle_in_a_rectangle_is_as_wide_as_it(size: tuple[int, int]) -> None:
-    circle = inscribed_circle(_upright(0, 0, *size))
-    assert circle is not None
-    assert circle.diameter == pytest.approx(min(size))  # the image's edge is a wall
-
-
-@pytest.mark.parametrize("radius", [6.0, 25.0, 120.0])
-def test_the_largest_circle_in_a_disc_lies_in_its_pixels(radius: float) -> None:
-    circle = inscribed_circle(_disc(radius, 31.0, -17.0))
-    assert circle is not None
-    assert 2 * radius - 2 <= circle.diameter <= 2 * radius
-    assert (circle.x, circle.y) == pytest.approx((231, 183), abs=1.5)
 
 
 def _square_distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -172,17 +129,6 @@ def test_the_inscribed_circle_is_that_of_the_exact_distance(mask: NDArray[np.boo
     assert circle.diameter == pytest.approx(distance.max(), rel=1e-5)
     # and it really fits there
     assert distance[round(2 * circle.y) + 2, round(2 * circle.x) + 2] == pytest.approx(circle.diameter, rel=1e-5)
-
-
-def test_no_circle_fits_into_nothing() -> None:
-    assert inscribed_circle(np.zeros((7, 5), dtype=np.bool_)) is None
-
-
-def test_a_hole_keeps_the_circle_out() -> None:
-    ring = _disc(100) & ~_disc(40)
-    circle = inscribed_circle(ring)
-    assert circle is not None
-    assert circle.diameter == pytest.approx(60, abs=2)
 
 
 def test_a_huge_mask_misses_a_pixel_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,13 +174,6 @@ def test_the_outline_of_a_smooth_object_is_true_with_200_points(mask: NDArray[np
     assert sum(len(ring) for part in parts for ring in (part.exterior, *part.holes)) <= 200
     filled = _filled(mask)
     assert (filled & mask).sum() / (filled | mask).sum() > 0.97
-
-
-def test_pieces_come_largest_first() -> None:
-    mask = _upright(2, 2, 6, 6) | _upright(20, 10, 60, 30)
-    first, second = outline_parts(mask)
-    assert first.exterior.max() == 60
-    assert second.exterior.max() == 6
 
 
 @pytest.mark.parametrize("scale", [1, 9])

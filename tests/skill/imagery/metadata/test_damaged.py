@@ -72,7 +72,8 @@ def test_structures_and_elements_of_damaged_xmp_are_read() -> None:
         '<drone-skydio:CameraOrientationNED drone-skydio:Roll="1" drone-skydio:Pitch="-80" />'
     )
     camera = _of(said, SKYDIO, "Skydio")
-    assert (camera.focal_px, camera.off_nadir_deg) == (3000.5, pytest.approx(10))
+    assert camera.focal_px == 3000.5
+    assert camera.off_nadir_deg == pytest.approx(10)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,168 @@
+"""Stopping rules for the search of an image: it ends when more tiles cannot change the scale.
+
+With the effort ``auto``, the search of a photograph ends when the expected change of the value is small: the standard
+error of the value by its vehicles, times the root of the share of vehicles in the tiles that are not visited. Few
+vehicles that agree by chance do not end it.
+
+The uncertainty of a scale has two parts. More vehicles reduce the statistical part; the uncertainty of the fleet's
+length remains. The search of a large image ends when the statistical part is below a third of the fleet's part at two
+checks in a row.
+
+With doubts about the vehicles, or with a scale that more vehicles may make usable, no search ends early.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from vehanchor.detection.limits import LARGE_PIXELS
+from vehanchor.rulers.registry import active_rulers
+from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.scale.defaults import USABLE_CHANCE
+from vehanchor.scale.density import product
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES, statistical_log_sds
+from vehanchor.scale.posterior import answer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.search import ImageSearch
+    from vehanchor.options.search import Effort
+    from vehanchor.rulers.view import View
+    from vehanchor.scale.posterior import Answer
+
+_LEAST_FLEET_LOG_SD = 0.03  # even a known fleet differs this much between parts of a town
+_CHANGE, _FAST_CHANGE = 0.0125, 0.025  # log standard deviations
+_CHANCE_MARGIN = 0.03  # early and full searches of nine photographs differed by at most 0.017
+
+
+class Convergence(NamedTuple):
+    """Uncertainty of the scale from an unfinished search.
+
+    Attributes:
+        statistical_log_sd: log standard deviation from the number and the spread of the vehicles; inf without any.
+        fleet_log_sd: log standard deviation from the fleet's unknown length.
+        doubted: whether more vehicles may make the scale usable, or there are doubts about the vehicles.
+        value_log_sd: log standard deviation of the value under resampling of the vehicles; inf for fewer than five.
+        density: ``[g]`` density of the scale on ``vehanchor.scale.density.GRID``; None if the votes are uncalibrated.
+        unseen_share: expected share of the image's vehicles in the tiles that are not visited.
+    """
+
+    statistical_log_sd: float
+    fleet_log_sd: float
+    doubted: bool
+    value_log_sd: float = math.inf
+    density: NDArray[np.float64] | None = None
+    unseen_share: float = 1.0
+
+    @property
+    def change_log_sd(self) -> float:
+        """Log standard deviation of the change that the unvisited tiles would make to the value."""
+        return self.value_log_sd * math.sqrt(self.unseen_share)
+
+
+class StopRule(NamedTuple):
+    """Conditions that end a search.
+
+    Attributes:
+        share: limit of the statistical part as a share of the fleet's part.
+        change: limit of the log standard deviation of the change that the unvisited tiles would make.
+        checks: number of checks in a row at which the conditions must hold.
+    """
+
+    share: float
+    change: float
+    checks: int
+
+
+_PHOTOGRAPH = StopRule(share=2 / 3, change=_CHANGE, checks=1)
+_PHOTOGRAPH_FAST = StopRule(share=1.0, change=_FAST_CHANGE, checks=1)
+_LARGE = StopRule(share=1 / 3, change=math.inf, checks=2)
+_LARGE_FAST = StopRule(share=2 / 3, change=math.inf, checks=1)
+
+
+def stop_rule(effort: Effort, n_pixels: int) -> StopRule:
+    """Choose the stopping rule for an image by its size and the effort."""
+    if n_pixels < LARGE_PIXELS:
+        return _PHOTOGRAPH_FAST if effort == "fast" else _PHOTOGRAPH
+    return _LARGE_FAST if effort == "fast" else _LARGE
+
+
+def search_until_settled(search: ImageSearch, view: View) -> None:
+    """Search an image until more tiles cannot change its scale, by the vehicles and the prior alone.
+
+    Args:
+        search: of the image.
+        view: of the image, without detections.
+    """
+    rule = stop_rule(view.options.search.effort, view.image.width_px * view.image.height_px)
+    checks: list[Convergence] = []
+    for unseen_share in search:
+        check = convergence_of(search, view, embed=False)._replace(unseen_share=unseen_share)
+        if is_narrow(check, rule):  # most checks fail without the appearance, which costs more than the rest
+            check = convergence_of(search, view, embed=True)._replace(unseen_share=unseen_share)
+        if check.density is not None:
+            search.leave_out(check.density)
+        checks.append(check)
+        if has_converged(checks, rule):
+            search.stop()
+
+
+def convergence_of(search: ImageSearch, view: View, *, embed: bool) -> Convergence:
+    """Measure the uncertainty of the scale of an unfinished search.
+
+    Args:
+        search: of the image.
+        view: of the image, without detections.
+        embed: whether to predict the vehicles' appearance.
+    """
+    return convergence(replace(view, detections=search.found(embed=embed)))
+
+
+def convergence(view: View) -> Convergence:
+    """Measure how far more vehicles would change the scale found so far, by the vehicles and the prior alone."""
+    priors = [ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale]
+    vehicles = Vehicles().measure(view)
+    mode_px, lengths = vehicles.paper.mode_length_px, vehicles.fleet.lengths
+    if mode_px is None:
+        return Convergence(math.inf, 0.0, doubted=True)
+    scores = vehicles.fleet.scores if vehicles.paper.aggregation == "weighted_kde" else None
+    resampling, spread = statistical_log_sds(lengths, mode_px, scores=scores)
+    found = answer([vehicles, *priors])
+    return Convergence(
+        math.hypot(resampling, spread),
+        vehicles.reference.log_sd,
+        doubted=vehicles.doubted or found is None or not _is_settled(found),
+        value_log_sd=math.hypot(resampling, vehicles.reference.sampling_log_sd)
+        if vehicles.n >= MIN_KDE_VEHICLES
+        else math.inf,
+        density=product(vehicles.density, *(prior.density for prior in priors if prior.found)),
+    )
+
+
+def _is_settled(found: Answer) -> bool:
+    """Test whether a little change of the value leaves the status as it is: usable, or clearly too imprecise."""
+    return found.usable or (found.reason == "imprecise" and found.chance < USABLE_CHANCE - _CHANCE_MARGIN)
+
+
+def is_narrow(check: Convergence, rule: StopRule) -> bool:
+    """Test whether more tiles would change the interval and the value too little, doubts aside."""
+    narrow = check.statistical_log_sd < rule.share * max(check.fleet_log_sd, _LEAST_FLEET_LOG_SD)
+    return narrow and check.change_log_sd <= rule.change
+
+
+def has_converged(checks: Sequence[Convergence], rule: StopRule) -> bool:
+    """Test whether more tiles cannot change the scale.
+
+    Args:
+        checks: results of all checks so far.
+        rule: stopping rule.
+    """
+    return len(checks) >= rule.checks and all(
+        not each.doubted and is_narrow(each, rule) for each in checks[-rule.checks :]
+    )

@@ -1,0 +1,307 @@
+"""Analyses as people and other programs take them, and lists of images."""
+
+from __future__ import annotations
+
+import io
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any, get_args
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import vehanchor
+from tests.conftest import ROOT
+from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor import analyse_area, analyse_distance, analyse_scale
+from vehanchor.analysis.measured import AreaAnalysis
+from vehanchor.cli.app import app
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import ImageNotFoundError, InvalidParameterError, MissingExtraError
+from vehanchor.options import ScaleOptions
+from vehanchor.pictures.measured import MEASURED_RGB
+from vehanchor.records import KnownPlane, Notice, Reason, SceneScaleEstimate
+from vehanchor.records.advice import ADVICE, advice_for
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
+    return Detector(write_detector(tmp_path_factory.mktemp("models") / "m.onnx", fixed_size=256))
+
+
+@pytest.fixture(scope="module")
+def cars() -> np.ndarray:
+    image = blank_image(480, 360)
+    paint_vehicles(image, [(50 + 60 * (i % 6), 60 + 80 * (i // 6), 30 + i % 3, 13, 0.4) for i in range(18)])
+    return image
+
+
+def test_the_overlay_and_the_plot_are_those_of_the_command(cars: np.ndarray, detector: Detector) -> None:
+    from vehanchor.pictures.scale import draw_overlay
+
+    analysis = analyse_scale(cars, detector=detector)
+    assert np.array_equal(analysis.overlay(), draw_overlay(cars, analysis))
+    assert len(analysis.plot().axes) >= 1
+    png = analysis._repr_png_()
+    assert png is not None
+    shown = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert shown is not None
+    assert np.array_equal(shown[:, :, ::-1], analysis.overlay())
+
+
+def test_an_image_is_read_again_as_it_was_read(cars: np.ndarray, detector: Detector) -> None:
+    from vehanchor.options import Reading, ScaleOptions
+
+    swapped = np.ascontiguousarray(cars[:, :, ::-1])
+    analysis = analyse_scale(swapped, ScaleOptions(reading=Reading(bgr=True)), detector=detector)
+    assert np.array_equal(analysis.overlay(), analyse_scale(cars, detector=detector).overlay())
+
+
+def test_a_stream_is_shown_once_it_is_given_again(cars: np.ndarray, detector: Detector) -> None:
+    data = cv2.imencode(".png", cars[:, :, ::-1])[1].tobytes()
+    analysis = analyse_scale(io.BytesIO(data), detector=detector)
+    assert analysis._repr_png_() is None
+    with pytest.raises(InvalidParameterError, match=r"overlay\(image\)"):
+        analysis.overlay()
+    assert np.array_equal(analysis.overlay(data), analyse_scale(data, detector=detector).overlay())
+
+
+def test_vehicles_are_features_that_maps_take(cars: np.ndarray, detector: Detector) -> None:
+    analysis = analyse_scale(cars, detector=detector)
+    collection: dict[str, Any] = analysis.__geo_interface__
+    assert len(collection["features"]) == 18
+    for feature, (x, y, length, width, _) in zip(collection["features"], analysis.detections.boxes, strict=True):
+        (ring,) = feature["geometry"]["coordinates"]
+        assert ring[0] == ring[-1]
+        assert np.mean(ring[:4], axis=0) == pytest.approx([x, y])
+        sides = np.linalg.norm(np.diff(ring[:3], axis=0), axis=1)
+        assert sorted(sides) == pytest.approx(sorted([length, width]))
+        assert feature["properties"]["kept"]
+
+
+class _Detections:
+    """Supervision's, as far as it is used: it takes these keywords and checks these shapes."""
+
+    def __init__(self, *, xyxy: Any, confidence: Any, class_id: Any, data: dict[str, Any]) -> None:
+        n = len(xyxy)
+        assert xyxy.shape == (n, 4)
+        assert (confidence.shape, class_id.shape) == ((n,), (n,))
+        assert data["xyxyxyxy"].shape == (n, 4, 2)
+        assert data["class_name"].shape == data["kept"].shape == (n,)
+        self.xyxy = xyxy
+
+
+def test_vehicles_are_detections_of_supervision(
+    cars: np.ndarray, detector: Detector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    analysis = analyse_scale(cars, detector=detector)
+    monkeypatch.setitem(sys.modules, "supervision", None)
+    with pytest.raises(MissingExtraError, match="pip install supervision"):
+        analysis.to_supervision()
+    stand_in = ModuleType("supervision")
+    stand_in.Detections = _Detections  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "supervision", stand_in)
+    boxes = analysis.to_supervision().xyxy
+    centres = (boxes[:, :2] + boxes[:, 2:]) / 2
+    assert centres == pytest.approx(analysis.detections.boxes[:, :2], abs=0.01)
+
+
+class _Masks:
+    """Supervision's, as far as an object uses it."""
+
+    def __init__(self, *, xyxy: Any, mask: Any, confidence: Any, class_id: Any, data: dict[str, Any]) -> None:
+        assert (xyxy.shape, mask.dtype, confidence.shape, class_id.shape) == ((1, 4), np.bool_, (1,), (1,))
+        self.xyxy, self.mask, self.data = xyxy, mask, data
+
+    @classmethod
+    def empty(cls) -> str:
+        return "empty"
+
+
+@pytest.fixture(scope="module")
+def roof(tmp_path_factory: pytest.TempPathFactory) -> AreaAnalysis:
+    image = np.full((200, 300, 3), 90, np.uint8)
+    cv2.rectangle(image, (80, 60), (219, 139), (230, 230, 230), -1)  # 140 x 80 px
+    path = tmp_path_factory.mktemp("roof") / "roof.png"
+    cv2.imwrite(str(path), image)
+    return analyse_area(path, box=(75, 55, 225, 145), gsd_m_per_px=0.1)
+
+
+def test_an_area_is_drawn_as_by_the_command_and_shown_in_notebooks(roof: AreaAnalysis, tmp_path: Path) -> None:
+    assert isinstance(roof.image, Path)
+    words = ["measure", roof.image, "--box", 75, 55, 225, 145, "--gsd", 0.1, "--overlay", tmp_path / "o.png"]
+    assert CliRunner().invoke(app, list(map(str, words))).exit_code == 0
+    written = cv2.imread(str(tmp_path / "o.png"))
+    assert written is not None
+    assert np.array_equal(written[:, :, ::-1], roof.overlay())
+    png = roof._repr_png_()
+    assert png is not None
+    shown = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert shown is not None
+    assert np.array_equal(shown, written)
+    assert replace(roof, image=None)._repr_png_() is None
+
+
+def test_an_area_is_a_feature_a_mask_and_an_object_of_supervision(
+    roof: AreaAnalysis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    feature, mask = roof.__geo_interface__, roof.full_mask()
+    assert feature["type"] == "Feature"
+    assert feature["properties"]["area_m2"] == roof.measurement.area_m2
+    assert mask.shape == (200, 300)
+    assert mask.sum() == roof.measurement.mask_area_px
+    assert mask[70:130, 90:210].all()
+    stand_in = ModuleType("supervision")
+    stand_in.Detections = _Masks  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "supervision", stand_in)
+    found = roof.to_supervision()
+    assert np.array_equal(found.mask[0], mask)
+    assert found.xyxy[0] == pytest.approx([80, 60, 220, 140], abs=3)
+    assert found.data["area_m2"][0] == roof.measurement.area_m2
+    nothing = replace(roof, measurement=roof.measurement.model_copy(update={"bounding_box": None}))
+    assert nothing.to_supervision() == "empty"
+
+
+def test_a_distance_is_drawn_where_it_lies_as_by_the_command(
+    cars: np.ndarray, detector: Detector, tmp_path: Path
+) -> None:
+    photograph, out = tmp_path / "cars.png", tmp_path / "o.png"
+    cv2.imwrite(str(photograph), cars[:, :, ::-1])
+    line = analyse_distance(photograph, [(100, 300), (220, 300), (220, 340)], gsd_m_per_px=0.1)
+    words = ["distance", photograph, "--gsd", 0.1, "--overlay", out]
+    for place in ("100 300", "220 300", "220 340"):
+        words += ["--point", *place.split()]
+    assert CliRunner().invoke(app, list(map(str, words))).exit_code == 0
+    written = cv2.imread(str(out))
+    assert written is not None
+    assert np.array_equal(written[:, :, ::-1], line.overlay())
+    # the part from 40 to 280 and from 240 to 360 px, four times enlarged
+    assert written.shape[1] == 960
+    y, x = np.nonzero((line.overlay()[:480] == MEASURED_RGB).all(axis=2))
+    assert (x.min(), x.max()) == pytest.approx((240, 720), abs=8)  # strokes across the ends
+    assert (y.min(), y.max()) == pytest.approx((240, 400), abs=8)
+    assert line._repr_png_() is not None
+    words[words.index(out)] = photograph
+    refused = CliRunner().invoke(app, list(map(str, words)))
+    assert refused.exit_code == 2
+    assert "is the image itself" in refused.stderr
+
+
+def test_a_size_whose_scale_is_not_to_be_used_or_holds_in_one_place_has_no_bar(
+    cars: np.ndarray, detector: Detector
+) -> None:
+    scale = analyse_scale(cars, ScaleOptions.of({"rulers": ("vehicles",)}), detector=detector).estimate.scale
+    assert scale is not None
+    aside = KnownPlane(tilt_deg=30.0, roll_deg=0.0, focal_length_px=400.0)
+    known = [scale.model_copy(update=each) for each in ({}, {"confidence": 0.2}, {"plane": aside})]
+    for analyse in (
+        lambda given: analyse_distance(cars, [(40, 300), (440, 300)], scale=given),
+        lambda given: analyse_area(cars, box=(35, 50, 70, 75), scale=given),
+    ):
+        pictures = [analyse(given).overlay() for given in known]
+        height = round(360 * pictures[0].shape[1] / 480)
+        white = [int((picture[:height] == 255).all(axis=2).sum()) for picture in pictures]
+        assert white[0] > white[1] + 400  # the bar and its letters
+        assert white[0] > white[2] + 400  # nor has a view from aside a bar: it would hold nowhere else
+
+
+def test_a_list_gives_a_list_and_a_folder_is_one(cars: np.ndarray, detector: Detector, tmp_path: Path) -> None:
+    for name in ("b.png", "a.png"):
+        cv2.imwrite(str(tmp_path / name), cars[:, :, ::-1])
+    (tmp_path / "notes.txt").write_text("no image")
+    found = vehanchor.find_images(tmp_path)
+    assert [Path(path).name for path in found] == ["a.png", "b.png"]
+    assert vehanchor.find_images(str(tmp_path / "*.png")) == found
+    records = vehanchor.estimate_gsd(found, detector=detector)
+    assert records == [vehanchor.estimate_gsd(path, detector=detector) for path in found]
+    assert vehanchor.estimate_gsd((cars, found[0]), detector=detector)[1] == records[0]
+    assert vehanchor.estimate_gsd([], detector=detector) == []
+    with pytest.raises(ImageNotFoundError):
+        vehanchor.find_images(tmp_path / "none")
+
+
+SCENES = ROOT / "examples" / "scenes"
+
+
+@pytest.fixture(scope="module")
+def engine() -> vehanchor.Engine:
+    return vehanchor.Engine()
+
+
+@pytest.fixture(scope="module")
+def estimate(engine: vehanchor.Engine) -> vehanchor.GsdEstimate:
+    """A usable estimate."""
+    return engine.estimate(SCENES / "safe.jpg")
+
+
+def test_a_scene_without_cars_is_not_sent_to_car_parks_but_asked_for_a_fact(engine: vehanchor.Engine) -> None:
+    found = engine.estimate(SCENES / "no_cars.jpg")
+    advice = advice_for(found)
+    assert advice is not None
+    assert (found.n_vehicles, advice.why) == (0, "no car was found")
+    assert advice.helps.startswith("draw a line over something of known size")
+
+
+def test_a_sharp_scene_that_is_too_coarse_names_the_pixels_of_its_cars(engine: vehanchor.Engine) -> None:
+    found = engine.estimate(SCENES / "too_coarse.jpg")
+    advice = advice_for(found)
+    assert advice is not None
+    assert found.mode_length_px is not None
+    assert advice == (f"the vehicles are only {found.mode_length_px:.0f} px long", ADVICE["too_coarse"].helps)
+
+
+def test_an_enlarged_scene_is_asked_for_its_original(engine: vehanchor.Engine) -> None:
+    image = cv2.imread(str(SCENES / "too_coarse.jpg"))
+    assert image is not None
+    enlarged = np.asarray(cv2.resize(image[:500, :500, ::-1], None, fx=2.5, fy=2.5, interpolation=cv2.INTER_CUBIC))
+    found = engine.estimate(enlarged.astype(np.uint8))
+    assert "detail_missing" in [notice.code for notice in found.warnings]
+    assert advice_for(found) == ("the image is enlarged or blurred", "send the original image")
+
+
+def _scene(low: float, high: float) -> SceneScaleEstimate:
+    return SceneScaleEstimate(gsd_m_per_px=(low * high) ** 0.5, gsd_ci95_low_m_per_px=low, gsd_ci95_high_m_per_px=high)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"reason": "too_coarse", "n_vehicles": 0}, "no car was found, and the scene looks too coarse for cars"),
+        ({"reason": "too_few", "n_vehicles": 1}, "1 vehicle alone: too little evidence"),
+        ({"reason": "disagree", "scene_scale": _scene(0.3, 0.5)}, "by the scene the scale is about 0.39 m/px"),
+        (
+            {"reason": "disagree", "warnings": (Notice(code="stretched", message="It is stretched."),)},
+            "the image is stretched in one direction",
+        ),
+    ],
+)
+def test_one_reason_has_the_advice_of_what_was_seen(
+    estimate: vehanchor.GsdEstimate, changes: dict[str, Any], why: str
+) -> None:
+    advice = advice_for(estimate.model_copy(update=changes))
+    assert advice is not None
+    assert advice.why.startswith(why)
+    assert "fly lower" not in advice.helps
+
+
+def test_rulers_that_contradict_each_other_are_named(engine: vehanchor.Engine) -> None:
+    found = engine.estimate(SCENES / "safe.jpg", known_lengths=[(255, 160, 535, 160, 300.0)])
+    contradicted = found.model_copy(update={"reason": "disagree"})
+    advice = advice_for(contradicted)
+    assert advice is not None
+    assert "known length" in advice.why
+    assert "contradict each other" in advice.why
+
+
+def test_every_reason_has_advice_that_names_nothing_unknown(estimate: vehanchor.GsdEstimate) -> None:
+    assert advice_for(estimate) is None
+    for reason in get_args(Reason):
+        for number in (0, 1, 9):
+            advice = advice_for(estimate.model_copy(update={"reason": reason, "n_vehicles": number}))
+            assert advice is not None
+            assert "{" not in "".join(advice)
+            assert "overlay" not in "".join(advice), "measure_distance has none"
