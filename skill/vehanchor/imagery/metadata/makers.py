@@ -69,7 +69,7 @@ MAKERS: tuple[Maker, ...] = (
     Maker(
         "Skydio",
         "https://www.skydio.com/drone-skydio/1.0",
-        "Skydio, camera and metadata overview",
+        "Skydio, camera and metadata overview; OpenAthenaIOS, issue 41",
         "RelativeAltitude",
         *_ORIENTATION,
         _ALWAYS,
@@ -87,7 +87,7 @@ MAKERS: tuple[Maker, ...] = (
     Maker(
         "MicaSense",
         PIX4D,
-        "MicaSense, RedEdge camera model; firmware 2 writes pixels without a unit",
+        "MicaSense, imageprocessing, metadata.py: without a unit, pixels",
         *_PIX4D_NAMES,
         -59.5,
         focal=_PIX4D_FOCAL,

@@ -7,6 +7,7 @@ import struct
 import time
 import zlib
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -253,6 +254,19 @@ def test_a_focal_plane_of_another_size_is_not_used(model: str, width_px: int, se
     camera = _camera(jpeg(exif=exif({"Make": "DJI", "Model": model, **plane, "PixelYDimension": width_px * 3 // 4})))
     assert (camera.pixel_mm is not None) == sensor_is_possible
     assert ("mm wide" in camera.refused) != sensor_is_possible
+
+
+def test_the_documentation_has_every_row_of_the_makers() -> None:
+    text = (Path(__file__).parents[4] / "docs/reading.md").read_text(encoding="utf-8")
+    rows = {
+        line.split("|")[1].split(";")[0].split(":")[0].strip(): line for line in text.splitlines() if "is down" in line
+    }
+    assert set(rows) == {maker.name for maker in MAKERS}
+    for maker in MAKERS:
+        assert maker.namespace in rows[maker.name]
+        assert all(
+            f"`{name}`" in rows[maker.name] for name in (maker.height, maker.pitch, maker.focal_px, maker.focal) if name
+        )
 
 
 def test_every_row_of_the_makers_has_a_source_and_is_read_from_its_own_names() -> None:
