@@ -135,7 +135,9 @@ def metadata(data: bytes) -> None:
         assert all(isinstance(value, str | float | bytes) for value in tags.values())
     for texts in read_xmp(data, ("RelativeAltitude", "CalibratedFocalLength/X")).properties.values():
         assert all(len(text) <= MAX_XMP_BYTES for text in texts)
-    found = read_camera(read_at)
+    found = None
+    with contextlib.suppress(VehAnchorError):
+        found = read_camera(read_at, read_header(read_at))
     if found is not None:
         numbers = [value for value in vars(found).values() if isinstance(value, int | float)]
         assert all(math.isfinite(number) for number in numbers), found

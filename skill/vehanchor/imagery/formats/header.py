@@ -120,6 +120,7 @@ class ImageHeader:
         windowed: whether it can be read by windows: a TIFF, JPEG 2000 or sequential JPEG.
         tile_px: pixels of a JPEG 2000's tile, which is decoded whole; 0 for other formats.
         bands: samples per pixel of a JPEG 2000; 0 for other formats.
+        metadata: offset and length of each block of EXIF or XMP; a TIFF has them as tags.
     """
 
     format: str
@@ -133,6 +134,7 @@ class ImageHeader:
     windowed: bool = False
     tile_px: int = 0
     bands: int = 0
+    metadata: tuple[tuple[int, int], ...] = ()
 
 
 def is_tiff(start: bytes) -> bool:
@@ -222,6 +224,7 @@ def _read_jpeg(read_at: ReadAt) -> ImageHeader:
         decoding_bytes=markers.width_px * markers.height_px * max(_COPIES * shown, shown + held),
         n_scans=markers.n_scans,
         windowed=not markers.held,
+        metadata=markers.metadata,
     )
 
 
@@ -232,6 +235,7 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
     reader = Reader(read_at)
     orientation = 1
     complete = False
+    metadata: list[tuple[int, int]] = []
     position = 8
     n_chunks = 0
     while len(head := reader.get(position, 8)) == 8:
@@ -244,6 +248,8 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
         if kind == b"IEND":
             complete = length == 0 and len(reader.get(position + 8, 4)) == 4  # OpenCV allocates any length
             break
+        if kind in (b"eXIf", b"iTXt"):
+            metadata.append((position + 8, length))
         if kind == b"eXIf":
             orientation = exif_orientation(read_at(position + 8, min(length, _MAX_EXIF_BYTES)))
         position += length + 12
@@ -255,6 +261,7 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
         orientation=orientation,
         complete=complete,
         decoding_bytes=_COPIES * width * height * pixel_bytes,
+        metadata=tuple(metadata),
     )
 
 
@@ -284,6 +291,7 @@ def _read_webp(read_at: ReadAt) -> ImageHeader:
     complete = len(read_at(end - 1, 1)) == 1
     sizes: set[tuple[int, int]] = set()
     orientation = 1
+    metadata: list[tuple[int, int]] = []
     reader = Reader(read_at)
     position = 12
     n_chunks = 0
@@ -301,7 +309,9 @@ def _read_webp(read_at: ReadAt) -> ImageHeader:
         elif kind == b"VP8L":
             (packed,) = struct.unpack_from("<I", body, 1)
             sizes.add((1 + (packed & 0x3FFF), 1 + (packed >> 14 & 0x3FFF)))
-        elif kind == b"EXIF":
+        elif kind in (b"EXIF", b"XMP "):
+            metadata.append((position + 8, length))
+        if kind == b"EXIF":
             payload = read_at(position + 8, min(length, _MAX_EXIF_BYTES))
             orientation = exif_orientation(payload.removeprefix(EXIF_PREFIX))
         position += 8 + length + (length & 1)
@@ -310,7 +320,15 @@ def _read_webp(read_at: ReadAt) -> ImageHeader:
         raise ImageDecodeError(f"the WebP holds {found}")
     ((width, height),) = sizes
     decoding_bytes = _WEBP_BYTES * width * height
-    return ImageHeader("WebP", width, height, orientation=orientation, complete=complete, decoding_bytes=decoding_bytes)
+    return ImageHeader(
+        "WebP",
+        width,
+        height,
+        orientation=orientation,
+        complete=complete,
+        decoding_bytes=decoding_bytes,
+        metadata=tuple(metadata),
+    )
 
 
 def _read_bmp(read_at: ReadAt) -> ImageHeader:

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, find_metadata
+from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, MetadataBlocks
 from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.metadata.makers import MAKERS, makers_of
 from vehanchor.imagery.metadata.sensors import sensor_of
@@ -22,6 +22,7 @@ from vehanchor.imagery.metadata.xmp import DAMAGED, read_xmp
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from vehanchor.imagery.formats.header import ImageHeader
     from vehanchor.imagery.formats.ifd import ReadAt
     from vehanchor.imagery.metadata.exif import ExifTags
     from vehanchor.imagery.metadata.makers import Maker
@@ -94,12 +95,12 @@ class CameraMetadata:
     refused: str = ""
 
 
-def read_camera(read_at: ReadAt) -> CameraMetadata | None:
+def read_camera(read_at: ReadAt, header: ImageHeader) -> CameraMetadata | None:
     """Read the camera metadata of an encoded image; None if it has none.
 
     Time and memory are bounded, so untrusted files are safe.
     """
-    blocks = find_metadata(read_at)
+    blocks = MetadataBlocks(read_at, header)
     tags = [read_exif(each, MAX_XMP_BYTES) for each in blocks.exif]
     for each in tags:
         notes = each.get("ApplicationNotes")

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.skill.imagery.metadata_bytes import exif, jpeg, png_with_xmp, webp_with_exif, xmp
-from vehanchor.imagery.metadata.camera import CameraMetadata, read_camera
+from tests.skill.imagery.metadata_bytes import exif, jpeg, png_with_xmp, read, webp_with_exif, xmp
+from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.sources.opening import open_raster
 
@@ -23,7 +23,7 @@ PHANTOM = exif(
 
 
 def _read(data: bytes) -> CameraMetadata | None:
-    return read_camera(lambda offset, count: data[offset : offset + count])
+    return read(data)
 
 
 def _known(data: bytes) -> CameraMetadata:
@@ -117,7 +117,9 @@ def test_zeros_all_around_are_no_attitude() -> None:
 
 def test_png_and_webp_and_tiff_carry_metadata_too() -> None:
     packet = xmp(DJI, NADIR_DJI)
-    in_tiff = exif({"Make": "DJI", "ApplicationNotes": packet, "FocalLengthIn35mmFilm": 26})
+    in_tiff = exif(
+        {"ImageWidth": 80, "ImageLength": 60, "Make": "DJI", "ApplicationNotes": packet, "FocalLengthIn35mmFilm": 26}
+    )
     for data in (png_with_xmp(packet, PHANTOM), webp_with_exif(PHANTOM, packet), in_tiff):
         camera = _known(data)
         assert (camera.make, camera.height_m, camera.focal_35mm) == ("DJI", 98.9, 26.0)
