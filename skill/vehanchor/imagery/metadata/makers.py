@@ -103,6 +103,9 @@ MAKERS: tuple[Maker, ...] = (
 
 
 def makers_of(make: str) -> tuple[Maker, ...]:
-    """Rows that hold for a camera, by EXIF's Make."""
-    first = make.casefold().split()[:1]
-    return tuple(each for each in MAKERS if not each.makes or first in [[word] for word in each.makes])
+    """Rows that hold for a camera by EXIF's Make, the first one of each namespace."""
+    rows: dict[str, Maker] = {}
+    for each in MAKERS:
+        if not each.makes or make.casefold().split(maxsplit=1)[:1] in [[word] for word in each.makes]:
+            rows.setdefault(each.namespace, each)
+    return tuple(rows.values())

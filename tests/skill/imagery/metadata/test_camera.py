@@ -182,7 +182,7 @@ def test_hostile_exif_is_read_by_few_and_small_reads_and_says_little(block: byte
         read.append(len(block[offset : offset + count]))
         return block[offset : offset + count]
 
-    read_exif(read_at, 1 << 20)
+    read_exif(read_at)
     assert len(read) <= 10
     assert sum(read) <= 10_000
     camera = _read(jpeg(exif=block))

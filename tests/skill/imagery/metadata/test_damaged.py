@@ -198,7 +198,7 @@ def test_a_focal_length_has_the_unit_of_its_maker(
 ) -> None:
     camera = _of(properties, PIX4D, make, FocalLength=5.5)
     assert (camera.focal_mm, camera.focal_px) == (focal_mm, focal_px)
-    assert ("inch" in camera.refused) == ("inch" in properties)
+    assert camera.refused.count("inch") == properties.count("inch")
 
 
 @pytest.mark.parametrize(
