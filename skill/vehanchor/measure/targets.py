@@ -9,8 +9,8 @@ from vehanchor.errors import PromptError, VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
+from vehanchor.rulers.image_table import read_image_table
 from vehanchor.segmentation.prompt import prompt_in_image, read_prompt
-from vehanchor.storage.image_table import read_image_table
 
 if TYPE_CHECKING:
     import os
