@@ -267,16 +267,3 @@ def test_the_documentation_has_every_row_of_the_makers() -> None:
         assert all(
             f"`{name}`" in rows[maker.name] for name in (maker.height, maker.pitch, maker.focal_px, maker.focal) if name
         )
-
-
-def test_every_row_of_the_makers_has_a_source_and_is_read_from_its_own_names() -> None:
-    for maker in MAKERS:
-        assert maker.source
-        space = maker.namespace if ":" in maker.namespace else f"http://{maker.namespace}.example/1.0"
-        flat = [
-            f'm:{name.replace("/", "")}="{value}"' for name, value in ((maker.height, 60), (maker.pitch, -80)) if name
-        ]
-        camera = _of(" ".join(flat), {"m": space}, (*maker.makes, "Other")[0])
-        assert camera.height_m == (60 if maker.height else None)
-        assert camera.off_nadir_deg == pytest.approx(10)
-        assert camera.height_tag == (f"{maker.name} {maker.height}" if maker.height else "")
