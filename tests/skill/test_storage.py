@@ -23,7 +23,6 @@ from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.facts import ImageFacts
-from vehanchor.imagery.identity import Source
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.rulers.given_height import GivenHeight
@@ -33,7 +32,7 @@ from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import Shared
 from vehanchor.storage.atomic import whole_file
 from vehanchor.storage.codec import Codec
-from vehanchor.storage.journal import Journal
+from vehanchor.storage.journal import Journal, Source
 from vehanchor_evaluation.calibration_file import save_calibration
 from vehanchor_flight.photograph import StoredPhotograph, photograph_codec
 
