@@ -23,7 +23,7 @@ from vehanchor.models.zoo import (
 from vehanchor.records import GsdEstimate
 from vehanchor.scale.defaults import REGIONS
 from vehanchor_evaluation.gsd import run_trials, summarise
-from vehanchor_evaluation.table import read_table
+from vehanchor_evaluation.table import survey_table
 
 _FLEET_M = 4.6
 _GSD = 0.12
@@ -139,7 +139,7 @@ def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:
 def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) -> None:
     images = [
         image
-        for image in read_table(real_data / "gsd" / "table.csv")
+        for image in survey_table(real_data / "gsd" / "table.csv").images
         if image.split == "val" and (image.labelled_vehicles or 0) >= 5
     ]
     summary = summarise(run_trials(images[::3], detector))  # research/benchmarks/detector.py takes all
@@ -151,6 +151,6 @@ def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) ->
 @pytest.mark.data
 @pytest.mark.slow
 def test_photographs_without_vehicles_rarely_get_a_confident_answer(real_data: Path, detector: Detector) -> None:
-    images = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "empty" and i.split == "val"]
+    images = [i for i in survey_table(real_data / "gsd" / "table.csv").images if i.set == "empty" and i.split == "val"]
     confident = [t for t in run_trials(images, detector) if t.analysis.estimate.status == "ok"]
     assert len(confident) <= 1
