@@ -19,7 +19,7 @@ from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT
 from vehanchor.options.option import Limits
 from vehanchor.rulers.registry import rulers_help
 from vehanchor_server.services import create_services
-from vehanchor_server.settings import Settings, SettingsError
+from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
 
 DECLARED = declared_options()
@@ -28,7 +28,6 @@ NEEDED: dict[str, dict[str, Any]] = {
     "height_tolerance_m": {"height_m": 50},
     "gsd_tolerance": {"gsd_m_per_px": 999.9},
 }
-SETTINGS = {"min_score": "min_score", "effort": "effort", "max_tiles": "max_tiles", "max_search_s": "max_seconds"}
 
 
 def _limits(annotation: Any) -> Limits | None:
@@ -132,21 +131,6 @@ def test_the_tools_have_the_limits_and_the_help_of_the_options() -> None:
                 assert {key: value for key, value in number.items() if key != "type"} == LIMITED[name].schema
         if kind == "measure":
             assert arguments["object_height_m"]["description"] == OBJECT_HEIGHT.help
-
-
-@pytest.mark.parametrize("name", SETTINGS)
-def test_a_setting_has_the_help_the_default_and_the_limits_of_its_option(name: str) -> None:
-    option = DECLARED[SETTINGS[name]]
-    setting = Settings.__dataclass_fields__[name]
-    assert setting.metadata["option"] == option.option
-    assert setting.default == option.default
-    limits = LIMITED.get(option.keyword)
-    make: Any = Settings
-    for value in _within(limits) if limits else ["fast"]:
-        make(**{name: value})
-    for value in _beyond(limits) if limits else ["most"]:
-        with pytest.raises(SettingsError, match=name):
-            make(**{name: value})
 
 
 def test_the_schema_of_an_option_says_what_it_takes() -> None:

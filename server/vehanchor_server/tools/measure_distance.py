@@ -11,9 +11,9 @@ from pydantic import Field
 
 from vehanchor.options.option import Number
 from vehanchor.records import DistanceMeasurement
-from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Detail, PictureRequest, Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
@@ -114,7 +114,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
 
 
 @work(DistanceMeasurement)
-def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[DistanceMeasurement]:
+def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Reply[DistanceMeasurement]:
     """Measure the lines, in a worker process or thread.
 
     Raises:
@@ -130,7 +130,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
     known = resolve_source(question.scale, services, job)
     options = known.options
-    job.enter("decode")
+    job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
         found = analyse_paths(
             raster,
@@ -144,7 +144,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
         overlay = draw_pictures(
             raster, job, question.wanted, lambda seen: draw_distance(seen, *found, cut=cut), cut.part
         ).overlay
-    return Answer(measured, overlay)
+    return Reply(measured, overlay)
 
 
 def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> str:

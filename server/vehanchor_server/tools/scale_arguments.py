@@ -5,14 +5,14 @@ from __future__ import annotations
 import functools
 import inspect
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 
 from pydantic import BeforeValidator, Field
 
-from vehanchor.options import Effort, Reading, Reference, ScaleOptions, Search, declared_options
+from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
 from vehanchor.options.given_scale import OBJECT_HEIGHT, ObjectHeight
 from vehanchor.options.option import Option
-from vehanchor_server.calls.answer import MAX_SIDE_PX, Detail
+from vehanchor_server.calls.reply import MAX_SIDE_PX, Detail
 from vehanchor_server.frozen import Flag, WholeNumber
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def _optional(annotation: Any, option: Option) -> Any:
 
 
 def scale_options(given: Given, settings: Settings, models: Models | None) -> ScaleOptions:
-    """Make the options: thresholds, limits and calibration of the operator, all others of the caller.
+    """Make the options: limits and calibration of the operator, all others of the caller.
 
     If the caller gives a region or a reference length, the operator's calibration is not used.
 
@@ -105,19 +105,10 @@ def scale_options(given: Given, settings: Settings, models: Models | None) -> Sc
     """
     fleet_unknown = "region" not in given and "reference_length_m" not in given
     operator = ScaleOptions(
-        search=Search(
-            min_score=settings.min_score,
-            effort=cast("Effort", settings.effort),
-            max_tiles=settings.max_tiles,
-            max_seconds=settings.max_search_s,
-        ),
         reference=Reference(calibration=models.calibration() if models and fleet_unknown else None),
         reading=Reading(limits=settings.image_limits),
     )
-    limits = {"max_tiles": settings.max_tiles, "max_seconds": settings.max_search_s}
-    least = {name: min(given[name], most) for name, most in limits.items() if name in given and most is not None}
-    own = {name: value for name, value in given.items() if name != "object_height_m"}
-    return operator.with_keywords({**own, **least})
+    return operator.with_keywords({name: value for name, value in given.items() if name != "object_height_m"})
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,12 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
-
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.by_hand import AddedVehicle, ByHand
 from vehanchor.options.frame import Frame
 from vehanchor.options.lengths import Lengths
 from vehanchor.options.method import PRESETS, Method
-from vehanchor.options.option import Option, refusal
+from vehanchor.options.option import Option
 from vehanchor.options.reading import Reading
 from vehanchor.options.reference import Reference
 from vehanchor.options.rulers import KnownLength, Rulers
@@ -142,17 +140,6 @@ class DeclaredOption(NamedTuple):
     option: Option
     annotation: Any
     default: Any
-
-    def check(self, name: str, value: Any) -> None:
-        """Check a value, for a setting of the name.
-
-        Raises:
-            InvalidParameterError: the value is invalid.
-        """
-        try:
-            TypeAdapter(self.annotation).validate_python(value)
-        except ValidationError as error:
-            raise InvalidParameterError(f"{name}: {refusal(Search, error)}") from None
 
 
 @cache
