@@ -50,15 +50,14 @@ from vehanchor_server.calls.messages import (
     MAX_PICTURE_BYTES,
     MAX_RECORDS,
     RECORD,
-    Answered,
-    Entered,
     Failed,
     Loaded,
     MessageError,
     Progressed,
     Refused,
+    Replied,
     receive,
-    receive_answer,
+    receive_reply,
 )
 from vehanchor_server.errors import CallError
 from vehanchor_server.services import create_services
@@ -156,7 +155,7 @@ class _Silent(Context[Any, Any]):
 
 @cache
 def _tools() -> tuple[asyncio.AbstractEventLoop, dict[str, StrictTool]]:
-    settings = Settings(detector="/nowhere.onnx", in_process=True, max_megapixels=1, max_image_mb=1)
+    settings = Settings(detector="/nowhere.onnx", isolation="in-process", max_megapixels=1)
     return asyncio.new_event_loop(), {tool.name: tool for tool in create_tools(create_services(settings))}
 
 
@@ -357,19 +356,18 @@ def messages(data: bytes) -> None:
         lost: Any = _Lost(data.split(b"\0"))
         with contextlib.suppress(MessageError, OSError, EOFError):
             message = receive(lost)
-            if not isinstance(message, Answered):
+            if not isinstance(message, Replied):
                 assert len(message.model_dump_json()) <= HEADER.n_bytes
                 return
-            answer = receive_answer(lost, message, record)
+            reply = receive_reply(lost, message, record)
             most = 8 * (MAX_RECORDS * RECORD.n_bytes + DRAWING.n_bytes + 2 * MAX_PICTURE_BYTES)
-            assert len(answer.to_result("found").model_dump_json()) <= most
+            assert len(reply.to_result("found").model_dump_json()) <= most
 
 
 def _messages() -> list[bytes]:
-    header = Answered(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
+    header = Replied(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
     plain = [
         Loaded(failure=None, landlock=6, seccomp=True, lacks=""),
-        Entered(stage="decode"),
         Progressed(percent=50, message="searched 1 of 2 tiles"),
         Refused(code="image_too_large", message="smaller"),
         Failed(traceback="Traceback"),

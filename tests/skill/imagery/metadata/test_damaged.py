@@ -77,6 +77,7 @@ def test_structures_and_elements_of_damaged_xmp_are_read() -> None:
     assert camera.off_nadir_deg == pytest.approx(10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "filling", [b"<", b"a:", b'drone-dji:RelativeAltitude="', b"x:CameraOrientationNED ", b" ", b"&"]
 )
