@@ -88,24 +88,3 @@ def http_server(*flags: str) -> Iterator[HttpServer]:
             process.wait(20)
         except subprocess.TimeoutExpired:
             process.kill()
-
-
-def child_processes(pid: int) -> list[int]:
-    """The children of a process that serve or work (Linux); multiprocessing's resource tracker is not one of them."""
-    found = []
-    for child in _children(pid):
-        with contextlib.suppress(OSError):  # it has just ended
-            command = Path(f"/proc/{child}/cmdline").read_bytes()
-            if b"spawn_main" in command:
-                found.append(child)
-            elif b"forkserver" in command:
-                found += _children(child)
-    return found
-
-
-def _children(pid: int) -> list[int]:
-    found: list[int] = []
-    for thread in Path(f"/proc/{pid}/task").glob("*"):
-        with contextlib.suppress(OSError):  # a thread has just ended
-            found += map(int, (thread / "children").read_text().split())
-    return found

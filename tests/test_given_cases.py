@@ -153,6 +153,6 @@ def test_a_folder_has_no_thumbnails_and_no_hidden_files(tmp_path: Path, monkeypa
 
 def test_a_server_opens_a_name_in_another_normal_form(tmp_path: Path) -> None:
     shutil.copy(FOLDER / "a00_base.png", tmp_path / unicodedata.normalize("NFD", "café.png"))
-    words = [sys.executable, FOLDER / "mcp_call.py", tmp_path, FOLDER / "p04_nfc_name.json"]
+    words = [sys.executable, *map(str, (FOLDER / "mcp_call.py", tmp_path, FOLDER / "p04_nfc_name.json"))]
     done = subprocess.run(words, capture_output=True, text=True, check=True, timeout=100)
     assert "isError True" not in done.stdout, done.stdout

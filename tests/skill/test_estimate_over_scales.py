@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from research.scenes import Scene, render_scene
 from tests.analyses import analyse_found
-from tests.models import write_detector
 from tests.yards import YARDS, Yard, paint_yard
 from vehanchor import estimate_gsd
 from vehanchor.detection.appearance import FleetAppearance
@@ -29,14 +28,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-_SEARCHING = {"vehanchor.length_range_px": "9,64", "vehanchor.search_scales": "1"}
-
-
-@pytest.fixture(scope="module")
-def searching(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    """A detector of painted vehicles whose file asks for the search."""
-    return Detector(write_detector(tmp_path_factory.mktemp("model") / "m.onnx", metadata=_SEARCHING))
 
 
 @pytest.fixture(scope="module")

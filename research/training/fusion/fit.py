@@ -25,12 +25,12 @@ from research.results.record import header
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.imagery.identity import Source
 from vehanchor.options import ScaleOptions
 from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.posterior import answer
 from vehanchor.scale.votes import Votes
 from vehanchor.storage.atomic import whole_file
+from vehanchor.storage.journal import Source
 from vehanchor_evaluation.known_scale import KnownScaleImage
 from vehanchor_evaluation.reliability import upper_bound
 from vehanchor_evaluation.search import SearchedImage, open_detection_log

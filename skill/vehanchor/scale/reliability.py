@@ -45,23 +45,28 @@ of 1,191 photographs are usable, 9, 8 and 9 of them wrong."""
 MOST_SURE = 0.99
 """Largest chance: no estimate is certain. A choice."""
 
+_NOT_MEASURED = 0.05
+"""Chance that a fact is wrong of whose errors nobody has counted any. A choice."""
+
 RELIABILITY: dict[str, Reliability] = {
     "vehicles": Reliability(CAR_LOG_SD, 0.01, 1191, _PLACES),
-    "vehicles, uncalibrated": Reliability(CAR_LOG_SD, 0.05, 0, "a choice for detectors without fitted votes"),
+    "vehicles, uncalibrated": Reliability(CAR_LOG_SD, _NOT_MEASURED, 0, "a choice for detectors without fitted votes"),
     "vehicles, look-alikes": Reliability(CAR_LOG_SD, 0.5, 90, "harbours, tanks, aprons: 0 of 90 usable and wrong"),
     "vehicles, too coarse": Reliability(0.5, 0.33, 136, "per log of coarseness; 70 photographs at 0.3 to 0.6 m/px"),
     "courts": Reliability(0.006, 0.08, 8, "1 of 8 finds in 1,006 random photographs is false; 30 known ones"),
     "parking_bays": Reliability(0.09, 0.12, 35, "5 of 35 finds are more than a fifth off"),
-    "camera": Reliability(0.12, 0.05, 0, "height above take-off; a choice, because no independent truth is at hand"),
+    "camera": Reliability(
+        0.12, _NOT_MEASURED, 0, "height above take-off; a choice, because no independent truth is at hand"
+    ),
     "camera, tilt unknown": Reliability(0.10, 0.25, 0, "a choice"),
-    "positions": Reliability(0.02, 0.05, 0, "a choice; 31 pairs of photographs agree within 2 %"),
-    "measured": Reliability(0.01, 0.05, 0, "a length by tape, plan or survey; a choice"),
-    "measured height": Reliability(0.05, 0.05, 0, "a choice"),
-    "assumed": Reliability(0.10, 0.05, 0, "a length or height that the caller assumes; a choice"),
+    "positions": Reliability(0.02, _NOT_MEASURED, 0, "a choice; 31 pairs of photographs agree within 2 %"),
+    "measured": Reliability(0.01, _NOT_MEASURED, 0, "a length by tape, plan or survey; a choice"),
+    "measured height": Reliability(0.05, _NOT_MEASURED, 0, "a choice"),
+    "assumed": Reliability(0.10, _NOT_MEASURED, 0, "a length or height that the caller assumes; a choice"),
 }
 """By ruler, and by its condition."""
 
-_UNCALIBRATED_FEW = 0.05  # more chance of error for each car below five, without fitted votes; a choice
+_UNCALIBRATED_FEW = _NOT_MEASURED  # more chance of error for each car below five, without fitted votes; a choice
 _ENOUGH_CARS = 5
 
 
@@ -98,7 +103,7 @@ class Shared(NamedTuple):
 CALLER = Shared("caller", 0.0, 0.11)
 """All guesses of one caller are wrong together; with a guess's own chance, 0.15. A choice."""
 
-RECOGNITION = Shared("caller", 0.0, 0.05)
+RECOGNITION = Shared("caller", 0.0, _NOT_MEASURED)
 """A caller mistakes all things of known size in an image. A choice."""
 
 STRETCH = Shared("stretched image", 0.0, 0.5)

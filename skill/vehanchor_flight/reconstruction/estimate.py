@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from vehanchor.errors import ImageNotFoundError, ReconstructionError, VehAnchorError
-from vehanchor.imagery.identity import Source
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.known_length_table import with_lines_of
+from vehanchor.storage.journal import Source
 from vehanchor_flight.estimate import open_journal
 from vehanchor_flight.photograph import chief_member
 from vehanchor_flight.pooling import pool

@@ -1,0 +1,161 @@
+"""Car or not beside today's networks: ``python -m research.training.chips.cars CHIPS.onnx R``.
+
+``R`` has the stores ``held_out`` (``research.training.car_verifier.mine``) and ``people`` (``people.py``). Logits are
+joined by logistic regression, fitted on one half of the held-out files for the other, and on all for ``people``.
+``--write`` writes the weights of the search and the chip network into the file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from research.training.car_verifier.store import STORED_LENGTH_PX, Rows, read_store
+from research.training.car_verifier.stream import Move
+from research.training.car_verifier.stream import cut as car_verifier_chip
+from research.training.chips.chip_network import ChipNetwork
+from research.training.chips.export import write_weights
+from research.training.chips.stream import cut
+from vehanchor.detection.car_verifier import CarVerifier
+from vehanchor.models.runtime import Runtime
+from vehanchor.models.zoo import car_verifier_beside, resolve_model
+
+_LEAST_SCORE = 0.15  # of the detector
+_SHIPPED = ("search", "chips")
+_STILL = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
+_JOINED = {
+    "detector": ("detector",),
+    "search (detector and verifier)": ("search",),
+    "search and car verifier": ("search", "car verifier"),
+    "detector and chips, one view": ("detector", "chips, one view"),
+    "detector and chips": ("detector", "chips"),
+    "search and chips, one view": ("search", "chips, one view"),
+    "search and chips": ("search", "chips"),
+    "chips": ("chips",),
+    "car verifier": ("car verifier",),
+}
+
+
+class Judged(NamedTuple):
+    """Candidates, whether they are cars, and what each network says."""
+
+    rows: Rows
+    car: NDArray[np.bool_]
+    logits: dict[str, NDArray[np.float64]]
+
+
+def _logit(scores: NDArray[np.float32]) -> NDArray[np.float64]:
+    inside = np.clip(scores.astype(np.float64), 1e-4, 1 - 1e-4)
+    return np.asarray(np.log(inside / (1 - inside)))
+
+
+def judged(folder: Path, network: ChipNetwork) -> Judged:
+    """Ask the networks about the candidates of a store that the search found."""
+    chips, rows = read_store(folder)
+    chosen = np.flatnonzero(rows.score >= _LEAST_SCORE)
+    rows = rows.take(chosen)
+    path = car_verifier_beside(resolve_model())
+    assert path is not None
+    ours = np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in chosen])
+    theirs = np.stack([car_verifier_chip(np.asarray(chips[k]), _STILL) for k in chosen])
+    return Judged(
+        rows,
+        rows.car == 1,
+        {
+            "detector": _logit(rows.score),
+            "search": _logit(rows.combined),
+            "car verifier": CarVerifier(path).verify(theirs).logit,
+            "chips": network.answers(ours).logit,
+            "chips, one view": network.answers(ours, views=1).logit,
+        },
+    )
+
+
+def logistic(design: NDArray[np.float64], car: NDArray[np.bool_], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights of the columns of ``design [n, k]``."""
+    theta = np.zeros(design.shape[1])
+    for _ in range(30):
+        chance = 1 / (1 + np.exp(-np.clip(design @ theta, -30, 30)))
+        curve = (design * (weight * chance * (1 - chance))[:, None]).T @ design + 1e-6 * np.eye(len(theta))
+        theta = theta - np.linalg.solve(curve, design.T @ (weight * (chance - car)) + 1e-6 * theta)
+    return theta
+
+
+def _design(cases: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
+    return np.column_stack([*(cases.logits[name] for name in names), np.ones(len(cases.car))])
+
+
+def fitted(known: Judged, names: tuple[str, ...], some: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+    """Weights of the logits and a bias; each set counts by the root of its number."""
+    chosen = np.ones(len(known.car), bool) if some is None else some
+    _, number, counts = np.unique(known.rows.sets, return_inverse=True, return_counts=True)
+    weight = (1 / np.sqrt(counts))[number][chosen]
+    return logistic(_design(known, names)[chosen], known.car[chosen], weight / weight.sum())
+
+
+def joined(known: Judged, asked: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Log odds of a car for ``asked``, from weights fitted on ``known``, or on its other half."""
+    design = _design(asked, names)
+    if known is not asked:
+        return np.asarray(design @ fitted(known, names))
+    half = np.array([zlib.crc32(file.encode()) % 2 for file in known.rows.files])
+    sides = [design @ fitted(known, names, half != side) for side in (0, 1)]
+    return np.where(half == 0, *sides)
+
+
+def area(hits: NDArray[np.float64], false: NDArray[np.float64]) -> float:
+    """Area under the ROC curve."""
+    rank = np.argsort(np.argsort(np.concatenate([hits, false]), kind="stable"), kind="stable")
+    return float((rank[: len(hits)].mean() - (len(hits) - 1) / 2) / len(false))
+
+
+def line(odds: NDArray[np.float64], car: NDArray[np.bool_]) -> str:
+    """Area under the ROC curve, average precision, and precision at two recalls."""
+    order = np.argsort(-odds, kind="stable")
+    precision = np.cumsum(car[order]) / np.arange(1, len(car) + 1)
+    envelope = np.maximum.accumulate(precision[::-1])[::-1][car[order]]
+    at = [envelope[int(recall * len(envelope))] for recall in (0.9, 0.95)]
+    both = f"AUC {area(odds[car], odds[~car]):.4f}, AP {envelope.mean():.4f}"
+    return f"{both}, precision at recall 0.90 and 0.95: {at[0]:.3f}, {at[1]:.3f}"
+
+
+def report(known: Judged, asked: Judged) -> Iterator[str]:
+    """Compare the networks on all candidates and by set."""
+    sets = [str(name) for name in np.unique(asked.rows.sets)]
+    for what, names in _JOINED.items():
+        odds = joined(known, asked, names)
+        yield f"{what}: {line(odds, asked.car)}"
+        parts = [(name, asked.rows.sets == name) for name in sets]
+        each = [
+            f"{n} {area(odds[m & asked.car], odds[m & ~asked.car]):.4f}" for n, m in parts if (m & asked.car).sum() > 5
+        ]
+        yield f"    AUC by set: {', '.join(each)}"
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("network", type=Path)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--write", action="store_true")
+    options = parser.parse_args()
+    network = ChipNetwork(options.network, runtime=Runtime(threads=1))
+    known = judged(options.folder / "held_out", network)
+    print(f"held out: {known.car.sum()} cars, {(~known.car).sum()} others")
+    print("\n".join(report(known, known)), flush=True)
+    people = judged(options.folder / "people", network)
+    print(f"people: {people.car.sum()} cars, {(~people.car).sum()} others")
+    print("\n".join(report(known, people)), flush=True)
+    if options.write:
+        search, chips, bias = fitted(known, _SHIPPED)
+        write_weights(options.network, (float(search), float(chips), float(bias)))
+
+
+if __name__ == "__main__":
+    main()

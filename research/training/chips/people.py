@@ -1,0 +1,161 @@
+"""Candidates on photographs whose cars people have drawn: ``python -m research.training.chips.people R``.
+
+Writes the store ``R/people``, which trains nothing: val of Estonia, street crossings, ``harlem`` and the even crops of
+``chia``. Boxes of the first two are upright: a candidate is a car if its upright box overlaps one by half. What lies on
+doubtful things, at the image's edge, or overlaps a little counts neither way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from research.training.car_verifier.mine import LOOKED_AT
+from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, ChipStore, Rows
+from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.search import search
+from vehanchor.detection.verifier import Verifier, Weights, surroundings
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
+from vehanchor.models.zoo import resolve_model
+from vehanchor.options import Search
+from vehanchor_evaluation.dota import read_labels
+
+_FITS, _MISSES = 0.5, 0.15
+_LEAST_SCORE = 0.15  # of the detector
+_BATCH = 256
+_EDGE = 0.6  # of a candidate's length
+_NEAR = 0.5
+
+
+class Drawn(NamedTuple):
+    """A photograph with upright boxes ``[n, 4]`` (left, top, right, bottom) of cars and of what is doubtful."""
+
+    path: Path
+    set: str
+    cars: NDArray[np.float64]
+    doubtful: NDArray[np.float64]
+
+
+def upright(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Upright boxes ``[n, 4]`` around corners ``[n, 4, 2]``."""
+    return np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).reshape(-1, 4)
+
+
+def overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """IoU ``[n, m]`` of upright boxes."""
+    size = np.minimum(first[:, None, 2:], second[None, :, 2:]) - np.maximum(first[:, None, :2], second[None, :, :2])
+    both = np.prod(np.clip(size, 0, None), axis=2)
+    areas = [np.prod(boxes[:, 2:] - boxes[:, :2], axis=1) for boxes in (first, second)]
+    return np.asarray(both / np.maximum(areas[0][:, None] + areas[1][None, :] - both, 1e-9))
+
+
+def _looked_at() -> dict[str, list[tuple[str, NDArray[np.float64]]]]:
+    out: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
+    with LOOKED_AT.open(newline="") as handle:
+        for row in csv.DictReader(handle):
+            x, y, half = float(row["x"]), float(row["y"]), 0.35 * float(row["length"])
+            out.setdefault(row["file"], []).append((row["kind"], np.array([x - half, y - half, x + half, y + half])))
+    return out
+
+
+def photographs(data: Path) -> Iterator[Drawn]:
+    """All photographs."""
+    seen = _looked_at()
+    for folder, sets in (("upright", ("estonia", "crossings")), ("vehicles", ("jekhor",))):
+        with (data / folder / "index.csv").open(newline="") as handle:
+            rows = [row for row in csv.DictReader(handle) if row["split"] == "val" and row["set"] in sets]
+        for row in rows:
+            labels = read_labels(data / folder / "labels" / f"{Path(row['file']).stem}.txt")
+            cars = upright(labels.of_class("small-vehicle").reshape(-1, 4, 2))
+            ignored = [labels.of_class(name).reshape(-1, 4, 2) for name in ("ignore",)]
+            more = [box for kind, box in seen.get(Path(row["file"]).name, []) if kind != "other"]
+            doubtful = np.concatenate([upright(np.concatenate(ignored)), np.reshape(more, (-1, 4))])
+            yield Drawn(data / folder / row["file"], row["set"], cars, doubtful)
+    with (data / "chia" / "crops.csv").open(newline="") as handle:
+        rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 0]
+    for row in rows:
+        there = seen.get(Path(row["file"]).name, [])
+        parts = [np.reshape([box for kind, box in there if (kind == "car") == car], (-1, 4)) for car in (True, False)]
+        yield Drawn(data / "chia" / row["file"], "chia", *parts)
+
+
+def judged(boxes: NDArray[np.float64], drawn: Drawn, size: tuple[int, int]) -> NDArray[np.int8]:
+    """1 for a car, 0 for none, -1 where it does not count."""
+    around = upright(box_corners(boxes))
+    iou = overlap(around, drawn.cars).max(axis=1, initial=0.0) if len(drawn.cars) else np.zeros(len(boxes))
+    truth = np.where(iou >= _FITS, 1, np.where(iou < _MISSES, 0, -1)).astype(np.int8)
+    if drawn.set == "chia" and len(drawn.cars):  # squares about the centres of cars
+        gap = np.abs(boxes[:, None, :2] - (drawn.cars[None, :, :2] + drawn.cars[None, :, 2:]) / 2).max(axis=2)
+        length = (drawn.cars[:, 2] - drawn.cars[:, 0]) / 0.7
+        fits = (gap < 0.2 * length) & (np.abs(np.log(boxes[:, None, 2] / length)) < 0.25)
+        near = gap < _NEAR * length
+        truth = np.where(fits.any(axis=1), 1, np.where(near.any(axis=1), -1, 0)).astype(np.int8)
+    for left, top, right, bottom in drawn.doubtful:
+        x, y = boxes[:, 0], boxes[:, 1]
+        truth[(x > left) & (x < right) & (y > top) & (y < bottom) & (truth == 0)] = -1
+    gap = np.minimum(boxes[:, :2], np.array(size) - boxes[:, :2]).min(axis=1)
+    truth[(gap < _EDGE * boxes[:, 2]) & (truth == 0)] = -1
+    return truth
+
+
+def verified(
+    pixels: NDArray[np.uint8], boxes: NDArray[np.float64], scores: NDArray[np.float64], by: Verifier
+) -> NDArray[np.float64]:
+    """Scores of the detector and the verifier together."""
+    parts = [np.zeros(0)]
+    for start in range(0, len(boxes), _BATCH):
+        parts.append(by.logits(surroundings(pixels, boxes[start : start + _BATCH])))
+    return Weights(*by.card.weights).score(scores, np.concatenate(parts))
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    detector = Detector(resolve_model(), runtime=Runtime(threads=1))
+    verifier, detector.verifier, detector.car_verifier = detector.verifier, None, None
+    assert verifier is not None
+    store = ChipStore()
+    for drawn in photographs(options.data):
+        image = cv2.imread(str(drawn.path), cv2.IMREAD_COLOR)
+        if image is None:
+            raise FileNotFoundError(drawn.path)
+        pixels = np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8)
+        with open_raster(pixels) as raster:
+            seen = search(raster, detector, Search(min_score=_LEAST_SCORE))
+        boxes, scores = seen.boxes, seen.scores
+        if not len(boxes):
+            continue
+        combined = verified(pixels, boxes, scores, verifier)
+        truth = judged(boxes, drawn, (pixels.shape[1], pixels.shape[0]))
+        counted = truth >= 0
+        boxes, scores, combined, truth = boxes[counted], scores[counted], combined[counted], truth[counted]
+        count = len(boxes)
+        unknown = np.full(count, np.nan, np.float32)
+        rows = Rows(
+            truth, np.full(count, -1, np.int8), np.full((count, 5), np.nan, np.float32), np.zeros(count, np.float32),
+            unknown, boxes[:, 2].astype(np.float32), scores.astype(np.float32), combined.astype(np.float32),
+            np.full(count, drawn.set), np.full(count, drawn.path.name),
+        )  # fmt: skip
+        store.add(surroundings(pixels, boxes, STORED_PX, STORED_LENGTH_PX), rows)
+        print(drawn.path.name, len(drawn.cars), int((truth == 1).sum()), int((truth == 0).sum()), flush=True)
+    rows = store.save(options.run / "people")
+    for name in np.unique(rows.sets):
+        cars = rows.car[rows.sets == name] == 1
+        print(f"{name}: {cars.sum()} cars, {(~cars).sum()} others")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""Chips of cars that were read by eye: ``python -m research.training.chips.readings SHEETS/candidates.csv OUT.npz``.
+
+``SHEETS/candidates.csv`` gives the boxes of the kinds' readings (``research.training.readings.candidates``). Each car
+is stored 60 px long, with 200 px of surroundings, as fine as its image allows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from research.training.chips.kinds import kind_index
+from research.training.readings.candidates import read_candidates
+from vehanchor.detection.verifier import surroundings
+from vehanchor.storage.atomic import whole_file
+
+READ_PX, READ_LENGTH_PX = 200, 60.0
+_TABLES = Path(__file__).parents[1] / "readings"
+_EDGES = ("end1_px", "end2_px", "side1_px", "side2_px")
+_GSD_OF_SET = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "estonia": 0.20, "garfield": 0.047}
+_SAME_PX = 0.06
+
+
+class Read(NamedTuple):
+    """Read cars.
+
+    Attributes:
+        chips: ``[n, 200, 200, 3]`` uint8.
+        edges: ``[n, 4]`` both ends and both sides from the box's centre, in box lengths; NaN where missing.
+        kind: ``[n]`` index into ``KINDS``, or -1.
+        length_px: ``[n]`` of the box.
+        width_px: ``[n]`` of the box; NaN for a reading of a kind alone.
+        gsd: ``[n]`` metres per pixel, NaN where unknown.
+        place: ``[n]`` names.
+        source: ``[n]`` names of files.
+        check: ``[n]`` whether it is kept back.
+    """
+
+    chips: NDArray[np.uint8]
+    edges: NDArray[np.float32]
+    kind: NDArray[np.int64]
+    length_px: NDArray[np.float64]
+    width_px: NDArray[np.float64]
+    gsd: NDArray[np.float64]
+    place: NDArray[np.str_]
+    source: NDArray[np.str_]
+    check: NDArray[np.bool_]
+
+    def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Read:
+        """Select cars."""
+        return Read(*(each[which] for each in self))  # type: ignore[arg-type]
+
+
+def load(path: Path) -> Read:
+    """Read what ``main`` wrote."""
+    with np.load(path) as stored:
+        return Read(**{name: stored[name] for name in Read._fields})
+
+
+def scales(data: Path) -> dict[str, float]:
+    """Metres per pixel by file, where they are known."""
+    out: dict[str, float] = {}
+    for folder, table in (("fleets", "table.csv"), ("chia", "crops.csv")):
+        with (data / folder / table).open(newline="") as handle:
+            out |= {f"{folder}/{row['file']}": float(row["gsd_m_per_px"]) for row in csv.DictReader(handle)}
+    return out
+
+
+def _rows(name: str) -> list[dict[str, str]]:
+    with (_TABLES / name).open(newline="") as handle:
+        return list(csv.DictReader(handle))
+
+
+def collect(candidates: Path, data: Path) -> Read:
+    """Cut the chips of both tables; a car of the table of ends is left out of that of kinds."""
+    known = scales(data)
+    boxes_of: dict[str, list[NDArray[np.float64]]] = {}
+    for each in read_candidates(candidates):
+        boxes_of.setdefault(each.file, []).append(each.box)
+    parts = []
+    measured: dict[str, list[NDArray[np.float64]]] = {}
+    for row in _rows("ends_and_sides.csv"):
+        names = ("x", "y", "box_length_px", "box_width_px", "box_angle")
+        box = np.array([float(row[name]) for name in names])
+        edges = [float(row[name] or "nan") / box[2] for name in _EDGES]
+        measured.setdefault(row["file"], []).append(box)
+        parts.append((row, box, edges, box[3]))
+    for row in _rows("kinds.csv"):
+        at = np.array([float(row["x"]), float(row["y"])])
+        near = [box for box in boxes_of[row["file"]] if np.abs(box[:2] - at).max() < _SAME_PX]
+        box = min(near, key=lambda box: abs(box[2] - float(row["length_px"])))
+        seen = [other for other in measured.get(row["file"], []) if np.hypot(*(other[:2] - at)) < 0.3 * box[2]]
+        if not seen:
+            parts.append((row, box, [np.nan] * 4, np.nan))
+    images: dict[str, NDArray[np.uint8]] = {}
+    chips = []
+    for row, box, _, _ in parts:
+        if row["file"] not in images:
+            image = cv2.imread(str(data / row["file"]), cv2.IMREAD_COLOR)
+            if image is None:
+                raise FileNotFoundError(row["file"])
+            images[row["file"]] = np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8)
+        chips.append(surroundings(images[row["file"]], box, READ_PX, READ_LENGTH_PX)[0])
+    places = [row["place"].removesuffix("_found") for row, *_ in parts]
+    return Read(
+        np.stack(chips),
+        np.array([edges for _, _, edges, _ in parts], np.float32),
+        np.array([kind_index(row["kind"]) for row, *_ in parts]),
+        np.array([box[2] for _, box, _, _ in parts]),
+        np.array([width for *_, width in parts]),
+        np.array(
+            [
+                known.get(row["file"], _GSD_OF_SET.get(place, np.nan))
+                for (row, *_), place in zip(parts, places, strict=True)
+            ]
+        ),
+        np.array(places),
+        np.array([row["file"] for row, *_ in parts]),
+        np.array([row["use"] == "check" for row, *_ in parts]),
+    )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("candidates", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    options = parser.parse_args()
+    read = collect(options.candidates, options.data)
+    with whole_file(options.out) as partial, partial.open("wb") as handle:
+        np.savez(handle, **read._asdict())
+    whole = np.isfinite(read.edges).all(axis=1)
+    counts = len(read.kind), whole.sum(), (read.kind >= 0).sum(), read.check.sum()
+    print("{} cars, {} with all edges, {} of a kind, {} kept back".format(*counts))
+
+
+if __name__ == "__main__":
+    main()
