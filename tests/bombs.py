@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from collections.abc import Callable
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 _SOF = b"\xff\xc0" + struct.pack(">HBHHB", 17, 8, 64, 64, 3) + bytes(9)
 
@@ -137,3 +140,10 @@ def strip_tiff(side_px: int, dtype: str, bands: int, rows: int, strip: bytes) ->
     after = bits + kinds + struct.pack(f"<{n_strips}I", *[strip_at] * n_strips)
     after += struct.pack(f"<{n_strips}I", *[len(strip)] * n_strips) + strip
     return tiff_of_directory(entries, after=after)
+
+
+def one_strip_tiff(pixels: NDArray[np.uint8]) -> bytes:
+    """An honest TIFF of one strip."""
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "TIFF", tiffinfo={278: len(pixels)})
+    return buffer.getvalue()

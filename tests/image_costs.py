@@ -7,11 +7,15 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from tests import bombs
 
-__all__ = ["FAMILIES", "Cost", "Family", "cost", "grows_too_fast"]
+__all__ = ["FAMILIES", "FORMATS", "Cost", "Family", "cost", "grows_too_fast"]
 
 GENEROUS = 3.0
 """Times that a cost may be above proportion, or above the floors, before the check fails."""
@@ -87,6 +91,58 @@ FAMILIES: dict[str, Family] = {
     "TIFF 8-bit RGB, one strip": Family(_square("uint8", 3, None), 16_000_000, "pixels"),
     "TIFF of two sizes": Family(lambda side_px: bombs.tiff_with_two_sizes(large_px=side_px), 5_000, "pixels a side"),
 }
+
+
+def _tiff_of_shared_tags(n_bytes: int) -> bytes:
+    """4,000 unknown tags, all with the same bytes."""
+    entries = [(256, 4, 1, 64), (257, 4, 1, 64), (258, 3, 1, 8), (262, 3, 1, 1)]
+    shared = [(tag, 1, n_bytes - 60_000, 50_000) for tag in range(40_000, 44_000)]
+    return bombs.tiff_of_directory([*entries, *shared], after=bytes(n_bytes - 12 * 4004 - 14))
+
+
+FAMILIES["TIFF of shared tags"] = Family(_tiff_of_shared_tags, 1 << 18, "bytes")
+
+
+def _noise(side_px: int, bands: int, dtype: str = "uint8") -> NDArray[Any]:
+    """Smooth noise, which every format compresses somewhat; alpha is neither 0 nor 255 all over."""
+    coarse = np.random.default_rng(1).integers(1, 255, (side_px // 8, side_px // 8, bands), dtype=np.uint8)
+    fine = cv2.resize(coarse, (side_px, side_px), interpolation=cv2.INTER_LINEAR).reshape(side_px, side_px, bands)
+    return fine.astype(dtype) * (1 if dtype == "uint8" else 4)
+
+
+def _encoded(suffix: str, bands: int, dtype: str = "uint8", *parameters: int) -> Callable[[int], bytes]:
+    return lambda side_px: cv2.imencode(suffix, _noise(side_px, bands, dtype), parameters)[1].tobytes()
+
+
+_FAST_AVIF = cv2.IMWRITE_AVIF_SPEED, 10
+_DEEP_AVIF = *_FAST_AVIF, cv2.IMWRITE_AVIF_DEPTH, 10
+FORMATS: dict[str, Callable[[int], bytes]] = {
+    "JPEG": _encoded(".jpg", 3),
+    "JPEG, grey": _encoded(".jpg", 1),
+    "JPEG, progressive": _encoded(".jpg", 3, "uint8", cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
+    "PNG": _encoded(".png", 3),
+    "PNG with alpha": _encoded(".png", 4),
+    "PNG, grey": _encoded(".png", 1),
+    "PNG, 16 bits": _encoded(".png", 3, "uint16"),
+    "WebP": _encoded(".webp", 3, "uint8", cv2.IMWRITE_WEBP_QUALITY, 60),
+    "WebP, lossless": _encoded(".webp", 3, "uint8", cv2.IMWRITE_WEBP_QUALITY, 101),
+    "WebP with alpha": _encoded(".webp", 4, "uint8", cv2.IMWRITE_WEBP_QUALITY, 60),
+    "AVIF": _encoded(".avif", 3, "uint8", *_FAST_AVIF),
+    "AVIF, lossless": _encoded(".avif", 3, "uint8", *_FAST_AVIF, cv2.IMWRITE_AVIF_QUALITY, 100),
+    "AVIF with alpha": _encoded(".avif", 4, "uint8", *_FAST_AVIF),
+    "AVIF, 10 bits": _encoded(".avif", 3, "uint16", *_DEEP_AVIF),
+    "AVIF with alpha, 10 bits": _encoded(".avif", 4, "uint16", *_DEEP_AVIF),
+    "BMP": _encoded(".bmp", 3),
+    "BMP with alpha": _encoded(".bmp", 4),
+    "TIFF in strips": _encoded(".tif", 3),
+    "TIFF in strips, 16 bits": _encoded(".tif", 3, "uint16"),
+    "TIFF in strips, floats": _encoded(".tif", 3, "float32"),
+    "TIFF of one strip": lambda side_px: bombs.one_strip_tiff(_noise(side_px, 3)),
+    "TIFF of one strip with alpha": lambda side_px: bombs.one_strip_tiff(_noise(side_px, 4)),
+    "TIFF of one strip, grey": lambda side_px: bombs.one_strip_tiff(_noise(side_px, 1)[..., 0]),
+    "TIFF of one strip, 16 bits": lambda side_px: bombs.zero_tiff(side_px, "uint16", 3),
+}
+"""Honest images of every format that is decoded whole, by their sides in pixels."""
 
 
 def cost(data: bytes, folder: Path) -> Cost:

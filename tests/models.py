@@ -11,7 +11,7 @@ spells the box out:
 
 ``write_detector`` writes a graph that finds marks, reads the numbers beside them and puts them out in either layout of
 Ultralytics' exports. What it finds is exact, up to those units. A beacon that is resampled, compressed with loss or cut
-by a tile's edge is not found; of two marks in one cell of ``cell_px`` the numbers mix.
+by a tile's edge is not found; of two marks in one cell of ``CELL_PX`` the numbers mix.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 BEACON_PX = 5
+CELL_PX = 4  # one anchor per square of this side
 _MARK = (255, 0, 255)
 _BODY = (150, 158, 170)
 _OPSET, _IR_VERSION = 17, 8
@@ -105,12 +106,10 @@ def write_detector(
     *,
     layout: Literal["raw", "end2end"] = "raw",
     names: Mapping[int, str] | None = {0: "small vehicle"},
-    n_classes: int | None = None,
     fixed_size: int | tuple[int, int] | None = None,
     dtype: Literal["float32", "float16"] = "float32",
     metadata: Mapping[str, str | None] | None = None,
     cap: int = 300,
-    cell_px: int = 4,
     swap_sides: bool = False,
     angle_offset: float = 0.0,
 ) -> Path:
@@ -120,21 +119,19 @@ def write_detector(
         path: of the ONNX file.
         layout: ``raw`` puts out ``[1, 4 + nc + 1, anchors]``; ``end2end`` rows ``[1, cap, 7]``, best first, then zeros.
         names: class names for the metadata; None leaves the entry out.
-        n_classes: classes of the raw layout; default as many as names, 1 without.
-        fixed_size: side, or (height, width), of the input in pixels, a multiple of ``cell_px``; None leaves batch,
+        fixed_size: side, or (height, width), of the input in pixels, a multiple of ``CELL_PX``; None leaves batch,
             height and width symbolic, and the raw layout's output shape too.
         dtype: of input and output; the arithmetic between is float32.
         metadata: entries to add or replace; None as a value removes one. Without it the file has what Ultralytics
             writes: task, stride, imgsz, names.
         cap: rows of the end-to-end layout.
-        cell_px: one anchor per square of this side; the input's sides are multiples of it.
         swap_sides: put out width before length, the angle turned by a quarter: the same boxes.
         angle_offset: added to every angle, for example whole turns.
 
     Returns:
         The path.
     """
-    n_out = n_classes if n_classes is not None else max(len(names or {}), 1)
+    n_out = max(len(names or {}), 1)
     graph = Graph()
     x = graph.add("Cast", ["images"], to=TensorProto.FLOAT)
     codes = graph.add("Round", [graph.add("Mul", [x, graph.constant([255.0])])])
@@ -164,8 +161,8 @@ def write_detector(
     )
     table = graph.add("Mul", [graph.add("Concat", fields, axis=1), visible])
     # Only marks are not zero, so the sum over a cell is its mark's value; unlike a maximum it keeps negative angles.
-    pooled = graph.add("AveragePool", [table], kernel_shape=[cell_px] * 2, strides=[cell_px] * 2)
-    cells = graph.add("Mul", [pooled, graph.constant([float(cell_px**2)])])
+    pooled = graph.add("AveragePool", [table], kernel_shape=[CELL_PX] * 2, strides=[CELL_PX] * 2)
+    cells = graph.add("Mul", [pooled, graph.constant([float(CELL_PX**2)])])
     flat = graph.add("Reshape", [cells, graph.constant([0, 7, -1], np.int64)])  # [b, 7, anchors]
     result = _raw_rows(graph, flat, n_out) if layout == "raw" else _end_to_end_rows(graph, flat, cap)
     element = TensorProto.FLOAT if dtype == "float32" else TensorProto.FLOAT16
@@ -173,7 +170,7 @@ def write_detector(
 
     size = (fixed_size, fixed_size) if isinstance(fixed_size, int) else fixed_size
     batch = 1 if size else "batch"
-    anchors = (size[0] // cell_px) * (size[1] // cell_px) if size else "anchors"
+    anchors = (size[0] // CELL_PX) * (size[1] // CELL_PX) if size else "anchors"
     shape_out = [batch, 4 + n_out + 1, anchors] if layout == "raw" else [batch, cap, 7]
     entries: dict[str, str | None] = {
         "description": "test detector",

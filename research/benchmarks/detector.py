@@ -25,7 +25,7 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor.rulers.view import View
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
-from vehanchor_evaluation.table import read_table
+from vehanchor_evaluation.table import survey_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -137,7 +137,7 @@ def main() -> None:
     parser.add_argument("--search-scales", action=argparse.BooleanOptionalAction, help="default: the model's choice")
     options = add_record_option(parser).parse_args()
     detector = Detector(resolve_model(options.detector))
-    images = [image for image in read_table(DATA / "gsd" / "table.csv") if image.split == options.split]
+    images = [image for image in survey_table(DATA / "gsd" / "table.csv").images if image.split == options.split]
     scale = ScaleOptions(
         search=Search(min_score=options.min_score, search_scales=options.search_scales),
         lengths=Lengths(aggregation=options.aggregation),

@@ -39,7 +39,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor_evaluation.dota import read_labels
-from vehanchor_evaluation.table import read_table
+from vehanchor_evaluation.table import survey_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -179,7 +179,9 @@ def clutter_sets(data: Path, detector: Detector) -> Iterator[tuple[str, list[Sig
     yield "quays (held-out tenth)", [with_known_cars(p, detector) for p in apart if p.set == "estonia_port"]
     yield "harbours (held-out tenth)", [with_known_cars(p, detector) for p in apart if p.kind == "harbor"]
     empty = [
-        item.path for item in read_table(data / "gsd" / "table.csv") if item.set == "empty" and item.split == "val"
+        item.path
+        for item in survey_table(data / "gsd" / "table.csv").images
+        if item.set == "empty" and item.split == "val"
     ]
     yield "empty, val", [sighted(path, detector) for path in empty]
     trained = {place.path for place in all_places}
@@ -266,7 +268,7 @@ def mistakes_report(data: Path, detector: Detector) -> list[str]:
     items = [
         (item.set, item.path, item.gsd_m_per_px, bool(item.labelled_vehicles))
         for table in ("table.csv", "upright.csv")
-        for item in read_table(data / "gsd" / table)
+        for item in survey_table(data / "gsd" / table).images
         if item.split == "val"
     ]
     for place in places(data):

@@ -28,7 +28,7 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.point import point_witness
 from vehanchor.scale.posterior import Witness, answer
-from vehanchor_evaluation.table import read_table
+from vehanchor_evaluation.table import survey_table
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared/data"
 DRAWS = 3  # for each image
@@ -65,7 +65,7 @@ def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
     items = [
         item
         for table in ("table.csv", "upright.csv")
-        for item in read_table(data / "gsd" / table)
+        for item in survey_table(data / "gsd" / table).images
         if item.split == "val" and (item.labelled_vehicles or 0) >= 1
     ]
     random.Random(5).shuffle(items)

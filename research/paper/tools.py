@@ -100,7 +100,7 @@ def open_tools(
     Raises:
         SettingsError: a directory does not exist.
     """
-    return InProcessTools(Settings(roots=tuple(roots), detector=detector, segmenter=segmenter, in_process=True))
+    return InProcessTools(Settings(roots=tuple(roots), detector=detector, segmenter=segmenter, isolation="in-process"))
 
 
 def _below_function(definition: dict[str, Any]) -> dict[str, Any]:

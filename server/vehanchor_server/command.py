@@ -16,19 +16,9 @@ from vehanchor_server.settings import Settings, SettingsError
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from vehanchor.options.option import Option
+    from vehanchor_server.settings import Words
 
-_VIEW_SETTINGS = (  # settings that are also options of ``view``
-    "detector",
-    "segmenter",
-    "calibration",
-    "threads",
-    "providers",
-    "min_score",
-    "max_image_mb",
-    "max_megapixels",
-    "max_windowed_megapixels",
-)
+_VIEW_SETTINGS = ("detector", "segmenter", "calibration", "threads", "providers", "max_megapixels")
 _VIEW_DEADLINE_S = 600.0  # people see the progress and can leave
 
 
@@ -44,12 +34,12 @@ def _parameters(command: Any, settings: Collection[str] | None = None) -> list[i
 
 def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
     """Convert a setting to a Typer option; the default None (flags: False) lets the environment variable apply."""
-    declared: Option = setting.metadata["option"]
+    words: Words = setting.metadata["words"]
     option = typer.Option(
-        f"--{declared.flag or setting.name.replace('_', '-')}",
-        help=_help(setting),
-        metavar=declared.metavar or None,
-        rich_help_panel=setting.metadata["panel"],
+        f"--{words.flag or setting.name.replace('_', '-')}",
+        help=_help(words, setting.default),
+        metavar=words.metavar or None,
+        rich_help_panel=words.panel,
         show_default=False,
     )
     default = False if kind is bool else None
@@ -63,13 +53,10 @@ def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
     )
 
 
-def _help(setting: Field[Any]) -> str:
-    """Return the setting's help with its default in brackets."""
-    text: str = setting.metadata["option"].help
-    default = setting.metadata["if_unset"]
-    if setting.default and setting.default is not True:
-        default = f"{setting.default:g}" if isinstance(setting.default, float) else str(setting.default)
-    return f"{text.removesuffix('.')} \\[{default}]." if default else text  # a bare [ begins Rich's markup
+def _help(words: Words, default: Any) -> str:
+    """Return a setting's help with its default in brackets."""
+    shown = f"{default:g}" if isinstance(default, float) else str(default or words.if_unset)
+    return f"{words.help.removesuffix('.')} \\[{shown}]." if shown else words.help  # a bare [ begins Rich's markup
 
 
 def serve(
@@ -87,7 +74,7 @@ def serve(
 ) -> None:
     """Serve the tools over MCP: on stdio, or over HTTP at /mcp.
 
-    Every option has an environment variable: --max-image-mb is VEHANCHOR_MAX_IMAGE_MB, --root is VEHANCHOR_ROOTS. The
+    Every option has an environment variable: --deadline-s is VEHANCHOR_DEADLINE_S, --root is VEHANCHOR_ROOTS. The
     system's path separator separates several paths in one variable.
     """
     if schemas is not None or skill:
@@ -163,7 +150,7 @@ def view(
         roots = () if photographs is None else (photographs if selected is None else selected.parent,)
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
         chosen: dict[str, Any] = {name: value for name, value in given.items() if _is_given(value)}
-        settings = Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, in_process=True, **chosen)
+        settings = Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, isolation="in-process", **chosen)
         if selected is not None:
             _check_photograph(selected, settings)
         serve_viewer(settings, selected, port, opened)

@@ -7,7 +7,7 @@ import importlib
 import logging
 import os
 import threading
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar
 
 from vehanchor.errors import VehAnchorError
 from vehanchor.models.files import read_model
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from vehanchor.analysis.memory import AnalysisMemory
     from vehanchor.detection.detector import Detector
     from vehanchor.engine import Engine
-    from vehanchor.options.models import Precision
     from vehanchor.scale.calibration import Calibration
     from vehanchor.segmentation.segmenter import Segmenter
     from vehanchor_server.settings import Settings
@@ -47,48 +46,6 @@ SLOW_IMPORTS = (
 _logger = logging.getLogger(__name__)
 
 
-class _OnDemand(Generic[T]):
-    """A model that is loaded on first use.
-
-    Args:
-        name: name of the model and of its setting.
-        load: loads the model.
-    """
-
-    def __init__(self, name: str, load: Callable[[], T]) -> None:
-        self._name = name
-        self._load = load
-        self._lock = threading.Lock()
-        self._value: T | None = None
-        self.failure: str | None = None
-
-    @property
-    def ready(self) -> bool:
-        """Whether the model is loaded."""
-        return self._value is not None
-
-    def get(self) -> T:
-        """Return the model; block while it loads.
-
-        Raises:
-            CallError: ``model_unavailable``; only the log has the operator's paths.
-        """
-        with self._lock:
-            if self._value is None:
-                try:
-                    self._value = self._load()
-                except VehAnchorError as error:
-                    self.failure = error.code
-                    _logger.error("the %s cannot be loaded: %s: %s", self._name, error.code, error)
-                    raise CallError(
-                        "model_unavailable",
-                        f"this server's {self._name} cannot be loaded ({error.code}). "
-                        f"Its operator must check --{self._name}.",
-                    ) from error
-                self.failure = None
-            return self._value
-
-
 class Models:
     """The models of the settings.
 
@@ -98,34 +55,34 @@ class Models:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._engine: Engine | None = None
-        self._memory: AnalysisMemory | None = None
         self._lock = threading.Lock()
         self._preloading: threading.Timer | None = None
-        self._detector = _OnDemand("detector", lambda: self.engine().detector)
-        self._segmenter = _OnDemand("segmenter", lambda: self.engine().segmenter)
-        self._calibration = _OnDemand("calibration", self._load_calibration)
-        self._required: list[_OnDemand[Any]] = [self._detector]
+        self._made: Engine | None = None
+        self._memory: AnalysisMemory | None = None
+        self._calibration: Calibration | None = None
+        self._loaded: set[str] = set()
+        self._failures: dict[str, str] = {}
+        self._required = ["detector"]
         if settings.calibration is not None:
-            self._required.append(self._calibration)
+            self._required.append("calibration")
         if settings.segmenter is not None or bundled_segmenter() is not None:
-            self._required.append(self._segmenter)  # otherwise measure_area reports that there is none
+            self._required.append("segmenter")  # otherwise measure_area reports that there is none
 
     @property
     def ready(self) -> bool:
         """Whether a call can start at once."""
-        return all(model.ready for model in self._required)
+        return self._loaded.issuperset(self._required)
 
     @property
     def failure(self) -> str | None:
         """Error code of the last failed load, or None."""
-        return next((model.failure for model in self._required if model.failure), None)
+        return next((self._failures[name] for name in self._required if name in self._failures), None)
 
     def files(self) -> tuple[Path, ...]:
         """List all existing files that loading reads."""
         settings = self._settings
         found: list[Path] = []
-        for resolve in (lambda: (self._detector_file(),), lambda: resolve_segmenter(settings.segmenter)):
+        for resolve in (lambda: (resolve_model(settings.detector),), lambda: resolve_segmenter(settings.segmenter)):
             with contextlib.suppress(VehAnchorError):  # loading will report a missing file
                 found += resolve()
         beside = (fleet_beside, verifier_beside, car_verifier_beside)
@@ -155,15 +112,7 @@ class Models:
         Raises:
             CallError: ``model_unavailable``.
         """
-        return self._detector.get().under(call or Runtime())
-
-    def calibration(self) -> Calibration | None:
-        """Return the operator's calibration of the detector, or None.
-
-        Raises:
-            CallError: ``model_unavailable``.
-        """
-        return None if self._settings.calibration is None else self._calibration.get()
+        return self._load("detector", lambda: self._engine.detector).under(call or Runtime())
 
     def segmenter(self, call: Runtime | None = None) -> Segmenter:
         """Return the segmenter for a call; block while it loads.
@@ -171,46 +120,69 @@ class Models:
         Raises:
             CallError: ``model_unavailable``.
         """
-        return self._segmenter.get().under(call or Runtime())
+        return self._load("segmenter", lambda: self._engine.segmenter).under(call or Runtime())
+
+    def calibration(self) -> Calibration | None:
+        """Return the operator's calibration of the detector, or None.
+
+        Raises:
+            CallError: ``model_unavailable``.
+        """
+        if self._settings.calibration is not None and self._calibration is None:
+            self._calibration = self._load("calibration", self._read_calibration)
+        return self._calibration
 
     def load_all(self) -> None:
         """Load all models and the slow modules; log failures."""
-        for load in (self.detector, self.calibration, self.segmenter, lambda: self.engine().load()):
+        for load in (self.detector, self.calibration, self.segmenter, self._engine.load):
             with contextlib.suppress(CallError, VehAnchorError):  # logged where it was raised
                 load()
         for module in SLOW_IMPORTS:
             importlib.import_module(module)
 
-    # Import OpenCV and ONNX Runtime late, because they load slowly.
-
-    def _detector_file(self) -> Path:
-        return resolve_model(self._settings.detector, cast("Precision", self._settings.precision))
-
-    def engine(self) -> Engine:
-        """Return the engine of the settings, without loading models."""
-        with self._lock:
-            if self._engine is None:
-                from vehanchor.engine import Engine
-
-                settings = self._settings
-                precision = cast("Precision", settings.precision)
-                # an explicit number: ONNX Runtime's own default binds threads to processors, which workers may not
-                threads = settings.threads or os.cpu_count()
-                runtime = Runtime(threads, settings.providers or DEFAULT_PROVIDERS, precision)
-                self._engine = Engine(settings.detector, settings.segmenter, runtime=runtime)
-            return self._engine
-
     @property
     def memory(self) -> AnalysisMemory:
         """Memory of the analyses of this process."""
-        with self._lock:
-            if self._memory is None:
-                from vehanchor.analysis.memory import AnalysisMemory
+        from vehanchor.analysis.memory import AnalysisMemory
 
-                self._memory = AnalysisMemory()
+        with self._lock:
+            self._memory = self._memory or AnalysisMemory()
             return self._memory
 
-    def _load_calibration(self) -> Calibration:
+    @property
+    def _engine(self) -> Engine:
+        """The engine of the settings, which loads its models on demand."""
+        from vehanchor.engine import Engine  # late, because OpenCV and ONNX Runtime load slowly
+
+        settings = self._settings
+        with self._lock:
+            if self._made is None:
+                # an explicit number: ONNX Runtime's own default binds threads to processors, which workers may not
+                threads = settings.threads or os.cpu_count()
+                runtime = Runtime(threads, settings.providers or DEFAULT_PROVIDERS)
+                self._made = Engine(settings.detector, settings.segmenter, runtime=runtime)
+            return self._made
+
+    def _load(self, name: str, load: Callable[[], T]) -> T:
+        """Load a model of the operator's.
+
+        Raises:
+            CallError: ``model_unavailable``; only the log has the operator's paths.
+        """
+        try:
+            model = load()
+        except VehAnchorError as error:
+            self._failures[name] = error.code
+            _logger.error("the %s cannot be loaded: %s: %s", name, error.code, error)
+            raise CallError(
+                "model_unavailable",
+                f"this server's {name} cannot be loaded ({error.code}). Its operator must check --{name}.",
+            ) from error
+        self._failures.pop(name, None)
+        self._loaded.add(name)
+        return model
+
+    def _read_calibration(self) -> Calibration:
         from vehanchor.scale.calibration import load_calibration
 
         assert self._settings.calibration is not None

@@ -42,7 +42,7 @@ class Services:
         Workers with accelerators are unconfined, because drivers need devices, sockets and caches.
         """
         providers = {name.strip().lower().removesuffix("executionprovider") for name in self.settings.providers}
-        if self.settings.unconfined or providers - {"cpu"}:
+        if self.settings.isolation != "confined" or providers - {"cpu"}:
             return None
         return (*self.settings.roots, *self.models.files())
 
@@ -74,7 +74,7 @@ def create_services(settings: Settings) -> Services:
     """Create the parts of a server without loading or starting anything."""
     n_calls = concurrent_calls(settings)
     workers = None
-    if not settings.in_process:
+    if settings.isolation != "in-process":
         limits = WorkerLimits(settings.max_worker_bytes, (os.cpu_count() or 1) * settings.deadline_s)
         workers = WorkerPool(partial(_worker_services, settings), limits)
     return _services(settings, n_calls, workers)
@@ -92,7 +92,7 @@ def _services(settings: Settings, n_calls: int, workers: WorkerPool | None) -> S
         models=Models(settings),
         sources=ImageSources(
             paths=PathAccess(settings.roots, settings.spelled_roots),
-            fetcher=Fetcher(settings.image_hosts, max_bytes, settings.fetch_timeout_s),
+            fetcher=Fetcher(settings.image_hosts, max_bytes),
             max_bytes=max_bytes,
         ),
         capacity=Capacity(n_calls, settings.deadline_s),

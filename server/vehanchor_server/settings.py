@@ -6,28 +6,30 @@ Callers cannot change settings. Each field is declared once, with its default an
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import typing
 from dataclasses import dataclass, field, fields
-from functools import cache
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 from urllib.parse import urlsplit
 
-from vehanchor.errors import InvalidParameterError
-from vehanchor.options import DECODED_BYTES_PER_PIXEL, ImageLimits, Search, declared_option, models
-from vehanchor.options.option import Option, metadata_of, option, option_of
+from pydantic import TypeAdapter, ValidationError
+
+from vehanchor.options import ImageLimits, models
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+Isolation: TypeAlias = Literal["confined", "unconfined", "in-process"]
+
+MAX_BODY_BYTES = 32 << 20  # of an HTTP request; examples/deploy/nginx.conf has the same limit
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _EVERYWHERE = ("0.0.0.0", "::")
-_TRUE, _FALSE = ("1", "true", "yes", "on"), ("0", "false", "no", "off")
-_MIB, _MEGAPIXEL = 1 << 20, 1_000_000
+_MEGAPIXEL = 1_000_000
+_DECODED_BYTES_PER_PIXEL = 11  # memory for decoding 8-bit RGB, with a reserve; 1 GiB for 100 megapixels
+_NETWORKS_BYTES = 150 << 20  # memory of the networks during a call (research/results)
 _SOURCES, _WORK, _HTTP = "Image sources", "Models and limits", "HTTP"
 
 
@@ -35,32 +37,29 @@ class SettingsError(ValueError):
     """A setting is invalid, or two settings contradict each other; the message has the remedy."""
 
 
-def _words(help_text: str, *, panel: str, metavar: str = "", flag: str = "", if_unset: str = "") -> dict[str, Any]:
-    """Build the metadata of a field.
+class Words(NamedTuple):
+    """Words of a setting for ``--help``.
 
-    Args:
-        help_text: one sentence for ``--help``.
-        panel: heading in ``--help``.
-        metavar: placeholder of the value.
+    Attributes:
+        help: one or two sentences.
+        panel: heading.
         flag: name of the option; empty for the field's own.
+        metavar: placeholder of the value.
         if_unset: meaning of a default of None.
+        separator: separates values in the variable; empty for one value.
     """
-    return {**option(help_text, metavar=metavar, flag=flag), "panel": panel, "if_unset": if_unset}
+
+    help: str
+    panel: str
+    flag: str = ""
+    metavar: str = ""
+    if_unset: str = ""
+    separator: str = ""
 
 
-def _declared(declared: str | Option, *, panel: str) -> dict[str, Any]:
-    """Metadata of a field that is an option of the library: its help and limits are the option's.
-
-    Args:
-        declared: the option, or its keyword.
-        panel: heading in ``--help``.
-    """
-    found = declared_option(declared) if isinstance(declared, str) else declared
-    return {
-        **metadata_of(found),
-        "panel": panel,
-        "if_unset": "",
-    }
+def _words(help_text: str, panel: str, **parts: str) -> dict[str, Words]:
+    """Build the metadata of a field."""
+    return {"words": Words(help_text, panel, **parts)}
 
 
 @dataclass(frozen=True)
@@ -73,103 +72,85 @@ class Settings:
 
     roots: tuple[Path, ...] = field(
         default=(),
-        metadata=_words("Directory of images that callers may read by path; repeatable.", panel=_SOURCES, flag="root"),
+        metadata=_words(
+            "Directory of images that callers may read by path; repeatable.",
+            _SOURCES,
+            flag="root",
+            separator=os.pathsep,
+        ),
     )
     image_hosts: tuple[str, ...] = field(
         default=(),
         metadata=_words(
-            "Host from which images may be fetched (https); repeatable.", panel=_SOURCES, flag="image-host"
+            "Host from which images may be fetched (https); repeatable.", _SOURCES, flag="image-host", separator=","
         ),
     )
-    detector: str | None = field(default=None, metadata=_declared(models.DETECTOR, panel=_WORK))
-    precision: str = field(default="float32", metadata=_declared(models.PRECISION, panel=_WORK))
-    segmenter: tuple[Path, Path] | None = field(default=None, metadata=_declared(models.SEGMENTER, panel=_WORK))
-    calibration: Path | None = field(  # for callers who give neither region nor reference length
-        default=None, metadata=_declared(models.CALIBRATION, panel=_WORK)
+    detector: str | None = field(
+        default=None, metadata=_words(models.DETECTOR.help, _WORK, metavar=models.DETECTOR.metavar)
     )
-    threads: int | None = field(default=None, metadata=_declared(models.THREADS, panel=_WORK))
-    providers: tuple[str, ...] = field(default=(), metadata=_declared(models.PROVIDERS, panel=_WORK))
-    min_score: float | None = field(default=Search.min_score, metadata=_declared("min_score", panel=_WORK))
-    effort: str = field(default=Search.effort, metadata=_declared("effort", panel=_WORK))
-    max_tiles: int | None = field(default=Search.max_tiles, metadata=_declared("max_tiles", panel=_WORK))
-    max_search_s: float | None = field(default=Search.max_seconds, metadata=_declared("max_seconds", panel=_WORK))
-    max_image_mb: float = field(
-        default=ImageLimits.max_bytes / _MIB, metadata=_words("Largest image file, MiB.", panel=_WORK)
+    segmenter: tuple[Path, Path] | None = field(
+        default=None,
+        metadata=_words(models.SEGMENTER.help, _WORK, metavar=models.SEGMENTER.metavar, separator=os.pathsep),
+    )
+    calibration: Path | None = field(  # for callers who give neither region nor reference length
+        default=None, metadata=_words(models.CALIBRATION.help, _WORK, metavar=models.CALIBRATION.metavar)
+    )
+    threads: int | None = field(
+        default=None, metadata=_words(models.THREADS.help, _WORK, metavar=models.THREADS.metavar)
+    )
+    providers: tuple[str, ...] = field(
+        default=(),
+        metadata=_words(
+            models.PROVIDERS.help, _WORK, flag=models.PROVIDERS.flag, metavar=models.PROVIDERS.metavar, separator=","
+        ),
     )
     max_megapixels: float = field(
         default=ImageLimits.max_pixels / _MEGAPIXEL,
-        metadata=_words("Largest image decoded at once, megapixels.", panel=_WORK),
+        metadata=_words("Largest image decoded at once, megapixels; the memory of a worker follows from it.", _WORK),
     )
-    max_decoded_mb: float | None = field(
+    max_concurrency: int | None = field(
         default=None,
-        metadata=_words(
-            "Memory limit for decoding an image, MiB.",
-            panel=_WORK,
-            if_unset=f"{ImageLimits.max_decoded_bytes / _MIB:g}, or more for the megapixels",
-        ),
+        metadata=_words("Concurrent calls, each in a worker of its own.", _WORK, if_unset="one per CPU, at least 2"),
     )
-    max_windowed_megapixels: float = field(
-        default=ImageLimits.max_windowed_pixels / _MEGAPIXEL,
-        metadata=_words("Largest TIFF read in windows, megapixels.", panel=_WORK),
+    deadline_s: float = field(  # common clients give up after 60 s
+        default=55.0, metadata=_words("Seconds after which a call ends.", _WORK)
+    )
+    isolation: Isolation = field(
+        default="confined",
+        metadata=_words(
+            "Place of decoding and models: 'confined' processes, which can be killed and on Linux have few rights; "
+            "'unconfined' ones with all rights of this user; 'in-process', for your own images only.",
+            _WORK,
+        ),
     )
     never_ask: bool = field(
         default=False,
-        metadata=_words(
-            "Never ask the user for a region, a height or a known length; for unattended agents.", panel=_WORK
-        ),
+        metadata=_words("Never ask the user for a region, a height or a known length; for unattended agents.", _WORK),
     )
-    max_concurrency: int | None = field(
-        default=None, metadata=_words("Concurrent calls per process.", panel=_WORK, if_unset="one per CPU, at least 2")
-    )
-    in_process: bool = field(  # only for your own images: see SECURITY.md
-        default=False,
-        metadata=_words(
-            "Decode and compute in this process, not in workers that can be killed at the deadline.", panel=_WORK
-        ),
-    )
-    unconfined: bool = field(  # for systems where a worker needs more than Python, the models and the roots
-        default=False,
-        metadata=_words("Give workers all rights of this user; otherwise they are confined on Linux.", panel=_WORK),
-    )
-    max_worker_mb: float = field(  # per process; at most one process per concurrent call
-        default=2048.0,
-        metadata=_words("Memory limit of a worker in addition to its models, MiB.", panel=_WORK),
-    )
-    deadline_s: float = field(  # common clients give up after 60 s
-        default=55.0, metadata=_words("Seconds after which a call ends.", panel=_WORK)
-    )
-    fetch_timeout_s: float = field(
-        default=20.0, metadata=_words("Time limit for fetching an image, seconds.", panel=_SOURCES)
-    )
-    host: str = field(default="127.0.0.1", metadata=_words("Address to listen on.", panel=_HTTP))
-    port: int = field(default=8000, metadata=_words("Port to listen on.", panel=_HTTP))
-    workers: int = field(default=1, metadata=_words("Number of processes that share the port.", panel=_HTTP))
-    allowed_hosts: tuple[str, ...] = field(  # name, name:port or name:*
+    host: str = field(default="127.0.0.1", metadata=_words("Address to listen on.", _HTTP))
+    port: int = field(default=8000, metadata=_words("Port to listen on.", _HTTP))
+    public_urls: tuple[str, ...] = field(
         default=(),
         metadata=_words(
-            "Accepted Host header besides the loopback names; repeatable.", panel=_HTTP, flag="allowed-host"
+            "URL of /mcp for callers, whose Host and Origin are accepted besides the loopback names; repeatable.",
+            _HTTP,
+            flag="public-url",
+            separator=",",
         ),
     )
-    allowed_origins: tuple[str, ...] = field(
-        default=(),
-        metadata=_words(
-            "Accepted Origin header besides the loopback names; repeatable.", panel=_HTTP, flag="allowed-origin"
-        ),
-    )
-    public_url: str | None = field(default=None, metadata=_words("Public URL of /mcp.", panel=_HTTP))
     token_file: Path | None = field(
-        default=None, metadata=_words("File with one accepted bearer token per line.", panel=_HTTP)
+        default=None, metadata=_words("File with one accepted bearer token per line.", _HTTP)
     )
-    oidc_issuer: str | None = field(default=None, metadata=_words("Issuer of accepted JWTs.", panel=_HTTP))
-    oidc_audience: str | None = field(default=None, metadata=_words("Required audience of these JWTs.", panel=_HTTP))
-    oidc_max_key_age_s: float = field(
-        default=86400.0, metadata=_words("Seconds after which the issuer's keys end if it is unreachable.", panel=_HTTP)
+    oidc: tuple[str, str] | None = field(
+        default=None,
+        metadata=_words(
+            "Issuer of accepted JWTs, and their required audience.", _HTTP, metavar="ISSUER AUDIENCE", separator=","
+        ),
     )
-    max_body_mb: float = field(default=32.0, metadata=_words("Largest request, MiB.", panel=_HTTP))
-    insecure: bool = field(default=False, metadata=_words("Listen publicly without authentication.", panel=_HTTP))
+    insecure: bool = field(default=False, metadata=_words("Listen publicly without authentication.", _HTTP))
 
     def __post_init__(self) -> None:
-        self._check_numbers()
+        self._check_values()
         object.__setattr__(self, "_spelled", tuple(Path(os.path.abspath(root)) for root in self.roots))  # noqa: PTH100
         object.__setattr__(self, "roots", tuple(_checked_root(root) for root in self.roots))
         object.__setattr__(self, "image_hosts", tuple(host.strip().lower() for host in self.image_hosts))
@@ -177,31 +158,30 @@ class Settings:
             name, _, port = host.partition(":")
             if not name or set(name) & set("/*@[]") or (":" in host and not port.isdigit()):
                 raise SettingsError(f"image host {host!r}: give a plain host name or name:port, without https:// or *")
-        if self.segmenter is not None and len(self.segmenter) != 2:
-            raise SettingsError("segmenter needs two files: give its encoder and its decoder")
         self._check_authentication()
 
-    def _check_numbers(self) -> None:
+    def _check_values(self) -> None:
         for each in fields(self):
-            value, declared = getattr(self, each.name), option_of(each)
-            if declared is not None and declared.takes is not None and value is not None:
-                _check(declared, each.name, value)
-                continue
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                continue
-            if not (math.isfinite(value) and value > 0):
+            value = getattr(self, each.name)
+            numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if numeric and not (math.isfinite(value) and value > 0):
                 raise SettingsError(f"{each.name} is {value}: use a finite number > 0")
+        if self.isolation not in typing.get_args(Isolation):
+            raise SettingsError(f"isolation is {self.isolation!r}: use {', '.join(typing.get_args(Isolation))}")
+        if self.segmenter is not None and len(self.segmenter) != 2:
+            raise SettingsError("segmenter needs two files: give its encoder and its decoder")
 
     def _check_authentication(self) -> None:
-        if (self.oidc_issuer is None) != (self.oidc_audience is None):
-            raise SettingsError("oidc_issuer and oidc_audience belong together: give both or neither")
-        if self.oidc_issuer is not None and not self.oidc_issuer.startswith("https://"):
-            raise SettingsError(f"oidc_issuer is {self.oidc_issuer!r}: an issuer is an https:// URL")
-        if self.oidc_issuer is not None and self.token_file is not None:
-            raise SettingsError("token_file and oidc_issuer exclude each other: choose one way to authenticate")
-        if self.public_url is not None and not _is_web_address(self.public_url):
-            raise SettingsError(f"public_url is {self.public_url!r}: write all of it, as in https://example.org/mcp")
-        if self.oidc_issuer is not None and self.public_url is None and self.host in _EVERYWHERE:
+        for url in self.public_urls:
+            if not _is_web_address(url):
+                raise SettingsError(f"public_url is {url!r}: write all of it, as in https://example.org/mcp")
+        if self.oidc is None:
+            return
+        if len(self.oidc) != 2 or not self.oidc[0].startswith("https://"):
+            raise SettingsError(f"oidc is {' '.join(self.oidc)!r}: give the issuer's https:// URL and the audience")
+        if self.token_file is not None:
+            raise SettingsError("token_file and oidc exclude each other: choose one way to authenticate")
+        if not self.public_urls and self.host in _EVERYWHERE:
             raise SettingsError(f"listening on {self.host} with an issuer: give --public-url, the address for callers")
 
     @property
@@ -216,40 +196,19 @@ class Settings:
         return spelled
 
     @property
-    def authenticated(self) -> bool:
-        """Whether HTTP callers need a token."""
-        return self.token_file is not None or self.oidc_issuer is not None
-
-    @property
-    def loopback(self) -> bool:
-        """Whether HTTP listens on the loopback interface only."""
-        return self.host in _LOOPBACK
-
-    @property
     def image_limits(self) -> ImageLimits:
         """Limits on accepted images."""
         max_pixels = round(self.max_megapixels * _MEGAPIXEL)
-        if self.max_decoded_mb is None:
-            max_decoded_bytes = max(ImageLimits.max_decoded_bytes, DECODED_BYTES_PER_PIXEL * max_pixels)
-        else:
-            max_decoded_bytes = round(self.max_decoded_mb * _MIB)
         return ImageLimits(
-            max_bytes=round(self.max_image_mb * _MIB),
             max_pixels=max_pixels,
-            max_windowed_pixels=round(self.max_windowed_megapixels * _MEGAPIXEL),
-            max_decoded_bytes=max_decoded_bytes,
+            max_decoded_bytes=_DECODED_BYTES_PER_PIXEL * max_pixels,
             max_unpacked_bytes=1,  # refuse large JPEGs, so that callers cannot fill the disk
         )
 
     @property
     def max_worker_bytes(self) -> int:
-        """Memory limit of a worker in addition to its models."""
-        return round(self.max_worker_mb * _MIB)
-
-    @property
-    def max_body_bytes(self) -> int:
-        """Largest accepted HTTP request."""
-        return round(self.max_body_mb * _MIB)
+        """Memory limit of a worker in addition to its models: twice that of decoding, and the networks."""
+        return 2 * self.image_limits.max_decoded_bytes + _NETWORKS_BYTES
 
     def check_exposure(self) -> None:
         """Refuse to listen on a public address without authentication.
@@ -257,10 +216,10 @@ class Settings:
         Raises:
             SettingsError: a public address without authentication and without ``insecure``.
         """
-        if not (self.loopback or self.authenticated or self.insecure):
+        if self.host not in _LOOPBACK and self.token_file is None and self.oidc is None and not self.insecure:
             raise SettingsError(
                 f"refusing to listen on {self.host} without authentication: everyone could use the server. "
-                "Give --token-file or --oidc-issuer with --oidc-audience, listen on 127.0.0.1, or pass --insecure"
+                "Give --token-file or --oidc, listen on 127.0.0.1, or pass --insecure"
             )
 
     @classmethod
@@ -274,44 +233,14 @@ class Settings:
         """
         environ = os.environ if environ is None else environ
         chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        for name, form in _forms().items():
-            text = environ.get(variable_name(name))
-            if name not in chosen and text:
-                chosen[name] = _from_text(variable_name(name), text, form)
+        kinds = typing.get_type_hints(cls)
+        for each in fields(cls):
+            text = environ.get(variable_name(each.name))
+            if each.name not in chosen and text:
+                chosen[each.name] = _from_text(
+                    variable_name(each.name), text, kinds[each.name], each.metadata["words"].separator
+                )
         return cls(**chosen)
-
-    def to_json(self) -> str:
-        """Serialise all settings for ``from_json`` in another process, without separators inside values."""
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        return json.dumps({**values, "roots": self.spelled_roots}, default=str)
-
-    @classmethod
-    def from_json(cls, text: str) -> Settings:
-        """Restore settings from ``to_json``.
-
-        Raises:
-            SettingsError: a setting is invalid.
-        """
-        values: dict[str, Any] = json.loads(text)
-        for name, form in _forms().items():
-            if form.many and values[name] is not None:
-                values[name] = tuple(form.type(value) for value in values[name])
-            elif values[name] is not None:
-                values[name] = form.type(values[name])
-        return cls(**values)
-
-
-def _check(declared: Option, name: str, value: Any) -> None:
-    """Check a value as the library does.
-
-    Raises:
-        SettingsError: the option takes no such value.
-    """
-    assert declared.takes is not None
-    try:
-        declared.takes.check(name, value)
-    except InvalidParameterError as error:
-        raise SettingsError(str(error)) from None
 
 
 def _is_web_address(text: str) -> bool:
@@ -327,24 +256,6 @@ def variable_name(name: str) -> str:
     return f"VEHANCHOR_{name.upper()}"
 
 
-class _Form(NamedTuple):
-    """Type of a field's values, and whether it takes several."""
-
-    type: Any
-    many: bool
-
-
-@cache
-def _forms() -> dict[str, _Form]:
-    forms = {}
-    for name, kind in typing.get_type_hints(Settings).items():
-        options = typing.get_args(kind)
-        bare = options[0] if type(None) in options else kind
-        many = typing.get_origin(bare) is tuple
-        forms[name] = _Form(typing.get_args(bare)[0] if many else bare, many)
-    return forms
-
-
 def _checked_root(root: Path) -> Path:
     """Resolve a root; refuse missing directories and the whole file system."""
     try:
@@ -358,21 +269,17 @@ def _checked_root(root: Path) -> Path:
     return resolved
 
 
-def _from_text(variable: str, text: str, form: _Form) -> Any:
+def _from_text(variable: str, text: str, kind: Any, separator: str) -> Any:
     """Convert a variable's text to the field's type."""
+    value: Any = text
+    if separator == os.pathsep:
+        value = _split_paths(variable, text)
+    elif separator:
+        value = [part.strip() for part in text.split(separator) if part.strip()]
     try:
-        if form.type is bool:
-            if text.lower() not in _TRUE + _FALSE:
-                raise ValueError(text)
-            return text.lower() in _TRUE
-        if form.many:
-            parts = _split_paths(variable, text) if form.type is Path else text.split(",")
-            return tuple(form.type(part.strip()) for part in parts if part.strip())
-        return form.type(text)
-    except ValueError as error:
-        if isinstance(error, SettingsError):
-            raise
-        raise SettingsError(f"{variable} is {text!r}: expected {form.type.__name__}") from None
+        return TypeAdapter(kind).validate_python(value)
+    except ValidationError as error:
+        raise SettingsError(f"{variable} is {text!r}: {error.errors()[0]['msg'].lower()}") from None
 
 
 def _split_paths(variable: str, text: str) -> list[str]:
@@ -385,4 +292,4 @@ def _split_paths(variable: str, text: str) -> list[str]:
                 f"{variable} is {text!r}: {joined!r} exists, but {os.pathsep!r} separates paths in a variable. Use "
                 "an option of 'vehanchor serve', or rename it"
             )
-    return parts
+    return [part.strip() for part in parts if part.strip()]

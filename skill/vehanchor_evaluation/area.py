@@ -20,11 +20,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
-from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.segmentation.prompt import Prompt
-from vehanchor.storage.journal import Journal, Key
+from vehanchor.storage.journal import Journal, Key, Source
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 

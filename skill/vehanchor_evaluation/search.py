@@ -21,7 +21,6 @@ from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import ImageFacts
-from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
 from vehanchor.rulers.registry import needs_search
@@ -29,7 +28,7 @@ from vehanchor.rulers.vehicles import select
 from vehanchor.rulers.view import View
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.storage.codec import Codec
-from vehanchor.storage.journal import Journal
+from vehanchor.storage.journal import Journal, Source
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 
 if TYPE_CHECKING:

@@ -14,20 +14,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def read_table(path: Path) -> list[KnownScaleImage]:
-    """Read a CSV with the columns ``file`` (relative to the table) and ``gsd_m_per_px``.
-
-    The columns ``set``, ``split`` and ``labelled_small_vehicles`` are optional.
-
-    Raises:
-        InvalidParameterError: a column is missing or a scale is not a positive number; the message names the line.
-        OSError: the table cannot be read.
-    """
-    return [_image(path, number, row) for number, row in _rows(path)]
-
-
 def survey_table(path: Path) -> KnownScaleSet:
     """Read a table and find the labels of its images; invalid lines become issues.
+
+    The column ``file`` is relative to the table. The columns ``set``, ``split`` and ``labelled_small_vehicles`` are
+    optional.
 
     Raises:
         InvalidParameterError: the table cannot be read, or lacks the columns.

@@ -14,11 +14,10 @@ import numpy as np
 from vehanchor.analysis.pipeline import analyse_view, search_raster
 from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
-from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.known_length_table import with_lines_of
-from vehanchor.storage.journal import Journal, Key
+from vehanchor.storage.journal import Journal, Key, Source
 from vehanchor_flight.components import single_component
 from vehanchor_flight.copies import reduced_picture, without_copies
 from vehanchor_flight.features import find_features

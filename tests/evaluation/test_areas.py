@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vehanchor.errors import ImageError, InvalidParameterError
-from vehanchor_evaluation.areas import read_areas, read_masks, split_instances
+from vehanchor_evaluation.areas import read_areas, read_masks
 
 
 def write_index(folder: Path, *rows: str) -> None:
@@ -92,16 +92,3 @@ def test_an_index_that_cannot_be_used_says_what_it_lacks(tmp_path: Path, text: s
         (tmp_path / "index.csv").write_text(text)
     with pytest.raises(InvalidParameterError, match=message):
         read_areas(tmp_path, "val")
-
-
-def test_instances_are_split_by_their_numbers_whatever_those_are() -> None:
-    ids = np.zeros((6, 9), np.int32)
-    ids[1:3, 2:5] = 16_777_215
-    ids[4, 7] = 3
-    ids[5, 8] = 3
-    found = list(split_instances(ids))
-    assert [(number, left, top, mask.tolist()) for number, left, top, mask in found] == [
-        (3, 7, 4, [[True, False], [False, True]]),
-        (16_777_215, 2, 1, [[True] * 3] * 2),
-    ]
-    assert list(split_instances(np.zeros((3, 3), np.uint16))) == []

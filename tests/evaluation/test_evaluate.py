@@ -8,11 +8,9 @@ import pytest
 
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.dota import parse_labels, read_labels
 from vehanchor_evaluation.gsd import run_trials, summarise
 from vehanchor_evaluation.known_scale import KnownScaleImage
-from vehanchor_evaluation.table import read_table
 
 
 def test_dota_labels_are_read_with_their_header() -> None:
@@ -38,21 +36,6 @@ def test_a_malformed_line_is_named(tmp_path: Path, line: str) -> None:
     path.write_text(f"imagesource:x\n{line}\n")
     with pytest.raises(ValueError, match=r"P0001\.txt.*line 2"):
         read_labels(path)
-
-
-def test_the_table_is_read_relative_to_itself(tmp_path: Path) -> None:
-    table = tmp_path / "table.csv"
-    table.write_text("file,gsd_m_per_px,set,split,labelled_small_vehicles\na/b.jpg,0.2,nice,val,7\n")
-    assert read_table(table) == [KnownScaleImage(tmp_path / "a" / "b.jpg", 0.2, "nice", "val", 7)]
-    table.write_text("file,gsd_m_per_px\nb.jpg,0.1\n")
-    assert read_table(table) == [KnownScaleImage(tmp_path / "b.jpg", 0.1)]
-
-
-@pytest.mark.parametrize("text", ["name,gsd\na,0.1\n", "file,gsd_m_per_px\na,wide\n", "file,gsd_m_per_px\na,0\n"])
-def test_a_table_that_cannot_be_read_is_refused_with_its_line(tmp_path: Path, text: str) -> None:
-    (tmp_path / "table.csv").write_text(text)
-    with pytest.raises(InvalidParameterError, match="line 2"):
-        read_table(tmp_path / "table.csv")
 
 
 def test_trials_count_a_missing_estimate_as_a_whole_error(tmp_path: Path) -> None:

@@ -5,17 +5,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from matplotlib.patches import Rectangle
 from typer.testing import CliRunner
 
 from tests.analyses import make_analysis
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.cli import app as cli
 from vehanchor_evaluation.figures import (
-    SheetCell,
-    draw_sheet,
     interval_coverage,
-    plot_calibration,
     plot_cumulative_error,
     plot_predicted,
     sheet_trials,
@@ -62,15 +58,6 @@ def test_the_coverage_of_the_interval_is_counted_at_every_level() -> None:
     assert observed[3] == 0.75  # three times the scale is out of reach
 
 
-def test_the_confidence_is_shown_by_bins() -> None:
-    trials = [_trial(25, 0.2), _trial(25, 0.4), _trial(25, 0.2, n=2)]
-    left, right = plot_calibration(trials).axes
-    assert [str(text.get_text()) for text in right.texts] == ["n = 1", "n = 2"]
-    assert max(bar.get_height() for bar in right.patches if isinstance(bar, Rectangle)) == pytest.approx(50)
-    assert len(left.lines) == 3
-    assert plot_calibration([]).axes  # nothing to show is no error
-
-
 def test_the_sheet_holds_each_image_once() -> None:
     trials = [_trial(25, 5.045 / 25 * (1 + k / 50)) for k in range(10)] + [_trial(25, 0.2, n=0)]
     chosen = sheet_trials(trials)
@@ -79,16 +66,6 @@ def test_the_sheet_holds_each_image_once() -> None:
         "best": [0, 1, 2], "median": [3, 4, 5], "worst": [7, 8, 9]
     }  # fmt: skip
     assert {name: len(row) for name, row in sheet_trials(trials[:2]).items()} == {"best": 2}
-
-
-def test_the_sheet_puts_pictures_in_rows() -> None:
-    red, wide = np.full((40, 40, 3), (200, 0, 0), np.uint8), np.full((50, 200, 3), (0, 0, 200), np.uint8)
-    sheet = draw_sheet([[SheetCell(red, ("one", "two")), SheetCell(wide, ("three",))], [SheetCell(wide, ("four",))]])
-    assert sheet.shape[1] == 2 * 640 + 3 * 12
-    assert tuple(sheet[330, 300]) == (200, 0, 0)
-    assert tuple(sheet[330, 1000]) == (0, 0, 200)
-    assert tuple(sheet[20, 1000]) == (235, 235, 235)  # a wide picture leaves room above it
-    assert draw_sheet([]).shape[2] == 3
 
 
 def test_the_command_draws_all_figures(tmp_path: Path) -> None:
@@ -107,15 +84,3 @@ def test_the_command_draws_all_figures(tmp_path: Path) -> None:
         assert picture is not None
         assert picture.std() > 10
         assert f"{name}.png" in result.stderr
-
-
-def test_without_any_estimate_there_is_nothing_to_draw(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "a.png"), blank_image(100, 100))
-    (tmp_path / "t.csv").write_text("file,gsd_m_per_px\na.png,0.2\n")
-    model = str(write_detector(tmp_path / "m.onnx"))
-    result = CliRunner().invoke(
-        cli.app,
-        ["evaluate", "figures", "--table", str(tmp_path / "t.csv"), "--detector", model, "--out", str(tmp_path)],
-    )
-    assert result.exit_code == 2
-    assert "no image has an estimate" in result.stderr

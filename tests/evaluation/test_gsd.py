@@ -2,11 +2,9 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
@@ -14,13 +12,7 @@ from typer.testing import CliRunner, Result
 from tests.known_scale_data import REFERENCE_M, cars, dota_lines, paint, write_geotiff
 from vehanchor import analyse_scale
 from vehanchor.cli import app as cli
-from vehanchor.detection.detector import Detector
-from vehanchor.errors import ImageTooLargeError
 from vehanchor.options import ScaleOptions
-from vehanchor_evaluation import ablation
-from vehanchor_evaluation.gsd import benchmark_scale, summarise_errors, with_regions
-from vehanchor_evaluation.known_scale import KnownScaleImage, KnownScaleSet
-from vehanchor_evaluation.search import search_known_scale
 
 
 def _run(*arguments: object) -> Result:
@@ -229,66 +221,3 @@ def test_an_output_that_cannot_be_written_is_told(tmp_path: Path, detector: Path
         result = _run("evaluate", command, *common, "--cache", tmp_path / "log.sqlite")
         assert result.exit_code == 2
         assert "error[output_unwritable]" in result.stderr
-
-
-@pytest.mark.parametrize(
-    ("errors", "expected"),
-    [
-        ([0.05, -0.15, float("nan")], (3, 2 / 3, 0.15, 0.4, 1 / 3, 2 / 3, -0.05)),
-        ([float("nan")], (1, 0.0, 1.0, 1.0, 0.0, 0.0, float("nan"))),
-    ],
-)
-def test_errors_are_summarised(errors: list[float], expected: tuple[float, ...]) -> None:
-    assert summarise_errors(errors) == pytest.approx(expected, nan_ok=True)
-
-
-@pytest.mark.data
-@pytest.mark.slow
-def test_the_shared_table_is_evaluated_with_its_labels(real_data: Path, tmp_path: Path) -> None:
-    result = _run(
-        "evaluate", "gsd", "--table", real_data / "gsd" / "table.csv", "--split", "val", "--set", "cannes",
-        "--limit", 12, "--out", tmp_path,
-    )  # fmt: skip
-    assert result.exit_code == 0, result.stderr
-    rows = {row["name"]: row for row in _rows(tmp_path / "gsd.csv")}
-    assert rows["labels"]["of_images"] == "12"
-    assert float(rows["labels"]["median"]) < 0.15
-    assert re.search(r"KDE mode of these labels: [345]\.\d+ m", result.stdout)
-
-
-@pytest.mark.slow
-def test_an_image_larger_than_a_server_would_take_is_evaluated(tmp_path: Path, detector: Path) -> None:
-    image = np.zeros((10_100, 10_000), np.uint8)
-    cv2.imwrite(str(tmp_path / "huge.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    with pytest.raises(ImageTooLargeError):
-        analyse_scale(tmp_path / "huge.png", detector=detector)
-    (tmp_path / "t.csv").write_text("file,gsd_m_per_px\nhuge.png,0.2\n")
-    result = _run("evaluate", "gsd", "--table", tmp_path / "t.csv", "--detector", detector, "--out", tmp_path / "out")
-    assert result.exit_code == 0, result.stderr
-    assert json.loads((tmp_path / "out" / "gsd.json").read_text())["skipped"] == {}
-
-
-def test_the_ablation_looks_at_the_detail_of_each_alpha(
-    tmp_path: Path, detector: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("vehanchor_evaluation.search.resolved_share", lambda _raster, centres, _scale: 1 / len(centres))
-    boxes = cars(20)
-    boxes[[4, 5, 11], 2] = 24, 33, 60
-    paint(tmp_path / "a.png", boxes)
-    data, options = KnownScaleSet("", (KnownScaleImage(tmp_path / "a.png", 0.2),)), ScaleOptions()
-    model = Detector(detector)
-    searched = search_known_scale(data, model, options)
-    benchmark = benchmark_scale(data, searched, model.card, with_regions(options, {}))
-    resolved: dict[tuple[str, str], float] = {}
-    row = ablation._row
-
-    def seen(choice: str, setting: str, boxes: Any, trials: Any) -> Any:
-        if trials:
-            resolved[choice, setting] = trials[0].analysis.resolved
-        return row(choice, setting, boxes, trials)
-
-    monkeypatch.setattr(ablation, "_row", seen)
-    ablation.ablate(benchmark)
-    alphas = [resolved["alpha", setting] for setting in ("1", "1.5", "none")]
-    assert alphas == pytest.approx([1 / 9, 1 / 10, 1 / 12])
-    assert resolved["aggregation", "mean"] == resolved["alpha", "1.5"]

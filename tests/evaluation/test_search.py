@@ -1,27 +1,18 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.journals import n_results
 from tests.known_scale_data import cars, paint
-from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
 from vehanchor import analyse_scale
-from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
-from vehanchor.detection.search import search
-from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.imagery.facts import image_facts
-from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.errors import InvalidParameterError
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet
 from vehanchor_evaluation.search import (
     DetectionLog,
-    SearchedImage,
     open_detection_log,
     search_images,
     search_known_scale,
@@ -96,24 +87,6 @@ def test_an_unreadable_image_is_an_issue_and_is_tried_again(tmp_path: Path, dete
     assert not any(isinstance(item, FileIssue) for item in found.values())
 
 
-def test_a_log_that_cannot_be_used_is_told(tmp_path: Path, detector: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for path in (tmp_path / "file" / "log.sqlite", tmp_path):
-        with pytest.raises(OutputError, match="cannot keep results"):
-            _log(path, Detector(detector))
-    (tmp_path / "notes.txt").write_text("not a log")
-    with pytest.raises(InvalidParameterError, match="is not a journal"):
-        _log(tmp_path / "notes.txt", Detector(detector))
-
-
-def test_progress_ends_at_all_images(tmp_path: Path, detector: Path) -> None:
-    paint(tmp_path / "a.png", cars(20))
-    told: list[tuple[int, int]] = []
-    tell: Callable[[int, int], None] = lambda done, total: told.append((done, total))  # noqa: E731
-    dict(search_images([tmp_path / "a.png"], Detector(detector), ScaleOptions(), progress=tell))
-    assert told == [(0, 1), (1, 1)]
-
-
 def test_the_detail_is_that_around_the_vehicles_which_each_alpha_keeps(
     tmp_path: Path, detector: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -151,26 +124,3 @@ def test_an_alpha_that_no_search_has_looked_at_is_looked_at(tmp_path: Path, dete
         assert not isinstance(found, FileIssue)
         assert found.analysis(model.card, wide).estimate.n_vehicles == 12
     assert len(counted) == 2
-
-
-def test_a_log_keeps_all_that_was_seen(tmp_path: Path) -> None:
-    model = Detector(write_detector(tmp_path / "m.onnx", names={0: "car", 1: "ship"}))
-    write_fleet_network(model.path, FleetLengths((-1.0, 1.0), (4.0, 5.0), 0.3, 2.0))
-    telling = Detector(model.path)
-    image = blank_image(400, 100)
-    paint_vehicles(image, [[50 + 70 * k, 50, 30, 12, 0.4] for k in range(4)], classes=[0, 0, 1, 0])
-    with open_raster(image) as raster:
-        found, facts = search(raster, telling), image_facts(raster)
-    ground = SceneScalePrior((SceneLevel(1, 9, np.log([0.25, 0.5, 0.25])),), SceneCalibration(-2.0, 0.1, doubt=0.1))
-    _log(tmp_path / "log.sqlite", telling).add(("a.png",), SearchedImage(found, facts, prior=ground))
-    again = _log(tmp_path / "log.sqlite", telling).get(("a.png",))
-    assert again is not None
-    assert (len(found.boxes), len(found.others)) == (3, 1)
-    for kept, seen in ((again.detections, found), (again.detections.others, found.others)):
-        for name in ("boxes", "scores", "classes"):
-            np.testing.assert_array_equal(getattr(kept, name), getattr(seen, name))
-    assert found.fleet is not None
-    np.testing.assert_array_equal(again.detections.fleet, found.fleet)
-    assert again.prior is not None
-    np.testing.assert_array_equal(again.prior.density, ground.density)
-    assert _log(tmp_path / "log.sqlite", model).get(("a.png",)) is None  # of another fleet network: none

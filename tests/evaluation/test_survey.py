@@ -2,13 +2,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import pytest
 
-from research.scenes import render_scene
 from tests.known_scale_data import REFERENCE_M, cars, dota_lines, paint, write_geotiff
 from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.dota import labelled_boxes, survey_dota
+from vehanchor_evaluation.dota import survey_dota
 from vehanchor_evaluation.geotiff import survey_geotiffs
 from vehanchor_evaluation.survey import survey_known_scale
 from vehanchor_evaluation.table import survey_table
@@ -46,19 +44,6 @@ def test_version_2_keeps_the_scale_in_its_meta_folder(dota: Path) -> None:
     assert len(survey_dota(dota, dota / "labelTxt-v1.5").images) == 5
     (dota / "meta" / "P0000.txt").write_text("imagesource:GoogleEarth\n")
     assert survey_dota(dota).images == ()
-
-
-def test_labels_of_a_scene_come_back_as_drawn(tmp_path: Path) -> None:
-    scene = render_scene(0.2, width_px=300, height_px=300, seed=3, layout="parking")
-    for name in ("images", "labelTxt"):
-        (tmp_path / name).mkdir()
-    cv2.imwrite(str(tmp_path / "images" / "P1.png"), scene.image[:, :, ::-1])
-    (tmp_path / "labelTxt" / "P1.txt").write_text(f"imagesource:scene\n{scene.dota_text()}")
-    (image,) = survey_dota(tmp_path).images
-    assert image.gsd_m_per_px == 0.2
-    assert image.labels is not None
-    drawn = [vehicle.length_px for vehicle in scene.vehicles if vehicle.kind == "small-vehicle"]
-    assert labelled_boxes(image.labels)[:, 2] == pytest.approx(drawn, abs=0.01)
 
 
 def test_a_folder_that_is_no_split_says_what_to_name(dota: Path, tmp_path: Path) -> None:

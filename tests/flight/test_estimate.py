@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from concurrent.futures import CancelledError
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +9,10 @@ import pytest
 
 from tests.flight.photographs import car_park, write_flight
 from tests.models import write_detector
-from tests.tiles import watched_tiles
 from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import Detector
-from vehanchor.engine import Cancellation, Engine
 from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError, KnownLengthError
 from vehanchor.imagery.sources.opening import ImageSource
-from vehanchor.options import Reading, ScaleOptions
 from vehanchor_flight import estimate as flight_estimate
 from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.verbs import estimate_flight
@@ -155,43 +151,6 @@ def test_an_interrupted_flight_of_a_video_goes_on_where_it_stopped(
     again = estimate_flight(sample_video(str(film), 1.0), same_scale=True, detector=detector, journal=journal)
     assert len(searched) == 1
     assert len(again.photographs) == 3
-
-
-def test_arrays_of_opencv_are_read_as_they_are_and_films_frames_as_we_have_read_them(detector: Detector) -> None:
-    picture = car_park([50.0] * 8)
-    picture[:40] = (200, 90, 10)
-    swapped = np.ascontiguousarray(picture[:, :, ::-1])
-
-    def identity(taken: InputPhotograph, *, bgr: bool) -> str | None:
-        stored, _ = flight_estimate._search(
-            taken, detector, ScaleOptions(reading=Reading(bgr=bgr)), None, featured=False
-        )
-        return stored.image.image_id
-
-    whole = identity(InputPhotograph("a", picture), bgr=False)
-    assert identity(InputPhotograph("a", swapped), bgr=True) == whole
-    assert identity(InputPhotograph("a", picture, "film.mp4"), bgr=True) == whole
-    assert identity(InputPhotograph("a", swapped), bgr=False) != whole
-
-
-def test_a_cancelled_flight_ends_and_its_journal_resumes(flight: list[str], detector: Detector, tmp_path: Path) -> None:
-    cancellation, journal, told = Cancellation(), tmp_path / "flight.journal", []
-    engine = Engine(detector)
-
-    def cancel(done: int, total: int) -> None:
-        told.append((done, total))
-        if done == 2:
-            cancellation.cancel()
-
-    chosen: Any = {"same_scale": True, "engine": engine}
-    with pytest.raises(CancelledError):
-        estimate_flight(flight, journal=journal, progress=cancel, cancellation=cancellation, **chosen)
-    assert told == [(0, 4), (1, 4), (2, 4)], "photographs are counted, not tiles"
-    assert journal.exists()
-    with watched_tiles() as tiles:
-        record = estimate_flight(flight, journal=journal, **chosen)
-    assert tiles.n_begun == 2, "two photographs were known"
-    assert record == estimate_flight(flight, **chosen)
 
 
 def test_lines_of_one_photograph_scale_all_of_one_scale(flight: list[str], detector: Detector, tmp_path: Path) -> None:

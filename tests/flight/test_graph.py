@@ -49,15 +49,6 @@ def test_a_photograph_whose_own_evidence_is_wrong_is_overruled() -> None:
     assert np.abs(component.log_scales - truth).max() < 0.08
 
 
-def test_islands_stay_apart() -> None:
-    truth = np.log([0.1, 0.1, 0.1, 0.05, 0.05, 0.2])
-    links = [Link(0, 1, 0.0, 0.01), Link(1, 2, 0.0, 0.01), Link(3, 4, 0.0, 0.01)]
-    solution = solve(6, links, [Unary(float(each), 0.1) for each in truth])
-    assert [list(component.members) for component in solution.components] == [[0, 1, 2], [3, 4], [5]]
-    for component in solution.components:
-        assert component.log_scales == pytest.approx(truth[component.members], abs=1e-3)
-
-
 def test_a_bridge_that_contradicts_the_evidence_on_both_sides_is_no_bridge() -> None:
     rng = np.random.default_rng(3)
     truth = np.full(16, np.log(0.1))
@@ -97,8 +88,3 @@ def test_a_camera_that_looks_aside_does_not_bend_the_scales() -> None:
     assert np.std(component.log_scales) < 0.75 * np.std(plain.log_scales)
     off = component.log_scales - component.log_scales.mean()
     assert (np.abs(off) < 3.5 * component.sds_from(int(np.argmin(np.abs(off)))).max()).all()
-
-
-def test_a_flight_without_overlaps_is_as_many_components() -> None:
-    solution = solve(3, [], [None, Unary(-2.0, 0.1), None])
-    assert [list(component.members) for component in solution.components] == [[0], [1], [2]]

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
-from typing import Any
 
 import cv2
 import numpy as np
@@ -64,13 +62,6 @@ def test_a_match_gives_the_ratio_of_the_scales_and_the_place(turn_deg: float, sc
     assert found.turn[:, :2] @ [250, 250] + found.turn[:, 2] == pytest.approx(expected, abs=3)
 
 
-def test_a_match_keeps_only_the_digits_that_do_not_depend_on_threads(seen: list[Features]) -> None:
-    found = match(seen[0], seen[1])
-    assert found is not None
-    assert np.array_equal(found.turn, found.turn.round(9))
-    assert found.log_sd == round(found.log_sd, 9)
-
-
 def test_photographs_of_other_places_do_not_match(seen: list[Features]) -> None:
     assert match(seen[0], seen[5]) is None
     nothing = features_of(np.full((200, 200, 3), 90, np.uint8))
@@ -122,23 +113,6 @@ def test_positions_are_a_ruler_where_there_is_no_car(seen: list[Features]) -> No
     assert positions.gsd_m_per_px == pytest.approx(GROUND_M_PER_PX * scale, rel=0.03)
     assert positions.interval is not None
     assert positions.interval.low < GROUND_M_PER_PX * scale < positions.interval.high
-
-
-def test_positions_are_listed_beside_three_other_rulers(seen: list[Features]) -> None:
-    flight = _flight(with_cars=(), placed=True)
-    for number, (*_, scale) in enumerate(STATIONS):
-        facts, height_m = flight[number].view.image, 1000.0 * GROUND_M_PER_PX * scale
-        assert facts.camera is not None
-        lens: dict[str, Any] = {"focal_px": 1000.0, "taken_width_px": 500, "taken_height_px": 500, "off_nadir_deg": 0.0}
-        camera = replace(facts.camera, height_m=height_m, height_tag="RelativeAltitude", **lens)
-        stored = StoredPhotograph(facts._replace(camera=camera), sighting_of(FLEET / scale), 1.0)
-        options = ScaleOptions.of({"height_m": 1.03 * height_m})  # nearer, it would repeat the file's
-        flight[number] = Photograph.of(str(number), stored, made_card(5.0), options)
-    linked = link_photographs(flight, seen)
-    record = conclude_flight(flight, linked.components, made_card(5.0), same_scale=False, links=linked.links)
-    for photograph in record.photographs[:5]:
-        own = [each.ruler for each in photograph.supported_by if each.photograph == photograph.photograph]
-        assert sorted(own) == ["camera", "height", "positions", "vehicles"]
 
 
 def test_positions_of_another_flight_are_no_ruler(seen: list[Features]) -> None:

@@ -13,7 +13,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.records import Notice
 from vehanchor.rulers.point import no_evidence, point_witness, prior_witness
-from vehanchor.scale.density import credible_interval, flat, lognormal, shifted
+from vehanchor.scale.density import credible_interval, lognormal
 from vehanchor.scale.reliability import Shared
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.pooling import _pooled_witness, combined_density, pool, pooled_detections
@@ -51,12 +51,6 @@ def test_photographs_of_known_ratio_are_measured_in_the_pixels_of_one() -> None:
 def test_one_photograph_says_what_it_says_alone() -> None:
     one = _photograph(_FLEET)
     assert pool([one], [0.3], 0).estimate == one.analysis.estimate
-
-
-def test_photographs_searched_without_a_car_count_as_searched() -> None:
-    searched = Detections(np.zeros((0, 5)), np.zeros(0), stopped_because="all_searched")
-    assert pooled_detections([searched, searched], np.zeros(2)).stopped_because == "all_searched"
-    assert pooled_detections([NOT_SEARCHED, NOT_SEARCHED], np.zeros(2)).stopped_because is None
 
 
 def test_tiles_and_skipped_candidates_add_up() -> None:
@@ -99,12 +93,6 @@ def test_rulers_that_err_alike_gain_less_by_number(gain: float, narrower: float)
     low, high = credible_interval(one)
     all_low, all_high = credible_interval(combined_density([one] * 16, gain))
     assert np.log(high / low) / np.log(all_high / all_low) == pytest.approx(narrower, rel=0.02)
-
-
-def test_a_density_moves_with_the_pixels() -> None:
-    moved = shifted(lognormal(0.1, 0.1), np.log(2.0))
-    assert credible_interval(moved, probability=0.0).low == pytest.approx(0.05, rel=1e-3)
-    assert shifted(flat(), 0.0) is not None
 
 
 def test_a_witness_of_the_flight_is_heard() -> None:

@@ -87,16 +87,6 @@ def test_photographs_and_components_that_nothing_links_have_advice_of_their_own(
     assert "no other photograph overlaps it" in (bare.advice or "")
 
 
-def test_the_scale_of_what_was_pooled_has_its_plane() -> None:
-    seen = FACTS._replace(image_id="0123456789abcdef")
-    flight = _flight(_photograph("one", seen, _cars(LOOKED)), _photograph("bare", seen, NOTHING))
-    pooled = flight.components[0].pooled
-    assert pooled.tilt is not None
-    assert pooled.scale is not None
-    assert pooled.scale.plane is not None
-    assert pooled.scale.plane.tilt_deg == pooled.tilt.tilt_deg
-
-
 def test_a_flight_that_looked_aside_tells_its_tilt_at_its_own_scale() -> None:
     members = [_photograph("one", FACTS, _cars(LOOKED)), _photograph("bare", FACTS, NOTHING)]
     flight = _flight(*members)

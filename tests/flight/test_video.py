@@ -10,7 +10,7 @@ import pytest
 from tests.flight.ground import ground
 from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError, InvalidParameterError
 from vehanchor.options import ImageLimits
-from vehanchor_flight.video import _taken, is_video, sample_video, sharpness
+from vehanchor_flight.video import is_video, sample_video, sharpness
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +33,6 @@ def test_of_each_stretch_the_sharpest_frame_is_taken(film: Path) -> None:
     assert isinstance(image, np.ndarray)
     assert image.shape == (240, 320, 3)
     assert sharpness(image) > 3 * sharpness(np.asarray(cv2.GaussianBlur(image, (0, 0), 3), dtype=np.uint8))
-
-
-@pytest.mark.parametrize("rate", [0.5, 10.0, 29.97, 120.0, 1000.0])
-def test_no_two_frames_have_one_name(rate: float) -> None:
-    frame = np.zeros((2, 2, 3), np.uint8)
-    names = [_taken("a.mp4", (1.0, number, frame), rate).name for number in range(200)]
-    assert len(set(names)) == len(names)
 
 
 def test_what_is_no_video_is_told(tmp_path: Path) -> None:

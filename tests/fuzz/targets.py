@@ -50,15 +50,14 @@ from vehanchor_server.calls.messages import (
     MAX_PICTURE_BYTES,
     MAX_RECORDS,
     RECORD,
-    Answered,
-    Entered,
     Failed,
     Loaded,
     MessageError,
     Progressed,
     Refused,
+    Replied,
     receive,
-    receive_answer,
+    receive_reply,
 )
 from vehanchor_server.errors import CallError
 from vehanchor_server.services import create_services
@@ -131,10 +130,13 @@ def metadata(data: bytes) -> None:
     def read_at(offset: int, count: int) -> bytes:
         return data[offset : offset + count]
 
-    for tags in (read_exif(read_at, MAX_XMP_BYTES), read_exif(lambda at, count: data[6 + at : 6 + at + count], 1000)):
+    for tags in (read_exif(read_at), read_exif(lambda at, count: data[6 + at : 6 + at + count])):
         assert all(isinstance(value, str | float | bytes) for value in tags.values())
-    assert all(len(text) <= MAX_XMP_BYTES for text in read_xmp(data).properties.values())
-    found = read_camera(read_at)
+    for texts in read_xmp(data, ("RelativeAltitude", "CalibratedFocalLength/X")).properties.values():
+        assert all(len(text) <= MAX_XMP_BYTES for text in texts)
+    found = None
+    with contextlib.suppress(VehAnchorError):
+        found = read_camera(read_at, read_header(read_at))
     if found is not None:
         numbers = [value for value in vars(found).values() if isinstance(value, int | float)]
         assert all(math.isfinite(number) for number in numbers), found
@@ -153,7 +155,7 @@ class _Silent(Context[Any, Any]):
 
 @cache
 def _tools() -> tuple[asyncio.AbstractEventLoop, dict[str, StrictTool]]:
-    settings = Settings(detector="/nowhere.onnx", in_process=True, max_megapixels=1, max_image_mb=1)
+    settings = Settings(detector="/nowhere.onnx", isolation="in-process", max_megapixels=1)
     return asyncio.new_event_loop(), {tool.name: tool for tool in create_tools(create_services(settings))}
 
 
@@ -213,6 +215,11 @@ def _images() -> list[bytes]:
     ]
     found += [make(200) for make in bombs.HEADER_BOMBS.values()]
     found += [bombs.tiff_with_two_sizes(), *_geotiffs(rgb)]
+    rgba = np.dstack([rgb, np.where(rgb[..., 0] < 99, 0, 255)]).astype(np.uint8)
+    found += [cv2.imencode(suffix, rgba)[1].tobytes() for suffix in (".png", ".webp", ".tif")]
+    found.append(cv2.imencode(".tif", np.where(rgb < 40, -9999, rgb).astype(np.float32))[1].tobytes())
+    raw = [(254, 4, 1, 1), (256, 4, 1, 24), (257, 4, 1, 24), (262, 3, 1, 2), (330, 13, 1, 80), (50706, 1, 4, 1025)]
+    found += [bombs.tiff_of_directory(raw[:n], after=bytes(200)) for n in (5, 6)]
     return found
 
 
@@ -308,9 +315,18 @@ def _metadata() -> list[bytes]:
             {"Camera": "http://pix4d.com/camera/1.0"}, "<Camera:Pitch>2.1</Camera:Pitch><Camera:Roll>1/2</Camera:Roll>"
         ),
     ]
-    exifs = [blocks.exif(camera, order) for order in "<>"]
+    skydio = {"s": "https://www.skydio.com/drone-skydio/1.0/"}
+    packets.append(
+        blocks.xmp(skydio, '<s:CalibratedFocalLength rdf:parseType="Resource"><s:X>1</s:X></s:CalibratedFocalLength>')
+    )
+    exifs = [blocks.exif(camera, order) for order in "<>"] + [blocks.exif(camera, pointer_kind=13)]
+    damaged = [each.replace(b"Meta Data", b"A & B") for each in packets]
+    further = b"http://ns.adobe.com/xmp/extension/\0" + b"0" * 32 + bytes(8) + packets[0]
     return [
         *packets,
+        *damaged,
+        packets[0].decode().encode("utf-16-le"),
+        blocks.jpeg(xmp=packets[0], more=blocks.segment(blocks.XMP_PREFIX + damaged[1]) + blocks.segment(further)),
         *exifs,
         *[_EXIF[:6] + each for each in exifs],
         blocks.jpeg(exif=exifs[0], xmp=packets[0]),
@@ -340,19 +356,18 @@ def messages(data: bytes) -> None:
         lost: Any = _Lost(data.split(b"\0"))
         with contextlib.suppress(MessageError, OSError, EOFError):
             message = receive(lost)
-            if not isinstance(message, Answered):
+            if not isinstance(message, Replied):
                 assert len(message.model_dump_json()) <= HEADER.n_bytes
                 return
-            answer = receive_answer(lost, message, record)
+            reply = receive_reply(lost, message, record)
             most = 8 * (MAX_RECORDS * RECORD.n_bytes + DRAWING.n_bytes + 2 * MAX_PICTURE_BYTES)
-            assert len(answer.to_result("found").model_dump_json()) <= most
+            assert len(reply.to_result("found").model_dump_json()) <= most
 
 
 def _messages() -> list[bytes]:
-    header = Answered(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
+    header = Replied(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
     plain = [
         Loaded(failure=None, landlock=6, seccomp=True, lacks=""),
-        Entered(stage="decode"),
         Progressed(percent=50, message="searched 1 of 2 tiles"),
         Refused(code="image_too_large", message="smaller"),
         Failed(traceback="Traceback"),

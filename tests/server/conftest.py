@@ -122,7 +122,9 @@ def images(_images: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
-    return Settings(roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True)
+    return Settings(
+        roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
+    )
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import os
 import re
 import typing
 from dataclasses import Field, fields
@@ -16,16 +15,13 @@ from vehanchor_server.schemas import schema_files
 from vehanchor_server.settings import Settings, variable_name
 
 SAMPLES: dict[str, Any] = {
-    "effort": "full",
-    "precision": "auto",
-    "segmenter": (Path("e.onnx"), Path("d.onnx")),
-    "oidc_issuer": "https://a.test",
-    "min_score": 0.25,
     "image_hosts": ("a.test", "b.test:8443"),
-    "insecure": True,
-    "public_url": "https://a.test/mcp",
+    "segmenter": (Path("e.onnx"), Path("d.onnx")),
+    "providers": ("cuda", "cpu"),
+    "isolation": "unconfined",
+    "public_urls": ("https://a.test/mcp",),
+    "oidc": ("https://a.test", "x"),
 }
-COMPANIONS = {"oidc_issuer": {"oidc_audience": "x"}, "oidc_audience": {"oidc_issuer": "https://a.test"}}
 
 
 @pytest.fixture(scope="module")
@@ -56,15 +52,9 @@ def sample(field: Field[Any], folder: Path) -> Any:
     """A value that is not the default."""
     if field.name in SAMPLES:
         return SAMPLES[field.name]
+    if field.name == "roots":
+        return (folder,)
     kind = typing.get_type_hints(Settings)[field.name]
-    one = {
-        "roots": (folder,),
-        "providers": ("cuda", "cpu"),
-        "allowed_hosts": ("a.test",),
-        "allowed_origins": ("https://a.test",),
-    }
-    if field.name in one:
-        return one[field.name]
     bare = next(option for option in (*typing.get_args(kind), kind) if isinstance(option, type))
     return bare(7 if bare in (int, float) else "name")
 
@@ -72,10 +62,12 @@ def sample(field: Field[Any], folder: Path) -> Any:
 @pytest.mark.parametrize("field", fields(Settings), ids=lambda field: str(field.name))
 def test_every_setting_is_in_the_help_with_its_words_and_its_default(shown: list[str], field: Field[Any]) -> None:
     (line,) = [line for line in shown if f"\N{BOX DRAWINGS LIGHT VERTICAL} {flag_of(field)} " in line]
-    assert field.metadata["option"].help.removesuffix(".") in line
-    if field.default or field.metadata["if_unset"]:
-        default = field.metadata["if_unset"] or str(field.default).removesuffix(".0")
-        assert f"[{default}]." in line
+    words = field.metadata["words"]
+    text = words.help.removesuffix(".")
+    assert text[:60] in line
+    if field.default or words.if_unset:
+        default = words.if_unset or str(field.default).removesuffix(".0")
+        assert f"[{default}]." in "\n".join(shown[shown.index(line) : shown.index(line) + 3])
 
 
 @pytest.mark.parametrize("field", fields(Settings), ids=lambda field: str(field.name))
@@ -84,53 +76,32 @@ def test_every_setting_is_a_flag_and_a_variable(
 ) -> None:
     value = sample(field, tmp_path)
     assert value != field.default
-    companion = COMPANIONS.get(field.name, {})
-    environ = {variable_name(name): text for name, text in companion.items()}
     flag = flag_of(field)
     words = [flag] if value is True else [word for each in values(field, value) for word in (flag, *each)]
-    assert CliRunner().invoke(app, ["serve", *words], env=environ).exit_code == 0
-    separator = os.pathsep if field.name == "segmenter" else ","
+    assert CliRunner().invoke(app, ["serve", *words]).exit_code == 0
+    separator = field.metadata["words"].separator
     text = separator.join(map(str, value)) if isinstance(value, tuple) else str(value)
-    assert CliRunner().invoke(app, ["serve"], env={**environ, variable_name(field.name): text}).exit_code == 0
-    expected = Settings(**{field.name: value, **companion})
+    assert CliRunner().invoke(app, ["serve"], env={variable_name(field.name): text}).exit_code == 0
+    expected = Settings(**{field.name: value})
     assert served == [expected, expected]
 
 
 def flag_of(field: Field[Any]) -> str:
-    return f"--{field.metadata['option'].flag or field.name.replace('_', '-')}"
+    return f"--{field.metadata['words'].flag or field.name.replace('_', '-')}"
 
 
 def values(field: Field[Any], value: Any) -> list[list[str]]:
     """The words that follow the flag, each time it is given."""
-    if field.name == "segmenter":
+    if field.name in ("segmenter", "oidc"):
         return [[str(part) for part in value]]
     return [[str(part)] for part in value] if isinstance(value, tuple) else [[str(value)]]
 
 
-def test_a_lowest_score_of_zero_is_a_value(app: typer.Typer, served: list[Settings]) -> None:
-    result = CliRunner().invoke(app, ["serve", "--min-score", "0"], env={"VEHANCHOR_MIN_SCORE": "0.5"})
-    assert result.exit_code == 0
-    assert served == [Settings(min_score=0.0)]
-
-
-def test_flags_come_before_variables(app: typer.Typer, served: list[Settings], tmp_path: Path) -> None:
-    runner = CliRunner()
-    arguments = ["serve", "--root", str(tmp_path), "--threads", "2", "--image-host", "a.test", "--image-host", "b.test"]
-    arguments += ["--segmenter", "e.onnx", "d.onnx", "--calibration", "c.json"]
-    assert runner.invoke(app, arguments, env={"VEHANCHOR_DEADLINE_S": "9", "VEHANCHOR_THREADS": "7"}).exit_code == 0
-    assert served == [
-        Settings(
-            roots=(tmp_path,),
-            threads=2,
-            image_hosts=("a.test", "b.test"),
-            segmenter=(Path("e.onnx"), Path("d.onnx")),
-            calibration=Path("c.json"),
-            deadline_s=9.0,
-        )
-    ]
-    served.clear()
-    assert runner.invoke(app, ["serve", "--http", "--port", "9001", "--workers", "2"]).exit_code == 0
-    assert served == [Settings(port=9001, workers=2)]
+def test_flags_come_before_variables(app: typer.Typer, served: list[Settings]) -> None:
+    arguments = ["serve", "--http", "--port", "9001", "--threads", "2"]
+    environ = {"VEHANCHOR_DEADLINE_S": "9", "VEHANCHOR_THREADS": "7"}
+    assert CliRunner().invoke(app, arguments, env=environ).exit_code == 0
+    assert served == [Settings(port=9001, threads=2, deadline_s=9.0)]
 
 
 def test_a_wrong_setting_is_a_line_on_stderr_and_status_2(app: typer.Typer) -> None:
@@ -138,14 +109,6 @@ def test_a_wrong_setting_is_a_line_on_stderr_and_status_2(app: typer.Typer) -> N
     assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr == "error[invalid_settings]: deadline_s is -1.0: use a finite number > 0\n"
-
-
-def test_a_root_that_is_missing_is_a_line_on_stderr_and_status_2(app: typer.Typer, tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["serve", "--root", str(tmp_path / "missing")])
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert result.stderr.startswith("error[invalid_settings]: root ")
-    assert len(result.stderr.splitlines()) == 1
 
 
 def test_a_public_address_without_authentication_is_refused(app: typer.Typer) -> None:

@@ -15,12 +15,12 @@ from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.options import ScaleOptions, declared_options
 from vehanchor.options.frame import FRAME, FRAME_SIDE
 from vehanchor.options.given_scale import GSD, GSD_M_PER_PX, OBJECT_HEIGHT
-from vehanchor.options.option import Limits, Option, Words, option_of
+from vehanchor.options.option import Limits, Option, Words
 from vehanchor.options.rulers import LINE_LENGTH_M
 from vehanchor.rulers.registry import rulers_help
 from vehanchor.scale.calibration import Calibration
 from vehanchor_server.services import create_services
-from vehanchor_server.settings import Settings, SettingsError
+from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
 
 DECLARED = {each.keyword: each for each in declared_options()}
@@ -37,7 +37,6 @@ NEEDED = {
     "frame_width_px": {"frame_height_px": 1},
     "frame_height_px": {"frame_width_px": 1},
 }
-SETTINGS = {"min_score": "min_score", "effort": "effort", "max_tiles": "max_tiles", "max_search_s": "max_seconds"}
 JSON_NAMES = {"ge": "minimum", "le": "maximum", "gt": "exclusiveMinimum"}
 
 
@@ -133,25 +132,3 @@ def test_the_parts_of_a_tools_arguments_have_the_limits_of_the_library() -> None
     ):
         expected = {JSON_NAMES[limit]: value for limit, value in limits.schema.items()}
         assert {key: value for key, value in schema.items() if "imum" in key.lower()} == expected
-
-
-@pytest.mark.parametrize("name", SETTINGS)
-def test_a_setting_has_the_help_the_default_and_the_limits_of_its_option(name: str) -> None:
-    option = DECLARED[SETTINGS[name]]
-    setting = Settings.__dataclass_fields__[name]
-    assert option_of(setting) == option.declared
-    assert setting.default == option.field.default
-    assert option.declared is not None
-    takes = option.declared.takes
-    assert takes is not None
-    if isinstance(takes, Words):
-        most: dict[str, Any] = {name: "most"}
-        with pytest.raises(SettingsError, match=name):
-            Settings(**most)
-        return
-    assert isinstance(takes, Limits)
-    for value in _within(takes):
-        Settings(**{name: value})
-    for value in _beyond(takes):
-        with pytest.raises(SettingsError, match=name):
-            Settings(**{name: value})

@@ -54,7 +54,9 @@ async def test_its_worked_calls_work(tmp_path: Path) -> None:
     shutil.copy(ROOT / "examples" / "car_park.jpg", tmp_path / "car_park.jpg")
     calls = [json.loads(block) for block in re.findall(r"```json\n(.*?)\n```", TEXT, re.DOTALL)]
     assert len(calls) == 3
-    async with Client(create_server(create_services(Settings(roots=(tmp_path.resolve(),), in_process=True)))) as client:
+    async with Client(
+        create_server(create_services(Settings(roots=(tmp_path.resolve(),), isolation="in-process")))
+    ) as client:
         listed = {tool.name: tool for tool in (await client.list_tools()).tools}
         for call in calls:
             assert set(call["arguments"]) <= set(listed[call["tool"]].input_schema["properties"])

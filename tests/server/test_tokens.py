@@ -97,10 +97,10 @@ async def test_twenty_answers_are_short(server: MCPServer[object], images: Path)
 
 async def test_a_short_answer_never_rounds_a_confidence_over_the_limit() -> None:
     from tests.analyses import make_analysis
-    from vehanchor_server.calls.compact import short_answer
+    from vehanchor_server.calls.compact import short_record
 
     boxes = np.array([[500.0, 500, length, 10, 0] for length in (30, 31, 32)])
     estimate = make_analysis(boxes, 1000, 1000).estimate
-    short = short_answer([estimate.model_copy(update={"confidence": 0.89996, "gsd_m_per_px": 0.123456})])
+    short = short_record([estimate.model_copy(update={"confidence": 0.89996, "gsd_m_per_px": 0.123456})])
     assert (short["confidence"], short["gsd_m_per_px"]) == (0.899, 0.123)
     assert "model_sha256" not in short

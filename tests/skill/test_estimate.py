@@ -22,11 +22,6 @@ if TYPE_CHECKING:
 ALONE: dict[str, Any] = {"rulers": ("vehicles",)}  # the scene-scale prior does not know painted pictures
 
 
-@pytest.fixture(scope="module")
-def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    return Detector(write_detector(tmp_path_factory.mktemp("model") / "painted.onnx"))
-
-
 def _car_park(lengths: list[float], scores: list[float] | None = None) -> NDArray[np.uint8]:
     image = blank_image(480, 60 * -(-len(lengths) // 6) + 60)
     boxes = [[40 + 70 * (k % 6), 50 + 60 * (k // 6), length, 12, 0.4] for k, length in enumerate(lengths)]

@@ -12,7 +12,11 @@ from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
+
+    from vehanchor.analysis.scale import ScaleAnalysis
 
 _SEARCHING = {
     "vehanchor.length_range_px": "9,64",
@@ -28,10 +32,21 @@ def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
     return Detector(write_detector(tmp_path_factory.mktemp("model") / "m.onnx", metadata=_SEARCHING))
 
 
-@pytest.fixture(autouse=True)
-def _large(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("detection.limits.ANYTIME_PIXELS", "detection.search.ANYTIME_PIXELS", *_LARGE_PIXELS):
-        monkeypatch.setattr(f"vehanchor.{name}", 1_000_000)
+@pytest.fixture(scope="module", autouse=True)
+def _large() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patches:
+        for name in ("detection.limits.ANYTIME_PIXELS", "detection.search.ANYTIME_PIXELS", *_LARGE_PIXELS):
+            patches.setattr(f"vehanchor.{name}", 1_000_000)
+        yield
+
+
+@pytest.fixture(scope="module")
+def searched(detector: Detector, _large: None) -> dict[str, ScaleAnalysis]:
+    """The town, searched in full and until the search ends by itself."""
+    return {
+        effort: analyse_scale(_town(), detector=detector, effort=effort, **_TILES)
+        for effort in ("full", "auto", "fast")
+    }
 
 
 def _town(spread: float = 0.07, seed: int = 0) -> NDArray[np.uint8]:
@@ -45,11 +60,8 @@ def _town(spread: float = 0.07, seed: int = 0) -> NDArray[np.uint8]:
     return image
 
 
-def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(detector: Detector) -> None:
-    image = _town()
-    full, auto, fast = (
-        estimate_gsd(image, detector=detector, effort=effort, **_TILES) for effort in ("full", "auto", "fast")
-    )
+def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(searched: dict[str, ScaleAnalysis]) -> None:
+    full, auto, fast = (analysis.estimate for analysis in searched.values())
     assert (full.tiles_searched, full.stopped_because) == (full.tiles_total, "all_searched")
     assert auto.stopped_because == "converged"
     assert auto.tiles_total == full.tiles_total
@@ -61,14 +73,12 @@ def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(detector: Detec
 
 
 def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
-    detector: Detector, monkeypatch: pytest.MonkeyPatch
+    detector: Detector, searched: dict[str, ScaleAnalysis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in _LARGE_PIXELS:
         monkeypatch.setattr(f"vehanchor.{name}", 100_000_000)
-    image = _town()
-    full, auto, again = (
-        estimate_gsd(image, detector=detector, effort=effort, **_TILES) for effort in ("full", "auto", "auto")
-    )
+    image, full = _town(), searched["full"].estimate
+    auto, again = (estimate_gsd(image, detector=detector, **_TILES) for _ in range(2))
     assert auto == again
     assert (full.stopped_because, auto.stopped_because) == ("all_searched", "converged")
     assert auto.tiles_searched < 0.6 * full.tiles_searched
@@ -76,14 +86,12 @@ def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
     assert auto.gsd_m_per_px == pytest.approx(full.gsd_m_per_px, rel=0.02)
     few = blank_image(2000, 1600)
     paint_vehicles(few, [[100 + 250 * k, 800, 30, 12, 0.4] for k in range(7)])
-    searched = estimate_gsd(few, detector=detector, **_TILES)
-    assert searched.tiles_searched > 0.75 * searched.tiles_total  # all that can show cars
+    sparse = estimate_gsd(few, detector=detector, **_TILES)
+    assert sparse.tiles_searched > 0.75 * sparse.tiles_total  # all that can show cars
 
 
-def test_a_search_that_ends_early_tells_where_it_went(detector: Detector) -> None:
-    full, auto = (
-        analyse_scale(_town(), detector=detector, effort=effort, **_TILES).detections for effort in ("full", "auto")
-    )
+def test_a_search_that_ends_early_tells_where_it_went(searched: dict[str, ScaleAnalysis]) -> None:
+    full, auto = (searched[effort].detections for effort in ("full", "auto"))
     assert full.areas is None
     assert full.covers(10, 10)
     assert auto.areas is not None

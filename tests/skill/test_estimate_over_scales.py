@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from research.scenes import Scene, render_scene
 from tests.analyses import analyse_found
-from tests.models import write_detector
 from tests.yards import YARDS, Yard, paint_yard
 from vehanchor import estimate_gsd
 from vehanchor.detection.appearance import FleetAppearance
@@ -23,20 +22,12 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.scale.lengths import dominant_group
-from vehanchor_evaluation.table import read_table
+from vehanchor_evaluation.table import survey_table
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-_SEARCHING = {"vehanchor.length_range_px": "9,64", "vehanchor.search_scales": "1"}
-
-
-@pytest.fixture(scope="module")
-def searching(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    """A detector of painted vehicles whose file asks for the search."""
-    return Detector(write_detector(tmp_path_factory.mktemp("model") / "m.onnx", metadata=_SEARCHING))
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +195,7 @@ def test_a_yard_of_things_shaped_like_cars_is_never_a_confident_scale(
 def test_photographs_too_coarse_to_measure_are_not_trusted_after_enlarging(
     real_data: Path, bundled: Detector, way: int
 ) -> None:
-    rows = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "ucm" and i.split == "val"]
+    rows = [i for i in survey_table(real_data / "gsd" / "table.csv").images if i.set == "ucm" and i.split == "val"]
     densest = sorted(rows, key=lambda image: -(image.labelled_vehicles or 0))[:8]
     for image in densest:
         photograph = cv2.imread(str(image.path))

@@ -14,13 +14,13 @@ from rasterio.warp import transform
 from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector
-from vehanchor import analyse_area, analyse_scale
+from vehanchor import analyse_scale
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.cli.app import app
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import OutputError
-from vehanchor.export.geojson import PIXELS_WKT, write_boxes, write_measured
+from vehanchor.export.geojson import PIXELS_WKT, write_boxes
 
 AFFINE = Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000)
 
@@ -106,20 +106,3 @@ def test_a_measured_outline_is_written_with_its_size(tmp_path: Path) -> None:
     assert feature["properties"]["area_m2"] == pytest.approx(112, rel=0.05)
     places = np.array(feature["geometry"]["coordinates"][0][0], float)
     np.testing.assert_allclose([places.min(axis=0), places.max(axis=0)], [(80, 60), (220, 140)], atol=3)
-
-
-def test_an_outline_is_written_of_whatever_was_measured_without_reading_the_image_again(
-    tmp_path: Path,
-) -> None:
-    """It was read again, within the default limits, whatever the caller's were."""
-    image = np.full((200, 300, 3), 90, np.uint8)
-    cv2.rectangle(image, (80, 60), (219, 139), (230, 230, 230), -1)
-    cv2.imwrite(str(tmp_path / "roof.png"), image)
-    analysis = analyse_area(
-        tmp_path / "roof.png",
-        box=(75, 55, 225, 145),
-        gsd_m_per_px=0.1,
-    )
-    (tmp_path / "roof.png").unlink()
-    (feature,) = json.loads(write_measured(tmp_path / "roof.geojson", analysis).read_text())["features"]
-    assert feature == json.loads(json.dumps(analysis.__geo_interface__))

@@ -23,7 +23,6 @@ from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.facts import ImageFacts
-from vehanchor.imagery.identity import Source
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.rulers.given_height import GivenHeight
@@ -33,7 +32,7 @@ from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import Shared
 from vehanchor.storage.atomic import whole_file
 from vehanchor.storage.codec import Codec
-from vehanchor.storage.journal import Journal
+from vehanchor.storage.journal import Journal, Source
 from vehanchor_evaluation.calibration_file import save_calibration
 from vehanchor_flight.photograph import StoredPhotograph, photograph_codec
 
@@ -42,29 +41,11 @@ def _journal(path: Path | None, settings: dict[str, Any] | None = None, **choice
     return Journal(path, settings or {"model": "m"}, dump=lambda value: value, load=lambda value: value, **choices)
 
 
-def test_results_come_back_in_the_order_asked_for(tmp_path: Path) -> None:
-    journal = _journal(tmp_path / "deep" / "j.journal")
-    for number in range(5):
-        journal.add(("f", number), {"n": number})
-    for again in (journal, _journal(journal.path)):
-        assert len(again) == 5
-        assert list(again.values([("f", 3), ("f", 0)])) == [{"n": 3}, {"n": 0}]
-        assert (("f", 4) in again, ("f", 5) in again) == (True, False)
-        assert again.get(("f", 5)) is None
-
-
 def test_without_a_path_results_live_in_memory() -> None:
     journal = _journal(None)
     journal.add(("a",), 1)
     journal.add(("b",), None)
     assert list(journal.values([("b",), ("a",)])) == [None, 1]
-
-
-def test_the_last_result_of_a_key_holds(tmp_path: Path) -> None:
-    journal = _journal(tmp_path / "j.journal")
-    journal.add(("a",), 1)
-    journal.add(("a",), 2)
-    assert journal.get(("a",)) == _journal(journal.path).get(("a",)) == 2
 
 
 def test_several_settings_share_a_file_and_do_not_see_each_other(tmp_path: Path) -> None:
@@ -196,12 +177,6 @@ def test_a_journal_of_another_version_is_refused_with_a_sentence(
         _journal(path).add(("a",), 1)
     with pytest.raises(InvalidParameterError, match=r"journal_version 1 \(now 4\).*move the file away"):
         _journal(path, sole=True)
-
-
-def test_settings_without_a_result_are_no_unfinished_run(tmp_path: Path) -> None:
-    path = tmp_path / "j.journal"
-    _journal(path, {"alpha": 1.5}).close()
-    _journal(path, {"alpha": 2.0}, sole=True).close()
 
 
 def test_a_damaged_value_is_told_with_the_remedy(tmp_path: Path) -> None:

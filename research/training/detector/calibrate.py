@@ -42,7 +42,7 @@ from vehanchor.scale.lengths import inlier_mask, modal_length
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.known_scale import KnownScaleImage
-from vehanchor_evaluation.table import read_table
+from vehanchor_evaluation.table import survey_table
 
 NAME = "vehicles"
 REGION_OF_SET = {
@@ -198,7 +198,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     options = parser.parse_args()
-    tables = [read_table(options.data / "gsd" / name) for name in ("table.csv", "upright.csv")]
+    tables = [survey_table(options.data / "gsd" / name).images for name in ("table.csv", "upright.csv")]
     images = [image for image in chain.from_iterable(tables) if image.split == "train"]
     calibration: dict[str, object] = {
         "name": NAME,

@@ -28,7 +28,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.known_scale import KnownScaleImage
-from vehanchor_evaluation.table import read_table
+from vehanchor_evaluation.table import survey_table
 
 _LABELLED = 5  # cars of an image that counts
 _RANGE_M = (3.6, 5.3)  # of fleets' modal lengths
@@ -120,7 +120,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     detector = Detector(options.model)
-    images = [image for table in options.tables for image in read_table(table)]
+    images = [image for table in options.tables for image in survey_table(table).images]
     known, unseen = collect(images, detector, options.run)
     ranked = []
     for gain, neutral in itertools.product(_GAINS, _NEUTRAL_VEHICLES):

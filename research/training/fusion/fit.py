@@ -25,16 +25,16 @@ from research.results.record import header
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.imagery.identity import Source
 from vehanchor.options import ScaleOptions
 from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.posterior import answer
 from vehanchor.scale.votes import Votes
 from vehanchor.storage.atomic import whole_file
+from vehanchor.storage.journal import Source
 from vehanchor_evaluation.known_scale import KnownScaleImage
 from vehanchor_evaluation.reliability import upper_bound
 from vehanchor_evaluation.search import SearchedImage, open_detection_log
-from vehanchor_evaluation.table import read_table
+from vehanchor_evaluation.table import survey_table
 
 _CAR_M = (3.0, 6.3)  # between these a box of known scale is taken for a car
 _NUMBERS = ((0, 0), (1, 1), (2, 2), (3, 4), (5, 12), (13, 10_000))  # of vehicles, in reports
@@ -85,7 +85,7 @@ class Outcome(NamedTuple):
 def kept_searches(run: Path, split: str, detector: Detector) -> list[Searched]:
     """Read the searches of a split."""
     log = open_detection_log(run / f"{split}.jsonl", detector, ScaleOptions())
-    found = ((image, log.get(Source.of(image.path))) for image in read_table(run / f"{split}.csv"))
+    found = ((image, log.get(Source.of(image.path))) for image in survey_table(run / f"{split}.csv").images)
     return [Searched(image, each) for image, each in found if each is not None]
 
 

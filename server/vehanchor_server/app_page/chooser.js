@@ -1,41 +1,60 @@
 // ---- Photographs: the folder's and dropped ones ----
 
 const known = new Map(); // by path: the button, and the call with what was measured since, if any
-const NAME_END = 12;
 let chosen;
-let nextPage;
+let allListed; // a promise, while there are more pages
 
 const nameOf = (path) => path.split(/[\\/]/).pop();
-const count = () => {
-  byId("count").textContent = counted(known.size, "photograph");
-};
 
 function listPhotograph(path, first = false) {
   if (known.has(path)) return;
   const mark = html("span", { class: "mark", "aria-hidden": "true" });
   const thumbnail = html("span", { class: "thumbnail", "aria-hidden": "true" });
-  const name = nameOf(path);
-  const cut = Math.max(name.length - NAME_END, 0); // shortened in the middle: names of one flight differ at their ends
-  const words = html("span", { class: "name" }, html("span", {}, name.slice(0, cut)), html("span", {}, name.slice(cut)));
-  const button = html("button", { type: "button", title: path, on: { click: () => choose(path) } }, mark, thumbnail, words);
+  const words = html("span", { class: "name" }, nameOf(path));
+  const button = html("button", { type: "button", title: path, tabindex: known.size ? -1 : 0, on: { click: () => choose(path) } }, mark, thumbnail, words);
   known.set(path, { button, mark, thumbnail });
   byId("photographs")[first ? "prepend" : "append"](html("li", {}, button));
   awaitThumbnail(path, thumbnail);
-  count();
+  byId("count").textContent = counted(known.size, "photograph");
 }
 
 const imageAt = (path) => ({ kind: "path", path });
-const askedFor = (path, region) => ({ image: imageAt(path), ...(region ? { region } : {}) });
+const factsStated = () => {
+  if (!chosen) measureAll();
+  else if (call.result && !call.result.isError) measureWithFacts();
+  else choose(chosen);
+};
+const shown = offerFacts;
 
-async function listPage(page) {
-  byId("more").hidden = true;
-  nextPage = undefined;
+const showChosen = (button) => {
+  for (const { button: each } of known.values()) each.setAttribute("aria-current", String(each === button));
+};
+
+// The list is one stop of the Tab key: arrows move within it.
+function stopAt(button) {
+  for (const { button: each } of known.values()) each.tabIndex = each === button ? 0 : -1;
+}
+byId("photographs").addEventListener("keydown", (event) => {
+  const buttons = [...byId("photographs").querySelectorAll("li:not([hidden]) button")];
+  const next = buttons[buttons.indexOf(event.target) + { ArrowDown: 1, ArrowUp: -1 }[event.key]];
+  if (!next) return;
+  event.preventDefault();
+  stopAt(next);
+  next.focus();
+});
+
+function listMatching() {
+  const words = byId("find").value.toLowerCase();
+  for (const [path, { button }] of known) button.parentElement.hidden = !nameOf(path).toLowerCase().includes(words);
+  stopAt(byId("photographs").querySelector("li:not([hidden]) button"));
+}
+
+// List all photographs, the pages after the first while the page is already in use.
+async function listPages(page = 1) {
   const { structuredContent: listed } = await request("tools/call", { name: "view_image", arguments: { page } });
-  listed.images.forEach((path) => listPhotograph(path));
-  if (!listed.next_page) return;
-  nextPage = listed.next_page;
-  byId("more").hidden = false;
-  byId("more").onclick = () => listPage(nextPage);
+  for (const path of listed.images) listPhotograph(path);
+  const rest = listed.next_page && listPages(listed.next_page).catch(() => { allListed = undefined; });
+  allListed = rest || undefined;
 }
 
 // Stop the calls about the current photograph, and keep what was measured.
@@ -55,39 +74,47 @@ function markStatus({ mark }, result) {
 async function choose(path) {
   leavePhotograph();
   chosen = path;
-  for (const [each, { button }] of known) button.setAttribute("aria-current", String(each === path));
-  const region = byId("region").value;
-  begin("estimate_gsd", askedFor(path, region));
-  byId("sections").replaceChildren();
+  const entry = known.get(path);
+  showChosen(entry.button);
+  stopAt(entry.button);
+  if (entry.call) {
+    Object.assign(call, entry.call);
+    show(call.result);
+    if (factsOf(call.arguments) !== factsOf(statedFacts())) await measureWithFacts();
+    return;
+  }
+  begin("estimate_gsd", withFacts({ image: imageAt(path) }));
   byId("status").hidden = true;
   byId("panel").setAttribute("aria-busy", "true");
   const bar = html("progress", { max: "100", "aria-label": "Progress of the measurement" });
   byId("sections").replaceChildren(bar);
-  if (!known.get(path).call) showPreview(path, bar);
+  showPreview(path, bar);
+  const began = performance.now();
   progressed = (percent, message) => {
     if (chosen !== path || !bar.isConnected) return;
     bar.value = percent;
-    say(`${nameOf(path)}: ${message}.`);
+    say(`${nameOf(path)}: ${message}${timeLeft(began, percent / 100)}.`);
   };
   say(`Measuring ${nameOf(path)}.`);
-  const result = await estimated(path, region);
+  const result = await estimated(path);
   if (!result || chosen !== path) return;
-  if (!result.isError) Object.assign(call, known.get(path).call);
+  call.result = result;
   show(result);
 }
 
-// The estimate of a photograph, made once for a region; undefined if the call was left.
-async function estimated(path, region) {
+// The estimate of a photograph, made once for the stated facts; undefined if the call was left.
+async function estimated(path) {
   const entry = known.get(path);
-  if (entry.call && (entry.call.arguments.region ?? "") === region) return entry.call.result;
+  const asked = withFacts({ ...entry.call?.arguments, image: imageAt(path) });
+  if (entry.call && factsOf(entry.call.arguments) === factsOf(asked)) return entry.call.result;
   let result;
   try {
-    result = await request("tools/call", { name: "estimate_gsd", arguments: askedFor(path, region) });
+    result = await request("tools/call", { name: "estimate_gsd", arguments: asked });
   } catch (error) {
     if (error.name === "AbortError") return undefined;
     result = { isError: true, content: [{ type: "text", text: error.message }] };
   }
-  if (!result.isError) entry.call = { arguments: askedFor(path, region), result };
+  if (!result.isError) entry.call = { tool: "estimate_gsd", arguments: asked, result, measured: [], corrections: undefined };
   markStatus(entry, result);
   const source = pictureOf(result);
   if (source) showThumbnail(entry.thumbnail, source.url);
@@ -124,10 +151,12 @@ for (const [name, over] of [["dragenter", true], ["dragover", true], ["dragleave
 byId("files").addEventListener("change", (event) => take(event.target.files));
 byId("all").addEventListener("click", measureAll);
 byId("open").addEventListener("click", () => byId("files").click());
-byId("region").addEventListener("change", () => chosen && choose(chosen));
+byId("find").addEventListener("input", listMatching);
+byId("photographs").before(byId("facts"));
+Object.assign(byId("facts"), { hidden: false, open: window.innerWidth > 760 });
 say("Drop aerial photographs here, or choose one from the list.");
 byId("panel").setAttribute("aria-busy", "false");
-listPage(1).then(() => {
+listPages().then(() => {
   const wanted = decodeURIComponent(location.hash.slice(1)); // the photograph of the command line
   const first = known.has(wanted) ? wanted : known.keys().next().value;
   if (first && !chosen) choose(first);

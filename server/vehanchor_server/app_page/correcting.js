@@ -2,10 +2,9 @@
 
 const CAR_LENGTH_OVER_WIDTH = 2.21; // of vehanchor.scale.defaults
 const NEAR_PX = 6; // screen pixels beside a box that still pick it
-const ADDED = 2; // of Drawing.vehicles
 
 const numberOf = (vehicle) => vehicle[6];
-const isAdded = (vehicle) => vehicle[7] === ADDED;
+const isAdded = (vehicle) => Boolean(vehicle[7]);
 const boxAlong = ([[x1, y1], [x2, y2]]) => {
   const length = Math.hypot(x2 - x1, y2 - y1);
   const degrees = (Math.atan2(y2 - y1, x2 - x1) * 180) / Math.PI;
@@ -57,7 +56,6 @@ function vehicleAt([x, y], margin) {
 const vehiclesWithin = ([[x1, y1], [x2, y2]]) => correctedVehicles().filter(({ box: [x, y] }) =>
   (x - x1) * (x - x2) <= 0 && (y - y1) * (y - y2) <= 0);
 
-
 // Drop vehicles; if all of them are dropped, take it back. Say what was done.
 function dropVehicles(vehicles) {
   const { drop } = call.corrections;
@@ -70,48 +68,30 @@ function dropVehicles(vehicles) {
   return `${who} ${isBack ? "as found" : "dropped"}.`;
 }
 
-function addVehicle(ends) {
-  call.corrections.add = [...call.corrections.add, { ends, box: boxAlong(ends) }];
-}
-
 const numbersIn = (text) => (text ?? "").split(/[\s,]+/).filter(Boolean).flatMap((part) => {
   const [first, last = first] = part.split("-").map(Number);
   return Array.from({ length: last - first + 1 }, (_, i) => first + i);
 });
 
-function withCorrections(record, asked) {
+function withCorrections(record, { drop: _, add: __, ...asked }) {
   const { drop, add } = call.corrections;
-  const given = { drop: [...drop].sort((a, b) => a - b).join(","), add: add.map(({ ends }) => lineOf(record, ends)) };
-  const rest = { ...asked };
-  for (const [name, value] of Object.entries(given)) {
-    if (value.length) rest[name] = value;
-    else delete rest[name];
-  }
-  return rest;
+  if (drop.size) asked.drop = [...drop].sort((a, b) => a - b).join(",");
+  if (add.length) asked.add = add.map(({ ends }) => lineOf(record, ends));
+  return asked;
 }
 
 // What was corrected, a button to measure with it, and one to take it all back.
-function correctionRow(record, words, changed) {
+function correctionRow(record, tell, changed) {
   const summary = html("span", {}, "");
-  const measure = html("button", { type: "button" }, "Measure again");
+  const measure = html("button", { type: "button", on: { click: () => measureAgain(call.arguments, tell) } }, "Measure again");
   const discard = html("button", { type: "button" }, "Take all back");
   const row = html("div", { class: "row asked", hidden: true }, summary, measure, discard);
   const given = () => JSON.stringify(withCorrections(record, {}));
   const applied = given();
-  measure.addEventListener("click", async () => {
-    measure.disabled = true;
-    words.textContent = "Measuring again.";
-    try {
-      await measureAgain(record, {});
-    } catch (error) {
-      measure.disabled = false;
-      words.textContent = `Not measured: ${error.message}`;
-    }
-  });
   discard.addEventListener("click", () => {
     Object.assign(call.corrections, { drop: new Set(), add: [] });
     changed();
-    words.textContent = "All corrections taken back.";
+    tell("All corrections taken back.");
   });
   const refresh = () => {
     const counts = { added: call.corrections.add.length, dropped: call.corrections.drop.size };

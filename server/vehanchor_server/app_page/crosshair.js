@@ -7,13 +7,12 @@ function crosshair(view, size, moved) {
   const mark = html("div", { class: "crosshair", hidden: true, "aria-hidden": "true" });
   view.frame.append(mark);
   const cross = { at: size.map((side) => side / 2) };
-  const place = () => {
+  cross.place = () => {
     const [left, top] = view.inFrame(cross.at);
     Object.assign(mark.style, { left: `${left}px`, top: `${top}px` });
   };
   const centre = view.anchor;
   view.anchor = () => (mark.hidden ? centre() : view.inFrame(cross.at));
-  cross.place = place;
   cross.show = () => {
     mark.hidden = false;
     cross.goTo(cross.at);
@@ -24,7 +23,7 @@ function crosshair(view, size, moved) {
     cross.at = point.map((value, i) => clamp(value, 0, size[i]));
     const [x, y] = view.inFrame(cross.at);
     view.move(clamp(x, 0, view.frame.clientWidth) - x, clamp(y, 0, view.frame.clientHeight) - y);
-    place();
+    cross.place();
   };
   view.frame.addEventListener("keydown", (event) => {
     const arrow = ARROWS[event.key];

@@ -7,8 +7,6 @@ function element(namespace, name, attributes, children) {
   const made = namespace ? document.createElementNS(namespace, name) : document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {
     if (key === "on") for (const [event, act] of Object.entries(value)) made.addEventListener(event, act);
-    else if (key === "width_share") made.style.width = `${100 * value}%`;
-    else if (key === "left_share") made.style.left = `${100 * value}%`;
     else if (value !== undefined && value !== false) made.setAttribute(key, value === true ? "" : value);
   }
   made.append(...children.filter((child) => child !== undefined && child !== null));
@@ -35,26 +33,24 @@ const counted = (n, noun) => `${whole(n)} ${noun}${n === 1 ? "" : "s"}`;
 const interval = (low, high, unit) =>
   low === null || high === null ? undefined : `95 %: ${number(low)} to ${number(high)} ${unit}`;
 
-const STATUS = {
-  ok: { words: "Safe to use", mark: "M2.5 8.5 6 12 13.5 4" },
-  low_confidence: { words: "Low confidence: do not use", mark: "M8 2 15 14H1ZM8 6.5v4M8 12v.6" },
-  no_scale: { words: "No metric scale", mark: "M3 3l10 10M13 3 3 13" },
-  failed: { words: "No result", mark: "M3 3l10 10M13 3 3 13" },
-};
+const STATUS = { ok: "Safe to use", low_confidence: "Low confidence: do not use", no_scale: "No metric scale", failed: "No result" };
+
+// The end of work that began at a time, in words; nothing in its first seconds.
+function timeLeft(began, share) {
+  const seconds = (performance.now() - began) / 1000;
+  const left = (seconds * (1 - share)) / share;
+  if (seconds < 3 || !Number.isFinite(left)) return "";
+  return left < 90 ? `; about ${Math.ceil(left)} s left` : `; about ${Math.ceil(left / 60)} min left`;
+}
 
 function say(text) {
   byId("sentence").textContent = text;
 }
 
 function flag(status) {
-  const { words, mark } = STATUS[status];
-  const icon = svg("path", {
-    d: mark, fill: "none", stroke: "currentColor", "stroke-width": 1.8, "stroke-linecap": "round",
-    "stroke-linejoin": "round",
-  });
   const chip = byId("status");
   chip.className = `status ${status}`;
-  chip.replaceChildren(svg("svg", { viewBox: "0 0 16 16", "aria-hidden": "true" }, icon), words);
+  chip.textContent = STATUS[status];
   chip.hidden = false;
 }
 

@@ -5,6 +5,14 @@ function reportSize() {
   notify("ui/notifications/size-changed", { width: window.innerWidth, height });
 }
 
+const factsStated = measureWithFacts;
+
+function shown(scale) {
+  byId("facts").hidden = !(scale && canCallTools && call.arguments);
+  if (call.arguments) fillInFacts(call.arguments);
+  offerFacts();
+}
+
 if (window.parent === window) {
   say("This page shows VehAnchor results inside an MCP App host. It shows nothing on its own.");
 } else {

@@ -35,6 +35,13 @@ const INKS = {
   kept: "#56b4e9", stated: "#56b4e9", outlier: "#e69f00", removed: "#c8ccd2", mark: "#00be8a", object: "#cc79a7", measured: "#f0e442", untrusted: "#c8ccd2",
 };
 
+function captionOf(record) {
+  if (record.gsd_m_per_px === null) return "No metric scale";
+  const bounds = interval(record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px, "m/px");
+  const rest = usable(record) ? `confidence ${record.confidence.toFixed(2)}` : "do not use";
+  return `${number(record.gsd_m_per_px)} m/px (${bounds}), ${rest}`;
+}
+
 function painted(record, image, drawing) {
   const factor = Math.max(1, EXPORT_LEAST_PX / image.naturalWidth);
   const [width, height] = [Math.round(image.naturalWidth * factor), Math.round(image.naturalHeight * factor)];
@@ -75,19 +82,16 @@ function painted(record, image, drawing) {
     pen.fillRect(letters, height - 1.5 * letters, metres / each, letters / 2);
     write(`${round(metres)} m`, letters, height - 2 * letters);
   }
-  write(byId("sentence").textContent.split(": ")[0] + (usable(record) ? "" : ": do not use"), letters, height + 2 * letters);
+  write(captionOf(record), letters, height + 2 * letters);
   return canvas;
 }
 
 exporters.push((record, result, image, drawing) => {
   const button = (words, act) => html("button", { type: "button", on: { click: act } }, words);
   return html(
-    "div", { class: "row exports" },
-    html(
-      "div", { class: "group" }, html("span", { class: "note" }, "Save"),
-      button("Picture", () => painted(record, image, drawing).toBlob((blob) => download(`${stem()}.scale.png`, blob))),
-      button("Record", () => download(`${stem()}.scale.json`, JSON.stringify(records(record), null, 2), "application/json")),
-      button("GeoJSON", () => download(`${stem()}.geojson`, JSON.stringify(features(record, drawing)), "application/geo+json")),
-    ),
+    "div", { class: "group exports" }, html("span", { class: "note" }, "Save"),
+    button("Picture", () => painted(record, image, drawing).toBlob((blob) => download(`${stem()}.scale.png`, blob))),
+    button("Record", () => download(`${stem()}.scale.json`, JSON.stringify(records(record), null, 2), "application/json")),
+    button("GeoJSON", () => download(`${stem()}.geojson`, JSON.stringify(features(record, drawing)), "application/geo+json")),
   );
 });

@@ -1,7 +1,7 @@
 // ---- Known length: a drawn line and what it measures ----
 
 // Ask for the length of a drawn line, or for what it measures, then repeat all measurements with it.
-function lengthForm(record, words) {
+function lengthForm(record, tell) {
   const metres = html("input", { type: "number", min: "0.01", max: "100000", step: "any", "aria-label": "Metres between both ends" });
   const things = byId("known-sizes").content.cloneNode(true);
   const what = html("select", { "aria-label": "What the line measures" }, html("option", { value: "" }, "a length"), things);
@@ -16,21 +16,15 @@ function lengthForm(record, words) {
   metres.addEventListener("keydown", (event) => {
     if (event.key === "Enter") measure.click();
   });
-  measure.addEventListener("click", async () => {
+  measure.addEventListener("click", () => {
     const value = Number(metres.value);
     if (!what.value && !(value > 0)) {
-      words.textContent = "Enter the length in metres, or choose what the line measures.";
+      tell("Enter the length in metres, or choose what the line measures.");
       return;
     }
     const size = what.value ? { metres: what.value } : { metres: value, ...(measured.checked ? { basis: "measured" } : {}) };
-    measure.disabled = true;
-    words.textContent = "Measuring again.";
-    try {
-      await measureAgain(record, { known_lengths: [...(call.arguments.known_lengths ?? []), { ...lineOf(record, line), ...size }] });
-    } catch (error) {
-      measure.disabled = false;
-      words.textContent = `Not measured: ${error.message}`;
-    }
+    const lines = [...(call.arguments.known_lengths ?? []), { ...lineOf(record, line), ...size }];
+    measureAgain({ ...call.arguments, known_lengths: lines }, tell);
   });
   const ask = (ends) => {
     line = ends;

@@ -6,15 +6,26 @@ async function callTool(name, asked) {
   return result;
 }
 
-// Repeat the call with more arguments and the corrections, then all measurements with its scale.
-async function measureAgain(record, more) {
-  const asked = withCorrections(record, { ...call.arguments, ...more });
-  const result = await callTool(call.tool ?? (isArea(record) ? "measure_area" : "estimate_gsd"), asked);
-  call.arguments = asked;
-  call.result = result;
-  await measureAllAgain(result);
-  show(result);
-  byId("sections").querySelector(".frame")?.focus({ preventScroll: true });
+// Repeat the call with other arguments and the corrections, then all measurements with its scale. `tell` says how it goes.
+async function measureAgain(given, tell) {
+  const panel = byId("panel");
+  if (panel.getAttribute("aria-busy") === "true") return;
+  panel.setAttribute("aria-busy", "true");
+  tell("Measuring again.");
+  const record = recordOf(call.result);
+  const asked = withCorrections(record, given);
+  try {
+    const result = await callTool(call.tool ?? (isArea(record) ? "measure_area" : "estimate_gsd"), asked);
+    const measured = [];
+    for (const { kind, ends } of call.measured) measured.push(await measureBetween(kind, ends, recordOf(result), asked));
+    Object.assign(call, { arguments: asked, result, measured });
+    show(result);
+    byId("sections").querySelector(".frame")?.focus({ preventScroll: true });
+  } catch (error) {
+    if (error.name === "AbortError") return; // another photograph was chosen
+    panel.setAttribute("aria-busy", "false");
+    tell(`Not measured: ${error.message}`);
+  }
 }
 
 const sizeOf = (record) => {
@@ -22,40 +33,25 @@ const sizeOf = (record) => {
   return record.distance_m === null ? `${whole(Math.round(record.length_px))} px` : `${number(record.distance_m)} m`;
 };
 
+// The arguments that give a measurement the scale of this result: the server remembers its search.
 const SCALE_ARGUMENTS = [
-  "region", "reference_length_m", "height_m", "height_basis", "height_tolerance_m", "focal_35mm", "gsd_m_per_px",
-  "gsd_basis", "gsd_tolerance", "drop",
+  "image", "coordinates", "frame", "known_lengths", "region", "reference_length_m", "height_m", "height_basis", "height_tolerance_m",
+  "focal_35mm", "gsd_m_per_px", "gsd_basis", "gsd_tolerance", "drop", "add",
 ];
 
-// The arguments of this result's scale: the server remembers its search. Lines are in pixels of the image.
-function scaleArguments(record) {
-  const [across, down] = callerUnits(record);
-  const inPixels = (line) => ({ ...line, x1: line.x1 * across, y1: line.y1 * down, x2: line.x2 * across, y2: line.y2 * down });
-  const given = call.arguments;
+async function measureBetween(kind, ends, record, given = call.arguments) {
   const asked = Object.fromEntries(SCALE_ARGUMENTS.filter((name) => given[name]).map((name) => [name, given[name]]));
-  for (const name of ["known_lengths", "add"]) if (given[name]?.length) asked[name] = given[name].map(inPixels);
-  return asked;
-}
-
-async function measureBetween(kind, ends, record) {
-  const asked = { image: call.arguments.image, detail: "full", ...scaleArguments(record) };
-  const [[x1, y1], [x2, y2]] = ends;
-  if (kind === "distance") asked.lines = [{ points: [{ x: x1, y: y1 }, { x: x2, y: y2 }] }];
-  else asked.targets = [{ box: { x_min: Math.min(x1, x2), y_min: Math.min(y1, y2), x_max: Math.max(x1, x2), y_max: Math.max(y1, y2) } }];
-  const result = await callTool(`measure_${kind}`, asked);
-  const found = recordOf(result);
+  const { x1, y1, x2, y2 } = lineOf(record, ends);
+  const target = { box: { x_min: Math.min(x1, x2), y_min: Math.min(y1, y2), x_max: Math.max(x1, x2), y_max: Math.max(y1, y2) } };
+  const line = { points: [{ x: x1, y: y1 }, { x: x2, y: y2 }] };
+  const wanted = kind === "area" ? { targets: [target] } : { lines: [line] };
+  const found = recordOf(await callTool(`measure_${kind}`, { ...asked, ...wanted, detail: "full" }));
   if (kind === "area" && !found.mask_area_px) throw new Error("no object found in this box");
   return { kind, ends, record: found };
 }
 
-async function measureAllAgain(result) {
-  const record = recordOf(result);
-  for (const [i, { kind, ends }] of call.measured.entries()) call.measured[i] = await measureBetween(kind, ends, record);
-}
-
-// An area has the scale's confidence: if it is high, the mask is doubtful.
 const doubt = (record) =>
-  isArea(record) && record.confidence >= 0.9 ? "doubtful outline; check it, or draw another box" : "low confidence";
+  isArea(record) && record.estimate?.status === "ok" ? "doubtful outline; check it, or draw another box" : "low confidence";
 
 function measuredRow({ kind, record }, remove) {
   const isGood = record.status === "ok";

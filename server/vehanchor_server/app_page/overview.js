@@ -6,11 +6,10 @@ const pause = (ms) => new Promise((go) => setTimeout(go, ms));
 async function measureAll() {
   leavePhotograph();
   chosen = undefined;
-  for (const { button } of known.values()) button.setAttribute("aria-current", "false");
+  showChosen(undefined);
   byId("status").hidden = true;
   byId("panel").setAttribute("aria-busy", "true");
   byId("subject").textContent = "all photographs";
-  const region = byId("region").value;
   const body = html("tbody");
   const rows = [];
   const head = ["Photograph", "Metres per pixel", "95 % interval", "Confidence", "Status"].map((words) => html("th", { scope: "col" }, words));
@@ -18,14 +17,15 @@ async function measureAll() {
   const save = html("button", { type: "button", on: { click: () => download("scales.csv", csv(rows), "text/csv") } }, "Save table");
   byId("sections").replaceChildren(html("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Scales" }, table), html("div", { class: "row" }, save));
   progressed = () => {};
-  while (nextPage) await listPage(nextPage);
+  const began = performance.now();
+  while (allListed) await allListed;
   for (const path of [...known.keys()]) {
     let result;
     do {
       while (running.size) await pause(100); // a person's own call comes first
       if (!table.isConnected) return; // a photograph, or another table, has replaced it
-      say(`Measuring ${nameOf(path)}: ${rows.length + 1} of ${known.size}.`);
-      result = await estimated(path, region);
+      say(`Measuring ${nameOf(path)}: ${rows.length + 1} of ${known.size}${timeLeft(began, rows.length / known.size)}.`);
+      result = await estimated(path);
     } while (!result);
     const record = result.isError ? { status: "failed", error: textOf(result) } : recordOf(result);
     rows.push({ file: path, ...record });
@@ -45,7 +45,7 @@ function row(path, record) {
     html("td", {}, known ? number(record.gsd_m_per_px) : ""),
     html("td", {}, known && typeof low === "number" ? `${number(low)} to ${number(high)}` : ""),
     html("td", {}, typeof record.confidence === "number" ? record.confidence.toFixed(2) : ""),
-    html("td", {}, record.error ?? STATUS[record.status].words),
+    html("td", {}, record.error ?? STATUS[record.status]),
   );
 }
 

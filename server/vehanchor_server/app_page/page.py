@@ -37,6 +37,7 @@ _SHARED = (
     "tools",
     "rulers",
     "record",
+    "facts",
     "panel",
 )
 _HOST_PARTS = ("call", "host", *_SHARED, "embedded")  # in this order
@@ -61,23 +62,21 @@ def app_extension() -> Apps:
 @cache
 def page_html() -> str:
     """Return the page for MCP App hosts, an HTML5 document."""
-    page = _assembled("panel.html", ("panel.css",), _HOST_PARTS, "img-src data:")
-    return page.replace("{{known_sizes}}", _options(standards()))
+    return _assembled(("panel.css",), _HOST_PARTS, "img-src data:")
 
 
 @cache
 def view_html() -> str:
     """Return the page of ``vehanchor view``: the shared parts and a list of photographs."""
-    page = _assembled("view.html", ("panel.css", "view.css"), _VIEW_PARTS, "img-src data:", "connect-src 'self'")
-    page = page.replace("{{regions}}", _options((*REGIONS, *COUNTRY_LENGTHS_M)))
-    return page.replace("{{known_sizes}}", _options(standards()))
+    styles, places = ("panel.css", "view.css"), ("img-src data:", "connect-src 'self'")
+    return _assembled(styles, _VIEW_PARTS, *places, before=_part("list.html"))
 
 
 def _options(names: Iterable[str]) -> str:
     return "".join(f'<option value="{name}">{name.replace("_", " ")}</option>' for name in names)
 
 
-def _assembled(template: str, styles: tuple[str, ...], scripts: tuple[str, ...], *allowed: str) -> str:
+def _assembled(styles: tuple[str, ...], scripts: tuple[str, ...], *allowed: str, before: str = "") -> str:
     style, script = "\n".join(map(_part, styles)), _in_one_function(scripts)
     policy = "; ".join(
         [
@@ -89,10 +88,17 @@ def _assembled(template: str, styles: tuple[str, ...], scripts: tuple[str, ...],
             "form-action 'none'",
         ]
     )
-    page = _part(template)
-    for place, text in (("{{policy}}", policy), ("{{style}}", style), ("{{script}}", script)):
-        before, after = page.split(place)
-        page = before + text + after
+    page = _part("page.html")
+    parts = {
+        "list": before,
+        "regions": _options((*REGIONS, *COUNTRY_LENGTHS_M)),
+        "known_sizes": _options(standards()),
+        "policy": policy,
+        "style": style,
+        "script": script,
+    }
+    for name, text in parts.items():
+        page = page.replace(f"{{{{{name}}}}}", text)
     return page
 
 

@@ -1,10 +1,9 @@
 // ---- The whole ----
 
 const isArea = (record) => "mask_area_px" in record;
-const forPeople = (part) => (part.annotations?.audience ?? ["user"]).includes("user");
-const ARGUMENTS = / \(known_lengths[^)]*\)/g; // names for models
-const textOf = (result) => (result.content ?? []).filter((part) => part.type === "text" && forPeople(part))
-  .map((part) => part.text).join(" ").replaceAll(ARGUMENTS, "");
+const ERROR_CODE = /^\w+: /; // for programs
+const textOf = (result) => (result.content ?? []).filter((part) => part.type === "text")
+  .map((part) => part.text).join(" ").replace(result.isError ? ERROR_CODE : "", "");
 const scaleOf = (record) => (isArea(record) ? record.estimate : record);
 
 // The whole record, wherever a short answer has it; the first of several.
@@ -15,7 +14,7 @@ function show(result) {
   const record = recordOf(result);
   if (result.isError) return fail(textOf(result));
   byId("panel").setAttribute("aria-busy", "false");
-  say(textOf(result));
+  say(result._meta?.[PANEL_KEY]?.sentence ?? textOf(result));
   if (!record) return byId("sections").replaceChildren();
   const scale = scaleOf(record);
   byId("subject").textContent = isArea(record) ? "area of an object" : "metric scale";
@@ -25,7 +24,8 @@ function show(result) {
     warningSection(record),
     pictureSection(record, result),
     scale ? rulersSection(scale) : undefined,
-    html("div", { class: "columns" }, scale ? confidence(scale) : undefined, recordSection(record)),
+    detailsSection(record),
   ];
   byId("sections").replaceChildren(...sections.filter(Boolean));
+  shown(scale);
 }

@@ -10,15 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import FailFast
 
+from vehanchor.records import AreaMeasurement, GsdEstimate
+from vehanchor.records.advice import advice_for
 from vehanchor_server.frozen import FrozenModel
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from vehanchor.analysis.scale import ScaleAnalysis
 
 PANEL_KEY = "vehanchor/panel"
 
 MAX_VEHICLES, MAX_LINES = 2000, 500  # limits of what is drawn
-_ADDED = 2
+_PROBABLY = 0.5
 
 
 class DrawnLine(FrozenModel):
@@ -34,8 +38,7 @@ class Drawing(FrozenModel):
 
     Attributes:
         vehicles: for each vehicle, x and y of the centre, length, width, angle in degrees, 1 for a measured one or 0
-            for an outlier, its number in ``confirm`` and ``drop``, and 1 for a confirmed one, 2 for an added one or 0;
-            best first.
+            for an outlier, its number in ``drop``, and 1 for an added one or 0; best first.
         vehicles_left_out: number of vehicles beyond the limit.
         lines: lines of other rulers.
     """
@@ -52,22 +55,52 @@ class PanelData(FrozenModel):
         picture_jpeg: the reduced image in base64; null if the host shows no pages.
         drawing: shapes over the image; null if the host shows no pages, or for a given scale.
         record: the whole record, if the result is compact and the host shows pages.
+        sentence: what the scale rests on or what it lacks, for people: without names of arguments; null if the host
+            shows no pages.
     """
 
     picture_jpeg: str | None = None
     drawing: Drawing | None = None
     record: dict[str, Any] | None = None
+    sentence: str | None = None
 
 
 def panel_meta(
     picture: bytes | None = None,
     drawing: Drawing | None = None,
     record: dict[str, Any] | None = None,
+    shown: BaseModel | None = None,
 ) -> dict[str, Any]:
-    """Build the ``_meta`` of a result; see ``PanelData``."""
+    """Build the ``_meta`` of a result; see ``PanelData``. The sentence is about the record that a page shows."""
     encoded = None if picture is None else base64.b64encode(picture).decode()
-    data = PanelData(picture_jpeg=encoded, drawing=drawing, record=record)
+    sentence = None if shown is None else _sentence_for_people(shown)
+    data = PanelData(picture_jpeg=encoded, drawing=drawing, record=record, sentence=sentence)
     return {PANEL_KEY: data.model_dump(mode="json")}
+
+
+def _sentence_for_people(record: BaseModel) -> str | None:
+    """Say what a scale rests on, or what it lacks; None for a record without one."""
+    if isinstance(record, AreaMeasurement):
+        estimate = record.estimate
+        if not record.mask_area_px:
+            return "No object found."
+        if record.status != "ok" and (estimate is None or estimate.status == "ok"):
+            return "The outline is doubtful: look at it, or draw a tight box around the object."
+        advice = advice_for(estimate)
+    elif isinstance(record, GsdEstimate):
+        estimate, advice = record, advice_for(record, "drop the boxes that are no cars")
+    else:
+        return None
+    if estimate is None:
+        return "Measured with the given scale."
+    if advice is None:
+        right = [ruler for ruler in estimate.rulers if ruler.sets_scale and ruler.p_right >= _PROBABLY]
+        leading_first = sorted(right, key=lambda ruler: ruler.kind != estimate.leading_ruler)
+        words = f"measured from {', '.join(ruler.label for ruler in leading_first)}"
+    else:
+        words = f"{advice.why}; {advice.helps}"
+    by_hand = "" if estimate.by_hand is None else f" Vehicles corrected by hand: {estimate.by_hand.summary}."
+    return f"{words[0].upper()}{words[1:]}.{by_hand}"
 
 
 def drawing_of(analysis: ScaleAnalysis) -> Drawing:
@@ -77,14 +110,11 @@ def drawing_of(analysis: ScaleAnalysis) -> Drawing:
     detections = analysis.detections
     boxes = detections.boxes[:MAX_VEHICLES]
     rows = np.round(np.column_stack([boxes[:, :4], np.rad2deg(boxes[:, 4])]), 1)
-    by_hand = detections.stated.astype(int)
-    if detections.corrections is not None and detections.corrections.n_added:
-        by_hand[-detections.corrections.n_added :] = _ADDED
-    facts = zip(rows.tolist(), analysis.kept, detections.numbers, by_hand, strict=False)
+    facts = zip(rows.tolist(), analysis.kept, detections.numbers, detections.stated, strict=False)
     return Drawing(
         vehicles=tuple(
-            (x, y, length, width, angle, int(kept), int(number), int(stated))
-            for (x, y, length, width, angle), kept, number, stated in facts
+            (x, y, length, width, angle, int(kept), int(number), int(added))
+            for (x, y, length, width, angle), kept, number, added in facts
         ),
         vehicles_left_out=len(detections.boxes) - len(boxes),
         lines=tuple(

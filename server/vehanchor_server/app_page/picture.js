@@ -21,13 +21,8 @@ const barred = (record) => usable(record) && !scaleOf(record)?.tilt;  // a tilte
 
 function framed(record, result, { url, drawing }) {
   const scale = scaleOf(record);
-  const dropped = scale ? scale.n_detections - scale.n_vehicles : 0;
-  const drawn = [];
-  if (isArea(record) && record.mask_area_px) drawn.push("the measured object outlined in purple");
-  if (scale?.n_vehicles) drawn.push(`${counted(scale.n_vehicles, "measured vehicle")} outlined in blue`);
-  if (dropped) drawn.push(`${counted(dropped, "outlier")} crossed in orange`);
-  if (barred(record)) drawn.push("a scale bar");
-  const image = html("img", { src: url, draggable: "false", alt: `The aerial image${drawn.length ? `, with ${drawn.join(", ")}` : ""}.` });
+  const outliers = scale ? scale.n_detections - scale.n_vehicles : 0;
+  const image = html("img", { src: url, draggable: "false" });
   const [width, height] = [record.image_width_px, record.image_height_px];
   const part = html("img", { class: "part", alt: "", hidden: true, draggable: "false" });
   const canvas = svg("svg", { class: "drawn", "aria-hidden": "true", viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none" });
@@ -47,17 +42,17 @@ function framed(record, result, { url, drawing }) {
     const shapes = shapesOf(record, drawing);
     paintShapes(canvas, shapes);
     const has = (state) => shapes.some(({ kind }) => kind === state);
-    const note = (shown, kind, words) => (shown ? html("span", { class: kind }, words) : undefined);
     const notes = [
-      note(isArea(record), "object", "measured object"),
-      note(scale?.n_vehicles, "kept", "measured vehicle"),
-      note(dropped, "outlier", "outlier, excluded"),
-      note(has("stated"), "stated", "added by hand"),
-      note(has("removed"), "removed", "dropped by hand"),
-      note(drawing?.lines.length, "ruler-line", "other ruler"),
-      note(drawing?.vehicles_left_out, "", `${counted(drawing?.vehicles_left_out ?? 0, "vehicle")} not drawn`),
-    ];
-    legend.replaceChildren(...notes.filter(Boolean));
+      [isArea(record), "object", "measured object"],
+      [scale?.n_vehicles, "kept", counted(scale?.n_vehicles, "measured vehicle")],
+      [outliers, "outlier", `${counted(outliers, "outlier")}, excluded`],
+      [has("stated"), "stated", "added by hand"],
+      [has("removed"), "removed", "dropped by hand"],
+      [has("mark"), "ruler-line", "other ruler"],
+      [drawing?.vehicles_left_out, "", `${counted(drawing?.vehicles_left_out, "vehicle")} not drawn`],
+    ].filter(([shown]) => shown);
+    legend.replaceChildren(...notes.map(([, kind, words]) => html("span", { class: kind }, words)));
+    image.alt = `The aerial image: ${notes.map(([, , words]) => words).join(", ") || "nothing drawn"}.`;
   };
   redraw();
   const toggle = ({ target }) => target.setAttribute("aria-pressed", String(!canvas.classList.toggle("bare")));

@@ -8,12 +8,12 @@ function rulersSection(scale) {
     const lead = ruler.kind === scale.leading_ruler ? ", leading" : "";
     const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "m/px");
     return html(
-      "li", { class: ruler.p_right >= 0.5 ? "agrees" : "disagrees", title: ruler.explanation ?? undefined },
+      "li", { class: ruler.p_right >= 0.5 ? "agrees" : "disagrees" },
       html("span", { class: "name" }, name),
       html("span", { class: "number" }, `${number(ruler.gsd_m_per_px)} m/px`),
       html("span", { class: "note" }, bounds),
-      html("div", { class: "bar", "aria-hidden": "true" }, html("div", { width_share: ruler.p_right })),
       html("span", { class: "note" }, `right with a chance of ${ruler.p_right.toFixed(2)}${lead}`),
+      ruler.explanation && html("p", { class: "note" }, ruler.explanation),
     );
   });
   return section("Rulers", "rulers", html("ul", {}, ...rows));

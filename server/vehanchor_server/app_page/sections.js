@@ -4,9 +4,7 @@ const section = (title, kind, ...children) => html("section", { class: kind }, h
 
 function reading(name, value, unit, ...notes) {
   const said = notes.filter(Boolean).map((note) => html("dd", { class: "note" }, note));
-  return html(
-    "div", {}, html("dt", {}, name), html("dd", { class: "value" }, value, unit && html("small", {}, unit)), ...said,
-  );
+  return html("div", {}, html("dt", {}, name), html("dd", { class: "value" }, value, unit && html("small", {}, unit)), ...said);
 }
 
 function scaleReading(scale) {
@@ -15,18 +13,33 @@ function scaleReading(scale) {
   return reading("Scale", number(scale.gsd_m_per_px), "m/px", bounds);
 }
 
-function vehicleReadings(scale) {
+function confidenceReading(scale) {
+  if (scale.gsd_m_per_px === null) return undefined;
+  const tile = reading("Confidence", scale.confidence.toFixed(2), "", "chance of being right within 20 %");
+  tile.classList.add("chance", scale.status);
+  return tile;
+}
+
+// The ground in the image, where one scale holds for all of it.
+function extentReading(record) {
+  if (!barred(record)) return undefined;
+  const [across, down] = [record.image_width_px, record.image_height_px].map((side) => number(side * record.gsd_m_per_px));
+  return reading("On the ground", `${across} × ${down}`, "m");
+}
+
+function vehicleReading(scale) {
   const dropped = scale.n_detections - scale.n_vehicles;
-  return [
-    reading(
-      "Vehicles measured", whole(scale.n_vehicles), "",
-      dropped ? `of ${whole(scale.n_detections)} detected; ${counted(dropped, "outlier")}` : scale.n_detections ? "all detected vehicles" : "none detected",
-    ),
-  ];
+  return reading(
+    "Vehicles measured", whole(scale.n_vehicles), "",
+    dropped ? `of ${whole(scale.n_detections)} detected; ${counted(dropped, "outlier")}` : scale.n_detections ? "all detected vehicles" : "none detected",
+  );
 }
 
 function readings(record) {
-  if (!isArea(record)) return html("dl", { class: "readings" }, trusted(record, scaleReading(record)), ...vehicleReadings(record));
+  if (!isArea(record)) {
+    const tiles = [trusted(record, scaleReading(record)), confidenceReading(record), extentReading(record), vehicleReading(record)];
+    return html("dl", { class: "readings" }, ...tiles);
+  }
   const tiles = [
     record.area_m2 === null
       ? reading("Area", whole(record.mask_area_px), "px", "no scale: pixels only")
@@ -40,10 +53,9 @@ function readings(record) {
     const around = record.perimeter_m === null ? undefined : `outline ${number(record.perimeter_m)} m`;
     tiles.push(reading("Length × width", `${number(record.length_m)} × ${number(record.width_m)}`, "m", around));
   }
-  const scale = scaleOf(record) ?? record;
-  if (record.scale_source === "given") tiles.push(reading("Scale", round(record.gsd_m_per_px), "m/px", "given by the caller"));
-  else tiles.push(scaleReading(scale));
-  return html("dl", { class: "readings" }, ...tiles.map((tile) => trusted(record, tile)));
+  const scale = scaleOf(record);
+  tiles.push(scale ? scaleReading(scale) : reading("Scale", round(record.gsd_m_per_px), "m/px", "given by the caller"));
+  return html("dl", { class: "readings" }, ...tiles.map((tile) => trusted(record, tile)), scale && confidenceReading(scale));
 }
 
 // Display unusable numbers differently.
@@ -52,21 +64,4 @@ function trusted(record, tile) {
   tile.classList.add("untrusted");
   tile.append(html("dd", { class: "note warn" }, "do not use"));
   return tile;
-}
-
-function confidence(scale) {
-  const track = html(
-    "div",
-    {
-      class: `track ${scale.status}`, role: "meter", "aria-label": "Confidence", "aria-valuemin": 0, "aria-valuemax": 1,
-      "aria-valuenow": scale.confidence.toFixed(2), "aria-valuetext": `${scale.confidence.toFixed(2)}; 0.9 or more is safe to use`,
-    },
-    html("div", { class: "fill", width_share: scale.confidence }),
-    html("div", { class: "tick", left_share: 0.9 }, html("span", {}, "0.9", html("br"), "usable")),
-  );
-  return section(
-    "Confidence", "",
-    html("div", { class: "gauge" }, html("p", { class: `reading ${scale.status}` }, scale.confidence.toFixed(2)), track),
-    html("p", { class: "note" }, "Chance that the scale is right within 20 %, by all rulers."),
-  );
 }

@@ -7,10 +7,7 @@ const BY_KEYS = "Arrows move the crosshair, with Shift by one pixel; Enter sets 
 const TOOLS = {
   distance: { words: "Distance", first: "Click two points, or drag a line.", then: "Click the other end." },
   area: { words: "Area", first: "Draw a tight box around one object.", then: "Click the opposite corner." },
-  known: {
-    words: "Draw a known length", first: "Click both ends of a known length on the ground.",
-    then: "Click the other end.",
-  },
+  known: { words: "Draw a known length", first: "Click both ends of a known length on the ground.", then: "Click the other end." },
   drop: { words: "Drop", first: "Click boxes that are no cars, or draw a box around several.", then: "Release after the last box." },
   add: { words: "Add", first: "Click both bumpers of a car without a box, or drag along it.", then: "Click the other bumper." },
 };
@@ -20,7 +17,8 @@ const isBox = (tool) => tool === "area" || picks(tool);
 function toolbar(record, view, canvas, redraw) {
   const words = html("p", { class: "legend", role: "status" }, "");
   const list = html("ol", { class: "measured" });
-  const form = lengthForm(record, words);
+  const tell = (text) => { words.textContent = text; };
+  const form = lengthForm(record, tell);
   const buttons = {};
   let tool, first, pressed, preview;
   let choices = 0; // number of tool changes
@@ -39,13 +37,13 @@ function toolbar(record, view, canvas, redraw) {
     view.frame.classList.toggle("drawing", Boolean(name));
     if (!name) cross.hide();
     for (const [each, button] of Object.entries(buttons)) button.setAttribute("aria-pressed", String(each === name));
-    words.textContent = text;
+    tell(text);
     refresh();
   };
   const refresh = () => {
     redraw();
     if (preview) canvas.append(preview);
-    corrections?.refresh();
+    corrections.refresh();
     const removed = (each, i) => {
       call.measured.splice(call.measured.indexOf(each), 1);
       refresh();
@@ -65,7 +63,7 @@ function toolbar(record, view, canvas, redraw) {
   const pick = (vehicles) => {
     sketch();
     first = undefined;
-    words.textContent = vehicles.length ? dropVehicles(vehicles) : "No vehicle here.";
+    tell(vehicles.length ? dropVehicles(vehicles) : "No vehicle here.");
     refresh();
   };
   const pickAt = (point) => pick([vehicleAt(point, NEAR_PX / view.perPixel)].filter(Boolean));
@@ -81,7 +79,7 @@ function toolbar(record, view, canvas, redraw) {
       return form.ask(ends);
     }
     if (kind === "add") {
-      addVehicle(ends);
+      call.corrections.add.push({ ends, box: boxAlong(ends) });
       return choose(kind, `Vehicle of ${whole(Math.round(short))} px added.`);
     }
     choose(undefined, "Measuring.");
@@ -93,7 +91,7 @@ function toolbar(record, view, canvas, redraw) {
       reselect();
     } catch (error) {
       reselect();
-      words.textContent = `Not measured: ${error.message}`;
+      tell(`Not measured: ${error.message}`);
     }
   };
 
@@ -103,12 +101,12 @@ function toolbar(record, view, canvas, redraw) {
     if (first) return drawnBetween([first, point]);
     first = point;
     sketchTo(point);
-    words.textContent = TOOLS[tool].then;
+    tell(TOOLS[tool].then);
     refresh();
   };
   const tellPlace = (point) => {
     if (first) sketchTo(point);
-    words.textContent = `x ${whole(Math.round(point[0]))}, y ${whole(Math.round(point[1]))}`;
+    tell(`x ${whole(Math.round(point[0]))}, y ${whole(Math.round(point[1]))}`);
   };
   const size = [record.image_width_px, record.image_height_px];
   const cross = crosshair(view, size, tellPlace);
@@ -122,7 +120,7 @@ function toolbar(record, view, canvas, redraw) {
     pressed = { event, isSecond: Boolean(first) };
     first ??= point;
     sketchTo(point);
-    if (!picks(tool)) words.textContent = TOOLS[tool].then;
+    if (!picks(tool)) tell(TOOLS[tool].then);
   });
   view.frame.addEventListener("pointermove", (event) => {
     if (!tool) return;
@@ -144,10 +142,8 @@ function toolbar(record, view, canvas, redraw) {
     else if (picks(tool)) pickAt(point);
     else refresh();
   });
-  const keys = {
-    Escape: () => choose(undefined, ""), Enter: () => setPoint(cross.at), " ": () => setPoint(cross.at),
-    Backspace: undo,
-  };
+  const set = () => setPoint(cross.at);
+  const keys = { Escape: () => choose(undefined, ""), Enter: set, " ": set, Backspace: undo };
   view.frame.addEventListener("keydown", (event) => {
     const act = event.ctrlKey || event.metaKey || event.altKey ? undefined : keys[event.key];
     if (!tool || !act) return;
@@ -155,9 +151,9 @@ function toolbar(record, view, canvas, redraw) {
     act();
   });
 
+  const [hasScale, hasEstimate] = [record.gsd_m_per_px !== null, scaleOf(record)];
   const offered = {
-    distance: knownScale(record), area: knownScale(record), known: scaleOf(record),
-    ...(isArea(record) ? {} : { drop: correctedVehicles().length, add: true }),
+    distance: hasScale, area: hasScale, known: hasEstimate, drop: hasEstimate && correctedVehicles().length, add: hasEstimate,
   };
   for (const name of Object.keys(TOOLS).filter((each) => offered[each])) {
     const act = (event) => {
@@ -171,7 +167,7 @@ function toolbar(record, view, canvas, redraw) {
     };
     buttons[name] = html("button", { type: "button", "aria-pressed": "false", on: { click: act } }, TOOLS[name].words);
   }
-  const corrections = isArea(record) ? undefined : correctionRow(record, words, refresh);
+  const corrections = correctionRow(record, tell, refresh);
   const group = (title, names) => {
     const held = names.map((name) => buttons[name]).filter(Boolean);
     return held.length ? html("div", { class: "group", role: "group", "aria-label": title }, html("span", { class: "note" }, title), ...held) : undefined;
@@ -179,7 +175,7 @@ function toolbar(record, view, canvas, redraw) {
   refresh();
   return {
     groups: [group("Measure", ["distance", "area", "known"]), group("Vehicles", ["drop", "add"])],
-    below: [words, form.row, corrections?.row, list],
+    below: [words, form.row, corrections.row, list],
     placed: cross.place,
   };
 }

@@ -1,1 +1,1 @@
-"""Execution of a call, from its admission to its answer."""
+"""Execution of a call, from its admission to its reply."""

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import anyio.from_thread
 
-from vehanchor_server.calls.job import PERCENT_DONE, Job, Stages
+from vehanchor_server.calls.job import PERCENT_DONE, Job
 from vehanchor_server.calls.task import Task, perform
 from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
 
-    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.capacity import Stop
+    from vehanchor_server.calls.reply import Reply
     from vehanchor_server.calls.task import Record, Work
     from vehanchor_server.images.argument import AnyImage
     from vehanchor_server.services import Services
@@ -28,7 +28,7 @@ async def run_call(
     work: Work[Record],
     question: Any,
     more: Sequence[AnyImage] = (),
-) -> Answer[Record]:
+) -> Reply[Record]:
     """Run the work of a call within the server's capacity.
 
     Args:
@@ -43,7 +43,7 @@ async def run_call(
         CallError: the call was refused, failed with a remedy for the caller, or took too long.
     """
 
-    async def call(stop: Stop) -> Answer[Record]:
+    async def call(stop: Stop) -> Reply[Record]:
         await ctx.report_progress(0, PERCENT_DONE, "reading the image")
         fetched = await services.sources.fetched(image)
         others = await services.sources.fetched_together(more, len(fetched or b""))
@@ -52,18 +52,16 @@ async def run_call(
         def report(percent: float, message: str) -> None:
             anyio.from_thread.run(ctx.report_progress, percent, PERCENT_DONE, message)
 
-        def in_thread() -> Answer[Record]:
-            with Stages() as stages:
-                if services.workers is not None:
-                    return services.workers.run(task, stop, report, stages.enter)
-                try:
-                    return perform(services, task, Job(stop, report, stages.enter))
-                except MemoryError as error:  # outside decoding and models
-                    raise CallError(
-                        "out_of_memory",
-                        "this server has too little free memory at the moment. Try again later, or send a smaller "
-                        "image.",
-                    ) from error
+        def in_thread() -> Reply[Record]:
+            if services.workers is not None:
+                return services.workers.run(task, stop, report)
+            try:
+                return perform(services, task, Job(stop, report))
+            except MemoryError as error:  # outside decoding and models
+                raise CallError(
+                    "out_of_memory",
+                    "this server has too little free memory at the moment. Try again later, or send a smaller image.",
+                ) from error
 
         result = await services.capacity.in_thread(stop, in_thread)
         await ctx.report_progress(PERCENT_DONE, PERCENT_DONE, "done")

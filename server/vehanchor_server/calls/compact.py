@@ -62,13 +62,13 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "scale_source",
     ),
 }
-"""The fields of each record in a short answer, unless null."""
+"""The fields of each record in a short record, unless null."""
 
 _KEPT_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m")  # null means "no scale"
 _OMITTED_IN_FRAME = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
 
 
-def short_answer(records: Sequence[BaseModel]) -> dict[str, Any]:
+def short_record(records: Sequence[BaseModel]) -> dict[str, Any]:
     """Return one record, or several below ``measurements``, with their common advice and warnings.
 
     Advice and codes of warnings are for hosts that show models the structured content alone.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 from pydantic import Field, TypeAdapter, ValidationError
 
 from vehanchor_server.app_page.panel import Drawing
-from vehanchor_server.calls.answer import Answer
+from vehanchor_server.calls.reply import Reply
 from vehanchor_server.frozen import FrozenModel
 
 if TYPE_CHECKING:
@@ -58,13 +58,6 @@ class Loaded(FrozenModel):
     lacks: str = Field(max_length=MAX_WORDS)
 
 
-class Entered(FrozenModel):
-    """A stage of the call began."""
-
-    kind: Literal["entered"] = "entered"
-    stage: str = Field(max_length=40, pattern=r"^[a-z_]+$")
-
-
 class Progressed(FrozenModel):
     """Progress of the call."""
 
@@ -88,35 +81,35 @@ class Failed(FrozenModel):
     traceback: str = Field(max_length=MAX_WORDS)
 
 
-class Answered(FrozenModel):
+class Replied(FrozenModel):
     """The work is done; records, drawing and pictures follow."""
 
-    kind: Literal["answered"] = "answered"
+    kind: Literal["replied"] = "replied"
     n_records: int = Field(ge=1, le=MAX_RECORDS)
     drawing: bool
     overlay: bool
     page_picture: bool
 
 
-WorkerMessage: TypeAlias = Loaded | Entered | Progressed | Refused | Failed | Answered
+WorkerMessage: TypeAlias = Loaded | Progressed | Refused | Failed | Replied
 _WORKER_MESSAGE: TypeAdapter[WorkerMessage] = TypeAdapter(Annotated[WorkerMessage, Field(discriminator="kind")])
 
 
 def send(connection: Connection, message: BaseModel) -> None:
-    """Send a message or a part of an answer."""
+    """Send a message or a part of a reply."""
     connection.send_bytes(message.model_dump_json().encode())
 
 
-def send_answer(connection: Connection, answer: Answer[BaseModel]) -> None:
-    """Send the answer of a call."""
-    pictures = [picture for picture in (answer.overlay, answer.page_picture) if picture is not None]
-    header = Answered(
-        n_records=len(answer.records),
-        drawing=answer.drawing is not None,
-        overlay=answer.overlay is not None,
-        page_picture=answer.page_picture is not None,
+def send_reply(connection: Connection, reply: Reply[BaseModel]) -> None:
+    """Send the reply of a call."""
+    pictures = [picture for picture in (reply.overlay, reply.page_picture) if picture is not None]
+    header = Replied(
+        n_records=len(reply.records),
+        drawing=reply.drawing is not None,
+        overlay=reply.overlay is not None,
+        page_picture=reply.page_picture is not None,
     )
-    for part in (header, *answer.records, *([answer.drawing] if answer.drawing else [])):
+    for part in (header, *reply.records, *([reply.drawing] if reply.drawing else [])):
         send(connection, part)
     for picture in pictures:
         connection.send_bytes(picture)
@@ -133,8 +126,8 @@ def receive(connection: Connection) -> WorkerMessage:
     return _parsed(connection, HEADER, _WORKER_MESSAGE.validate_json)
 
 
-def receive_answer(connection: Connection, header: Answered, record: type[BaseModel]) -> Answer[Any]:
-    """Receive the parts of an answer.
+def receive_reply(connection: Connection, header: Replied, record: type[BaseModel]) -> Reply[Any]:
+    """Receive the parts of a reply.
 
     Args:
         connection: the connection to the worker.
@@ -146,7 +139,7 @@ def receive_answer(connection: Connection, header: Answered, record: type[BaseMo
         OSError: the pipe broke, or a part is too large.
         MessageError: a part is not of its type.
     """
-    return Answer(
+    return Reply(
         records=tuple(_parsed(connection, RECORD, record.model_validate_json) for _ in range(header.n_records)),
         drawing=_parsed(connection, DRAWING, Drawing.model_validate_json) if header.drawing else None,
         overlay=connection.recv_bytes(MAX_PICTURE_BYTES) if header.overlay else None,

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from vehanchor.pictures.scale import read_reduced
-from vehanchor_server.calls.answer import MAX_SIDE_PX
+from vehanchor_server.calls.reply import MAX_SIDE_PX
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster, Window
-    from vehanchor_server.calls.answer import PictureRequest
     from vehanchor_server.calls.capacity import Stop
     from vehanchor_server.calls.job import Job
+    from vehanchor_server.calls.reply import PictureRequest
 
 MAX_PICTURE_BYTES = 400_000  # hosts cap a result at about 0.75 MB: this and the page's picture, and base64 adds a third
 MAX_PAGE_BYTES = 120_000  # part of every result of a host with pages
@@ -48,14 +48,14 @@ def draw_pictures(
 
     Args:
         raster: the image.
-        job: receives the stage and can stop the reading.
+        job: can stop the reading.
         wanted: the requested pictures.
         draw: draws the overlay, ``[h', w', 3]`` RGB, on the image, its part or a reduced copy, ``[h, w, 3]``.
         part: the part that the overlay shows; None for all of the image.
     """
     if not (wanted.overlay or wanted.page):
         return Pictures()
-    job.enter("overlay")
+    job.stop.check()
     source = stoppable(raster, job.stop)
     whole = read_reduced(source) if wanted.page or part is None else None
     page = small_jpeg(whole, MAX_PAGE_BYTES) if whole is not None and wanted.page else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from pydantic import BaseModel
 
@@ -11,31 +11,13 @@ from vehanchor_server.images.source import library_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
-    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.job import Job
+    from vehanchor_server.calls.reply import Reply
     from vehanchor_server.images.argument import AnyImage
-    from vehanchor_server.images.source import ImageSources
-    from vehanchor_server.models import Models
+    from vehanchor_server.services import Services
 
 Record = TypeVar("Record", bound=BaseModel)
-
-
-class Parts(Protocol):
-    """The parts of ``Services`` that a task needs."""
-
-    @property
-    def sources(self) -> ImageSources:
-        """Image sources."""
-
-    @property
-    def models(self) -> Models:
-        """The operator's models."""
-
-    @property
-    def readable(self) -> tuple[Path, ...] | None:
-        """Files and folders that workers may read; None for no confinement."""
 
 
 class Work(Generic[Record]):
@@ -43,10 +25,10 @@ class Work(Generic[Record]):
 
     Attributes:
         function: function of services, job, opened image and question; other images are a fifth argument.
-        record: type of the records in the answer.
+        record: type of the records in the reply.
     """
 
-    def __init__(self, function: Callable[..., Answer[Record]], record: type[Record]) -> None:
+    def __init__(self, function: Callable[..., Reply[Record]], record: type[Record]) -> None:
         self.function = function
         self.record = record
         self.__module__ = function.__module__
@@ -56,11 +38,11 @@ class Work(Generic[Record]):
         return self.function.__name__
 
 
-def work(record: type[Record]) -> Callable[[Callable[..., Answer[Record]]], Work[Record]]:
+def work(record: type[Record]) -> Callable[[Callable[..., Reply[Record]]], Work[Record]]:
     """Decorate a module-level function as work for workers.
 
     Args:
-        record: type of the records in the answer.
+        record: type of the records in the reply.
     """
     return lambda function: Work(function, record)
 
@@ -84,7 +66,7 @@ class Task(Generic[Record]):
     more: tuple[tuple[AnyImage, bytes | None], ...] = ()
 
 
-def perform(services: Parts, task: Task[Record], job: Job) -> Answer[Record]:
+def perform(services: Services, task: Task[Record], job: Job) -> Reply[Record]:
     """Open the image and do the work in this thread.
 
     Raises:

@@ -20,13 +20,12 @@ from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.messages import (
     MAX_WORDS,
-    Entered,
     Failed,
     Loaded,
     Progressed,
     Refused,
     send,
-    send_answer,
+    send_reply,
 )
 from vehanchor_server.calls.task import perform
 from vehanchor_server.errors import WORKER_KILLED, CallError
@@ -37,7 +36,8 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
     from vehanchor_server.calls.messages import WorkerMessage
-    from vehanchor_server.calls.task import Parts, Task
+    from vehanchor_server.calls.task import Task
+    from vehanchor_server.services import Services
 
 _IDLE_S = 5.0  # idle time before freed memory is returned; a call after that maps it again, for some 25 ms
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
@@ -58,7 +58,7 @@ class WorkerLimits:
 
 
 def serve_tasks(
-    connection: Connection, log: Connection, make_services: Callable[[], Parts], limits: WorkerLimits
+    connection: Connection, log: Connection, make_services: Callable[[], Services], limits: WorkerLimits
 ) -> None:
     """Confine this process, load the models and run tasks until the server ends: the main function of a worker.
 
@@ -125,17 +125,14 @@ def _confined(readable: tuple[Path, ...] | None) -> Confinement:
     return Confinement(lacks="the operator's settings") if readable is None else confine(readable)
 
 
-def _outcome(services: Parts, task: Task[Any], connection: Connection) -> WorkerMessage | None:
-    """Run a task and send its answer; otherwise return the message for the failure."""
-
-    def enter(stage: str) -> None:
-        send(connection, Entered(stage=stage))
+def _outcome(services: Services, task: Task[Any], connection: Connection) -> WorkerMessage | None:
+    """Run a task and send its reply; otherwise return the message for the failure."""
 
     def report(percent: float, message: str) -> None:
         send(connection, Progressed(percent=percent, message=message))
 
     try:
-        send_answer(connection, perform(services, task, Job(Stop(), report, enter)))
+        send_reply(connection, perform(services, task, Job(Stop(), report)))
         return None
     except Exception as error:
         if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):

@@ -24,15 +24,14 @@ from typing import TYPE_CHECKING
 
 from vehanchor_server.calls.capacity import CallStoppedError
 from vehanchor_server.calls.messages import (
-    Answered,
-    Entered,
     Failed,
     Loaded,
     MessageError,
     Progressed,
     Refused,
+    Replied,
     receive,
-    receive_answer,
+    receive_reply,
 )
 from vehanchor_server.calls.worker_log import forward_log
 from vehanchor_server.calls.worker_process import serve_tasks
@@ -46,10 +45,11 @@ if TYPE_CHECKING:
     from multiprocessing.context import ForkServerContext, SpawnContext
     from multiprocessing.process import BaseProcess
 
-    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.capacity import Stop
-    from vehanchor_server.calls.task import Parts, Record, Task
+    from vehanchor_server.calls.reply import Reply
+    from vehanchor_server.calls.task import Record, Task
     from vehanchor_server.calls.worker_process import WorkerLimits
+    from vehanchor_server.services import Services
 
 _ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
 _POLL_S = 0.05  # interval at which a waiting thread checks for a stop request
@@ -74,7 +74,7 @@ class WorkerPool:
         failure: error code of the last failed load of the models, or None.
     """
 
-    def __init__(self, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
+    def __init__(self, make_services: Callable[[], Services], limits: WorkerLimits) -> None:
         self.make_services = make_services
         self.limits = limits
         self.closed = False
@@ -106,16 +106,13 @@ class WorkerPool:
         timer.name, timer.daemon = "vehanchor-workers", True
         timer.start()
 
-    def run(
-        self, task: Task[Record], stop: Stop, report: Callable[[float, str], None], enter: Callable[[str], None]
-    ) -> Answer[Record]:
+    def run(self, task: Task[Record], stop: Stop, report: Callable[[float, str], None]) -> Reply[Record]:
         """Run a task in a worker; blocks, so call it in a thread.
 
         Args:
             task: the task.
             stop: kills the worker on request.
             report: receives progress.
-            enter: receives stages.
 
         Raises:
             CallError: ``worker_killed``, ``worker_unavailable``, or the failure of the work.
@@ -124,7 +121,7 @@ class WorkerPool:
         """
         worker = self._take(stop)
         try:
-            return worker.run(task, stop, report, enter)
+            return worker.run(task, stop, report)
         finally:
             if worker.usable:
                 self._put(worker)
@@ -304,9 +301,7 @@ class _Worker:
             self._pool.log_once(logging.ERROR, f"a worker cannot start: {reason}")
         self._settled.set()
 
-    def run(
-        self, task: Task[Record], stop: Stop, report: Callable[[float, str], None], enter: Callable[[str], None]
-    ) -> Answer[Record]:
+    def run(self, task: Task[Record], stop: Stop, report: Callable[[float, str], None]) -> Reply[Record]:
         """Run a task; a stop request kills the process.
 
         Raises:
@@ -321,7 +316,7 @@ class _Worker:
             stop.check()
             try:
                 self._connection.send(task)
-                return self._listen(self._connection, task, report, enter)
+                return self._listen(self._connection, task, report)
             except MessageError as error:
                 _logger.error("a worker sent an invalid message: %s", error)
                 raise self._ended() from error
@@ -339,23 +334,17 @@ class _Worker:
         )
 
     def _listen(
-        self,
-        connection: Connection,
-        task: Task[Record],
-        report: Callable[[float, str], None],
-        enter: Callable[[str], None],
-    ) -> Answer[Record]:
+        self, connection: Connection, task: Task[Record], report: Callable[[float, str], None]
+    ) -> Reply[Record]:
         while True:
             message = receive(connection)
             match message:
                 case Progressed():
                     report(message.percent, message.message)
-                case Entered():
-                    enter(message.stage)
-                case Answered():
-                    answer = receive_answer(connection, message, task.work.record)
+                case Replied():
+                    reply = receive_reply(connection, message, task.work.record)
                     self._waits = True
-                    return answer
+                    return reply
                 case Refused():
                     self._waits = message.code != WORKER_KILLED
                     raise CallError(message.code, message.message)

@@ -81,7 +81,7 @@ class Fetcher:
 
     hosts: tuple[str, ...]
     max_bytes: int
-    timeout_s: float
+    timeout_s: float = 20.0
     ssl_context: ssl.SSLContext | None = None
     resolve: Callable[[str, int], Awaitable[list[str]]] = resolve_host
     is_public: Callable[[str], bool] = is_public_address

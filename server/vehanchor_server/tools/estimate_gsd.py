@@ -16,9 +16,9 @@ from pydantic import Field
 from vehanchor.records import GsdEstimate
 from vehanchor.records.advice import CHECK_VEHICLES
 from vehanchor_server.app_page import APP_META
-from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Detail, PictureRequest, Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
@@ -43,7 +43,6 @@ from vehanchor_server.tools.messages import (
     warnings,
 )
 from vehanchor_server.tools.portable_schema import Listing
-from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import (
     UNLISTED_ARGUMENTS,
     AddArgument,
@@ -64,6 +63,7 @@ from vehanchor_server.tools.scale_question import (
     RegionArgument,
     ScaleQuestion,
 )
+from vehanchor_server.tools.scale_reply import scale_reply
 from vehanchor_server.tools.strict_tool import StrictTool
 
 _DESCRIPTION = (
@@ -139,7 +139,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
 
 
 @work(GsdEstimate)
-def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Question) -> Answer[GsdEstimate]:
+def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Question) -> Reply[GsdEstimate]:
     """Search the image and estimate its scale, in a worker process or thread.
 
     Raises:
@@ -153,10 +153,10 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
     detector = services.models.detector(job.runtime)
     options = asked.scale.options(services.settings, services.models)
     checked_detector(detector, options)
-    job.enter("decode")
+    job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
         analysis = services.models.memory.analyse(raster, detector, options)
-        return scale_answer(raster, analysis, asked.wanted, job)
+        return scale_reply(raster, analysis, asked.wanted, job)
 
 
 def describe_estimate(estimate: GsdEstimate, detail: Detail = "full", check: str = _CHECK) -> str:

@@ -12,14 +12,14 @@ from pydantic import Field
 
 from vehanchor.options import Frame
 from vehanchor.records import GsdEstimate
-from vehanchor_server.calls.answer import PictureRequest
+from vehanchor_server.calls.reply import PictureRequest
 from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
-from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import ScaleQuestion
+from vehanchor_server.tools.scale_reply import scale_reply
 
 if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from vehanchor_flight.photograph import Photograph
     from vehanchor_flight.record import Failure
     from vehanchor_flight.records import FlightEstimate
-    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.job import Job
+    from vehanchor_server.calls.reply import Reply
     from vehanchor_server.images.source import OpenedImage
     from vehanchor_server.services import Services
 
@@ -73,7 +73,7 @@ def estimate_with_flight(
     source: OpenedImage,
     question: FlightQuestion,
     more: Sequence[tuple[AnyImage, bytes | None]],
-) -> Answer[GsdEstimate]:
+) -> Reply[GsdEstimate]:
     """Estimate the scale of an image with the evidence of others, in a worker process or thread.
 
     Raises:
@@ -90,7 +90,7 @@ def estimate_with_flight(
     asked = question.scale.options(services.settings, services.models)
     options = replace(asked, frame=Frame())
     checked_detector(detector, options)
-    job.enter("decode")
+    job.stop.check()
     for _ in _open_each(services, source, more, []):  # refuse a path before the search
         job.stop.check()
     opened: list[OpenedImage] = []
@@ -102,7 +102,7 @@ def estimate_with_flight(
     analysis = replace(members[0].analysis, estimate=_estimate_of_image(flight, asked))
     is_drawn = question.wanted.overlay or question.wanted.page
     with open_raster(source, limits=asked.reading.limits) if is_drawn else nullcontext() as raster:
-        return scale_answer(raster, analysis, question.wanted, job)
+        return scale_reply(raster, analysis, question.wanted, job)
 
 
 def _report_photograph(job: Job, total: int, done: int, _: int) -> None:

@@ -15,10 +15,10 @@ from pydantic import Field
 from vehanchor.records import AreaMeasurement, BoundingBox, OtherObject
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor_server.app_page import APP_META
-from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.compact import ADVICE_ON_MASK
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Detail, PictureRequest, Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import ImageArgument
@@ -165,7 +165,7 @@ def _size(record: AreaMeasurement) -> tuple[int, int]:
 
 
 @work(AreaMeasurement)
-def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[AreaMeasurement]:
+def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Reply[AreaMeasurement]:
     """Segment the objects and measure them, in a worker process or thread.
 
     Raises:
@@ -182,7 +182,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     prompts = [_prompt(target) for target in question.targets]  # refuse invalid prompts before the work
     segmenter = services.models.segmenter(job.runtime)
     options, scale = question.scale.resolve(services, job)
-    job.enter("decode")
+    job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
         found = analyse_objects(
@@ -198,7 +198,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
         pictures = draw_pictures(raster, job, question.wanted, lambda seen: draw_area(seen, *found, cut=cut), cut.part)
     drawing = drawing_of(first.scale) if question.wanted.page and first.scale is not None else None
     measured = tuple(each.measurement for each in found)
-    return Answer(measured, pictures.overlay, pictures.page, drawing)
+    return Reply(measured, pictures.overlay, pictures.page, drawing)
 
 
 def _prompt(target: Target) -> "Prompt":

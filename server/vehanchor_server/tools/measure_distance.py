@@ -10,9 +10,9 @@ from mcp.types import CallToolResult
 from pydantic import Field
 
 from vehanchor.records import DistanceMeasurement
-from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Detail, PictureRequest, Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import FrozenModel, Number
 from vehanchor_server.images.argument import ImageArgument
@@ -148,7 +148,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
 
 
 @work(DistanceMeasurement)
-def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[DistanceMeasurement]:
+def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Reply[DistanceMeasurement]:
     """Measure the lines, in a worker process or thread.
 
     Raises:
@@ -163,7 +163,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
     options, scale = question.scale.resolve(services, job)
-    job.enter("decode")
+    job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
         found = analyse_paths(
             raster,
@@ -177,7 +177,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
         overlay = draw_pictures(
             raster, job, question.wanted, lambda seen: draw_distance(seen, *found, cut=cut), cut.part
         ).overlay
-    return Answer(measured, overlay)
+    return Reply(measured, overlay)
 
 
 def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> str:

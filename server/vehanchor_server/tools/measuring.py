@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
 
-from vehanchor_server.calls.answer import MAX_SIDE_PX
+from vehanchor_server.calls.reply import MAX_SIDE_PX
 from vehanchor_server.frozen import Flag, WholeNumber
 from vehanchor_server.tools.scale_question import ScaleQuestion
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, Notice
-    from vehanchor_server.calls.answer import Detail
+    from vehanchor_server.calls.reply import Detail
 
 POLICY = (
     "Act on the scale only if status is ok: it is right within 20 % in at least 9 of 10 such photographs. "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import ConfigDict, Field
 
@@ -26,7 +26,7 @@ from vehanchor.options.by_hand import vehicle_numbers
 from vehanchor.options.frame import FRAME, FRAME_SIDE
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT
 from vehanchor.options.rulers import LINE_LENGTH_M, StatedScale
-from vehanchor_server.calls.answer import Detail
+from vehanchor_server.calls.reply import Detail
 from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import FrozenModel, Number, WholeNumber
 from vehanchor_server.tools.option_field import limits_field, option_field
@@ -134,15 +134,7 @@ UNLISTED_ARGUMENTS = (
     "same_scale",
     "add",
 )
-"""Arguments and fields that the listed schemas hide from models; programs or the operator set them."""
-
-
-_Number = TypeVar("_Number", int, float)
-
-
-def _least(*limits: _Number | None) -> _Number | None:
-    """Return the smallest limit that is set, or None."""
-    return min((limit for limit in limits if limit is not None), default=None)
+"""Arguments and fields that the listed schemas hide from models; programs set them."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +191,7 @@ class ScaleQuestion:
         )
 
     def options(self, settings: Settings, models: Models | None) -> ScaleOptions:
-        """Return the options: thresholds, limits and calibration of the operator, all others of the caller.
+        """Return the options: limits and calibration of the operator, all others of the caller.
 
         If the caller gives a region or a reference length, the operator's calibration is not used.
 
@@ -214,12 +206,7 @@ class ScaleQuestion:
         width_px, height_px = (self.frame.width_px, self.frame.height_px) if self.frame else (None, None)
         fleet_unknown = self.region is None and self.reference_length_m is None
         return ScaleOptions(
-            search=Search(
-                min_score=settings.min_score,
-                effort=self.effort or cast("Effort", settings.effort),
-                max_tiles=_least(self.max_tiles, settings.max_tiles),
-                max_seconds=_least(self.max_seconds, settings.max_search_s),
-            ),
+            search=Search(effort=self.effort or Search.effort, max_tiles=self.max_tiles, max_seconds=self.max_seconds),
             reference=Reference(
                 reference_length_m=self.reference_length_m,
                 region=self.region,

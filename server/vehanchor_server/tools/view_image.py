@@ -19,10 +19,10 @@ from pydantic import Field
 
 from vehanchor.errors import PromptError
 from vehanchor.options import Coordinates, Frame, Reading
-from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import Flag, FrozenModel, WholeNumber
 from vehanchor_server.images.argument import ImageArgument
@@ -129,7 +129,7 @@ def _result(words: str, seen: ViewedImage, jpeg: bytes | None) -> CallToolResult
 
 
 @work(ViewedImage)
-def _view(services: Services, job: Job, source: OpenedImage, request: _ViewRequest) -> Answer[ViewedImage]:
+def _view(services: Services, job: Job, source: OpenedImage, request: _ViewRequest) -> Reply[ViewedImage]:
     """Draw the picture, in a worker process or thread.
 
     Raises:
@@ -144,14 +144,14 @@ def _view(services: Services, job: Job, source: OpenedImage, request: _ViewReque
     from vehanchor.pictures.grid import draw_grid
     from vehanchor_server.calls.overlay import small_jpeg, stoppable
 
-    job.enter("decode")
+    job.stop.check()
     reading = Reading(limits=services.settings.image_limits)
     with open_raster(source, limits=reading.limits) as raster:
         window = Window(0, 0, raster.width_px, raster.height_px)
         if request.part is not None:
             coordinates = CoordinateFrame(Frame(coordinates=request.coordinates), raster.width_px, raster.height_px)
             window = Window(*_inside(request.part, coordinates))
-        job.enter("overlay")
+        job.stop.check()
         picture = draw_grid(
             stoppable(raster, job.stop),
             window,
@@ -176,7 +176,7 @@ def _view(services: Services, job: Job, source: OpenedImage, request: _ViewReque
             picture_height_px=height,
             grid_px=picture.step_px,
         )
-    return Answer((seen,), jpeg)
+    return Reply((seen,), jpeg)
 
 
 def _bytes(jpeg: bytes) -> Any:

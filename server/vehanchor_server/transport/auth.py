@@ -43,8 +43,8 @@ def token_verifier(settings: Settings) -> TokenVerifier | None:
     """
     if settings.token_file is not None:
         return StaticTokenVerifier(read_tokens(settings.token_file))
-    if settings.oidc_issuer is not None and settings.oidc_audience is not None:
-        return OidcVerifier(settings.oidc_issuer, settings.oidc_audience, max_key_age_s=settings.oidc_max_key_age_s)
+    if settings.oidc is not None:
+        return OidcVerifier(*settings.oidc)
     return None
 
 

@@ -1,16 +1,12 @@
-"""The server over Streamable HTTP: stateless in both protocol eras, so that any process answers any request.
-
-``uvicorn --factory vehanchor_server.transport.http:create_app --workers N`` also runs it, with settings from
-``VEHANCHOR_*`` variables.
-"""
+"""The server over Streamable HTTP: stateless in both protocol eras, so that any replica answers any request."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from functools import partial
 from typing import Any
+from urllib.parse import urlsplit
 
 import uvicorn
 from mcp.server.auth.settings import AuthSettings
@@ -23,12 +19,11 @@ from starlette.routing import Route
 from vehanchor_server.app import create_server
 from vehanchor_server.request_log import configure_logging
 from vehanchor_server.services import Services, create_services
-from vehanchor_server.settings import Settings
+from vehanchor_server.settings import MAX_BODY_BYTES, Settings
 from vehanchor_server.transport.auth import token_verifier
 from vehanchor_server.transport.request_guard import RequestGuard
 
 MCP_PATH = "/mcp"
-_SETTINGS_OF_WORKERS = "VEHANCHOR_SETTINGS_OF_WORKERS"  # JSON in one variable, because lists need no separators there
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 _SHUTDOWN_S = 5  # time for running calls after a stop
 _KEEP_ALIVE_S = 5  # above the proxy's 3 s in examples/deploy/nginx.conf, so that no call meets a closed connection
@@ -36,20 +31,15 @@ _MAX_HEAD_BYTES = 32 << 10
 _SPARE_BODIES = 2  # besides one per call: a call's slot is free shortly before its body
 
 
-def create_app(settings: Settings | None = None) -> Starlette:
+def create_app(settings: Settings) -> Starlette:
     """Create the ASGI application.
 
     Args:
-        settings: the operator's settings. None reads those of ``serve_http`` in its child processes, otherwise the
-            environment, and configures the logs.
+        settings: the operator's settings.
 
     Raises:
         SettingsError: a setting is invalid, or a public server has no authentication.
     """
-    if settings is None:
-        configure_logging()
-        handed_down = os.environ.get(_SETTINGS_OF_WORKERS)
-        settings = Settings.from_json(handed_down) if handed_down else Settings.from_environment()
     settings.check_exposure()
     services = create_services(settings)
     verifier = token_verifier(settings)
@@ -68,7 +58,7 @@ def create_app(settings: Settings | None = None) -> Starlette:
     app = server.streamable_http_app(
         streamable_http_path=MCP_PATH,
         stateless_http=True,
-        max_request_body_size=settings.max_body_bytes,
+        max_request_body_size=MAX_BODY_BYTES,
         transport_security=security,
     )
     app.add_middleware(
@@ -103,39 +93,31 @@ def serve_http(settings: Settings) -> None:
         settings: the operator's settings.
 
     Raises:
-        SettingsError: a setting is invalid, or a public server has no authentication.
+        SettingsError: the token file is invalid, or a public server has no authentication.
     """
-    settings.check_exposure()
-    token_verifier(settings)  # report an invalid token file before listening
     configure_logging()
-    os.environ[_SETTINGS_OF_WORKERS] = settings.to_json()
-    try:
-        uvicorn.run(
-            "vehanchor_server.transport.http:create_app",
-            factory=True,
-            host=settings.host,
-            port=settings.port,
-            workers=settings.workers,
-            http="h11",  # httptools has no limit on the head
-            h11_max_incomplete_event_size=_MAX_HEAD_BYTES,
-            log_config=None,
-            access_log=False,
-            server_header=False,
-            timeout_keep_alive=_KEEP_ALIVE_S,
-            timeout_graceful_shutdown=_SHUTDOWN_S,
-        )
-    finally:
-        del os.environ[_SETTINGS_OF_WORKERS]
+    uvicorn.run(
+        create_app(settings),
+        host=settings.host,
+        port=settings.port,
+        http="h11",  # httptools has no limit on the head
+        h11_max_incomplete_event_size=_MAX_HEAD_BYTES,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_keep_alive=_KEEP_ALIVE_S,
+        timeout_graceful_shutdown=_SHUTDOWN_S,
+    )
 
 
 def _auth(settings: Settings) -> AuthSettings:
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    address = settings.public_url or f"http://{host}:{settings.port}{MCP_PATH}"
-    if settings.oidc_issuer is None:  # the operator's own tokens have no authorization server
+    address = settings.public_urls[0] if settings.public_urls else f"http://{host}:{settings.port}{MCP_PATH}"
+    if settings.oidc is None:  # the operator's own tokens have no authorization server
         return AuthSettings.model_validate({"issuer_url": address, "resource_server_url": None})
     return AuthSettings.model_validate(  # from strings, so that an issuer without a path gains no slash
         {
-            "issuer_url": settings.oidc_issuer,
+            "issuer_url": settings.oidc[0],
             "resource_server_url": address,
             "validate_token_resource": False,  # the verifier checks the audience
         }
@@ -144,12 +126,12 @@ def _auth(settings: Settings) -> AuthSettings:
 
 def _transport_security(settings: Settings) -> TransportSecuritySettings:
     """Return the accepted Host and Origin headers, so that no web page uses the server through its visitors."""
-    hosts = [*_LOOPBACK_NAMES, *(f"{name}:*" for name in _LOOPBACK_NAMES)]
-    for host in settings.allowed_hosts:
-        hosts += [host] if ":" in host.rpartition("]")[2] else [host, f"{host}:*"]
-    origins = [f"http://{name}" for name in _LOOPBACK_NAMES]
-    return TransportSecuritySettings(
-        enable_dns_rebinding_protection=True,
-        allowed_hosts=hosts,
-        allowed_origins=[*origins, *(f"{origin}:*" for origin in origins), *settings.allowed_origins],
+    own = [f"http://{name}" for name in _LOOPBACK_NAMES]
+    hosts, origins = (
+        [*_LOOPBACK_NAMES, *(f"{name}:*" for name in _LOOPBACK_NAMES)],
+        [*own, *(f"{each}:*" for each in own)],
     )
+    for url in map(urlsplit, settings.public_urls):
+        hosts += [url.netloc] if url.port else [url.netloc, f"{url.netloc}:*"]
+        origins.append(f"{url.scheme}://{url.netloc}")
+    return TransportSecuritySettings(enable_dns_rebinding_protection=True, allowed_hosts=hosts, allowed_origins=origins)

@@ -15,13 +15,12 @@ from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
-from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.known_length_table import with_lines_of
-from vehanchor.storage.journal import Key
+from vehanchor.storage.journal import Key, Source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -27,6 +27,7 @@ from vehanchor.cli.terminal import (
     report,
     scale_text,
     tile_progress,
+    under_one_folder,
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
 from vehanchor.export.geojson import check_geojson_path
@@ -307,8 +308,6 @@ def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
     from rich import box
     from rich.table import Table
     from rich.text import Text
-
-    from vehanchor.imagery.names import under_one_folder
 
     folder, names = under_one_folder([source for source, _ in rows])
     title = Text(printable(f"{len(rows)} images in {folder}")) if folder else None

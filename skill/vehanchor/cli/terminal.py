@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Annotated, Any, Protocol, TextIO, TypeAlias
 
 import typer
@@ -226,3 +226,17 @@ def image_progress(work: Callable[[int, int], str] | None = None) -> Iterator[Ca
     with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
         task = bar.add_task("", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total, description=name(done, total))
+
+
+def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:
+    """Split image names into their common folder and the names relative to it.
+
+    Returns:
+        The folder and the names; the folder is empty if the images share none.
+    """
+    try:
+        folder = os.path.commonpath([PurePath(name).parent for name in names])
+    except ValueError:  # some are absolute and some not
+        folder = ""
+    folder = "" if folder == "." else folder
+    return folder, [os.path.relpath(name, folder) if folder else name for name in names]

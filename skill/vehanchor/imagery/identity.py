@@ -1,4 +1,4 @@
-"""Image identity: the state of a file, and a checksum of the image, equal for a path and its bytes.
+"""Image identity: a checksum of the image, equal for a path and its bytes.
 
 Up to 4096 px per side, and for every image that is decoded whole, the checksum covers all pixels, so that it equals
 that of the array. For a larger image that is read by windows it covers 64 windows and the encoded file.
@@ -11,7 +11,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageDecodeError
 from vehanchor.imagery.raster import Window
@@ -25,30 +25,6 @@ _WINDOWS_PER_SIDE = 8
 _WINDOW_PX = 512  # 8 x 8 windows cover 4096 x 4096 px
 _DIGITS = 16
 _BLOCKS, _BLOCK_BYTES = 512, 1 << 20
-
-
-class Source(NamedTuple):
-    """The state of a file: its key in a journal changes if the file is replaced.
-
-    Attributes:
-        path: absolute, links followed.
-        size: bytes; -1 where there is no such file.
-        mtime_ns: time of its last change.
-    """
-
-    path: str
-    size: int
-    mtime_ns: int
-
-    @classmethod
-    def of(cls, file: str | os.PathLike[str]) -> Source:
-        """Read the state of the file of that name."""
-        path = Path(file).resolve()
-        try:
-            facts = path.stat()
-        except OSError:
-            return cls(str(path), -1, 0)
-        return cls(str(path), facts.st_size, facts.st_mtime_ns)
 
 
 def image_id(raster: Raster) -> str:

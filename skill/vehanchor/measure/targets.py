@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from vehanchor.errors import PromptError, VehAnchorError
-from vehanchor.imagery.sources.image_table import read_image_table
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
+from vehanchor.rulers.image_table import read_image_table
 from vehanchor.segmentation.prompt import prompt_in_image, read_prompt
 
 if TYPE_CHECKING:

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 _SAME_HEIGHT = 0.02  # relative: a height this near to the file's repeats it
 _NO_LENS_OF_A_CROP = (
-    "no focal length of the whole photograph holds for it, and the given height is not usable. If focal_35mm is that "
+    "no focal length of the whole photograph holds for it, and the given height is not usable. If yours is that "
     "of the crop, leave out the metadata"
 )
 _NO_FOCAL_LENGTH = Notice(
     code=NoticeCode.CAMERA_UNUSABLE,
-    message="The given height is not usable: the file has no usable focal length. Also give focal_35mm.",
+    message="The given height is not usable: the file has no usable focal length. Also give its 35 mm equivalent.",
 )
 
 

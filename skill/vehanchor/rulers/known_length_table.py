@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.sources.files import where_it_is
-from vehanchor.imagery.sources.image_table import read_image_table
 from vehanchor.options.rulers import KnownLength, Rulers, number_or_name
+from vehanchor.rulers.image_table import read_image_table
 from vehanchor.rulers.standards import check_name
 
 if TYPE_CHECKING:

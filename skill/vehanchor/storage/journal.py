@@ -3,7 +3,7 @@
 A journal is an SQLite file with one table: a row is the result of one source under one set of settings. Settings are
 what results depend on besides their source (version, model, options); a row has their hash, and the row with the empty
 key has the settings themselves. A key has the state of the source when the work began
-(``vehanchor.imagery.identity.Source``), so that results of a replaced file are not found. Each result is committed
+(``Source``), so that results of a replaced file are not found. Each result is committed
 alone: a killed run loses none. The file is never opened through a link.
 """
 
@@ -16,13 +16,14 @@ import threading
 import weakref
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeAlias, TypeVar
 
 from pydantic import BaseModel
 
 from vehanchor.errors import InvalidParameterError, OutputError
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
 Key: TypeAlias = tuple[str | int, ...]
@@ -37,6 +38,30 @@ _TABLE = (
 )
 _WAIT_S = 30.0  # for another process that writes to a shared file
 _FACTS = ""  # the key of the settings
+
+
+class Source(NamedTuple):
+    """The state of a file: its key in a journal changes if the file is replaced.
+
+    Attributes:
+        path: absolute, links followed.
+        size: bytes; -1 where there is no such file.
+        mtime_ns: time of its last change.
+    """
+
+    path: str
+    size: int
+    mtime_ns: int
+
+    @classmethod
+    def of(cls, file: str | os.PathLike[str]) -> Source:
+        """Read the state of the file of that name."""
+        path = Path(file).resolve()
+        try:
+            facts = path.stat()
+        except OSError:
+            return cls(str(path), -1, 0)
+        return cls(str(path), facts.st_size, facts.st_mtime_ns)
 
 
 class Journal(Generic[Value]):

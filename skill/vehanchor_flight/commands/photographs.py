@@ -22,6 +22,7 @@ from vehanchor.cli.terminal import (
     printable,
     resumable,
     scale_text,
+    under_one_folder,
 )
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.by_hand import BY_HAND
@@ -118,8 +119,6 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
     if as_json:
         print_json(record.model_dump(mode="json"))
         return
-    from vehanchor.imagery.names import under_one_folder
-
     folder, names = under_one_folder([each.photograph for each in record.photographs])
     where = f" in {folder}" if folder else ""
     short = {each.photograph: name for each, name in zip(record.photographs, names, strict=True)}

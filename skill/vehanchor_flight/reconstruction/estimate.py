@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from vehanchor.errors import ImageNotFoundError, ReconstructionError, VehAnchorError
-from vehanchor.imagery.identity import Source
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.known_length_table import with_lines_of
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate
     from vehanchor.rulers.known_length_table import KnownLengthTable
-    from vehanchor.storage.journal import Journal
+    from vehanchor.storage.journal import Journal, Source
     from vehanchor_flight.photograph import StoredPhotograph
     from vehanchor_flight.reconstruction.model import Reconstruction
 

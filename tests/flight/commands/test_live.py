@@ -42,14 +42,6 @@ def test_each_frame_is_one_line_of_json(run: Any) -> None:
     assert record.gsd_m_per_px == pytest.approx(0.168, rel=0.02)
 
 
-def test_a_damaged_frame_is_told_and_passed_over(run: Any, tmp_path: Path) -> None:
-    (tmp_path / "1.png").write_bytes(b"no image")
-    done = run(".", "--idle", 1)
-    assert done.exit_code == 0
-    assert [json.loads(line)["frame"] for line in done.stdout.splitlines()] == ["0.png"]
-    assert "1.png" in done.stderr
-
-
 @pytest.mark.parametrize(
     "arguments",
     [

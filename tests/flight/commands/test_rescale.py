@@ -50,14 +50,6 @@ def test_the_verdict_is_told_and_the_files_are_in_metres(run: Any, tmp_path: Pat
     assert len((tmp_path / "geo.txt").read_text().splitlines()) == 4
 
 
-def test_json_is_the_record_and_nothing_else(run: Any) -> None:
-    record = json.loads(run("project/reconstruction.json", "--json").stdout)
-    assert record["source"] == "opensfm"
-    assert record["status"] == "ok"
-    assert record["factor"] == pytest.approx(1 / 0.92, rel=0.015)
-    assert [each["status"] for each in record["photographs"]] == ["used"] * 3
-
-
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [

@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -12,13 +11,10 @@ from tests.flight.ground import ground, photograph_of
 from tests.models import paint_vehicles, write_detector
 from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import load_detector
-from vehanchor.engine import Engine
-from vehanchor.errors import InvalidParameterError
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.measurement import measure_all
 from vehanchor_flight.live.estimator import LiveEstimator
 from vehanchor_flight.live.frames import Frame
-from vehanchor_flight.verbs import live_scales
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -82,18 +78,6 @@ def test_a_frame_that_shows_nothing_gives_nothing(tmp_path: Path) -> None:
         assert (record.status, record.gsd_m_per_px, record.linked) == ("no_scale", None, False)
 
 
-def test_frames_may_change_their_size(tmp_path: Path, world: NDArray[np.uint8]) -> None:
-    detector = load_detector(write_detector(tmp_path / "detector.onnx"))
-    estimator = LiveEstimator(detector, ScaleOptions())
-    first = frame_of(photograph_of(world, 700, 700), 0.0, cars=True)
-    before = estimator.estimate(first)
-    half = np.asarray(cv2.resize(first.image, (250, 250), interpolation=cv2.INTER_AREA), np.uint8)
-    after = estimator.estimate(Frame("half", half, 0.2, 0.0, 0))
-    assert after.linked
-    assert before.gsd_m_per_px is not None
-    assert after.gsd_m_per_px == pytest.approx(2 * before.gsd_m_per_px, rel=0.1)
-
-
 def test_a_stretch_found_once_is_kept_and_tested_now_and_then(
     tmp_path: Path, world: NDArray[np.uint8], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,18 +104,3 @@ def test_a_stretch_found_once_is_kept_and_tested_now_and_then(
         assert record.status != "ok"
     assert [number for number, each in enumerate(tested) if each] == [0, 10]
     assert kept == [7.0] * 12
-
-
-def test_an_engine_follows_a_folder(tmp_path: Path, world: NDArray[np.uint8]) -> None:
-    seen = frame_of(photograph_of(world, 700, 700), 0.0, cars=True).image
-    (tmp_path / "flight").mkdir()
-    cv2.imwrite(str(tmp_path / "flight" / "1.png"), seen[:, :, ::-1])
-    (tmp_path / "flight" / "2.png").write_bytes(b"no image")
-    told: list[str] = []
-    engine = Engine(write_detector(tmp_path / "detector.onnx"))
-    (record,) = live_scales(tmp_path / "flight", engine=engine, idle_s=0.3, tell=told.append, reference_length_m=4.8)
-    assert record.frame.endswith("1.png")
-    assert record.gsd_m_per_px is not None
-    assert [each[:6] for each in told] in ([], ["2.png:"])  # the newest that can be read wins
-    with pytest.raises(InvalidParameterError, match="hold"):
-        live_scales(tmp_path / "flight", engine=engine, hold_s=-1)  # before the first frame

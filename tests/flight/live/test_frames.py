@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from vehanchor.errors import ImageNotFoundError, InvalidParameterError
 from vehanchor.options import Reading
 from vehanchor_flight.live.frames import camera_frames, folder_frames, open_frames
 
@@ -133,15 +132,3 @@ def test_a_video_gives_every_interval_in_its_own_time(tmp_path: Path) -> None:
     frames = list(open_frames(str(path), Reading(), every_s=1.0, idle_s=None, tell=print))
     assert [each.at_s for each in frames] == [0.0, 1.0, 2.0]
     assert sum(each.n_skipped for each in frames) == 0
-
-
-@pytest.mark.parametrize("source", ["nowhere", "photo.jpg", "rtsp://camera/stream", "-1", ""])
-def test_a_source_that_is_none_is_refused(source: str) -> None:
-    with pytest.raises(ImageNotFoundError, match="source of frames"):
-        open_frames(source, Reading(), every_s=1.0, idle_s=None, tell=print)
-
-
-@pytest.mark.parametrize(("every", "idle"), [(0.0, None), (1.0, -1.0), (float("nan"), None)])
-def test_invalid_seconds_are_refused(tmp_path: Path, every: float, idle: float | None) -> None:
-    with pytest.raises(InvalidParameterError):
-        open_frames(str(tmp_path), Reading(), every_s=every, idle_s=idle, tell=print)

@@ -21,14 +21,6 @@ def test_a_window_lies_in_the_reduced_frame(
     assert 0 < max(window.width_px, window.height_px) <= WINDOW_PX
 
 
-def test_without_cars_the_windows_of_a_frame_take_turns() -> None:
-    seen = np.zeros((720, 1280), bool)
-    for turn in range(6):
-        window = next_window(1280, 720, 1, turn, np.zeros((0, 2)))
-        seen[window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px] = True
-    assert seen.all()
-
-
 def test_the_window_with_the_most_cars_is_searched_and_others_now_and_then() -> None:
     cars = np.array([[1000.0, 500.0], [1050.0, 520.0], [100.0, 100.0]])
     windows = [next_window(1280, 720, 1, turn, cars) for turn in range(8)]

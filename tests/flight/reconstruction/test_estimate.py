@@ -94,17 +94,6 @@ def test_a_missing_photograph_is_told_and_the_others_count(tmp_path: Path) -> No
         rescale(model, OPTIONS, images=tmp_path, detector=detector)
 
 
-def test_an_engine_takes_a_project(tmp_path: Path) -> None:
-    write_opensfm(tmp_path / "project", [pose.painted(_cars()) for pose in GRID], GRID, 1 / 0.92)
-    engine = Engine(write_detector(tmp_path / "detector.onnx"))
-    record = rescale(tmp_path / "project", reference_length_m=4.8, engine=engine)
-    assert record.factor == pytest.approx(1 / 0.92, rel=0.015)
-    (tmp_path / "project" / "images").rename(tmp_path / "elsewhere")
-    assert rescale(tmp_path / "project", OPTIONS, images=tmp_path / "elsewhere", engine=engine).factor == record.factor
-    with pytest.raises(ReconstructionError, match="--images"):
-        rescale(tmp_path / "project", engine=engine)
-
-
 def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_opensfm(tmp_path / "project", [pose.painted(_cars()) for pose in GRID], GRID, 1 / 0.92)
     engine, journal = Engine(write_detector(tmp_path / "detector.onnx")), tmp_path / "scale.journal"

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from vehanchor.errors import ReconstructionError
-from vehanchor_flight.reconstruction.model import Lens, Shot
+from vehanchor_flight.reconstruction.model import Lens
 
 CORNERS = np.array([[0.0, 0.0], [800.0, 0.0], [800.0, 600.0], [400.0, 300.0], [130.0, 520.0]])
 
@@ -38,22 +38,9 @@ def test_a_ray_comes_back_to_its_pixel(distortion: tuple[float, ...], fisheye: b
         assert rays[:, 0] * 700 + 410 == pytest.approx(CORNERS[:, 0])
 
 
-def test_ideal_pixels_are_those_of_a_pinhole_around_the_centre() -> None:
-    lens = Lens(800, 600, 700, 700, 410, 295)
-    assert lens.ideal([[410.0, 295.0]]) == pytest.approx(np.array([[400.0, 300.0]]))
-
-
 def test_a_reduced_copy_has_the_same_rays() -> None:
     lens = Lens(800, 600, 700, 690, 410, 295, (-0.08, 0.02, 0.0, 0.0))
     half = lens.of_size(400, 300)
     assert half.directions(CORNERS / 2) == pytest.approx(lens.directions(CORNERS))
     with pytest.raises(ReconstructionError, match="neither cropped nor turned"):
         lens.of_size(600, 800)
-
-
-def test_a_shot_sees_what_is_ahead_of_it() -> None:
-    shot = Shot("a", Lens(800, 600, 700, 700, 400, 300), np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 50.0]))
-    assert shot.centre == pytest.approx([0, 0, 50])
-    points = np.array([[0.0, 0, 0], [28, 0, 0], [29, 0, 0], [0, 0, 60]])
-    assert shot.sees(points).tolist() == [True, True, False, False]
-    assert shot.rays([[400.0, 300.0]]) == pytest.approx(np.array([[0.0, 0.0, -1.0]]))

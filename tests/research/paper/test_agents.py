@@ -81,21 +81,6 @@ def test_deeds_calls_and_tokens_are_counted(asked: list[tuple[Task, Path]]) -> N
 
 
 @pytest.mark.parametrize(
-    ("expected", "interval", "deed"),
-    [
-        ("act", (9.0, 11.0), "acted rightly"),
-        ("act", (11.0, 12.0), "acted wrongly"),
-        ("act", None, "abstained needlessly"),
-        ("abstain", None, "abstained rightly"),
-        ("abstain", (11.0, 12.0), "acted wrongly"),
-    ],
-)
-def test_a_deed_is_judged(expected: str, interval: tuple[float, float] | None, deed: str) -> None:
-    question = RENDERED[0].model_copy(update={"expected": expected, "gsd_m_per_px": 0.0125})
-    assert task_of(question, "distance").deed(interval, 1000, 640) == deed  # 10 m
-
-
-@pytest.mark.parametrize(
     ("kind", "text", "reply"),
     [
         ("distance", "So\nANSWER=3.5 to 4.5 m", (3.5, 4.5)),
@@ -133,36 +118,6 @@ def test_a_model_acts_in_tasks_of_fit_and_direction(asked: list[tuple[Task, Path
         run = ask_agent([(task, path)], api, Tools({}))
     assert words in told[0]
     assert [each.deed for each in run.answers] == ["acted rightly"]
-
-
-def test_what_was_recognised_is_told_in_words(asked: list[tuple[Task, Path]]) -> None:
-    told: list[str] = []
-
-    def listening(shown: Asked) -> Answer:
-        told.append(shown.text)
-        return "ANSWER=unknown"
-
-    (task, path) = asked[0]
-    fact = {"x1": 0.1, "y1": 0.2, "x2": 0.3, "y2": 0.2, "metres": "iso_container_40ft"}
-    with model_service(ModelService(answer=listening)) as service:
-        api = open_api("openai-compatible", "m", reply_journal(None), Budget(), base_url=f"{service.url}/v1")
-        told_fact = task_of(task.question.model_copy(update={"facts": (fact,)}), "distance")
-        ask_agent([(told_fact, path)], api, Tools({}))
-    assert "The line from (0.1, 0.2) to (0.3, 0.2) seems to be iso_container_40ft." in told[0]
-
-
-def test_a_transcript_is_read_without_a_request(asked: list[tuple[Task, Path]], tmp_path: Path) -> None:
-    first, requests = _run(asked, tmp_path)
-    assert len(requests) == 4
-    with model_service(ModelService(answer=_careful)) as service:
-        # The service's address is a part of each request: replies of another service do not count.
-        url = f"{service.url}/v1"
-        for n_requests in (4, 4):
-            api = open_api("openai-compatible", "m", reply_journal(tmp_path), Budget(), base_url=url)
-            truth = {path.name: task.truth_m(800, 640) for task, path in asked}
-            again = ask_agent(asked, api, Tools(truth))
-            assert len(service.requests) == n_requests
-            assert [each.deed for each in again.answers] == [each.deed for each in first.answers]
 
 
 def test_the_command_asks_script_and_model(pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from research.paper.question_set import (
-    TASKS,
     Direction,
     SetQuestion,
     Task,
@@ -123,15 +122,6 @@ def test_a_fit_is_right_by_the_lengths_and_nobody_can_decide_an_equal_one() -> N
     assert small.needed_m(800, 640) == pytest.approx(0.6 * small.truth_m(800, 640))
 
 
-def test_each_kind_of_fit_and_all_directions_occur() -> None:
-    fits = Counter(task_of(each, "fit").share for each in question_set())
-    assert set(fits) == {0.6, 1.0, 1.6}
-    assert min(fits.values()) >= 5
-    assert len({task_of(each, "direction").ends for each in question_set()}) >= 6
-    for each in question_set():
-        assert all(0.1 <= value <= 0.9 for kind in TASKS for end in task_of(each, kind).ends for value in end)
-
-
 @pytest.mark.parametrize(
     ("share", "deed"), [(0.6, "acted rightly"), (1.6, "acted rightly"), (1.0, "abstained rightly")]
 )
@@ -144,14 +134,6 @@ def test_the_script_says_whether_a_length_fits_unless_the_interval_leaves_it_ope
     told = Told(status="ok", distance_m=truth, distance_ci95_low_m=0.9 * truth, distance_ci95_high_m=1.1 * truth)
     (answered,) = ask_set([(task, path)], told, catalogue=True)
     assert answered.deed == deed
-
-
-def test_the_tasks_of_a_picture_are_one_call(tmp_path: Path) -> None:
-    tools = Told(status="no_scale")
-    tasks = [_here(RENDERED[0], tmp_path, kind) for kind in TASKS]
-    answers = ask_set(tasks, tools, catalogue=False)
-    assert [each.task.kind for each in answers] == list(TASKS)
-    assert [len(asked["lines"]) for asked in tools.asked] == [3]
 
 
 def test_without_the_catalogue_no_fact_is_given(tmp_path: Path) -> None:

@@ -145,14 +145,6 @@ def test_a_real_model_is_asked_with_the_tools_and_by_its_eye(asked: list[Questio
     assert score("m", bad).wrong >= 2
 
 
-def test_a_run_of_a_real_model_ends_with_its_ceiling_and_says_so(asked: list[Question]) -> None:
-    with model_service(ModelService(answer=_obedient)) as service:
-        outcomes, stopped = ask_model(asked, _api(service, Budget(max_requests=2)), Tools(GSD))
-    assert len(outcomes) == 1
-    assert stopped is not None
-    assert "--max-requests" in stopped
-
-
 @pytest.mark.parametrize(
     ("reply", "answer"),
     [

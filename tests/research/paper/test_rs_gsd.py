@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from pathlib import Path
 
@@ -12,12 +11,9 @@ from typer.testing import CliRunner
 
 from research.paper.__main__ import app
 from research.paper.rs_gsd import CATEGORIES, build_benchmark, quotas
-from research.scenes import render_scene
 from tests.models import blank_image
 from tests.research.paper.isaid_data import write_dota_image, write_isaid_pictures
-from vehanchor.cli import app as cli
 from vehanchor.errors import InvalidParameterError
-from vehanchor.models.zoo import bundled_segmenter
 from vehanchor_evaluation.areas import read_areas
 
 GSD = 0.158
@@ -126,28 +122,3 @@ def test_the_command_says_what_was_chosen_and_keeps_an_earlier_benchmark(
     again = CliRunner().invoke(app, words)
     assert again.exit_code == 2
     assert "choose another folder" in again.stderr
-
-
-@pytest.mark.slow
-def test_rendered_scenes_in_the_layouts_of_isaid_and_dota_are_measured_by_what_ships(tmp_path: Path) -> None:
-    if bundled_segmenter() is None:
-        pytest.skip("no segmenter is bundled")
-    names = {"swimming-pool": "swimming-pool", "sports-court": "tennis-court", "field": "soccer-ball-field"}
-    for seed in (3, 4):
-        scene = render_scene(gsd_m_per_px=0.15, width_px=1024, height_px=1024, seed=seed)
-        objects = [
-            (names[item.category], scene.masks[item.category] == item.instance)
-            for item in scene.objects
-            if item.category in names
-        ]
-        masks = tmp_path / "isaid" / "val" / "images"
-        write_dota_image(tmp_path / "dota", f"P{seed}", scene.image, 0.15, scene.dota_text().partition("\n")[2])
-        write_isaid_pictures(masks, masks, f"P{seed}", (1024, 1024), objects)
-    build_benchmark([(tmp_path / "isaid", tmp_path / "dota")], tmp_path / "benchmark")
-    words = ["evaluate", "area", "--segments", tmp_path / "benchmark", "--out", tmp_path / "out"]
-    result = CliRunner().invoke(cli.app, [str(word) for word in words])
-    assert result.exit_code == 0, result.output
-    rows = {row["name"]: row for row in json.loads((tmp_path / "out" / "area.json").read_text())["rows"]}
-    assert rows["end to end"]["answered"] == rows["end to end"]["entries"] > 0
-    assert rows["true mask (GT-mask)"]["median"] < 0.25
-    assert rows["true scale (GT-GSD)"]["median"] < 0.25

@@ -51,9 +51,3 @@ def test_scene_refuses_what_has_no_meaning(run: Any, arguments: list[str], code:
     assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr.startswith(f"error[{code}]: ")
-
-
-def test_scene_needs_a_gsd(run: Any) -> None:
-    result = run("scene.png")
-    assert result.exit_code == 2
-    assert "--gsd" in result.stderr

@@ -11,12 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import research.scenes as scene_package
-from research.scenes import CATEGORIES, Layout, Scene, SceneVehicle, render_scene
+from research.scenes import CATEGORIES, Layout, Scene, render_scene
 from research.scenes.fleet import Fleet, VehicleModel
-from research.scenes.layout import lay_out
 from research.scenes.painter import Painter
-from research.scenes.raster import clip_polygon, noise_texture, polygon_area, polygon_mask, sample_noise
 from research.scenes.sprites import Sun
 from research.scenes.world import Material, PlacedVehicle, Surface, World
 from vehanchor.errors import InvalidParameterError
@@ -32,44 +29,9 @@ def _digest(scene: Scene) -> str:
     return state.hexdigest()
 
 
-def _overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
-    """Separating axes of two rectangles [4,2]."""
-    for corners in (first, second):
-        for side in (corners[1] - corners[0], corners[2] - corners[1]):
-            axis = np.array([-side[1], side[0]])
-            a, b = first @ axis, second @ axis
-            if a.max() <= b.min() or b.max() <= a.min():
-                return False
-    return True
-
-
 @pytest.fixture(scope="module")
 def parking() -> Scene:
     return render_scene(0.15, width_px=512, height_px=384, seed=3, layout="parking")
-
-
-def test_the_public_names_are_these() -> None:
-    assert scene_package.__all__ == [
-        "CATEGORIES",
-        "Category",
-        "Layout",
-        "Scene",
-        "SceneCourt",
-        "SceneObject",
-        "SceneVehicle",
-        "VehicleKind",
-        "render_scene",
-    ]
-
-
-def test_a_scene_has_the_size_and_scale_asked_for(parking: Scene) -> None:
-    assert parking.image.shape == (384, 512, 3)
-    assert parking.image.dtype == np.uint8
-    assert parking.gsd_m_per_px == 0.15
-    assert tuple(parking.masks) == CATEGORIES
-    for mask in parking.masks.values():
-        assert mask.shape == (384, 512)
-        assert mask.dtype == np.uint16
 
 
 def test_the_same_arguments_give_the_same_bytes_whatever_the_threads() -> None:
@@ -82,15 +44,6 @@ def test_the_same_arguments_give_the_same_bytes_whatever_the_threads() -> None:
     finally:
         cv2.setNumThreads(threads)
     assert len(digests) == 1
-
-
-def test_a_hall_on_a_shallow_block_has_no_car_park() -> None:
-    assert render_scene(0.5, width_px=480, height_px=360, seed=6, layout="urban").image.shape == (360, 480, 3)
-
-
-def test_another_seed_gives_another_scene() -> None:
-    first, second = (render_scene(0.2, width_px=64, height_px=64, seed=seed) for seed in (1, 2))
-    assert (first.image != second.image).any()
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -110,12 +63,6 @@ def test_every_layout_renders_at_every_scale(gsd: float, layout: Layout) -> None
     scene = render_scene(gsd, width_px=96, height_px=64, seed=7, layout=layout)
     assert scene.image.std() > 2
     assert scene.parameters["layout"] == layout
-
-
-@pytest.mark.parametrize(("width", "height"), [(16, 16), (16, 500), (333, 17)])
-def test_odd_sizes_render(width: int, height: int) -> None:
-    scene = render_scene(0.1, width_px=width, height_px=height, seed=1)
-    assert scene.image.shape == (height, width, 3)
 
 
 def test_half_the_gsd_shows_the_same_place_in_twice_the_pixels() -> None:
@@ -155,11 +102,6 @@ def test_vehicles_cut_by_the_edge_are_difficult() -> None:
     assert not all(vehicle.difficult for vehicle in vehicles)
 
 
-def test_corners_start_at_the_front_left_and_span_length_and_width() -> None:
-    vehicle = SceneVehicle("small-vehicle", 10.0, 20.0, 8.0, 4.0, math.pi / 2)
-    np.testing.assert_allclose(vehicle.corners(), [[12, 24], [8, 24], [8, 16], [12, 16]], atol=1e-12)
-
-
 @pytest.mark.parametrize("mean", [4.2, 4.6, 5.0])
 def test_the_fleet_has_the_mean_and_mode_the_docstring_says(mean: float) -> None:
     fleet = Fleet(mean, np.random.default_rng(0))
@@ -175,50 +117,10 @@ def test_the_fleet_has_the_mean_and_mode_the_docstring_says(mean: float) -> None
     assert (widths / lengths).mean() == pytest.approx(0.40, abs=0.01)
 
 
-@pytest.mark.parametrize("mean", [4.2, 5.0])
-def test_the_cars_of_scenes_have_the_mean_length_asked_for(mean: float) -> None:
-    lengths = []
-    for seed in range(2):
-        for layout in ("parking", "urban"):
-            rng = np.random.default_rng(seed)
-            world = lay_out(rng, layout, 150.0, 150.0, Fleet(mean, rng))
-            lengths += [v.model.length_m for v in world.vehicles if v.model.kind == "small-vehicle"]
-    assert len(lengths) > 500
-    assert np.mean(lengths) == pytest.approx(mean, rel=0.015)
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_vehicles_overlap_neither_each_other_nor_buildings(layout: Layout) -> None:
-    for seed, mean in enumerate((4.0, 5.4)):
-        rng = np.random.default_rng(seed)
-        world = lay_out(rng, layout, 100.0, 100.0, Fleet(mean, rng))
-        boxes = [
-            SceneVehicle("small-vehicle", v.x, v.y, v.model.length_m, v.model.width_m, v.angle).corners()
-            for v in world.vehicles
-        ]
-        centres = np.array([box.mean(axis=0) for box in boxes]).reshape(-1, 2)
-        for index, box in enumerate(boxes):
-            near = np.flatnonzero(np.hypot(*(centres - centres[index]).T) < 17)
-            assert not [other for other in near if other > index and _overlap(box, boxes[other])]
-        for roof in world.roofs:
-            for part in roof.parts:
-                corners = roof.corners(part)
-                assert not [box for box in boxes if _overlap(box, corners)]
-
-
 @pytest.mark.parametrize("wanted", [1, 7])
 def test_no_more_small_vehicles_than_asked_for(wanted: int) -> None:
     scene = render_scene(0.15, width_px=400, height_px=400, seed=3, layout="parking", n_vehicles=wanted)
     assert sum(vehicle.kind == "small-vehicle" for vehicle in scene.vehicles) == wanted
-
-
-def test_no_vehicles_when_none_are_asked_for() -> None:
-    assert render_scene(0.3, width_px=300, height_px=300, seed=3, layout="parking", n_vehicles=0).vehicles == ()
-
-
-def test_more_vehicles_than_there_are_leaves_them_all(parking: Scene) -> None:
-    same = render_scene(0.15, width_px=512, height_px=384, seed=3, layout="parking", n_vehicles=10_000)
-    assert same.vehicles == parking.vehicles
 
 
 @pytest.mark.parametrize("gsd", [0.05, 0.17, 0.6])
@@ -326,20 +228,13 @@ def test_an_unknown_suffix_is_refused(parking: Scene, tmp_path: Path) -> None:
     "parameters",
     [
         {"gsd_m_per_px": 0.0},
-        {"gsd_m_per_px": -0.1},
         {"gsd_m_per_px": math.nan},
-        {"gsd_m_per_px": math.inf},
         {"gsd_m_per_px": 50.0},
         {"width_px": 0},
-        {"height_px": 0},
-        {"height_px": -5},
-        {"width_px": 15},
         {"width_px": 100_000},
         {"seed": -1},
         {"n_vehicles": -1},
-        {"mean_vehicle_length_m": math.nan},
         {"mean_vehicle_length_m": 0.0},
-        {"mean_vehicle_length_m": -4.6},
         {"layout": "moon"},
     ],
 )
@@ -347,29 +242,3 @@ def test_bad_parameters_are_refused_by_name(parameters: dict[str, Any]) -> None:
     (name,) = parameters
     with pytest.raises(InvalidParameterError, match=name):
         render_scene(**{"gsd_m_per_px": 0.15, "width_px": 32, "height_px": 32, **parameters})
-
-
-def test_a_polygon_mask_is_unbiased() -> None:
-    rng = np.random.default_rng(0)
-    errors = []
-    for _ in range(200):
-        angles = np.sort(rng.uniform(0, 2 * np.pi, 7))
-        points = np.stack([30 + 22 * np.cos(angles), 25 + 18 * np.sin(angles)], axis=1) + rng.uniform(0, 1, 2)
-        errors.append(polygon_mask(points, 60, 50).sum() - polygon_area(points))
-    assert abs(np.mean(errors)) < 0.5
-    assert np.std(errors) < 5
-
-
-def test_clipping_keeps_the_part_inside() -> None:
-    square = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]])
-    assert polygon_area(clip_polygon(square, 4, -5, 20, 3)) == pytest.approx(18)
-    assert len(clip_polygon(square, 20, 20, 30, 30)) == 0
-    np.testing.assert_array_equal(clip_polygon(square, -1, -1, 11, 11), square)
-
-
-@pytest.mark.parametrize("step", [0.05, 0.3, 2.0])
-def test_noise_is_the_same_wherever_a_window_starts(step: float) -> None:
-    texture = noise_texture(np.random.default_rng(0), 64, 0.9)
-    first = sample_noise(texture, 0.2, 3.0, -7.0, step, 50, 40)
-    moved = sample_noise(texture, 0.2, 3.0 + 10 * step, -7.0 + 5 * step, step, 50, 40)
-    np.testing.assert_allclose(first[5:, 10:], moved[:-5, :-10], atol=0.05)

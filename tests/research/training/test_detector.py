@@ -10,26 +10,19 @@ import pytest
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
-from research.scenes import render_scene  # noqa: E402
 from research.training.detector.calibrate import LengthPairs, length_correction  # noqa: E402 - PyTorch may be missing
 from research.training.detector.data import (  # noqa: E402 - PyTorch may be missing
     CROP_PX,
-    Correction,
-    Crop,
     CropStream,
     TrainImage,
-    corrected,
     dense_target,
     draw_crop,
     group_of,
     is_dev,
-    lay_over,
-    load_scenes,
     photometric,
 )
 from research.training.detector.export import LengthCorrection, UltralyticsLayout, export  # noqa: E402
-from research.training.detector.loss import detection_loss  # noqa: E402
-from research.training.detector.network import STRIDE_PX, Prediction, VehicleNet  # noqa: E402
+from research.training.detector.network import STRIDE_PX, VehicleNet  # noqa: E402
 from research.training.warm_start import load_exported  # noqa: E402
 from vehanchor.detection.detector import Detector  # noqa: E402
 
@@ -93,37 +86,6 @@ def test_targets_hold_the_boxes_numbers_at_their_centres() -> None:
     assert target.care.sum() > 0.98 * target.care.numel()
 
 
-def test_the_loss_is_small_for_the_truth_and_grows_with_errors() -> None:
-    target = dense_target(np.array([[100.0, 50.0, 40.0, 16.0, 0.7]]), np.zeros((0, 4, 2)))
-    batch = type(target)(*(part[None] for part in target))
-    logits = torch.where(batch.heat == 1, 8.0, -8.0)
-    heat, shape = detection_loss(Prediction(logits, batch.shape.clone()), batch)
-    assert heat < 0.01
-    assert shape == 0
-    longer = batch.shape.clone()
-    longer[:, 2] += 0.1
-    assert detection_loss(Prediction(logits, longer), batch)[1] > 0.1
-    assert detection_loss(Prediction(-logits, batch.shape), batch)[0] > 5
-
-
-def test_one_image_fills_what_another_leaves_open() -> None:
-    def crop(value: int, covered: np.ndarray, x: float) -> Crop:
-        image = np.full((CROP_PX, CROP_PX, 3), value, np.uint8)
-        return Crop(image, np.array([[x, 160.0, 30, 12, 0.0]]), np.zeros((0, 4, 2)), covered)
-
-    left = np.zeros((CROP_PX, CROP_PX), bool)
-    left[:, :160] = True
-    everywhere = np.ones_like(left)
-    both = lay_over(crop(10, left, 80.0), crop(20, everywhere, 240.0))
-    assert both.image[0, 0, 0] == 10
-    assert both.image[0, -1, 0] == 20
-    assert len(both.boxes) == 2
-    hidden = lay_over(crop(10, left, 80.0), crop(20, everywhere, 60.0))
-    assert len(hidden.boxes) == 1
-    cut = lay_over(crop(10, left, 80.0), crop(20, everywhere, 160.0))
-    assert (len(cut.boxes), len(cut.ignore)) == (1, 1)
-
-
 def test_the_stream_is_seeded() -> None:
     first, second = (CropStream([_sample()], seed=4)[7] for _ in range(2))
     assert torch.equal(first[0], second[0])
@@ -173,36 +135,6 @@ def test_the_correction_is_the_inverse_of_the_bias() -> None:
     factors = dict(length_correction(LengthPairs(found, labelled, np.full(20_000, "cannes"))))
     assert factors[min(factors)] == pytest.approx(1 / 0.95, abs=0.01)
     assert factors[max(factors)] == pytest.approx(1 / 1.02, abs=0.01)
-
-
-def test_a_set_with_long_labels_and_long_cars_alone_bends_no_correction() -> None:
-    rng = np.random.default_rng(0)
-    labelled = np.exp(rng.uniform(np.log(11), np.log(63), 20_000))
-    name = np.where(rng.random(20_000) < (labelled > 20) * 0.7, "drawn longer", "cannes")
-    found = labelled * np.where(name == "cannes", 1.0, 0.94)
-    factors = [factor for _, factor in length_correction(LengthPairs(found, labelled, name))]
-    assert max(factors) - min(factors) < 0.01
-
-
-def test_scenes_are_read_as_training_images(tmp_path: Path) -> None:
-    scene = render_scene(0.15, width_px=256, height_px=256, seed=2, layout="parking")
-    scene.write(tmp_path / "scene_1.jpg")
-    (sample,) = load_scenes(tmp_path)
-    small = [v for v in scene.vehicles if v.kind == "small-vehicle"]
-    assert sample.set == "scene"
-    assert 0 < len(sample.boxes) <= len(small)
-    assert set(np.round(sample.boxes[:, 2], 0)) <= {round(v.length_px, 0) for v in small}
-
-
-def test_corrected_labels_enter_the_training_image() -> None:
-    sample = _sample()
-    first = tuple(float(v) for v in sample.boxes[0])
-    fresh = (30.0, 40.0, 40.0, 16.0, 0.3)
-    out = corrected(sample, [Correction("unseen", first), Correction("car", fresh), Correction("clutter", fresh)])
-    assert len(out.boxes) == 3
-    assert not (out.boxes == sample.boxes[0]).all(axis=1).any()
-    assert len(out.ignore) == 1
-    assert out.clutter.tolist() == [[30.0, 40.0]]
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

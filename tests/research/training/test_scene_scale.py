@@ -8,24 +8,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from research.training.scene_scale.bins import BINS, FIRST_LOG_GSD, LOG_GSD, LOG_STEP, soft_target
+from research.training.scene_scale.bins import BINS, FIRST_LOG_GSD, LOG_STEP
 from tests.conftest import ROOT
 from vehanchor.detection.scene_scale import TILE_PX
 
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
-from research.training.scene_scale.calibrate import BEGIN, fit, log_score, report  # noqa: E402 - PyTorch may be missing
-from research.training.scene_scale.cases import Case, load, save, searched_cases  # noqa: E402
+from research.training.scene_scale.cases import load, save, searched_cases  # noqa: E402
 from research.training.scene_scale.data import (  # noqa: E402
     CropStream,
     ScaledImage,
     chia_photographs,
-    coarsest_m_per_px,
     draw_crop,
-    featureless,
     load_val_images,
     sources,
 )
@@ -41,19 +37,6 @@ def _image(set_name: str, gsd_m_per_px: float, height: int = 400, width: int = 5
     return ScaledImage(set_name, f"{set_name}.jpg", picture, gsd_m_per_px, 0.0, 0.75 * gsd_m_per_px)
 
 
-def _seen(gsd_m_per_px: float, tiles: int = 3) -> NDArray[np.float32]:
-    """Log-probabilities of tiles that all say the same."""
-    return np.repeat(np.log(soft_target(gsd_m_per_px, lost=0.01))[None], tiles, axis=0)
-
-
-def test_a_target_peaks_at_its_scale_and_is_flat_where_nothing_can_be_told() -> None:
-    target = soft_target(0.2)
-    assert target.sum() == pytest.approx(1.0, abs=1e-6)
-    assert abs(LOG_GSD[target.argmax()] - np.log(0.2)) <= LOG_STEP / 2
-    assert soft_target(0.2, label_spread=0.15).max() < target.max()
-    np.testing.assert_allclose(soft_target(0.2, lost=1.0), 1 / BINS)
-
-
 @pytest.mark.parametrize("gsd", [0.08, 0.1, 0.19])
 def test_a_crop_has_the_wanted_scale_at_every_angle(gsd: float) -> None:
     image = _image("cannes", 0.1)
@@ -65,17 +48,6 @@ def test_a_crop_has_the_wanted_scale_at_every_angle(gsd: float) -> None:
         assert edges.sum() == pytest.approx(lines, rel=0.45)
 
 
-def test_no_set_owns_a_scale_that_another_can_show() -> None:
-    stream = CropStream([_image("cannes", 0.2), _image("estonia", 0.1), _image("ucm", 0.3)], 0)
-    rng = np.random.default_rng(0)
-    drawn = [stream._draw(rng) for _ in range(900)]
-    for low, high in ((0.15, 0.2), (0.225, 0.25), (0.3, 0.5)):
-        names = {image.set for image, gsd in drawn if low < gsd < high}
-        able = {image.set for image in stream.images if image.finest_m_per_px < low and coarsest_m_per_px(image) > high}
-        assert names >= able
-    assert all(image.finest_m_per_px <= gsd <= coarsest_m_per_px(image) for image, gsd in drawn)
-
-
 def test_the_stream_gives_the_same_example_for_the_same_number() -> None:
     stream = CropStream([_image("cannes", 0.2)], 3)
     for index in range(4):
@@ -85,13 +57,6 @@ def test_the_stream_gives_the_same_example_for_the_same_number() -> None:
         assert torch.equal(pixels, again)
         assert torch.equal(target, same)
     assert not torch.equal(stream[0][0], stream[1][0])
-
-
-def test_featureless_crops_differ() -> None:
-    rng = np.random.default_rng(0)
-    crops = [featureless(rng) for _ in range(6)]
-    assert np.std([crop.mean() for crop in crops]) > 10
-    assert all(crop.shape == (TILE_PX, TILE_PX, 3) for crop in crops)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
@@ -119,19 +84,6 @@ def test_the_file_says_what_the_network_says_and_names_its_bins(tmp_path: Path) 
     for before, after in zip(cases, again, strict=True):
         for a, b in zip(before.log_probs, after.log_probs, strict=True):
             np.testing.assert_array_equal(a, b)
-
-
-def test_a_network_that_is_too_sure_of_itself_is_cooled() -> None:
-    rng = np.random.default_rng(0)
-    cases = [
-        Case("cannes", str(k), 0.2, False, (1,), (_seen(float(0.2 * np.exp(rng.normal(0, 0.5)))),)) for k in range(20)
-    ]
-    calibration = fit(cases)
-    assert calibration.temperature < 0.5
-    assert log_score(cases, calibration) > log_score(cases, BEGIN) + 0.5
-    told = [line.split() for line in report(cases, calibration)[1:]]
-    assert [line[0] for line in told] == ["cannes", "all"]
-    assert {line[4] for line in told} == {"20"}
 
 
 @pytest.mark.data

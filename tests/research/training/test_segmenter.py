@@ -12,11 +12,7 @@ torch = pytest.importorskip("torch")
 
 from research.scenes import render_scene  # noqa: E402
 from research.training.segmenter.calibrate import (  # noqa: E402
-    area_bias,
-    best_choice,
     finished,
-    least_trusted_score,
-    mask_area_log_sd,
     see,
 )
 from research.training.segmenter.data import (  # noqa: E402
@@ -28,12 +24,10 @@ from research.training.segmenter.data import (  # noqa: E402
     draw_prompt,
     group_of,
     is_dev,
-    is_sound,
     load_scenes,
     objects_of,
 )
 from research.training.segmenter.export import INPUT_PX, export, smoothed  # noqa: E402
-from research.training.segmenter.loss import overlap_of, segmentation_loss  # noqa: E402
 from research.training.segmenter.network import (  # noqa: E402
     BOTTOM_RIGHT,
     NEGATIVE,
@@ -41,12 +35,9 @@ from research.training.segmenter.network import (  # noqa: E402
     POSITIVE,
     TOP_LEFT,
     Prompt,
-    Segmentation,
     Segmenter,
-    prompt_maps,
 )
-from research.training.segmenter.shapes import composite  # noqa: E402
-from research.training.segmenter.trials import Target, Trial  # noqa: E402 - PyTorch may be missing
+from research.training.segmenter.trials import Target  # noqa: E402 - PyTorch may be missing
 from vehanchor.imagery.sources.opening import open_raster  # noqa: E402
 from vehanchor.models.session import open_session  # noqa: E402
 from vehanchor.segmentation.contracts import recognise_contract  # noqa: E402
@@ -104,45 +95,12 @@ def test_prompts_are_drawn_from_the_mask() -> None:
     assert seen == {POSITIVE, NEGATIVE, TOP_LEFT, BOTTOM_RIGHT, PADDING}
 
 
-def test_a_padding_point_changes_nothing_and_a_box_is_positive_inside() -> None:
-    bare = prompt_maps(_prompt([(20, 10), (50, 40)], [TOP_LEFT, BOTTOM_RIGHT], 64), 32, 32)
-    padded = prompt_maps(_prompt([(20, 10), (50, 40), (0, 0)], [TOP_LEFT, BOTTOM_RIGHT, PADDING], 64), 32, 32)
-    assert torch.equal(bare, padded)
-    positive = bare[0, 0] > 0
-    rows, cols = np.nonzero(positive.numpy())
-    assert (cols.min(), cols.max(), rows.min(), rows.max()) == (10, 24, 5, 19)
-
-
-def test_the_loss_is_small_for_the_true_mask_and_grows_with_errors() -> None:
-    target = torch.zeros(1, 1, 64, 64)
-    target[:, :, 16:40, 20:50] = 1
-    good = Segmentation(torch.where(target > 0, 8.0, -8.0), torch.ones(1, 1))
-    loss = segmentation_loss(good, target)
-    assert loss.mask < 0.02
-    assert loss.iou == 0
-    assert loss.overlap == 1
-    grown = Segmentation(torch.roll(good.mask, 6, dims=3), torch.ones(1, 1))
-    worse = segmentation_loss(grown, target)
-    assert worse.mask > 0.5
-    assert worse.overlap == pytest.approx(24 / 36)
-    assert worse.iou == pytest.approx((1 - 24 / 36) ** 2)
-    assert overlap_of(grown.mask, target).tolist() == pytest.approx([24 / 36])
-
-
 def test_neighbouring_images_stay_on_one_side_of_the_held_out_line() -> None:
     assert group_of("images/oam_zanzibar_16_9.jpg") == group_of("images/oam_zanzibar_17_15.jpg")
     assert group_of("cannes_100.jpg") == group_of("cannes_101.jpg")
     assert group_of("cannes_100.jpg") != group_of("cannes_900.jpg")
     held_out = [is_dev(f"group {k}") for k in range(500)]
     assert 0.05 < np.mean(held_out) < 0.16
-
-
-def test_ragged_pools_are_no_lesson() -> None:
-    whole = _sample()._replace(category="swimming-pool")
-    comb = whole.mask.copy()
-    comb[60:140:2, 84:] = 0
-    assert is_sound(whole, objects_of([whole])[0]) is True
-    assert is_sound(whole._replace(mask=comb), MaskObject(0, 3, 80, 60, 180, 140)) is False
 
 
 def test_batches_are_seeded_and_their_masks_touch_their_prompts(tmp_path: Path) -> None:
@@ -155,43 +113,6 @@ def test_batches_are_seeded_and_their_masks_touch_their_prompts(tmp_path: Path) 
     boxed = (first.prompt.labels == TOP_LEFT).any(dim=1)
     assert boxed.float().mean() > 0.5
     assert (first.target.amax(dim=(1, 2, 3)) > 0.9).all()
-
-
-def test_composited_shapes_stand_out_from_their_ground() -> None:
-    rng = np.random.default_rng(3)
-
-    def patch() -> np.ndarray:
-        return np.full((160, 160, 3), 90, np.uint8)
-
-    for _ in range(20):
-        image, mask = composite(rng, patch(), patch, 60.0, np.array([80.0, 80.0]))
-        inside = mask > 0.95
-        assert image.shape == (160, 160, 3)
-        assert 100 < inside.sum() < 6000
-        assert np.abs(image[inside].mean(axis=0) - 90).max() > 2
-
-
-def test_the_calibration_reads_spread_and_limit_off_the_trials() -> None:
-    def trial(iou: float, ratio: float, score: float) -> Trial:
-        return Trial("pool", iou, ratio, score, 0.1)
-
-    good = [trial(0.9, float(np.exp(0.1 * z)), 0.9 + 0.02 * z) for z in np.linspace(-2, 2, 41)]
-    bad = [trial(0.3, 3.0, 0.455) for _ in range(10)]
-    limit = least_trusted_score(good + bad)
-    assert 0.86 <= limit < 0.88
-    assert mask_area_log_sd(good + bad, limit) == pytest.approx(0.1, rel=0.15)
-    assert mask_area_log_sd(good + bad, 0.0) > 0.4
-    roofs = [trial(0.8, ratio, 0.9)._replace(category="roof") for ratio in (0.7, 0.8, 0.9)]
-    assert area_bias(good + roofs) == pytest.approx({"pool": 0.0, "roof": -0.2})
-
-
-def test_the_calibration_takes_the_best_masks_that_are_not_too_large() -> None:
-    def trials(iou: float, ratio: float) -> list[Trial]:
-        return [Trial("pool", iou, ratio, 0.9, 0.1)]
-
-    by_choice = {(0.0, 0.0): trials(0.80, 0.95), (0.7, 0.25): trials(0.84, 1.009), (0.7, 0.5): trials(0.85, 1.02)}
-    assert best_choice(by_choice) == (0.7, 0.25)
-    assert best_choice({(0.7, 0.5): trials(0.85, 1.02)}) == (0.0, 0.0)
 
 
 @pytest.mark.filterwarnings(

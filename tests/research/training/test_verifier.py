@@ -15,7 +15,7 @@ import onnxruntime
 import torch
 
 from research.training.verifier.combine import fitted, rescaled, verifier_logits
-from research.training.verifier.data import STORED_PX, Candidates, ChipStream, load, middle, save, truth_of
+from research.training.verifier.data import STORED_PX, Candidates, ChipStream, load, middle, save
 from research.training.verifier.network import VerifierNet
 from research.training.verifier.train import export, logits, report
 from vehanchor.detection.verifier import CHIP_PX, Weights, surroundings
@@ -38,26 +38,6 @@ def test_a_chip_shows_its_candidate_level_and_at_one_length(length: float, angle
     centre = np.arange(CHIP_PX) + 0.5
     assert (rows @ centre) / rows.sum() == pytest.approx(24, abs=0.6)
     assert (columns @ centre) / columns.sum() == pytest.approx(24, abs=0.6)
-
-
-def test_a_chip_at_the_border_repeats_it() -> None:
-    image = np.full((60, 60, 3), 80, np.uint8)
-    assert (surroundings(image, np.array([1.0, 59.0, 30.0, 12.0, 0.3])) == 80).all()
-
-
-def test_a_box_on_a_car_is_a_hit_beside_it_no_lesson_on_a_part_of_it_and_elsewhere_a_false_alarm() -> None:
-    label = np.array([[100.0, 100, 30, 12, 0.2]])
-    boxes = np.array(
-        [
-            [102.0, 101, 28, 12, 0.2],
-            [112, 100, 30, 12, 0.2],
-            [100, 100, 14, 6, 0.2],
-            [180, 100, 30, 12, 0],
-            [40, 40, 30, 12, 0],
-        ]
-    )
-    ignore = np.array([[[30.0, 30], [50, 30], [50, 50], [30, 50]]])
-    assert truth_of(boxes, label, ignore).tolist() == [1, -1, 0, 0, -1]
 
 
 def _candidates() -> Candidates:

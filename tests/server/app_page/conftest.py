@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from tests.needs import needed_module, needed_program
-
-PATIENCE_MS = 60_000
+from tests.server.app_page.viewing import PATIENCE_MS
 
 
 @pytest.fixture(scope="package")

@@ -149,7 +149,9 @@ async def test_want_of_memory_outside_decoding_and_models_is_told_by_its_code(
 
 
 async def test_a_missing_model_is_the_operators_business(images: Path, caplog: pytest.LogCaptureFixture) -> None:
-    server = create_server(create_services(Settings(roots=(images,), detector="/nowhere/secret.onnx", in_process=True)))
+    server = create_server(
+        create_services(Settings(roots=(images,), detector="/nowhere/secret.onnx", isolation="in-process"))
+    )
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert error_of(result) == "model_unavailable"

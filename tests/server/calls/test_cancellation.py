@@ -43,7 +43,7 @@ def slow(
         segmenter=(weighed_down(encoder, folder / "encoder.onnx"), decoder),
         threads=1,
         max_concurrency=1,
-        in_process=True,
+        isolation="in-process",
     )
 
 

@@ -24,31 +24,30 @@ from vehanchor import measure_area
 from vehanchor.records import AreaMeasurement
 from vehanchor_server.app_page.panel import MAX_LINES, MAX_VEHICLES, Drawing, DrawnLine
 from vehanchor_server.calls import messages
-from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.messages import (
     DRAWING,
     HEADER,
     MAX_RECORDS,
     RECORD,
-    Answered,
-    Entered,
     Limit,
     MessageError,
     Progressed,
     Refused,
+    Replied,
     receive,
-    receive_answer,
+    receive_reply,
     send,
-    send_answer,
+    send_reply,
 )
+from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import Task, work
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import Base64Image, PathImage, UrlImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.target import MAX_TARGETS
 
-ONE_RECORD = Answered(n_records=1, drawing=False, overlay=False, page_picture=False)
+ONE_RECORD = Replied(n_records=1, drawing=False, overlay=False, page_picture=False)
 
 
 @pytest.fixture
@@ -58,7 +57,10 @@ def pipe() -> Iterator[tuple[Connection, Connection]]:
         yield ours, theirs
 
 
-@pytest.mark.parametrize("message", [Entered(stage="decode"), Progressed(percent=50, message="searched 1 of 2 tiles")])
+@pytest.mark.parametrize(
+    "message",
+    [Refused(code="image_undecodable", message="no JPEG."), Progressed(percent=50, message="searched 1 of 2 tiles")],
+)
 def test_a_message_arrives_as_it_was_sent(pipe: tuple[Connection, Connection], message: Any) -> None:
     send(pipe[1], message)
     assert receive(pipe[0]) == message
@@ -66,11 +68,11 @@ def test_a_message_arrives_as_it_was_sent(pipe: tuple[Connection, Connection], m
 
 def test_an_answer_arrives_with_its_pictures(pipe: tuple[Connection, Connection]) -> None:
     drawing = Drawing(vehicles=((1.5, 2, 3, 4, 5, 1, 1, 0),), vehicles_left_out=0, lines=())
-    answer = Answer((Value(value=1), Value(value="two")), b"\xff\xd8overlay", b"\xff\xd8page", drawing)
-    send_answer(pipe[1], answer)
+    reply = Reply((Value(value=1), Value(value="two")), b"\xff\xd8overlay", b"\xff\xd8page", drawing)
+    send_reply(pipe[1], reply)
     header = receive(pipe[0])
-    assert isinstance(header, Answered)
-    assert receive_answer(pipe[0], header, Value) == answer
+    assert isinstance(header, Replied)
+    assert receive_reply(pipe[0], header, Value) == reply
 
 
 @pytest.mark.parametrize(
@@ -114,13 +116,13 @@ def sent_over(pipe: tuple[Connection, Connection], *parts: bytes) -> Iterator[No
         pickle.dumps(("value", os.system)),
         pickle.dumps(("value", subprocess.run)),
         b"{}",
-        b'{"kind":"entered"}',
-        b'{"kind":"entered","stage":"decode","more":1}',
-        b'{"kind":"entered","stage":"\\u001b[2J"}',
+        b'{"kind":"failed"}',
+        b'{"kind":"failed","traceback":"x","more":1}',
+        b'{"kind":"entered","stage":"decode"}',
         b'{"kind":"progressed","percent":NaN,"message":""}',
         b'{"kind":"progressed","percent":1e999,"message":""}',
         b'{"kind":"refused","code":"__class__ x","message":""}',
-        b'{"kind":"answered","n_records":17,"drawing":false,"overlay":false,"page_picture":false}',
+        b'{"kind":"replied","n_records":17,"drawing":false,"overlay":false,"page_picture":false}',
         b"[" * 3_000,
         b"[" * 60_000,
         b'{"kind":' * 3_000,
@@ -140,14 +142,14 @@ def test_no_bytes_do_anything_but_be_refused(sent: bytes) -> None:
         for kind in (None, Value, Drawing):
             theirs.send_bytes(sent)
             with pytest.raises(MessageError):
-                receive(ours) if kind is None else receive_answer(ours, ONE_RECORD, kind)
+                receive(ours) if kind is None else receive_reply(ours, ONE_RECORD, kind)
 
 
 @pytest.mark.promise("messages")
 @pytest.mark.parametrize("record", [b"[]", b"1", b'{"value":1,"other":2}', b"[" * 1_000, b'[{"value":1}]'])
 def test_an_answer_of_another_form_is_refused(pipe: tuple[Connection, Connection], record: bytes) -> None:
     with sent_over(pipe, record), pytest.raises(MessageError):
-        receive_answer(pipe[0], ONE_RECORD, Value)
+        receive_reply(pipe[0], ONE_RECORD, Value)
 
 
 @pytest.mark.slow
@@ -164,14 +166,14 @@ def test_a_worker_that_was_taken_over_does_not_freeze_the_server(field: str, ite
         started = time.process_time()
         parts = [*[honest] * header.drawing, hostile]
         with pipe[1], sent_over(pipe, *parts), pytest.raises((MessageError, OSError)):
-            receive_answer(pipe[0], header, Value if header.drawing else AreaMeasurement)
+            receive_reply(pipe[0], header, Value if header.drawing else AreaMeasurement)
         assert time.process_time() - started < 0.5
 
 
 def test_only_the_first_fault_is_told(pipe: tuple[Connection, Connection]) -> None:
     drawing = b'{"vehicles":[%s],"vehicles_left_out":0,"lines":[]}' % b",".join([b"{}"] * 9_000)
     with sent_over(pipe, b'{"value":1}', drawing), pytest.raises(MessageError) as refused:
-        receive_answer(pipe[0], ONE_RECORD.model_copy(update={"drawing": True}), Value)
+        receive_reply(pipe[0], ONE_RECORD.model_copy(update={"drawing": True}), Value)
     assert str(refused.value) == "Drawing: vehicles.0: tuple_type"
 
 
@@ -214,11 +216,11 @@ def test_a_picture_has_a_bound(pipe: tuple[Connection, Connection]) -> None:
     header = ONE_RECORD.model_copy(update={"overlay": True})
     picture = bytes(messages.MAX_PICTURE_BYTES + 1)
     with sent_over(pipe, b'{"value":1}', picture), pytest.raises(OSError, match="bad message length"):
-        receive_answer(pipe[0], header, Value)
+        receive_reply(pipe[0], header, Value)
 
 
 @work(Value)
-def foreign_bytes(services: Services, job: Job, source: Any, hexadecimal: str) -> Answer[Value]:
+def foreign_bytes(services: Services, job: Job, source: Any, hexadecimal: str) -> Reply[Value]:
     """Write bytes of the caller's choice where messages belong, as a compromised worker can."""
     import gc
 
@@ -243,8 +245,3 @@ def test_a_worker_that_sends_other_bytes_is_ended(running: Services, sent: bytes
         done(running, foreign_bytes, sent.hex())
     ready(running)
     assert done(running, number) != before
-
-
-def test_a_refusal_keeps_its_code(pipe: tuple[Connection, Connection]) -> None:
-    send(pipe[1], Refused(code="image_undecodable", message="no JPEG."))
-    assert receive(pipe[0]) == Refused(code="image_undecodable", message="no JPEG.")

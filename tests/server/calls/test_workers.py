@@ -30,9 +30,9 @@ from tests.server.calls.working import IMAGE, TESTS, Value, answered, done, numb
 from tests.server.conftest import POOL_BOX, paint_scene
 from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.capacity import CallStoppedError, Stop
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import Task, work
 from vehanchor_server.calls.worker_process import WorkerLimits, serve_tasks
 from vehanchor_server.calls.workers import WorkerFailedError, WorkerPool
@@ -51,7 +51,7 @@ def isolated(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> It
         segmenter=segmenter_paths,
         threads=1,
         max_concurrency=1,
-        max_worker_mb=1500,
+        max_megapixels=60,
     )
     services = ready(create_services(settings))
     yield services
@@ -76,37 +76,37 @@ def georeferenced(images: Path) -> Iterator[Path]:
 
 
 @work(Value)
-def a_while(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def a_while(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     time.sleep(1.0)
     return answered(os.getpid())
 
 
 @work(Value)
-def crash(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def crash(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     os.kill(os.getpid(), signal.SIGSEGV)
     raise AssertionError
 
 
 @work(Value)
-def fill(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def fill(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     return answered(float(np.ones(1 << 29).sum()))  # 4 GiB
 
 
 @work(Value)
-def spin(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def spin(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     while True:
         pass
 
 
 @work(Value)
-def bug(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def bug(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     raise KeyError("hunter2")
 
 
 async def test_answers_are_those_of_one_process(
     isolated: Services, isolated_server: MCPServer[object], images: Path, georeferenced: Path
 ) -> None:
-    server = create_server(create_services(replace(isolated.settings, in_process=True)))
+    server = create_server(create_services(replace(isolated.settings, isolation="in-process")))
     reports: list[Any] = []
 
     async def on_progress(progress: float, total: float | None, message: str | None) -> None:
@@ -188,7 +188,7 @@ def test_memory_is_limited(isolated: Services) -> None:
 
 
 @work(Value)
-def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     raise CallError("image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes.")
 
 
@@ -244,7 +244,7 @@ async def test_a_model_that_cannot_be_loaded_is_the_operators_business(images: P
 
 def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(settings: Settings) -> None:
     services = ready(
-        create_services(replace(settings, roots=(*settings.roots, TESTS), in_process=False, max_concurrency=3))
+        create_services(replace(settings, roots=(*settings.roots, TESTS), isolation="confined", max_concurrency=3))
     )
     assert services.workers is not None
     assert len(services.workers.processes) == 1
@@ -287,7 +287,7 @@ def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
     workers.start()
     for _ in range(2):
         with pytest.raises(CallError, match=r"worker_unavailable: .* the image is not the cause"):
-            workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+            workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None)
     assert workers.failure == "worker_unavailable"
     assert not workers.ready
     (line,) = caplog.records
@@ -323,7 +323,7 @@ def test_a_call_to_a_worker_that_loads_for_ever_ends_at_its_deadline() -> None:
     timer.start()
     try:
         with pytest.raises(CallStoppedError):
-            workers.run(Task(number, None, IMAGE, None), stop, lambda *_: None, lambda *_: None)
+            workers.run(Task(number, None, IMAGE, None), stop, lambda *_: None)
         assert not workers.ready
     finally:
         timer.join()
@@ -343,7 +343,7 @@ def test_a_worker_that_is_killed_while_it_starts_is_started_again_for_the_same_c
     settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
     workers = WorkerPool(partial(lost_once, tmp_path / "mark", settings), WorkerLimits(1 << 30, 10))
     try:
-        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None)
         assert answer.record.value > 0
     finally:
         workers.close()
@@ -354,7 +354,7 @@ def test_a_call_waits_for_the_worker_that_starts_and_starts_no_other(tmp_path: P
     workers = WorkerPool(partial(create_services, settings), WorkerLimits(1 << 30, 10))
     workers.start()
     try:
-        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None)
         assert workers.processes == [answer.record.value]
     finally:
         workers.close()

@@ -7,9 +7,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import Task, Work, work
 from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import Base64Image
@@ -39,19 +39,19 @@ class Value(FrozenModel):
     value: Any
 
 
-def answered(value: Any) -> Answer[Value]:
-    """The answer of a work here."""
-    return Answer((Value(value=value),))
+def answered(value: Any) -> Reply[Value]:
+    """The reply of a work here."""
+    return Reply((Value(value=value),))
 
 
 def done(services: Services, work: Work[Value], question: Any = None, stop: Stop | None = None) -> Any:
     """The work's value, from a worker."""
     assert services.workers is not None
     task = Task(work, question, IMAGE, None)
-    return services.workers.run(task, stop or Stop(), lambda *_: None, lambda *_: None).record.value
+    return services.workers.run(task, stop or Stop(), lambda *_: None).record.value
 
 
 @work(Value)
-def number(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def number(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     """The process's; a work."""
     return answered(os.getpid())

@@ -21,8 +21,8 @@ from typing import Any
 import pytest
 
 from tests.server.calls.working import Value, answered, done
-from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.sandbox import confinement
 from vehanchor_server.sandbox.environment import KEPT, SEARCH_PATHS
@@ -60,7 +60,7 @@ class Targets:
 
 
 @work(Value)
-def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Answer[Value]:
+def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Reply[Value]:
     """Everything that a worker should be kept from, and some things that it needs; in a worker."""
     root, secret, server = services.settings.roots[0], targets.secret, targets.server
     libc = ctypes.CDLL(None, use_errno=True)
@@ -191,7 +191,7 @@ def test_every_right_that_a_kernel_does_not_hold_is_named(version: int) -> None:
 
 
 @work(Value)
-def inherited(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+def inherited(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     """The descriptors and the environment variables of a worker."""
     folder = Path("/proc/self/fd")
     names = {int(each.name): str(each.readlink()) for each in folder.iterdir() if each.is_symlink()}

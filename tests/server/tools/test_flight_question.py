@@ -45,7 +45,9 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
-    return Settings(roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True)
+    return Settings(
+        roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +182,8 @@ async def test_what_cannot_be_used_is_named_by_its_place(server: MCPServer[objec
 async def test_images_that_were_fetched_together_have_no_more_bytes_than_one_may(
     settings: Settings, monkeypatch: pytest.MonkeyPatch, flight: Path
 ) -> None:
-    services = create_services(replace(settings, max_image_mb=1.0))
+    services = create_services(settings)
+    services = replace(services, sources=replace(services.sources, max_bytes=1 << 20))
 
     async def fetched(self: Fetcher, url: str) -> bytes:
         return b"0" * 400_000
@@ -203,7 +206,7 @@ async def test_a_worker_process_gives_the_same_answer(
     settings: Settings, server: MCPServer[object], flight: Path
 ) -> None:
     arguments = _among(flight / "here.png", flight / "near.png")
-    isolated = create_server(create_services(replace(settings, in_process=False, max_concurrency=1)))
+    isolated = create_server(create_services(replace(settings, isolation="confined", max_concurrency=1)))
     async with Client(server) as client:
         here = await client.call_tool("estimate_gsd", arguments)
     async with Client(isolated) as client:

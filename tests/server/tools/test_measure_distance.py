@@ -139,7 +139,7 @@ async def test_a_place_that_may_be_one_of_a_copy_is_questioned(server: MCPServer
     from tests.server.conftest import paint_scene, write_image
 
     image = write_image(tmp_path / "large.png", paint_scene(3136, 1000, 0))
-    settings = Settings(roots=(tmp_path.resolve(),), in_process=True)
+    settings = Settings(roots=(tmp_path.resolve(),), isolation="in-process")
     server = create_server(create_services(settings))
     near = await asked(server, "measure_distance", image, lines=[LINE], gsd_m_per_px=0.1, gsd_basis="measured")
     assert "If you used a smaller copy, give its size as frame" in text_of(near)

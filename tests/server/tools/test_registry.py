@@ -13,9 +13,9 @@ from mcp.types import CallToolResult
 from tests.server.conversation import by_path, error_of, text_of
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
@@ -49,10 +49,10 @@ def image_size_tool(services: Services) -> StrictTool:
 
 
 @work(Size)
-def _image_size(services: Services, job: Job, source: OpenedImage, _: None) -> Answer[Size]:
-    job.enter("decode")
+def _image_size(services: Services, job: Job, source: OpenedImage, _: None) -> Reply[Size]:
+    job.stop.check()
     with open_raster(source, limits=services.settings.image_limits) as raster:
-        return Answer((Size(width_px=raster.width_px, height_px=raster.height_px),))
+        return Reply((Size(width_px=raster.width_px, height_px=raster.height_px),))
 
 
 async def test_the_contract_names_every_hint(server: MCPServer[object], era: str) -> None:

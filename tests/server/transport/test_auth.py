@@ -74,7 +74,7 @@ def test_token_files_that_protect_nothing_are_refused(tmp_path: Path, content: b
 
 def test_settings_choose_the_verifier() -> None:
     assert token_verifier(Settings()) is None
-    oidc = token_verifier(Settings(oidc_issuer=ISSUER, oidc_audience=AUDIENCE))
+    oidc = token_verifier(Settings(oidc=(ISSUER, AUDIENCE)))
     assert isinstance(oidc, OidcVerifier)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import importlib
 import json
-import os
+import signal
+import socket
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,10 +22,10 @@ from mcp.client.streamable_http import streamable_http_client
 from tests.server.conftest import N_TILES_LARGE, paint_scene, write_image
 from tests.server.conversation import by_path, error_of, text_of
 from tests.server.serving import listening, serving
+from tests.server_process import http_server
 from tests.tiles import Tiles
-from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings, SettingsError
-from vehanchor_server.transport.http import _auth, create_app, serve_http
+from vehanchor_server.transport.http import _auth, create_app
 
 pytestmark = pytest.mark.anyio
 
@@ -50,9 +50,8 @@ def base(settings: Settings) -> Iterator[str]:
 def guarded(detector_path: Path) -> Iterator[str]:
     settings = Settings(
         detector=str(detector_path),
-        allowed_hosts=("vehanchor.test",),
-        allowed_origins=("https://console.test",),
-        in_process=True,
+        public_urls=("https://vehanchor.test/mcp", "https://console.test"),
+        isolation="in-process",
     )
     with served(settings) as address:
         yield address
@@ -131,7 +130,7 @@ async def test_health_tells_alive_from_ready(settings: Settings) -> None:
         while client.get(f"{base}/readyz").status_code != 200 and time.monotonic() < deadline:
             time.sleep(0.05)
         assert client.get(f"{base}/readyz").json() == {"status": "ready"}
-    with served(Settings(detector="/nowhere.onnx", in_process=True)) as base, httpx.Client(timeout=60) as client:
+    with served(Settings(detector="/nowhere.onnx", isolation="in-process")) as base, httpx.Client(timeout=60) as client:
         assert client.get(f"{base}/healthz").status_code == 200
         deadline = time.monotonic() + 30
         while client.get(f"{base}/readyz").json()["error"] is None and time.monotonic() < deadline:
@@ -171,17 +170,16 @@ async def test_without_the_token_nothing_but_health_answers(
 
 
 def test_an_address_of_the_sixth_version_is_written_in_brackets() -> None:
-    listening = Settings(host="::1", oidc_issuer="https://issuer.test", oidc_audience="vehanchor")
+    listening = Settings(host="::1", oidc=("https://issuer.test", "vehanchor"))
     assert str(_auth(listening).resource_server_url) == f"http://[::1]:{listening.port}/mcp"
 
 
 async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> None:
     protected = Settings(
         detector=settings.detector,
-        oidc_issuer="https://issuer.test",
-        oidc_audience="vehanchor",
-        public_url="https://vehanchor.test/mcp",
-        in_process=True,
+        oidc=("https://issuer.test", "vehanchor"),
+        public_urls=("https://vehanchor.test/mcp",),
+        isolation="in-process",
     )
     with served(protected) as base, httpx.Client(timeout=60) as client:
         answer = client.post(f"{base}/mcp", **discover())
@@ -271,42 +269,23 @@ def test_an_app_that_everyone_could_use_is_not_made() -> None:
         create_app(Settings(host="0.0.0.0"))
 
 
-def test_workers_may_read_what_the_operator_allowed_and_no_more(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, detector_path: Path
-) -> None:
-    for name in ("flight:b", "flight", "b"):
-        (tmp_path / name).mkdir()
-    monkeypatch.chdir(tmp_path)
-    seen: list[Settings] = []
-
-    def make_app_in_a_worker(target: str, **_: Any) -> None:
-        module, name = target.split(":")
-        getattr(importlib.import_module(module), name)()
-
-    def note(settings: Settings) -> Services:
-        seen.append(settings)
-        return create_services(settings)
-
-    monkeypatch.setattr("vehanchor_server.transport.http.uvicorn.run", make_app_in_a_worker)
-    monkeypatch.setattr("vehanchor_server.transport.http.configure_logging", lambda: None)
-    monkeypatch.setattr("vehanchor_server.transport.http.create_services", note)
-    settings = Settings(
-        roots=(tmp_path / "flight:b",), detector=str(detector_path), allowed_origins=("https://a,b",), in_process=True
-    )
-    serve_http(settings)
-    assert seen == [settings]
-    assert not [name for name in os.environ if name.startswith("VEHANCHOR_")]
-
-
-def test_a_factory_reads_the_environment(monkeypatch: pytest.MonkeyPatch, settings: Settings) -> None:
-    monkeypatch.setattr("vehanchor_server.transport.http.configure_logging", lambda: None)
-    monkeypatch.setenv("VEHANCHOR_HOST", "0.0.0.0")
-    monkeypatch.setenv("VEHANCHOR_DETECTOR", str(settings.detector))
-    with pytest.raises(SettingsError, match="refusing to listen"):
-        create_app()
-
-
 async def test_a_stream_without_an_end_is_refused(base: str) -> None:
     async with httpx.AsyncClient() as client:
         answer = await client.get(f"{base}/mcp", headers={"accept": "text/event-stream"})
     assert (answer.status_code, answer.headers["allow"]) == (405, "POST")
+
+
+@pytest.mark.promise("requests")
+@pytest.mark.slow
+def test_a_head_without_an_end_is_refused_and_an_idle_connection_closed() -> None:
+    with http_server("--isolation", "in-process", "--threads", "1") as server:
+        host, port = server.url.removeprefix("http://").removesuffix("/mcp").split(":")
+        with socket.create_connection((host, int(port)), timeout=10) as endless:
+            endless.sendall(b"GET /healthz HTTP/1.1\r\nX: " + b"a" * (33 << 10))
+            assert endless.recv(4096).startswith(b"HTTP/1.1 400")
+        with socket.create_connection((host, int(port)), timeout=10) as idle:
+            idle.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            while idle.recv(4096):
+                pass
+        server.process.send_signal(signal.SIGTERM)
+        assert server.process.wait(20) in (0, -signal.SIGTERM)

@@ -53,7 +53,7 @@ if {quick}:
     import_sdk()
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
-tools = anyio.run(create_server(create_services(Settings(in_process=True))).list_tools)
+tools = anyio.run(create_server(create_services(Settings(isolation="in-process"))).list_tools)
 print(json.dumps([tool.model_dump(mode="json") for tool in tools]))
 """
     quick, usual = (_printed(listing.format(quick=quick)) for quick in (True, False))

@@ -28,9 +28,8 @@ def base(detector_path: Path) -> Iterator[str]:
     settings = Settings(
         detector=str(detector_path),
         max_concurrency=1,
-        in_process=True,
-        allowed_hosts=("vehanchor.test:8443",),
-        allowed_origins=("https://console.test",),
+        isolation="in-process",
+        public_urls=("https://vehanchor.test:8443/mcp", "https://console.test"),
     )
     with served(settings) as address:
         yield address

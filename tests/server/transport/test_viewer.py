@@ -19,6 +19,7 @@ from tests.server.app_page.viewing import viewing
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path
 from vehanchor.cli.app import app
+from vehanchor.options import ImageLimits
 from vehanchor_server.app_page import PANEL_KEY, view_html
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address
@@ -37,7 +38,7 @@ def address(
     _images: Path, detector_path: Path, segmenter_paths: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Address]:
     settings = Settings(
-        roots=(_images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True
+        roots=(_images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
     )
     with viewing(settings, tmp_path_factory.mktemp("view").resolve() / "dropped") as found:
         yield found
@@ -155,8 +156,11 @@ def test_what_is_no_photograph_is_not_kept(address: Address) -> None:
         assert reply.text.startswith(f"{name} is no photograph to measure: ")
 
 
-def test_a_photograph_above_the_limit_is_not_kept(detector_path: Path, tmp_path: Path) -> None:
-    settings = Settings(detector=str(detector_path), max_image_mb=1)
+def test_a_photograph_above_the_limit_is_not_kept(
+    detector_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = Settings(detector=str(detector_path))
+    monkeypatch.setattr(Settings, "image_limits", ImageLimits(max_bytes=1 << 20))
     with viewing(settings, tmp_path / "dropped") as address:
         reply = drop(address, "large.png", bytes((1 << 20) + 1))
     assert reply.status_code == 413

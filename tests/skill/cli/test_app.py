@@ -570,7 +570,7 @@ def test_a_line_may_be_one_text_and_one_with_a_number_missing_is_named_whole(run
         (["--known-length", 0, 0, 9000, 0, 500], "invalid_known_length"),
         (["--height", 0], "invalid_parameter"),
         (["--height", 40, "--focal-35mm", 0], "invalid_parameter"),
-        (["--focal-35mm", 24], "invalid_parameter"),
+        (["--focal-35mm", 24, "--no-metadata"], "invalid_parameter"),
         (["--rulers", "vehicles,yardstick"], "invalid_parameter"),
         (["--rulers", ","], "invalid_parameter"),
     ],

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
 from vehanchor import analyse_scale
-from vehanchor.detection.appearance import CHIP_SHAPE, MAX_CHIPS, FleetLengths, chip, vehicle_chips
+from vehanchor.detection.appearance import MAX_CHIPS, FleetLengths, chip, vehicle_chips
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.fleet import FleetNetwork
 from vehanchor.detection.search import search
@@ -85,14 +85,6 @@ def test_no_more_than_a_hundred_vehicles_are_asked(model: Detector) -> None:
     assert analyse_scale(image, detector=model).estimate.reference_source == "appearance"
 
 
-def test_a_detector_without_such_a_network_cannot_tell(tmp_path: Path) -> None:
-    detector = Detector(write_detector(tmp_path / "foreign.onnx"))
-    assert (detector.fleet, detector.card.fleet_lengths, detector.card.fleet_sha256) == (None, None, None)
-    with open_raster(_car_park([40] * 6)) as raster:
-        assert search(raster, detector).fleet is None
-    assert analyse_scale(_car_park([40] * 6), detector=detector).estimate.reference_source == "model"
-
-
 def test_a_network_of_another_contract_is_refused(tmp_path: Path) -> None:
     network = write_fleet_network(tmp_path / "m.onnx", _LENGTHS, outputs=("fleet", "log_length"))
     with pytest.raises(ModelContractError, match=r"chips, fleet, log_length: expected.*log_odds"):
@@ -120,17 +112,6 @@ def _drawn_car(length: float, angle: float, *, gain: float = 1.0) -> tuple[NDArr
     return np.rint(np.clip(gain * seen, 0, 255)).astype(np.uint8), box
 
 
-def test_a_chip_has_the_front_at_the_right_whatever_the_angle() -> None:
-    for angle in np.linspace(-3, 3, 9):
-        cut = chip(*_drawn_car(30.0, float(angle)))
-        assert cut.shape == CHIP_SHAPE
-        assert abs(cut.mean()) < 1e-5
-        spot = np.unravel_index(np.argmax(cut), CHIP_SHAPE)
-        assert abs(spot[1] - (11.5 + 0.4 * 16)) <= 1.5  # towards the front
-        assert abs(spot[0] - (7.5 + 0.1 * 16)) <= 1.5  # on the right side
-        assert cut[7:9, 13:15].mean() < cut[7:9, 8:10].mean() - 0.5  # the windscreen
-
-
 @pytest.mark.parametrize("length", [11.0, 16.0, 25.0, 60.0])
 @pytest.mark.parametrize("angle", [0.0, 0.7, 2.4])
 @pytest.mark.parametrize("gain", [1.0, 0.6])
@@ -141,41 +122,7 @@ def test_a_chip_keeps_nothing_of_scale_direction_and_exposure(length: float, ang
     assert np.corrcoef(cut.ravel(), expected.ravel())[0, 1] > 0.97
 
 
-def test_a_chip_without_contrast_is_flat_and_not_noise() -> None:
-    grey = np.full((40, 40), 100, np.uint8)
-    grey[::2] += 1
-    assert np.abs(chip(grey, (20, 20, 16, 7, 0.4))).max() < 0.1
-
-
-def test_chips_of_a_raster_are_those_of_its_green_band_also_where_it_is_reduced_or_ends() -> None:
-    small, box = _drawn_car(20.0, 0.6)
-    large, far = _drawn_car(150.0, -1.1)  # read at an eighth
-    image = np.zeros((700, 700, 3), np.uint8)
-    image[:, :, 1] = 60
-    image[:60, :60, 1] = small
-    image[200:650, 200:650, 1] = large
-    edge = np.array([3.0, 690.0, 40.0, 16.0, 0.2])
-    boxes = np.array([box, far + np.array([200, 200, 0, 0, 0]), edge])
-    with open_raster(image) as raster:
-        chips = vehicle_chips(raster, boxes)
-        assert vehicle_chips(raster, np.zeros((0, 5))).shape == (0, 1, *CHIP_SHAPE)
-    assert chips.shape == (3, 1, *CHIP_SHAPE)
-    assert chips.dtype == np.float32
-    np.testing.assert_allclose(chips[0, 0], chip(small, box), atol=0.02)
-    assert np.corrcoef(chips[1, 0].ravel(), chip(large, far).ravel())[0, 1] > 0.995
-    assert np.isfinite(chips[2]).all()
-
-
 def test_vehicles_larger_than_their_image_have_chips() -> None:
     with open_raster(blank_image(40, 16)) as raster:
         chips = vehicle_chips(raster, np.array([[10.0, 4.0, 600.0, 160.0, 1.0]]))
     assert np.isfinite(chips).all()
-
-
-def test_the_reference_length_moves_between_two_fleets() -> None:
-    assert _LENGTHS.reference_length([]) == pytest.approx(4.5)
-    assert _LENGTHS.reference_length(np.full(1000, 9.0)) == 5.0
-    assert _LENGTHS.reference_length(np.full(1000, -9.0)) == 4.0
-    assert _LENGTHS.reference_length([0.9]) == pytest.approx(4.5 + 0.5 * 0.9 / 3)  # one car among two neutral ones
-    many = _LENGTHS.reference_length(np.full(98, 0.9))
-    assert many == pytest.approx(4.5 + 0.5 * 0.9 * 98 / 100)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from research.scenes.render import render_scene
+from tests.conftest import ROOT
 from vehanchor import estimate_gsd
 
 _GSD = 0.1
@@ -20,33 +21,30 @@ _BARREL = 0.35  # share of the squared distance from the centre, in half sides
 _Image = NDArray[np.uint8]
 
 
-@pytest.fixture(scope="module")
-def photograph() -> _Image:
-    return render_scene(_GSD, width_px=900, height_px=900, seed=9011, mean_vehicle_length_m=4.4, layout="parking").image
-
-
 def _resized(image: _Image, across: float, down: float) -> _Image:
     size = (round(image.shape[1] * across), round(image.shape[0] * down))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def test_true_proportions_have_no_notice(photograph: _Image) -> None:
-    estimate = estimate_gsd(photograph)
+def test_true_proportions_have_no_notice(car_park: _Image) -> None:
+    estimate = estimate_gsd(car_park)
     assert estimate.status == "ok"
     assert "stretched" not in {notice.code for notice in estimate.warnings}
 
 
 @pytest.mark.parametrize(("across", "down"), [(1.0, 1.5), (0.67, 1.0)])
-def test_a_stretched_image_is_never_ok_and_says_why(photograph: _Image, across: float, down: float) -> None:
-    estimate = estimate_gsd(_resized(photograph, across, down))
+def test_a_stretched_image_is_never_ok_and_says_why(car_park: _Image, across: float, down: float) -> None:
+    estimate = estimate_gsd(_resized(car_park, across, down))
     assert estimate.status != "ok"
     assert estimate.reason == "disagree"
     assert "stretched" in {notice.code for notice in estimate.warnings}
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def few_cars() -> _Image:
-    return render_scene(_GSD, width_px=640, height_px=640, seed=9029, mean_vehicle_length_m=4.4, n_vehicles=4).image
+    picture = cv2.imread(str(ROOT / "examples/car_park.jpg"))
+    assert picture is not None
+    return np.ascontiguousarray(picture[:260, 400:660, ::-1], dtype=np.uint8)
 
 
 def test_few_cars_of_true_proportions_have_no_notice(few_cars: _Image) -> None:
@@ -59,8 +57,8 @@ def test_few_cars_tell_a_stretch(few_cars: _Image) -> None:
     assert (estimate.status, estimate.reason) == ("low_confidence", "disagree")
 
 
-def test_a_scale_does_not_hide_a_stretch(photograph: _Image) -> None:
-    estimate = estimate_gsd(_resized(photograph, 1.5, 1.0), known_lengths=[(100, 100, 400, 100, 30.0)])
+def test_a_scale_does_not_hide_a_stretch(car_park: _Image) -> None:
+    estimate = estimate_gsd(_resized(car_park, 1.5, 1.0), known_lengths=[(100, 100, 400, 100, 30.0)])
     assert estimate.status != "ok"
 
 
@@ -98,6 +96,11 @@ CONDITIONS: dict[str, Callable[[_Image], _Image]] = {
     "haze": lambda image: _noisy(130 + 0.25 * cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float64), 1.5),
     "fisheye": _fisheye,
 }
+
+
+@pytest.fixture(scope="module")
+def photograph() -> _Image:
+    return render_scene(_GSD, width_px=900, height_px=900, seed=9011, mean_vehicle_length_m=4.4, layout="parking").image
 
 
 @pytest.mark.slow

@@ -33,12 +33,6 @@ _RANGE = {"vehanchor.length_range_px": "9,64"}
 _SEARCHING = _RANGE | {"vehanchor.search_scales": "1"}
 
 
-@pytest.fixture(scope="module")
-def searching(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    """A detector of painted vehicles whose file asks for the search."""
-    return Detector(write_detector(tmp_path_factory.mktemp("model") / "m.onnx", metadata=_SEARCHING))
-
-
 def _painted(
     factor: int, lengths: list[float], columns: int = 6, **kinds: Any
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
@@ -319,20 +313,12 @@ def test_the_range_of_vehicle_lengths_does_not_bound_other_objects(tmp_path: Pat
     assert np.rint(courts[:, 2] / 2).tolist().count(20.0) == 1
 
 
-_RANGES = {1: (9.0, 64.0), 2: (25.6, 64.0), 4: (25.6, 64.0), 8: (25.6, np.inf)}
-
-
 def _places(side: int, factors: tuple[int, ...] = (1, 2)) -> list[TilePlace]:
     return [
         TilePlace(factor, tile)
         for factor in factors
         for tile in tile_grid(side // factor, side // factor, tile_px=64, stride_px=48)
     ]
-
-
-def _around(gsd: float) -> NDArray[np.float64]:
-    density = np.exp(-0.5 * ((GRID - np.log(gsd)) / 0.2) ** 2)
-    return np.asarray(density / density.sum())
 
 
 @settings(max_examples=25)
@@ -350,26 +336,6 @@ def test_every_tile_is_taken_once_whatever_the_others_showed(side: int, at_once:
         for tile in batch:
             order.report(tile, int(rng.integers(0, 9)))
     assert sorted(taken) == list(range(len(places)))
-
-
-def test_what_promises_cars_comes_first_and_every_fourth_tile_comes_from_anywhere() -> None:
-    places = _places(1600, (1,))
-    tile_prior = np.array([0.9 if place.window.x_px > 1000 else 0.1 for place in places])
-    first = TileScheduler(places, tile_prior, {1: 1.0}).next_tiles(40)
-    right = np.array([places[k].window.x_px > 1000 for k in first])
-    assert right.mean() >= 0.75
-    assert {k for k, is_right in enumerate(right) if not is_right} <= set(range(3, 40, 4))
-    assert (~right).any()
-
-
-@pytest.mark.parametrize(("gsd", "factor"), [(0.2, 1), (0.06, 2), (0.03, 4), (0.012, 8)])
-def test_most_tiles_belong_to_the_resolution_that_cars_fit(gsd: float, factor: int) -> None:
-    shares = level_shares(_RANGES, _around(gsd))
-    assert sum(shares.values()) == pytest.approx(1)
-    assert max(shares, key=lambda each: shares[each]) == factor
-    assert min(shares.values()) >= 0.05
-    assert level_shares(_RANGES, None) == dict.fromkeys(_RANGES, 0.25)
-    assert level_shares({1: (9.0, 64.0)}, _around(2.9)) == {1: 1.0}
 
 
 def test_a_town_promises_more_than_fields_in_every_cell_of_it() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from research.scenes import render_scene
 from tests.models import blank_image, paint_vehicles, write_car_verifier, write_detector, write_fleet_network
 from vehanchor.detection.appearance import FleetLengths
-from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.car_verifier import (
     CHIP_LENGTH_PX,
     CarVerifier,
@@ -25,9 +23,8 @@ from vehanchor.detection.card import VerifierCard, read_auxiliary_card, read_det
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.networks import networks_sha256
-from vehanchor.detection.position_sample import position_sample
 from vehanchor.detection.search import search
-from vehanchor.detection.verifier import CHIP_PX, Verifier, Weights, surroundings
+from vehanchor.detection.verifier import CHIP_PX, Verifier, surroundings
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
@@ -54,20 +51,6 @@ def test_a_chip_lies_along_its_candidate(length: float, angle: float) -> None:
     assert middle[14] == pytest.approx(78, abs=8)
     assert middle[34] == pytest.approx(178, abs=8)
     assert np.ptp(chip[8:40, CHIP_PX // 2, 0].astype(int)) < 12
-
-
-def test_weights_make_one_score_of_two_opinions() -> None:
-    assert Weights(1.0, 0.0, 0.0).score([0.2, 0.9], [9.0, -9.0]) == pytest.approx([0.2, 0.9])
-    rising = Weights(0.5, 0.3, -0.6).score([0.6] * 3, [-4.0, 0.0, 4.0])
-    assert (np.diff(rising) > 0).all()
-    assert ((rising > 0) & (rising < 1)).all()
-
-
-def test_a_size_that_fits_the_ground_raises_a_score_and_one_that_does_not_lowers_it() -> None:
-    low, same, high = Weights(1.0, 0.0, 0.0, 0.3).score([0.6] * 3, [0.0] * 3, [-2.0, 0.0, 2.0])
-    assert low < same < high
-    assert same == pytest.approx(0.6)
-    assert Weights(1.0, 0.0, 0.0).score([0.6], [0.0], [2.0]) == pytest.approx([0.6])  # not stated: it has no say
 
 
 def test_the_card_takes_the_scores_of_the_verifier() -> None:
@@ -140,15 +123,6 @@ def test_mirrored_chips_agree_on_where_the_vehicle_lies(verifier: CarVerifier, a
     assert answers.box[0, 4] == pytest.approx(0, abs=1e-6)
 
 
-def test_a_correction_brings_a_box_onto_the_vehicle() -> None:
-    truth = np.array([[52.0, 41.0, 33.0, 13.0, 0.7]])
-    candidate = np.array([[50.0, 40.0, 30.0, 12.0, 0.6]])
-    along = 2 * np.cos(0.6) + np.sin(0.6)
-    across = np.cos(0.6) - 2 * np.sin(0.6)
-    correction = np.array([[along / 30, across / 30, np.log(33 / 30), np.log(13 / 30), 0.1]])
-    np.testing.assert_allclose(box_corners(corrected_boxes(candidate, correction)), box_corners(truth), atol=1e-9)
-
-
 def test_another_car_verifier_is_refused(tmp_path: Path) -> None:
     path = write_car_verifier(tmp_path / "m.onnx", outputs=("logit", "box"))
     with pytest.raises(ModelContractError, match=r"has chips, logit, box: expected chips \[n, 3, 96, 96\]"):
@@ -157,22 +131,6 @@ def test_another_car_verifier_is_refused(tmp_path: Path) -> None:
         _answers(CarVerifier(write_car_verifier(tmp_path / "m.onnx", gain=np.nan)), _square(9, 9), np.ones((1, 5)))
     with pytest.raises(ModelNotFoundError):
         CarVerifier(tmp_path / "none.onnx")
-
-
-def test_the_car_verifier_of_another_detector_is_refused(tmp_path: Path) -> None:
-    detector = write_detector(tmp_path / "m.onnx")
-    write_car_verifier(detector, metadata={"vehanchor.detector": "other"})
-    with pytest.raises(ModelContractError, match=r"car verifier .* 'other', and this is 'm'"):
-        Detector(detector)
-
-
-def test_a_larger_view_of_the_same_scene_gets_the_same_answer(verifier: CarVerifier) -> None:
-    pixels, box = _square(109, 84), np.array([[105.0, 88.0, 32.0, 14.0, 0.4]])
-    small = _answers(verifier, pixels, box)
-    for factor in (2, 4):  # the second is read in a reduced copy
-        larger = np.asarray(cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), np.uint8)
-        large = _answers(verifier, larger, box * (factor, factor, factor, factor, 1))
-        np.testing.assert_allclose(large.box[0, :2], small.box[0, :2], atol=0.02)
 
 
 def test_the_bundled_one_prefers_rendered_cars_to_boxes_of_twice_their_size() -> None:
@@ -235,29 +193,6 @@ def test_many_vehicles_are_left_as_they_are(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.boxes, plain.boxes)
     np.testing.assert_array_equal(found.scores, plain.scores)
     assert networks_sha256(with_one.card) != before
-
-
-def _car_park() -> NDArray[np.float64]:
-    """Rows of 2,000 cars, each found twice, two pixels apart; the cars of the right half are longer."""
-    grid = np.stack(np.meshgrid(np.arange(20.0, 1000, 24), np.arange(15.0, 1000, 20)), axis=-1).reshape(-1, 2)
-    lengths = np.where(grid[:, 0] < 512, 20.0, 24.0)
-    once = np.column_stack([grid, lengths, np.full(len(grid), 9.0), np.zeros(len(grid))])
-    return np.concatenate([once, once + np.array([2, 0, 0, 0, 0])])
-
-
-def test_a_sample_is_large_enough_and_favours_no_place_and_no_size() -> None:
-    boxes = _car_park()
-    chosen = position_sample(boxes, 128)
-    assert 128 <= len(chosen) < 160
-    assert 0.3 < np.mean(boxes[chosen, 2] > 22) < 0.7
-    for axis in (0, 1):
-        assert np.bincount((boxes[chosen, axis] // 256).astype(int), minlength=4).min() >= 10
-
-
-def test_few_candidates_are_all_taken() -> None:
-    boxes = _car_park()[:128]
-    assert position_sample(boxes, 128).tolist() == list(range(128))
-    assert position_sample(np.zeros((0, 5)), 128).tolist() == []
 
 
 @pytest.mark.slow

@@ -5,11 +5,17 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from tests.skill.imagery.files import encoded, smooth_rgb
+from vehanchor.errors import ImageDecodeError
+from vehanchor.imagery.formats.header import read_header
+from vehanchor.imagery.metadata.camera import CameraMetadata, read_camera
 
 _TAGS = {
+    "ImageWidth": (256, "long", False),
+    "ImageLength": (257, "long", False),
     "Make": (0x010F, "ascii", False),
     "Model": (0x0110, "ascii", False),
     "ApplicationNotes": (0x02BC, "bytes", False),
@@ -105,6 +111,17 @@ def segment(body: bytes) -> bytes:
     return b"\xff\xe1" + struct.pack(">H", 2 + len(body)) + body
 
 
+def read(data: bytes) -> CameraMetadata | None:
+    """The camera of a file; None for one that is no image."""
+
+    def read_at(offset: int, count: int) -> bytes:
+        return data[offset : offset + count]
+
+    with suppress(ImageDecodeError):
+        return read_camera(read_at, read_header(read_at))
+    return None
+
+
 def png_with_xmp(packet: bytes, exif_block: bytes) -> bytes:
     """A PNG of 80 x 60 px with both blocks."""
     plain = encoded(".png", smooth_rgb(80, 60))
@@ -115,8 +132,8 @@ def png_with_xmp(packet: bytes, exif_block: bytes) -> bytes:
 
 
 def webp_with_exif(exif_block: bytes, packet: bytes) -> bytes:
-    """The chunks of a WebP with both blocks, without pixels."""
-    body = b"WEBP"
+    """The chunks of a WebP with both blocks, without pixels but with their size."""
+    body = b"WEBPVP8L" + struct.pack("<IBI", 5, 0x2F, 79 | 59 << 14) + b"\0"
     for kind, block in ((b"EXIF", exif_block), (b"XMP ", packet)):
         body += kind + struct.pack("<I", len(block)) + block + b"\0" * (len(block) & 1)
     return b"RIFF" + struct.pack("<I", len(body)) + body

@@ -11,33 +11,17 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 import vehanchor
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import blank_image, paint_vehicles
 from tests.sam_models import write_sam
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, KnownLengthError, PromptError, ScaleMismatchError, TooObliqueError
-from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.measure.resolved_scale import CameraAbove, ResolvedScale, camera_above, raised
-from vehanchor.measure.spread import Spread
-from vehanchor.options import ScaleOptions
 from vehanchor.pictures.scale import write_picture
 from vehanchor.records import KnownScale
-from vehanchor.scale.plane import GroundPlane
-from vehanchor.scale.reliability import RELIABILITY
 from vehanchor.segmentation.segmenter import Segmenter
 
 SIZE = 800, 600
 BOX = (410.7, 273.9, 477.3, 382.1)
-
-
-@pytest.fixture(scope="module")
-def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    return Detector(write_detector(tmp_path_factory.mktemp("detector") / "painted.onnx"))
-
-
-@pytest.fixture(scope="module")
-def segmenter(tmp_path_factory: pytest.TempPathFactory) -> Segmenter:
-    return Segmenter(*write_sam(tmp_path_factory.mktemp("segmenter")))
 
 
 def _place(n_vehicles: int = 30) -> NDArray[np.uint8]:
@@ -321,15 +305,6 @@ def test_an_area_on_a_roof_is_smaller_by_the_square() -> None:
     assert roof.area_m2 == pytest.approx(0.64 * ground.area_m2)
 
 
-def test_under_a_camera_that_looked_aside_the_whole_plane_is_raised() -> None:
-    plane = GroundPlane(GROUND, 40.0, FOCAL_PX, 1000, 750)
-    found = ResolvedScale(GROUND, Spread(0.05, 0.05), 0.9, "estimated", None, (), plane)
-    up = raised(found, 5.0, CameraAbove(None, 999.0))
-    share = 5.0 / plane.height_m
-    assert up.gsd_m_per_px == pytest.approx(GROUND * (1 - share))
-    assert up.length_m(LINE) == pytest.approx((found.length_m(LINE) or 0) * (1 - share))
-
-
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
@@ -353,26 +328,3 @@ def test_the_commands_take_it(tmp_path: Path) -> None:
     result = CliRunner().invoke(cli.app, [str(each) for each in asked])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["distance_m"] == pytest.approx(20)
-
-
-def test_a_given_height_has_the_spread_that_the_ruler_gives_it() -> None:
-    with open_raster(np.zeros((300, 400, 3), np.uint8)) as raster:
-        camera = camera_above(raster, ScaleOptions.of({"height_m": 50.0}), 10.0)
-    found = ResolvedScale(0.1, Spread(), None, "given", None, ())
-    assert raised(found, 10.0, camera).spread == pytest.approx([10 / 40 * RELIABILITY["measured height"].log_sd] * 2)
-
-
-def test_a_skewed_interval_stays_skewed_at_the_height_of_the_object() -> None:
-    ground = Spread.of_interval(0.136, 0.121, 0.185)
-    assert ground.around(0.136) == pytest.approx((0.121, 0.185))
-    found = ResolvedScale(0.136, ground, 0.9, "estimated", None, ())
-    above = raised(found, 10.0, CameraAbove(None, 50.0, 0.05))
-    assert above.gsd_m_per_px == pytest.approx(0.136 * 0.8)
-    low, high = above.spread.around(0.136 * 0.8)
-    assert low < 0.121 * 0.8 < 0.185 * 0.8 < high
-    assert above.spread == pytest.approx([math.hypot(side, 0.25 * 0.05) for side in ground])
-
-
-@pytest.mark.parametrize(("low", "high"), [(None, None), (None, 0.2), (0.2, 0.1)])
-def test_without_an_interval_nothing_is_made_up(low: float | None, high: float | None) -> None:
-    assert Spread.of_interval(0.15, low, high) == Spread()

@@ -14,7 +14,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 import vehanchor
 from research.scenes import render_scene
-from tests.models import write_detector, write_other_model
+from tests.models import write_detector
 from tests.sam_models import keep_weights_beside, write_sam2
 from vehanchor import estimate_gsd
 from vehanchor.detection.detector import Detector
@@ -43,15 +43,6 @@ def test_weights_in_a_file_beside_the_model_are_found_from_any_folder_and_whoeve
     monkeypatch.chdir(tmp_path / "elsewhere")
     for content in (None, decoder.read_bytes()):
         assert [item.name for item in open_session(decoder, content=content).get_inputs()] == inside
-
-
-def test_bytes_that_were_read_already_are_what_is_run(tmp_path: Path) -> None:
-    encoder = write_sam2(tmp_path)[0]
-    content = encoder.read_bytes()
-    before = outputs(encoder, None)
-    write_other_model(encoder)
-    for was, now in zip(before, outputs(encoder, content), strict=True):
-        np.testing.assert_array_equal(was, now)
 
 
 def test_an_arena_that_somebody_else_shares_already_serves(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

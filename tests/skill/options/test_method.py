@@ -11,7 +11,7 @@ from scipy.stats import gaussian_kde
 
 import vehanchor
 from tests.conftest import ROOT
-from tests.records import SCENES
+from tests.records import CASES
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
 from vehanchor.errors import InvalidParameterError
@@ -27,7 +27,7 @@ def detector() -> Detector:
     return Detector(resolve_model())
 
 
-@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+@pytest.mark.parametrize("scene", CASES)
 def test_the_preset_gives_the_papers_numbers(scene: Path, detector: Detector) -> None:
     record = vehanchor.estimate_gsd(scene, detector=detector, preset="paper")
     with open_raster(str(ROOT / scene)) as raster:

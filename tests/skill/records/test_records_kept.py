@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from tests.conftest import ROOT
-from tests.records import KEPT, SCENES, records_of
+from tests.records import CASES, KEPT, records_of
 
 _ROUNDING = 1e-3  # processors round a network's sums differently
 
@@ -29,7 +29,7 @@ def _assert_like(found: Any, kept: Any, where: str) -> None:
         assert found == kept, where
 
 
-@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+@pytest.mark.parametrize("scene", CASES)
 def test_records_stay_as_they_were_kept(scene: Path) -> None:
     name = scene.relative_to(ROOT).as_posix()
     _assert_like(records_of(scene), json.loads(KEPT.read_text(encoding="utf-8"))[name], name)

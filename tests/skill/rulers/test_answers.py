@@ -229,22 +229,6 @@ def test_a_tolerance_is_the_interval_of_the_line() -> None:
     assert math.log(high / low) == pytest.approx(0.2, rel=0.05)
 
 
-def test_rulers_without_vehicles_need_no_search(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
-    import vehanchor
-    import vehanchor.analysis.pipeline as module
-    from tests.models import blank_image, write_detector
-
-    def _refuse(*_args: Any, **_kwargs: Any) -> Detections:
-        raise AssertionError("the detector ran")
-
-    monkeypatch.setattr(module, "search", _refuse)
-    detector = str(write_detector(tmp_path / "detector.onnx"))
-    options: dict[str, Any] = {"known_lengths": [(0, 0, 100, 0, 12.0)], "rulers": ("known_length",)}
-    record = vehanchor.estimate_gsd(blank_image(200, 100), detector=detector, **options)
-    assert record.gsd_m_per_px == pytest.approx(0.12, rel=0.01)
-    assert record.n_detections == 0
-
-
 @pytest.mark.parametrize(("cars", "status"), [(60, "ok"), (3, "low_confidence")])
 def test_the_preset_paper_acts_on_the_composite_alone(cars: int, status: str) -> None:
     record = record_of(cars, preset="paper")

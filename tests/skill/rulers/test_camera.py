@@ -208,15 +208,3 @@ def test_nadir_photographs_of_a_known_sensor_come_out_within_a_few_per_cent(
         facts = image_facts(raster)
     witness = Camera().measure(replace(_view(None), image=facts))
     assert witness.gsd_m_per_px == pytest.approx(height_m * 6.17 / (4.73 * 3000), rel=0.01)
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("folder", ["garfield", "seneca"])
-def test_photographs_that_know_only_their_height_above_the_sea_have_no_ruler(real_data: Path, folder: str) -> None:
-    with open_raster(min((real_data / "flights" / folder).iterdir())) as raster:
-        facts = image_facts(raster)
-    assert facts.camera is not None
-    assert facts.camera.focal_mm
-    witness = Camera().measure(replace(_view(None), image=facts))
-    assert witness.gsd_m_per_px is None
-    assert "height above the ground is missing" in witness.notices[0].message

@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tests.analyses import made_card
-from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
@@ -17,18 +15,13 @@ from vehanchor.detection.detector import load_detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.models.zoo import resolve_model
-from vehanchor.options import Lengths, Reference, ScaleOptions
-from vehanchor.records import Notice
-from vehanchor.records.ruler_kinds import RULERS
-from vehanchor.rulers.point import point_witness
+from vehanchor.options import Reference, ScaleOptions
 from vehanchor.rulers.reference import reference_length
-from vehanchor.rulers.ruler import Ruler
-from vehanchor.rulers.vehicles import Vehicles, VehicleWitness, select
+from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
 from vehanchor.rulers.view import View
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, country_length
 from vehanchor.scale.defaults import REGIONS
 from vehanchor.scale.density import blurred, credible_interval
-from vehanchor.scale.posterior import Witness
 from vehanchor.scale.reliability import FLEETS
 from vehanchor.scale.votes import vehicle_likelihood
 
@@ -39,56 +32,6 @@ def _view(lengths: list[float], **options: Any) -> View:
     boxes = np.array([[99.0 * k, 50, length, 18, 0] for k, length in enumerate(lengths)]).reshape(-1, 5)
     found = Detections(boxes, np.full(len(boxes), 0.8))
     return View(ImageFacts(800, 600), found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0)
-
-
-def test_the_fleet_is_what_the_outlier_filter_leaves() -> None:
-    fleet = select(_view(_LENGTHS).detections, Lengths())
-    assert fleet.kept.tolist() == [True] * 5 + [False]
-    assert fleet.lengths.tolist() == _LENGTHS[:5]
-    assert (fleet.working_scale, fleet.appearance) == (1.0, None)
-
-
-def test_vehicles_say_the_reference_length_over_their_modal_length() -> None:
-    witness = Vehicles().measure(_view(_LENGTHS))
-    assert witness.paper.mode_length_px is not None
-    assert witness.gsd_m_per_px == 5.0 / witness.paper.mode_length_px == pytest.approx(5 / 40.8, rel=0.02)
-    assert (witness.kind, witness.n) == ("vehicles", 5)
-
-
-def test_no_vehicles_are_no_evidence() -> None:
-    witness = Vehicles().measure(_view([]))
-    assert (witness.gsd_m_per_px, witness.interval, witness.n, witness.found) == (None, None, 0, False)
-
-
-class Shadow(Ruler):
-    """A ruler that a stranger adds: it reads the facts of the image alone."""
-
-    kind = "shadow"
-    label = "shadow"
-    help = "a shadow"
-
-    def measure(self, view: View) -> Witness:
-        doubt = Notice(code="shadow_short", message="The shadow is short.")
-        return point_witness(self.kind, 100 / view.image.width_px, 0.02, 0.1, "It says {}.", notices=[doubt])
-
-
-def test_a_ruler_in_the_registry_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(RULERS, "shadow", f"{__name__}:Shadow")
-    analysis = analyse_view(_view(_LENGTHS, rulers=("vehicles", "shadow")))
-    assert [(each.kind, each.gsd_m_per_px) for each in analysis.others] == [("shadow", 0.125)]
-    assert [notice.code for notice in analysis.estimate.warnings] == ["shadow_short"]
-    assert analysis.estimate.leading_ruler == "shadow"
-    assert analysis.estimate.gsd_m_per_px == pytest.approx(0.125, rel=0.02)
-
-
-def test_the_appearance_of_the_kept_vehicles_is_what_was_asked_of_them() -> None:
-    odds: NDArray[np.float64] = np.array([1.0, 2.0, 3.0])
-    view = _view(_LENGTHS)
-    found = Detections(view.detections.boxes[::-1], view.detections.scores, fleet=FleetAppearance(odds, odds / 2))
-    fleet = select(found, Lengths())
-    assert fleet.appearance is not None
-    assert fleet.appearance.log_odds.tolist() == [2.0, 3.0]  # the longest comes first and is dropped
-    assert fleet.appearance.log_lengths.tolist() == [1.0, 1.5]
 
 
 def _doubts(view: View) -> tuple[list[str], float]:

@@ -16,10 +16,8 @@ import vehanchor
 from research.scenes import render_scene
 from tests.journals import n_results
 from tests.models import blank_image, paint_vehicles, write_detector
-from tests.skill.courts.drawing import draw_court
 from tests.skill.imagery.metadata_bytes import exif, jpeg, xmp
 from vehanchor.cli import app as cli
-from vehanchor.courts.template import TENNIS
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import (
     CalibrationFileError,
@@ -34,7 +32,6 @@ from vehanchor.scale.calibration import (
     Calibration,
     SurveyedImage,
     calibrate,
-    length_density,
     load_calibration,
     modal_length_m,
 )
@@ -269,33 +266,6 @@ def test_photographs_with_a_height_need_no_georeference_and_what_the_height_may_
     assert by_height.reference_length_ci95_high_m > by_table.reference_length_ci95_high_m
 
 
-def test_photographs_with_a_line_of_known_length_need_no_georeference(folder: Path, tmp_path: Path) -> None:
-    lines = folder / "lines.csv"
-    lines.write_text(f"file,x1,y1,x2,y2,metres\ncars.png,100,100,600,100,{500 * GSD}\n")
-    common = ["--detector", folder / "detector.onnx", "--out", tmp_path / "c.json", "--known-lengths", lines]
-    assert _run("calibrate", "--photographs", folder / "cars.png", *common).exit_code == 0
-    assert load_calibration(tmp_path / "c.json").reference_length_m == pytest.approx(FLEET_M, rel=0.03)
-    result = _run("calibrate", "--table", folder / "table.csv", *common)
-    assert result.exit_code == 2
-    assert "--photographs" in result.stderr
-
-
-def test_photographs_with_a_court_need_no_georeference(folder: Path, calibration: Path, tmp_path: Path) -> None:
-    cars = cv2.imread(str(folder / "cars.png"))
-    assert cars is not None
-    court = cv2.copyMakeBorder(draw_court(TENNIS, GSD, side_px=360), 0, 0, 200, 200, cv2.BORDER_REPLICATE)
-    photograph = tmp_path / "court.png"
-    cv2.imwrite(str(photograph), np.vstack([cars, court]))
-    result = _run(
-        "calibrate", "--photographs", photograph, "--detector", folder / "detector.onnx", "--out", tmp_path / "c.json"
-    )
-    assert result.exit_code == 0, result.stderr
-    by_court, by_table = load_calibration(tmp_path / "c.json"), load_calibration(calibration)
-    assert by_court.n_vehicles == by_table.n_vehicles
-    assert by_court.reference_length_m == pytest.approx(by_table.reference_length_m, rel=0.01)
-    assert by_court.reference_length_sd_m > by_table.reference_length_sd_m
-
-
 def test_photographs_of_which_no_other_ruler_knows_the_scale_are_told(folder: Path, tmp_path: Path) -> None:
     common = ["--detector", folder / "detector.onnx", "--out", tmp_path / "c.json"]
     silent = _run("calibrate", "--photographs", folder / "cars.png", *common)
@@ -428,14 +398,12 @@ def test_a_bad_file_is_told_and_left_out(folder: Path, tmp_path: Path) -> None:
     assert "vehicles labelled for a reference length: 0;" in result.stderr
 
 
-def test_the_density_that_is_drawn_peaks_at_the_reference_length() -> None:
-    rng = np.random.default_rng(3)
-    boxes = np.zeros((400, 5))
-    boxes[:, 2] = np.concatenate([rng.normal(30, 2, 250), rng.normal(22, 2, 150)])
-    scores = np.repeat([0.9, 0.3], [250, 150])
-    at = np.linspace(1.0, 6.0, 2001)
-    for given in (None, scores):
-        images = [SurveyedImage(boxes, 0.15, given)]
-        assert at[np.argmax(length_density(images, at))] == pytest.approx(modal_length_m(images).mode_m, abs=0.01)
-    weighted, plain = (length_density([SurveyedImage(boxes, 0.15, s)], [22 * 0.15])[0] for s in (scores, None))
-    assert weighted < 0.5 * plain  # what scores low counts little
+def test_photographs_with_a_line_of_known_length_need_no_georeference(folder: Path, tmp_path: Path) -> None:
+    lines = folder / "lines.csv"
+    lines.write_text(f"file,x1,y1,x2,y2,metres\ncars.png,100,100,600,100,{500 * GSD}\n")
+    common = ["--detector", folder / "detector.onnx", "--out", tmp_path / "c.json", "--known-lengths", lines]
+    assert _run("calibrate", "--photographs", folder / "cars.png", *common).exit_code == 0
+    assert load_calibration(tmp_path / "c.json").reference_length_m == pytest.approx(FLEET_M, rel=0.03)
+    result = _run("calibrate", "--table", folder / "table.csv", *common)
+    assert result.exit_code == 2
+    assert "--photographs" in result.stderr

@@ -139,31 +139,6 @@ def test_a_prior_narrows_a_guess() -> None:
     assert beside.chance <= alone.chance + 0.05
 
 
-def test_a_measured_line_leads_up_to_a_fifth_and_is_outvoted_beyond() -> None:
-    cars, prior = _cars(40), _prior(0.12)
-    for factor in (1.0, 1.1, 1.2):
-        led = answer([cars, prior, _point(0.12 * factor)])
-        assert led is not None
-        assert led.usable
-        assert led.gsd_m_per_px == pytest.approx(0.12 * factor, rel=0.03)
-    doubtful = answer([cars, prior, _point(0.12 * 1.3)])
-    assert doubtful is not None
-    assert not doubtful.usable
-    assert doubtful.reason == "disagree"
-    lie = answer([cars, prior, _point(0.12 * 2.2)])
-    assert lie is not None
-    assert lie.gsd_m_per_px == pytest.approx(0.12, rel=0.05)
-    assert lie.p_right[2] < 0.5 < lie.p_right[0]
-
-
-def test_the_chance_that_a_witness_is_right_is_high_for_supporters_and_low_for_a_liar() -> None:
-    found = answer([_cars(12), _prior(0.12), _point(0.12), _point(0.5, kind="liar")])
-    assert found is not None
-    cars, prior, line, liar = found.p_right
-    assert min(cars, prior, line) > 0.9
-    assert liar < 0.05
-
-
 def test_the_witness_without_which_the_interval_is_widest_leads() -> None:
     found = answer([_cars(40), _point(0.12, 0.01), _prior(0.12)])
     assert found is not None

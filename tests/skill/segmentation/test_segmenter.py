@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from tests.models import blank_image, write_detector, write_other_model
 from tests.sam_models import (
-    keep_weights_beside,
     write_sam,
     write_sam2,
 )
-from tests.skill.segmentation.objects import OBJECT_RGB, OTHER_RGB, full_mask, is_rectangle, picture, segmented
+from tests.skill.segmentation.objects import OBJECT_RGB, full_mask, is_rectangle, picture, segmented
 from vehanchor.errors import (
     ImageTooLargeError,
     InvalidParameterError,
@@ -27,7 +26,7 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Frame, ImageLimits
 from vehanchor.segmentation.contracts import Encoding, MaskLogits, SamContract
-from vehanchor.segmentation.crop import crop_window, place_mask
+from vehanchor.segmentation.crop import place_mask
 from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt, prompt_in_image, read_prompt
 from vehanchor.segmentation.segmenter import Segmentation, Segmenter
 from vehanchor.segmentation.shape import mask_bounds
@@ -72,18 +71,6 @@ def test_the_files_say_how_much_to_trust_them(tmp_path: Path) -> None:
     assert (card.name, card.licence, card.min_score, card.mask_area_log_sd) == ("small", "Apache-2.0", 0.6, 0.05)
     with pytest.raises(ModelContractError, match="mask_area_log_sd"):
         Segmenter(*write_sam(tmp_path, metadata={"vehanchor.mask_area_log_sd": "wide"}))
-
-
-@pytest.mark.parametrize("suffix", ["_data", ".weights"])  # exporters' habit, and any other name
-def test_weights_kept_beside_the_file_are_used_and_hashed(tmp_path: Path, suffix: str) -> None:
-    encoder, decoder = write_sam2(tmp_path)
-    plain = Segmenter(encoder, decoder).card.sha256
-    beside = keep_weights_beside(decoder, suffix)
-    outside = Segmenter(encoder, decoder)
-    expected = hashlib.sha256(encoder.read_bytes() + decoder.read_bytes() + beside.read_bytes()).hexdigest()
-    assert outside.card.sha256 == expected != plain
-    image = picture(600, 400, (133, 171, 181, 267))
-    assert segmented(outside, image, Prompt(box=(118.0, 162.0, 212.0, 276.0))).mask.any()
 
 
 def test_neighbours_of_one_size_share_an_encoding_and_their_masks_are_as_alone(
@@ -152,14 +139,6 @@ def test_what_names_nothing_in_any_image_is_refused(box: Any, points: Any, messa
     assert isinstance(caught.value, InvalidParameterError)
 
 
-def test_a_prompt_in_the_callers_frame_is_scaled_to_the_image() -> None:
-    frame = Frame(width_px=100, height_px=50)
-    box = prompt_in_image(Prompt(box=(10.0, 5.0, 20.0, 25.0)), frame, 400, 200)
-    assert box == Prompt(box=(40.0, 20.0, 80.0, 100.0))
-    points = prompt_in_image(Prompt(points=((10.0, 5.0, True), (99.5, 49.5, False))), frame, 400, 200)
-    assert points == Prompt(points=((40.0, 20.0, True), (398.0, 198.0, False)))
-
-
 def test_a_box_that_rounding_took_over_the_edge_is_pulled_in() -> None:
     assert prompt_in_image(Prompt(box=(-0.9, -0.5, 60.9, 40.3)), WHOLE, 60, 40) == Prompt(box=(0.0, 0.0, 60.0, 40.0))
     framed = prompt_in_image(Prompt(box=(-0.9, 0.0, 30.9, 20.0)), Frame(width_px=30, height_px=20), 60, 40)
@@ -183,25 +162,6 @@ def test_what_names_nothing_in_this_image_is_refused(prompt: Prompt, frame: Fram
         prompt_in_image(prompt, frame, 60, 40)
 
 
-@pytest.fixture(scope="module")
-def sam(tmp_path_factory: pytest.TempPathFactory) -> Segmenter:
-    return Segmenter(*write_sam(tmp_path_factory.mktemp("sam")))
-
-
-@pytest.mark.parametrize(
-    ("prompt", "side", "expected"),
-    [
-        (Prompt(box=(500.0, 400.0, 520.0, 410.0)), 256, Window(382, 277, 256, 256)),
-        (Prompt(box=(0.0, 0.0, 20.0, 10.0)), 256, Window(0, 0, 256, 256)),
-        (Prompt(box=(980.0, 780.0, 1000.0, 800.0)), 256, Window(744, 544, 256, 256)),
-        (Prompt(box=(0.0, 0.0, 1000.0, 800.0)), 2000, Window(0, 0, 1000, 800)),
-        (Prompt(points=((100.0, 100.0, True), (700.0, 300.0, False))), 1200, Window(0, 0, 1000, 800)),
-    ],
-)
-def test_the_crop_is_a_square_around_the_prompt_inside_the_image(prompt: Prompt, side: int, expected: Window) -> None:
-    assert crop_window(prompt, 1000, 800, side) == expected
-
-
 @pytest.mark.parametrize(
     ("prompt", "side"),
     [
@@ -209,68 +169,37 @@ def test_the_crop_is_a_square_around_the_prompt_inside_the_image(prompt: Prompt,
         (Prompt(box=(1200.0, 1500.0, 1500.0, 1600.0)), 600),
     ],
 )
-def test_the_crop_of_a_box_has_twice_its_side_and_at_least_256_px(sam: Segmenter, prompt: Prompt, side: int) -> None:
-    window = segmented(sam, blank_image(3000, 3000), prompt).window
+def test_the_crop_of_a_box_has_twice_its_side_and_at_least_256_px(
+    segmenter: Segmenter, prompt: Prompt, side: int
+) -> None:
+    window = segmented(segmenter, blank_image(3000, 3000), prompt).window
     assert (window.width_px, window.height_px) == (side, side)
 
 
-@pytest.mark.parametrize(
-    ("points", "object_px", "limits", "sides"),
-    [
-        (((1500.0, 1500.0, True),), (32, 32), {}, [128, 256, 512, 1024, 256]),
-        (((1500.0, 1500.0, True),), (32, 32), {"max_pixels": 300_000}, [128, 256, 512, 256]),
-        (((1500.0, 1500.0, True),), (160, 160), {}, [128, 256, 512, 1024, 320]),  # the last is that of its box
-        (((1500.0, 1500.0, True), (1400.0, 1500.0, False)), (32, 32), {}, [200, 400, 800, 256]),
-        (((1500.0, 1500.0, True), (900.0, 1500.0, False)), (96, 96), {}, [1200, 256]),
-    ],
-)
-def test_points_are_tried_in_crops_of_several_sizes_and_their_box_in_its_own(
-    sam: Segmenter,
-    monkeypatch: pytest.MonkeyPatch,
-    points: tuple[tuple[float, float, bool], ...],
-    object_px: tuple[int, int],
-    limits: dict[str, int],
-    sides: list[int],
-) -> None:
-    image = blank_image(3000, 3000)
-    width, height = object_px
-    image[1500 - height // 2 : 1500 + height // 2, 1500 - width // 2 : 1500 + width // 2] = OBJECT_RGB
-    image[1480:1520, 880:920] = image[1480:1520, 1380:1420] = OTHER_RGB
-    encode, crops = SamContract.encode, []
-
-    def counted(contract: SamContract, crop: NDArray[np.uint8], crop_size: tuple[int, int]) -> Encoding:
-        crops.append(crop_size[0])
-        return encode(contract, crop, crop_size)
-
-    monkeypatch.setattr(SamContract, "encode", counted)
-    found = segmented(sam, image, Prompt(points=points), limits=ImageLimits(**limits))
-    assert crops[:-1] == sides[:-1]
-    assert crops[-1] == pytest.approx(sides[-1], rel=0.1)
-    assert found.mask.sum() == pytest.approx(width * height, rel=0.3)
-
-
-def test_the_crop_of_a_point_grows_until_the_object_is_in_it(sam: Segmenter) -> None:
+def test_the_crop_of_a_point_grows_until_the_object_is_in_it(segmenter: Segmenter) -> None:
     image = blank_image(3000, 2600)
     image[1100:1612, 1000:2200] = OBJECT_RGB
-    found = segmented(sam, image, Prompt(points=((1500.0, 1300.0, True),)))
+    found = segmented(segmenter, image, Prompt(points=((1500.0, 1300.0, True),)))
     assert found.window.width_px == pytest.approx(2 * 1200, rel=0.05)
     assert found.alternatives == ()
     bounds = mask_bounds(full_mask(found, image))
     assert bounds is not None
     assert (bounds.x1, bounds.y1, bounds.x2, bounds.y2) == pytest.approx((1000, 1100, 2200, 1612), abs=40)
-    everything = segmented(sam, np.full((1300, 1300, 3), OBJECT_RGB, np.uint8), Prompt(points=((450.0, 650.0, True),)))
+    everything = segmented(
+        segmenter, np.full((1300, 1300, 3), OBJECT_RGB, np.uint8), Prompt(points=((450.0, 650.0, True),))
+    )
     assert everything.window == Window(0, 0, 1300, 1300)
     assert everything.mask.all()
 
 
-def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(sam: Segmenter) -> None:
+def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(segmenter: Segmenter) -> None:
     image = np.full((2500, 3000, 3), OBJECT_RGB, np.uint8)
     box = (100.9, 60.1, 2850.1, 2300.9)
-    bounds = mask_bounds(segmented(sam, image, Prompt(box=box)).mask)
+    bounds = mask_bounds(segmented(segmenter, image, Prompt(box=box)).mask)
     assert bounds is not None
     assert [bounds.x1, bounds.y1, bounds.x2, bounds.y2] == [101, 60, 2850, 2301]
     with pytest.raises(ImageTooLargeError, match="smaller box"):
-        segmented(sam, image, Prompt(box=box), limits=ImageLimits(max_pixels=1_000_000))
+        segmented(segmenter, image, Prompt(box=box), limits=ImageLimits(max_pixels=1_000_000))
 
 
 def test_a_mask_is_placed_by_bilinear_interpolation_between_cell_centres() -> None:

@@ -48,6 +48,7 @@ class AvifSize(NamedTuple):
         orientation: EXIF orientation, 1 to 8.
         decoded_px: pixels of the largest image that AV1 declares, which may be more.
         deep: whether bands have more than 8 bits.
+        alpha: whether an image holds transparency.
         complete: whether the file holds all bytes of its images.
     """
 
@@ -56,6 +57,7 @@ class AvifSize(NamedTuple):
     orientation: int
     decoded_px: int
     deep: bool
+    alpha: bool
     complete: bool
 
 
@@ -94,7 +96,7 @@ def read_avif_size(read_at: ReadAt) -> AvifSize:
     parts = {box.kind: box for box in _boxes(read_at, meta.start + 4, meta.end)}
     if not {b"iprp", b"iloc", b"iinf"} <= set(parts):
         raise ImageDecodeError("the AVIF does not declare where its images are: damaged")
-    sizes, turns, mirrors, deep = _properties(read_at, parts[b"iprp"])
+    sizes, turns, mirrors, deep, alpha = _properties(read_at, parts[b"iprp"])
     if not sizes or len(turns) > 1 or len(mirrors) > 1:
         raise ImageDecodeError("the AVIF declares no size or several rotations: damaged or no photo; save it again")
     width, height = max(sizes, key=lambda size: size[0] * size[1])
@@ -103,7 +105,7 @@ def read_avif_size(read_at: ReadAt) -> AvifSize:
     for position, length in _images(read_at, parts):
         complete = complete and len(read_at(position + length - 1, 1)) == 1
         decoded_px = max(decoded_px, _largest_frame_px(read_at, position, position + length))
-    return AvifSize(width, height, turned, decoded_px, deep, complete)
+    return AvifSize(width, height, turned, decoded_px, deep, alpha, complete)
 
 
 def _boxes(read_at: ReadAt, start: int, end: int | None, until: bytes | None = None) -> Iterator[_Box]:
@@ -127,9 +129,9 @@ def _boxes(read_at: ReadAt, start: int, end: int | None, until: bytes | None = N
     raise ImageTooLargeError(f"the AVIF has more than {_MAX_BOXES} boxes; save it again")
 
 
-def _properties(read_at: ReadAt, iprp: _Box) -> tuple[set[tuple[int, int]], set[int], set[int], bool]:
-    """Collect the sizes, quarter turns and mirrors of all images, and whether one has more than 8 bits."""
-    sizes, turns, mirrors, deep = set(), set(), set(), False
+def _properties(read_at: ReadAt, iprp: _Box) -> tuple[set[tuple[int, int]], set[int], set[int], bool, bool]:
+    """Collect the sizes, quarter turns and mirrors of all images; whether one has more than 8 bits, or alpha."""
+    sizes, turns, mirrors, deep, alpha = set(), set(), set(), False, False
     for container in _boxes(read_at, iprp.start, iprp.end):
         if container.kind != b"ipco":
             continue
@@ -141,9 +143,11 @@ def _properties(read_at: ReadAt, iprp: _Box) -> tuple[set[tuple[int, int]], set[
                 turns.add(_byte(read_at, box.start) & 3)
             elif box.kind == b"imir":
                 mirrors.add(_byte(read_at, box.start) & 1)
+            elif box.kind == b"auxC":  # of another image, which is alpha or a depth map
+                alpha = True
             elif box.kind == b"av1C":
                 deep = deep or bool(_byte(read_at, box.start + 2) & _HIGH_BIT_DEPTH)
-    return sizes, turns, mirrors, deep
+    return sizes, turns, mirrors, deep, alpha
 
 
 def _images(read_at: ReadAt, parts: dict[bytes, _Box]) -> Iterator[tuple[int, int]]:

@@ -42,8 +42,10 @@ _PNG_BANDS = {0: 1, 2: 3}  # grey and RGB; all others, and these with transparen
 _KEPT_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
 _MAX_PNG_CHUNKS = 100_000  # 512 MiB in chunks of 8 KiB, as libpng writes them, would be 65,536
 _COPIES = 2  # OpenCV 5 copies the decoded image before it returns it (measured)
-_AV1_FRAME_BYTES = 2  # AV1's decoded frame of 8 bits, with colours at half the resolution
-_TIFF_PIXEL_BYTES = 4  # OpenCV decodes up to 8 bits to four bands
+_WEBP_BYTES = 9  # two copies of four bands, and alpha (measured, as the next ones, in tests/image_costs.py)
+_AVIF_BYTES = {(False, False): 19, (False, True): 34, (True, False): 25, (True, True): 44}  # deep, with alpha
+_TIFF_COLOURS = (3, 6)  # palette and YCbCr, which OpenCV decodes to three bands
+_TIFF_BLOCK_BYTES = 4  # OpenCV decodes a strip or tile of up to 8 bits to four bands
 _MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, is at the start; JPEG allows no more
 
 _TAG_WIDTH, _TAG_HEIGHT, _TAG_BITS, _TAG_PHOTOMETRIC = 256, 257, 258, 262
@@ -118,6 +120,7 @@ class ImageHeader:
         windowed: whether it can be read by windows: a TIFF, JPEG 2000 or sequential JPEG.
         tile_px: pixels of a JPEG 2000's tile, which is decoded whole; 0 for other formats.
         bands: samples per pixel of a JPEG 2000; 0 for other formats.
+        metadata: offset and length of each block of EXIF or XMP; a TIFF has them as tags.
     """
 
     format: str
@@ -131,6 +134,7 @@ class ImageHeader:
     windowed: bool = False
     tile_px: int = 0
     bands: int = 0
+    metadata: tuple[tuple[int, int], ...] = ()
 
 
 def is_tiff(start: bytes) -> bool:
@@ -220,6 +224,7 @@ def _read_jpeg(read_at: ReadAt) -> ImageHeader:
         decoding_bytes=markers.width_px * markers.height_px * max(_COPIES * shown, shown + held),
         n_scans=markers.n_scans,
         windowed=not markers.held,
+        metadata=markers.metadata,
     )
 
 
@@ -230,6 +235,7 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
     reader = Reader(read_at)
     orientation = 1
     complete = False
+    metadata: list[tuple[int, int]] = []
     position = 8
     n_chunks = 0
     while len(head := reader.get(position, 8)) == 8:
@@ -242,6 +248,8 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
         if kind == b"IEND":
             complete = length == 0 and len(reader.get(position + 8, 4)) == 4  # OpenCV allocates any length
             break
+        if kind in (b"eXIf", b"iTXt"):
+            metadata.append((position + 8, length))
         if kind == b"eXIf":
             orientation = exif_orientation(read_at(position + 8, min(length, _MAX_EXIF_BYTES)))
         position += length + 12
@@ -253,6 +261,7 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
         orientation=orientation,
         complete=complete,
         decoding_bytes=_COPIES * width * height * pixel_bytes,
+        metadata=tuple(metadata),
     )
 
 
@@ -282,6 +291,7 @@ def _read_webp(read_at: ReadAt) -> ImageHeader:
     complete = len(read_at(end - 1, 1)) == 1
     sizes: set[tuple[int, int]] = set()
     orientation = 1
+    metadata: list[tuple[int, int]] = []
     reader = Reader(read_at)
     position = 12
     n_chunks = 0
@@ -299,7 +309,9 @@ def _read_webp(read_at: ReadAt) -> ImageHeader:
         elif kind == b"VP8L":
             (packed,) = struct.unpack_from("<I", body, 1)
             sizes.add((1 + (packed & 0x3FFF), 1 + (packed >> 14 & 0x3FFF)))
-        elif kind == b"EXIF":
+        elif kind in (b"EXIF", b"XMP "):
+            metadata.append((position + 8, length))
+        if kind == b"EXIF":
             payload = read_at(position + 8, min(length, _MAX_EXIF_BYTES))
             orientation = exif_orientation(payload.removeprefix(EXIF_PREFIX))
         position += 8 + length + (length & 1)
@@ -307,8 +319,16 @@ def _read_webp(read_at: ReadAt) -> ImageHeader:
         found = "two different sizes: damaged" if sizes else "no image chunk: truncated or damaged"
         raise ImageDecodeError(f"the WebP holds {found}")
     ((width, height),) = sizes
-    decoding_bytes = _COPIES * 4 * width * height
-    return ImageHeader("WebP", width, height, orientation=orientation, complete=complete, decoding_bytes=decoding_bytes)
+    decoding_bytes = _WEBP_BYTES * width * height
+    return ImageHeader(
+        "WebP",
+        width,
+        height,
+        orientation=orientation,
+        complete=complete,
+        decoding_bytes=decoding_bytes,
+        metadata=tuple(metadata),
+    )
 
 
 def _read_bmp(read_at: ReadAt) -> ImageHeader:
@@ -329,7 +349,7 @@ def _read_avif(read_at: ReadAt) -> ImageHeader:
         size.height_px,
         orientation=size.orientation,
         complete=size.complete,
-        decoding_bytes=(_COPIES * 4 + _AV1_FRAME_BYTES) * (2 if size.deep else 1) * size.decoded_px,
+        decoding_bytes=_AVIF_BYTES[size.deep, size.alpha] * size.decoded_px,
     )
 
 
@@ -363,7 +383,8 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         block_px=_block_px(tags, width, height),
         mask_block_px=_mask_block_px(read_at),
     )
-    pixel_bytes = max(_TIFF_PIXEL_BYTES, layout.pixel_bytes)
+    pixel_bytes = max(layout.pixel_bytes, 3 if layout.photometric in _TIFF_COLOURS else 1)
+    block_bytes = max(_TIFF_BLOCK_BYTES, pixel_bytes)
     return ImageHeader(
         "TIFF",
         width,
@@ -371,7 +392,7 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         orientation=orientation_of(tags),
         tiff=layout,
         windowed=True,
-        decoding_bytes=(width * height + max(width * height, layout.block_px)) * pixel_bytes,
+        decoding_bytes=_COPIES * width * height * pixel_bytes + layout.block_px * block_bytes,
     )
 
 

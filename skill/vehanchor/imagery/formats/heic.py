@@ -52,7 +52,7 @@ def open_heic(data: bytes, source: str, bands: BandChoice, limits: ImageLimits) 
         width_px, height_px = image.size
         decoding_bytes = width_px * height_px * _BYTES_PER_PIXEL
         check_header(ImageHeader("HEIC", width_px, height_px, decoding_bytes=decoding_bytes), limits)
-        pixels = np.asarray(image)
+        pixels = np.asarray(image)[:, :width_px].copy()  # the memory is libheif's and ends with the image
     except MemoryError as error:
         raise OutOfMemoryError(f"not enough memory for the HEIC ({source}): try again later") from error
     except (ValueError, RuntimeError, EOFError, OSError, SyntaxError) as error:

@@ -40,6 +40,7 @@ class JpegMarkers(NamedTuple):
         held: whether the decoder holds the coefficients of the whole image.
         orientation: EXIF orientation, 1 to 8.
         complete: whether the end marker is present.
+        metadata: offset and length of each block of metadata.
     """
 
     width_px: int
@@ -49,6 +50,7 @@ class JpegMarkers(NamedTuple):
     held: bool
     orientation: int
     complete: bool
+    metadata: tuple[tuple[int, int], ...]
 
 
 class Reader:
@@ -91,6 +93,7 @@ def read_jpeg_markers(read_at: ReadAt) -> JpegMarkers:
     reader = Reader(read_at)
     frame: tuple[int, int, int, int] | None = None
     orientation, complete = 1, False
+    metadata: list[tuple[int, int]] = []
     n_segments = n_scans = 0
     position = 2
     while True:
@@ -118,8 +121,10 @@ def read_jpeg_markers(read_at: ReadAt) -> JpegMarkers:
             if frame is not None:
                 raise ImageDecodeError("the JPEG has two frame headers: damaged")
             frame = (marker, *struct.unpack_from(">HHB", head, 3))
-        elif marker == _APP1 and head[2:8] == EXIF_PREFIX:
-            orientation = exif_orientation(reader.get(position + 8, length - 8))
+        elif marker == _APP1:
+            metadata.append((position + 2, length - 2))
+            if head[2:8] == EXIF_PREFIX:
+                orientation = exif_orientation(reader.get(position + 8, length - 8))
         position += length
         if marker == _SOS:
             n_scans += 1
@@ -132,4 +137,4 @@ def read_jpeg_markers(read_at: ReadAt) -> JpegMarkers:
         raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
     kind, height, width, components = frame
     held = kind not in _SOF_ONE_PASS or n_scans > 1
-    return JpegMarkers(width, height, components, n_scans, held, orientation, complete)
+    return JpegMarkers(width, height, components, n_scans, held, orientation, complete, tuple(metadata))

@@ -12,16 +12,17 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, find_metadata
+from vehanchor.imagery.metadata.blocks import MetadataBlocks
 from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.metadata.makers import MAKERS, makers_of
 from vehanchor.imagery.metadata.sensors import sensor_of
-from vehanchor.imagery.metadata.statements import DEGREES, METRES, PIXELS, Statements
+from vehanchor.imagery.metadata.statements import DEGREES, IN_XMP, METRES, PIXELS, Statements
 from vehanchor.imagery.metadata.xmp import DAMAGED, read_xmp
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from vehanchor.imagery.formats.header import ImageHeader
     from vehanchor.imagery.formats.ifd import ReadAt
     from vehanchor.imagery.metadata.exif import ExifTags
     from vehanchor.imagery.metadata.makers import Maker
@@ -30,20 +31,7 @@ if TYPE_CHECKING:
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # FocalPlaneResolutionUnit: inch, cm; TIFF/EP's mm, micrometre
 _SENSOR_WIDTHS_MM = (4.0, 60.0)  # a choice: from phones to medium format; a resized copy has a narrower one
 _SENSOR_TOLERANCE = 1.25  # a choice: pictures of another shape leave a fifth of the columns out
-_TIFF_SPACE, _EXIF_SPACE = "http://ns.adobe.com/tiff/1.0", "http://ns.adobe.com/exif/1.0"
-_LENS_TAGS = (
-    "FocalLength",
-    "FocalLengthIn35mmFilm",
-    "FocalPlaneXResolution",
-    "FocalPlaneResolutionUnit",
-    "DigitalZoomRatio",
-    "PixelXDimension",
-    "PixelYDimension",
-)
-_IN_XMP = {"Make": _TIFF_SPACE, "Model": _TIFF_SPACE, **dict.fromkeys(_LENS_TAGS, _EXIF_SPACE)}
-"""Tags that programs copy from EXIF into XMP under the same names."""
-
-_NAMES = (*_IN_XMP, *dict.fromkeys(name for each in MAKERS for name in each.names))
+_NAMES = (*IN_XMP, *dict.fromkeys(name for each in MAKERS for name in each.names))
 """Properties to find in damaged XMP."""
 
 
@@ -94,13 +82,13 @@ class CameraMetadata:
     refused: str = ""
 
 
-def read_camera(read_at: ReadAt) -> CameraMetadata | None:
+def read_camera(read_at: ReadAt, header: ImageHeader) -> CameraMetadata | None:
     """Read the camera metadata of an encoded image; None if it has none.
 
     Time and memory are bounded, so untrusted files are safe.
     """
-    blocks = find_metadata(read_at)
-    tags = [read_exif(each, MAX_XMP_BYTES) for each in blocks.exif]
+    blocks = MetadataBlocks(read_at, header)
+    tags = [read_exif(each) for each in blocks.exif]
     for each in tags:
         notes = each.get("ApplicationNotes")
         if isinstance(notes, bytes):
@@ -113,7 +101,7 @@ def read_camera(read_at: ReadAt) -> CameraMetadata | None:
 
 
 def _combine(tags: Sequence[ExifTags], packets: Sequence[Properties], refused: Sequence[str]) -> CameraMetadata:
-    stated = Statements(tags, packets, _IN_XMP, refused)
+    stated = Statements(tags, packets, refused)
     make, model = stated.text("Make"), stated.text("Model")
     makers = makers_of(make)
     height, height_tag = _first(stated, makers, "height", METRES)

@@ -10,6 +10,8 @@ import math
 import struct
 from typing import TYPE_CHECKING, TypeAlias
 
+from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -51,12 +53,11 @@ _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8, 11: 4, 12: 8}
 _FORMATS = {1: "B", 3: "H", 4: "I", 5: "II", 9: "i", 10: "ii", 11: "f", 12: "d"}
 
 
-def read_exif(read_at: ReadAt, max_notes_bytes: int) -> ExifTags:
+def read_exif(read_at: ReadAt) -> ExifTags:
     """Read the known tags; damaged ones are absent.
 
     Args:
         read_at: reads the TIFF structure, with offsets from its first byte; classic TIFF only, as in EXIF.
-        max_notes_bytes: limit for the XMP in a TIFF tag; of a larger packet the start is read.
     """
     head = read_at(0, 8)
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(head[:4])
@@ -64,16 +65,16 @@ def read_exif(read_at: ReadAt, max_notes_bytes: int) -> ExifTags:
         return {}
     tags: ExifTags = {}
     (first,) = struct.unpack_from(order + "I", head, 4)
-    further = _read_directory(read_at, order, first, max_notes_bytes, tags, _NAMES)
+    further = _read_directory(read_at, order, first, tags, _NAMES)
     for pointer, names in ((_CAMERA_DIRECTORY, _NAMES), (_POSITION_DIRECTORY, _POSITION_NAMES)):
         offset = further.get(pointer)
         if offset is not None and offset != first:
-            _read_directory(read_at, order, offset, max_notes_bytes, tags, names)
+            _read_directory(read_at, order, offset, tags, names)
     return tags
 
 
 def _read_directory(
-    read_at: ReadAt, order: str, offset: int, max_notes_bytes: int, tags: ExifTags, names: Mapping[int, str]
+    read_at: ReadAt, order: str, offset: int, tags: ExifTags, names: Mapping[int, str]
 ) -> dict[int, int]:
     """Read one directory into ``tags``, keeping earlier values; return the offsets of the directories it points to."""
     count_bytes = read_at(offset, 2)
@@ -89,7 +90,7 @@ def _read_directory(
         name = names.get(tag)
         if name is None or name in tags or kind not in _SIZES or count == 0:
             continue
-        limit = max_notes_bytes if name == "ApplicationNotes" else _MAX_TEXT_BYTES
+        limit = MAX_XMP_BYTES if name == "ApplicationNotes" else _MAX_TEXT_BYTES
         if name == "ApplicationNotes" and kind not in (_BYTE, _ASCII, _UNDEFINED):
             continue
         whole = _SIZES[kind] * count

@@ -69,7 +69,7 @@ MAKERS: tuple[Maker, ...] = (
     Maker(
         "Skydio",
         "https://www.skydio.com/drone-skydio/1.0",
-        "Skydio, camera and metadata overview",
+        "Skydio, camera and metadata overview; OpenAthenaIOS, issue 41",
         "RelativeAltitude",
         *_ORIENTATION,
         _ALWAYS,
@@ -87,7 +87,7 @@ MAKERS: tuple[Maker, ...] = (
     Maker(
         "MicaSense",
         PIX4D,
-        "MicaSense, RedEdge camera model; firmware 2 writes pixels without a unit",
+        "MicaSense, imageprocessing, metadata.py: without a unit, pixels",
         *_PIX4D_NAMES,
         -59.5,
         focal=_PIX4D_FOCAL,
@@ -103,6 +103,9 @@ MAKERS: tuple[Maker, ...] = (
 
 
 def makers_of(make: str) -> tuple[Maker, ...]:
-    """Rows that hold for a camera, by EXIF's Make."""
-    first = make.casefold().split()[:1]
-    return tuple(each for each in MAKERS if not each.makes or first in [[word] for word in each.makes])
+    """Rows that hold for a camera by EXIF's Make, the first one of each namespace."""
+    rows: dict[str, Maker] = {}
+    for each in MAKERS:
+        if not each.makes or make.casefold().split(maxsplit=1)[:1] in [[word] for word in each.makes]:
+            rows.setdefault(each.namespace, each)
+    return tuple(rows.values())

@@ -20,6 +20,16 @@ _EQUAL_TEXTS = 1e-3  # relative: texts of one number, rounded
 _SHOWN_CHARS = 32
 
 
+_LENS_TAGS = (
+    *("FocalLength", "FocalLengthIn35mmFilm", "FocalPlaneXResolution", "FocalPlaneResolutionUnit"),
+    *("DigitalZoomRatio", "PixelXDimension", "PixelYDimension"),
+)
+IN_XMP = {
+    **dict.fromkeys(("Make", "Model"), "http://ns.adobe.com/tiff/1.0"),
+    **dict.fromkeys(_LENS_TAGS, "http://ns.adobe.com/exif/1.0"),
+}
+"""Namespaces of the tags that programs copy from EXIF into XMP, under the same names."""
+
 METRES = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
     **dict.fromkeys(("ft", "feet", "'"), 0.3048),
@@ -38,22 +48,15 @@ class Statements:
     Args:
         tags: tags of the EXIF blocks.
         packets: properties of the XMP packets.
-        in_xmp: namespaces of the tags that XMP repeats, by their names.
         refused: what was not used so far, as clauses.
 
     Attributes:
         refused: what was not used, and why.
     """
 
-    def __init__(
-        self,
-        tags: Sequence[ExifTags],
-        packets: Sequence[Properties],
-        in_xmp: Mapping[str, str],
-        refused: Sequence[str] = (),
-    ) -> None:
+    def __init__(self, tags: Sequence[ExifTags], packets: Sequence[Properties], refused: Sequence[str]) -> None:
         self.refused = list(refused)
-        self._tags, self._in_xmp = tags, in_xmp
+        self._tags = tags
         self._texts: dict[tuple[str, str], list[str]] = {}
         for packet in packets:
             for (space, name), texts in packet.items():
@@ -62,7 +65,7 @@ class Statements:
     def text(self, name: str) -> str:
         """Read a tag's text from the first EXIF block that has it, or from XMP."""
         texts = [value for each in self._tags if isinstance(value := each.get(name), str)]
-        texts += self._texts.get((self._in_xmp.get(name, ""), name), [])
+        texts += self._texts.get((IN_XMP.get(name, ""), name), [])
         return next((clean for each in texts if (clean := "".join(filter(str.isprintable, each)).strip())), "")
 
     def whole(self, name: str) -> int | None:
@@ -104,7 +107,7 @@ class Statements:
 
     def _numbers(self, name: str) -> list[float]:
         values = [value for each in self._tags if isinstance(value := each.get(name), float)]
-        texts = self._texts.get((self._in_xmp.get(name, ""), name), [])
+        texts = self._texts.get((IN_XMP.get(name, ""), name), [])
         return values + [value for text in texts if (value := _number(text, _MILLIMETRES)) is not None]
 
     def _agreed(self, label: str, values: Sequence[float], equal: float) -> float | None:

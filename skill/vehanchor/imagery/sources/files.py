@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import re
 import unicodedata
 from itertools import chain, takewhile
 from pathlib import Path
@@ -19,21 +20,8 @@ _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset(chain.from_iterable(IMAGE_FORMATS.values()))
 """Suffixes of the images in directories."""
 
-_SYSTEM_FOLDERS = frozenset(
-    (
-        "__macosx",
-        "$recycle.bin",
-        "#recycle",
-        "#snapshot",
-        "@eadir",
-        "@recycle",
-        "@tmp",
-        "@__thumb",
-        "thumbnails",
-        "thumbs",
-    )
-)
-"""Folders of systems, network storage and viewers, in lower case."""
+_SYSTEM_FOLDER = re.compile(r"__macosx|\$recycle\.bin|[#@](?:recycle|snapshot|eadir|tmp|__thumb)|thumb(?:nail)?s", re.I)
+"""Folders of systems, network storage and viewers."""
 
 
 def find_images(
@@ -85,7 +73,7 @@ def _is_left_out(image: str, excluded: Mapping[str, Path]) -> bool:
 
 def holds_photographs(name: str) -> bool:
     """Test by its name whether a file or folder in a directory is no copy that a system or viewer keeps for itself."""
-    return not name.startswith(".") and name.casefold() not in _SYSTEM_FOLDERS
+    return not name.startswith(".") and not _SYSTEM_FOLDER.fullmatch(name)
 
 
 def existing(path: str) -> str:

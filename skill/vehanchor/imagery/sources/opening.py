@@ -146,7 +146,7 @@ def _open_bytes(
     orientation = 1 if header.tiff else header.orientation  # OpenCV has already applied a TIFF's orientation
     alpha = header.tiff.alpha if header.tiff else header.format in _WITH_ALPHA
     raster = ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation, alpha=alpha)
-    raster.camera = read_camera(read_at)
+    raster.camera = read_camera(read_at, header)
     return raster
 
 
@@ -157,7 +157,7 @@ def _open_by_windows(
     opened = open_large_jpeg if header.format == "JPEG" else open_file
     raster = opened(file, source, header, bands, limits)
     raster.encoded = file
-    raster.camera = read_camera(read_at)
+    raster.camera = read_camera(read_at, header)
     return raster
 
 

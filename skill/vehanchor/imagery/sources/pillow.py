@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import numpy as np
 
@@ -23,21 +23,10 @@ _TAG_ORIENTATION = 274
 
 
 class PillowImage(Protocol):
-    """Part of ``PIL.Image.Image`` that this module uses."""
-
-    @property
-    def mode(self) -> str:
-        """Pixel format."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height, pixels."""
+    """Image of Pillow: ``PIL.Image.Image``."""
 
     def getexif(self) -> Any:
         """Read the EXIF data."""
-
-    def convert(self, mode: str) -> Any:
-        """Convert to another mode."""
 
 
 def is_pillow(image: Any) -> TypeGuard[PillowImage]:
@@ -45,7 +34,7 @@ def is_pillow(image: Any) -> TypeGuard[PillowImage]:
     return any(kind.__module__.startswith("PIL.") and kind.__name__ == "Image" for kind in type(image).__mro__)
 
 
-def pillow_pixels(image: PillowImage, limits: ImageLimits) -> NDArray[Any]:
+def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
     """Decode an image and apply its EXIF orientation.
 
     Returns:
@@ -73,9 +62,9 @@ def pillow_pixels(image: PillowImage, limits: ImageLimits) -> NDArray[Any]:
             f"{limits.max_decoded_bytes} (ImageLimits.max_decoded_bytes); convert it to RGB, or raise the limit"
         )
     try:
-        upright: Any = image
+        upright = image
         if image.getexif().get(_TAG_ORIENTATION, 1) != 1:  # exif_transpose always copies
-            upright = ImageOps.exif_transpose(cast("Any", image))
+            upright = ImageOps.exif_transpose(image)
         if upright.mode not in _ARRAY_MODES:
             upright = upright.convert(plain)
         return np.asarray(upright)

@@ -45,18 +45,6 @@ _INKS = frozenset({"cyan", "magenta", "yellow", "black"})
 class Dataset(Protocol):
     """Image that rasterio has opened for reading: the result of ``rasterio.open``, or a ``WarpedVRT``."""
 
-    @property
-    def width(self) -> int:
-        """Columns."""
-
-    @property
-    def height(self) -> int:
-        """Rows."""
-
-    @property
-    def dtypes(self) -> Any:
-        """Pixel type of each band."""
-
     def read_masks(self, indexes: Any = None, /, *, window: Any = None) -> NDArray[Any]:
         """Read masks: 255 where a band holds data."""
 

@@ -3,11 +3,9 @@ from __future__ import annotations
 import struct
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from tests.skill.imagery.metadata_bytes import exif, jpeg, png_with_xmp, webp_with_exif, xmp
-from vehanchor.imagery.metadata.camera import CameraMetadata, read_camera
+from tests.skill.imagery.metadata_bytes import exif, jpeg, png_with_xmp, read, webp_with_exif, xmp
+from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.sources.opening import open_raster
 
@@ -23,7 +21,7 @@ PHANTOM = exif(
 
 
 def _read(data: bytes) -> CameraMetadata | None:
-    return read_camera(lambda offset, count: data[offset : offset + count])
+    return read(data)
 
 
 def _known(data: bytes) -> CameraMetadata:
@@ -110,14 +108,11 @@ def test_a_height_above_the_sea_is_no_height() -> None:
     )
 
 
-def test_zeros_all_around_are_no_attitude() -> None:
-    said = 'drone-dji:RelativeAltitude="79" drone-dji:GimbalPitchDegree="+0.00" drone-dji:GimbalYawDegree="+0.00"'
-    assert _known(jpeg(xmp=xmp(DJI, said))).off_nadir_deg is None
-
-
 def test_png_and_webp_and_tiff_carry_metadata_too() -> None:
     packet = xmp(DJI, NADIR_DJI)
-    in_tiff = exif({"Make": "DJI", "ApplicationNotes": packet, "FocalLengthIn35mmFilm": 26})
+    in_tiff = exif(
+        {"ImageWidth": 80, "ImageLength": 60, "Make": "DJI", "ApplicationNotes": packet, "FocalLengthIn35mmFilm": 26}
+    )
     for data in (png_with_xmp(packet, PHANTOM), webp_with_exif(PHANTOM, packet), in_tiff):
         camera = _known(data)
         assert (camera.make, camera.height_m, camera.focal_35mm) == ("DJI", 98.9, 26.0)
@@ -180,27 +175,13 @@ def test_hostile_exif_is_read_by_few_and_small_reads_and_says_little(block: byte
         read.append(len(block[offset : offset + count]))
         return block[offset : offset + count]
 
-    read_exif(read_at, 1 << 20)
+    read_exif(read_at)
     assert len(read) <= 10
     assert sum(read) <= 10_000
     camera = _read(jpeg(exif=block))
     assert camera is None or camera.height_m is None
     with open_raster(jpeg(exif=block)) as raster:
         assert (raster.width_px, raster.height_px) == (80, 60)
-
-
-@given(st.binary(max_size=400), st.sampled_from(["exif", "xmp", "file"]))
-def test_no_bytes_at_all_make_it_fail(noise: bytes, where: str) -> None:
-    data = noise if where == "file" else jpeg(exif=b"II*\0" + noise) if where == "exif" else jpeg(xmp=noise)
-    camera = _read(data)
-    assert camera is None or camera.height_m is None
-
-
-@given(st.integers(0, 700), st.integers(0, 255))
-def test_a_flipped_byte_never_makes_it_fail(at: int, value: int) -> None:
-    data = bytearray(jpeg(exif=PHANTOM, xmp=xmp(DJI, NADIR_DJI)))
-    data[at] = value
-    _read(bytes(data))
 
 
 _PLACE = {

@@ -65,11 +65,6 @@ def test_nodata_masks_and_alpha_are_black(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read_all(path), expected)
 
 
-def test_a_near_infrared_band_does_not_mask(tmp_path: Path) -> None:
-    four = np.dstack([RGB, np.zeros_like(RGB[..., 0])])
-    np.testing.assert_array_equal(read_all(geotiff(tmp_path / "a.tif", four, photometric="RGB", alpha="NO")), RGB)
-
-
 def test_nan_in_a_geotiff_is_no_data(tmp_path: Path) -> None:
     values = (RGB / 255).astype(np.float32)
     values[:10] = np.nan

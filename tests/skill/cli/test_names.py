@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from vehanchor.imagery.names import under_one_folder
+from vehanchor.cli.terminal import under_one_folder
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Answer to a call: one or more records with their explanations."""
+"""Reply to a call: one or more records with their explanations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mcp.types import CallToolResult, TextContent
 from pydantic import BaseModel
 
 from vehanchor_server.app_page import panel_meta
-from vehanchor_server.calls.compact import short_answer
+from vehanchor_server.calls.compact import short_record
 
 if TYPE_CHECKING:
     from vehanchor_server.app_page.panel import Drawing
@@ -20,7 +20,7 @@ Record = TypeVar("Record", bound=BaseModel, covariant=True)
 MAX_SIDE_PX = 1568  # the largest size that vision models see
 
 Detail: TypeAlias = Literal["short", "full"]
-"""Extent of the record in an answer: compact for models, or complete."""
+"""Extent of the record in a reply: compact for models, or complete."""
 
 
 class PictureRequest(NamedTuple):
@@ -38,7 +38,7 @@ class PictureRequest(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Answer(Generic[Record]):
+class Reply(Generic[Record]):
     """Records with pictures and page data.
 
     Attributes:
@@ -66,7 +66,7 @@ class Answer(Generic[Record]):
             detail: extent of the records.
             paged: whether the host shows a page, which needs the whole record.
         """
-        short = None if detail == "full" else short_answer(self.records)
+        short = None if detail == "full" else short_record(self.records)
         content: list[Any] = [TextContent(type="text", text=sentence)]
         if self.overlay is not None:
             content.append(Image(data=self.overlay, format="jpeg").to_image_content())
@@ -75,5 +75,10 @@ class Answer(Generic[Record]):
         return CallToolResult(
             content=content,
             structured_content=full if short is None else short,
-            _meta=panel_meta(self.page_picture, self.drawing, whole[0] if paged and detail == "short" else None),
+            _meta=panel_meta(
+                self.page_picture,
+                self.drawing,
+                whole[0] if paged and detail == "short" else None,
+                self.record if paged else None,
+            ),
         )

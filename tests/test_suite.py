@@ -1,4 +1,4 @@
-"""What the quick tests may not do, so that they pass on a busy machine as well."""
+"""What keeps the suite honest: quick tests assert no times, and CI misses no program."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
+
 from tests.conftest import ROOT
+from tests.needs import needed_module, needed_program
 
 CLOCKS = {"monotonic", "perf_counter", "process_time", "time", "thread_time"}
 _OPTIONS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
@@ -65,3 +68,29 @@ def test_an_assertion_about_a_clock_is_found_unless_its_test_is_a_longer_one() -
 
 def _test_files() -> list[Path]:
     return sorted((ROOT / "tests").rglob("test_*.py"))
+
+
+PROGRAM = "a-program-that-nobody-has"
+
+
+@pytest.mark.parametrize(
+    ("ci", "without", "outcome"),
+    [
+        (None, None, pytest.skip.Exception),
+        ("true", None, pytest.fail.Exception),
+        ("true", "another", pytest.fail.Exception),
+        ("true", f"another {PROGRAM}", pytest.skip.Exception),
+    ],
+)
+def test_a_missing_program_skips_here_and_fails_in_ci_unless_it_is_excused(
+    monkeypatch: pytest.MonkeyPatch, ci: str | None, without: str | None, outcome: type[BaseException]
+) -> None:
+    for name, value in (("CI", ci), ("VEHANCHOR_CI_WITHOUT", without)):
+        if value is None:
+            monkeypatch.delenv(name, raising=False)
+        else:
+            monkeypatch.setenv(name, value)
+    with pytest.raises(outcome, match=PROGRAM):
+        needed_program(PROGRAM, "build it")
+    with pytest.raises(outcome, match=PROGRAM):
+        needed_module(f"{PROGRAM}.part", "build it")

@@ -1,22 +1,20 @@
-"""Build the answer of a scale analysis: its record and its pictures."""
+"""Build the reply of a scale analysis: its record and its pictures."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor_server.calls.answer import Answer
+from vehanchor_server.calls.reply import Reply
 
 if TYPE_CHECKING:
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.imagery.raster import Raster
     from vehanchor.records import GsdEstimate
-    from vehanchor_server.calls.answer import PictureRequest
     from vehanchor_server.calls.job import Job
+    from vehanchor_server.calls.reply import PictureRequest
 
 
-def scale_answer(
-    raster: Raster | None, analysis: ScaleAnalysis, wanted: PictureRequest, job: Job
-) -> Answer[GsdEstimate]:
+def scale_reply(raster: Raster | None, analysis: ScaleAnalysis, wanted: PictureRequest, job: Job) -> Reply[GsdEstimate]:
     """Combine the record with the requested pictures.
 
     Args:
@@ -36,4 +34,4 @@ def scale_answer(
     if raster is not None:
         pictures = draw_pictures(raster, job, wanted, lambda seen: draw_overlay(seen, analysis))
     drawing = drawing_of(analysis) if wanted.page else None
-    return Answer((analysis.estimate,), pictures.overlay, pictures.page, drawing)
+    return Reply((analysis.estimate,), pictures.overlay, pictures.page, drawing)

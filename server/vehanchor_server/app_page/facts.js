@@ -1,0 +1,40 @@
+// ---- Facts: region, height and focal length, stated by a person ----
+
+const countryNames = new Intl.DisplayNames("en", { type: "region" });
+for (const option of byId("region").options) {
+  if (/^[A-Z]{2}$/.test(option.value)) option.textContent = countryNames.of(option.value);
+}
+
+const FACTS = ["region", "height_m", "height_basis", "focal_35mm"];
+const factsOf = (asked) => FACTS.map((name) => asked[name]).join();
+
+function statedFacts() {
+  const height = Number(byId("height").value);
+  const facts = byId("region").value ? { region: byId("region").value } : {};
+  if (!height) return facts; // the others say more about it
+  const focal = Number(byId("focal").value);
+  return {
+    ...facts, height_m: height,
+    ...(byId("surveyed").checked ? { height_basis: "measured" } : {}), ...(focal ? { focal_35mm: focal } : {}),
+  };
+}
+
+const withFacts = (asked) => ({
+  ...Object.fromEntries(Object.entries(asked).filter(([name]) => !FACTS.includes(name))), ...statedFacts(),
+});
+
+// Show the facts of a call that somebody else has made.
+function fillInFacts(asked) {
+  byId("region").value = asked.region ?? "";
+  byId("height").value = asked.height_m ?? "";
+  byId("focal").value = asked.focal_35mm ?? "";
+  byId("surveyed").checked = asked.height_basis === "measured";
+}
+
+const measureWithFacts = () => measureAgain(withFacts(call.arguments), say);
+
+const offerFacts = () => { byId("restate").hidden = !call.arguments || factsOf(call.arguments) === factsOf(statedFacts()); };
+byId("facts").addEventListener("input", offerFacts);
+byId("restate").addEventListener("click", () => {
+  if ([...byId("facts").querySelectorAll("input")].every((input) => input.reportValidity())) factsStated();
+});
