@@ -13,6 +13,7 @@ from vehanchor.errors import ImageNotFoundError, ReconstructionError, VehAnchorE
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.known_length_table import with_lines_of
+from vehanchor.storage.journal import Source
 from vehanchor_flight.estimate import open_journal
 from vehanchor_flight.photograph import chief_member
 from vehanchor_flight.pooling import pool
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate
     from vehanchor.rulers.known_length_table import KnownLengthTable
-    from vehanchor.storage.journal import Journal, Source
+    from vehanchor.storage.journal import Journal
     from vehanchor_flight.photograph import StoredPhotograph
     from vehanchor_flight.reconstruction.model import Reconstruction
 

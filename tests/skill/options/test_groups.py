@@ -51,6 +51,7 @@ _IMAGE = np.zeros((64, 64, 3), np.uint8)
         {"height_m": 0},
         {"height_m": -40},
         {"height_m": 1e6},
+        {"focal_35mm": 24, "metadata": False},
         {"focal_35mm": 0, "height_m": 40},
         {"region": ["europe"]},
         {"region": 5},
