@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
+    from vehanchor_flight.reconstruction.model import Reconstruction
     from vehanchor_flight.records import ModelPhotograph, ModelScale
 
 _FILES = "Files to write"
@@ -80,41 +81,50 @@ def rescale(
     """Give a reconstruction its size in metres. Files in metres need a usable size."""
     with exit_on_error():
         from vehanchor_flight.io import check_output, write_record
-        from vehanchor_flight.reconstruction.files import (
-            check_project_path,
-            images_of,
-            read_model,
-            write_geo,
-            write_rescaled,
-        )
+        from vehanchor_flight.reconstruction.files import images_of
         from vehanchor_flight.verbs import rescale as rescaled
 
         journal = out and check_output(out, ".json").with_name(out.name + ".journal")
-        if geo is not None:
-            check_output(geo)
-        if project is not None:
-            check_project_path(project)
-        model = read_model(source)
-        if geo is not None and model.origin is None:
-            raise InvalidParameterError("--geo needs a model with a position on Earth (reference_lla of OpenSfM)")
+        model = _model(source, project, geo)
         folder = images or images_of(model)
         with image_progress() as progress, resumable(journal):
             engine = chosen.engine(progress=progress)
             record = rescaled(model, engine=engine, images=folder, known_lengths_table=lines, journal=journal)
-        written = [] if out is None else [out]
-        if record.status == "ok" and record.factor is not None:
-            if geo is not None:
-                write_geo(geo, model, record.factor)
-                written.append(geo)
-            if project is not None:
-                written.append(write_rescaled(model, project, record.factor))
+        written = _write_in_metres(model, record, project, geo)
         if out is not None:
             write_record(out, record)
-        _tell(record, source, written, as_json=as_json)
+        _tell(record, source, [*written, *([out] if out else [])], as_json=as_json)
         if record.status != "ok" and (project or geo):
             typer.echo("no file in metres was written: the size is not usable", err=True)
             raise typer.Exit(NOT_OK)
         exit_strictly(strict, [record.status])
+
+
+def _model(source: str, project: Path | None, geo: Path | None) -> Reconstruction:
+    """Read the model, after checks that the files to write are possible."""
+    from vehanchor_flight.io import check_output
+    from vehanchor_flight.reconstruction.files import check_project_path, read_model
+
+    if geo is not None:
+        check_output(geo)
+    if project is not None:
+        check_project_path(project)
+    model = read_model(source)
+    if geo is not None and model.origin is None:
+        raise InvalidParameterError("--geo needs a model with a position on Earth (reference_lla of OpenSfM)")
+    return model
+
+
+def _write_in_metres(model: Reconstruction, record: ModelScale, project: Path | None, geo: Path | None) -> list[Path]:
+    """Write the files in metres of a usable size; return their paths."""
+    from vehanchor_flight.reconstruction.files import write_geo, write_rescaled
+
+    if record.status != "ok" or record.factor is None:
+        return []
+    if geo is not None:
+        write_geo(geo, model, record.factor)
+    in_metres = [] if project is None else [write_rescaled(model, project, record.factor)]
+    return [*([geo] if geo else []), *in_metres]
 
 
 def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: bool) -> None:
