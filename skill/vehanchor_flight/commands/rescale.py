@@ -86,10 +86,11 @@ def rescale(
 
         journal = out and check_output(out, ".json").with_name(out.name + ".journal")
         model = _model(source, project, geo)
-        folder = images or images_of(model)
         with image_progress() as progress, resumable(journal):
             engine = chosen.engine(progress=progress)
-            record = rescaled(model, engine=engine, images=folder, known_lengths_table=lines, journal=journal)
+            record = rescaled(
+                model, engine=engine, images=images or images_of(model), known_lengths_table=lines, journal=journal
+            )
         written = _write_in_metres(model, record, project, geo)
         if out is not None:
             write_record(out, record)
