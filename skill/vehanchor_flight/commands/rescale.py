@@ -68,9 +68,7 @@ def rescale(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="SCALE.json",
-            help="Write the record. After an interruption, the same command resumes the run.",
-            rich_help_panel=_FILES,
+            metavar="SCALE.json", help="Record; the same command resumes an interrupted run.", rich_help_panel=_FILES
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
@@ -88,13 +86,13 @@ def rescale(
         model = _model(source, project, geo)
         with image_progress() as progress, resumable(journal):
             engine = chosen.engine(progress=progress)
-            record = rescaled(
-                model, engine=engine, images=images or images_of(model), known_lengths_table=lines, journal=journal
-            )
+            images = images or images_of(model)
+            record = rescaled(model, engine=engine, images=images, known_lengths_table=lines, journal=journal)
         written = _write_in_metres(model, record, project, geo)
         if out is not None:
             write_record(out, record)
-        _tell(record, source, [*written, *([out] if out else [])], as_json=as_json)
+            written.append(out)
+        _tell(record, source, written, as_json=as_json)
         if record.status != "ok" and (project or geo):
             typer.echo("no file in metres was written: the size is not usable", err=True)
             raise typer.Exit(NOT_OK)
