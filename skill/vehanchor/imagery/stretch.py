@@ -50,9 +50,9 @@ def find_no_data(sample: NDArray[Any]) -> NoData | None:
     """
     for extreme in (sample.min(), sample.max()) if sample.size else ():
         empty = (sample == extreme).all(axis=1)
-        others = sample[~empty]
-        if len(others) == 0 or empty.mean() <= _LEAST_EMPTY:
+        if not _LEAST_EMPTY < empty.mean() < 1:
             continue
+        others = sample[~empty]
         least, most = float(others.min()), float(others.max())
         if max(least - float(extreme), float(extreme) - most) > most - least > 0:
             return NoData(float(extreme), float(empty.mean()))
