@@ -32,7 +32,7 @@ _SLOW = (
 
 def command(settings: Settings, *, slow: bool = False) -> list[str]:
     roots = [part for root in settings.roots for part in ("--root", str(root))]
-    prelude, flags = (_SLOW, ["--in-process"]) if slow else ("", [])  # a worker would be quick
+    prelude, flags = (_SLOW, ["--isolation", "in-process"]) if slow else ("", [])  # a worker would be quick
     return [sys.executable, "-c", prelude + _SERVE, *roots, "--detector", str(settings.detector), *flags]
 
 

@@ -314,8 +314,14 @@ class DatasetRaster(Raster):
         return last if is_alpha(np.concatenate(parts)) else None
 
     def _sample(self) -> NDArray[Any]:
-        """Sample valid values ``[n, 3]``."""
-        parts = [self._read_stored(window) for window in self._sample_windows()]
+        """Sample valid values ``[n, 3]``; a raster of few large blocks is decoded once for all of it."""
+        width, height = self._dataset.width, self._dataset.height
+        if max(rows * columns for rows, columns in self._dataset.block_shapes) > SAMPLE_PX:
+            step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
+            shape = max(1, height // step), max(1, width // step)
+            parts = [self._read_stored(Window(0, 0, width, height), shape)]
+        else:
+            parts = [self._read_stored(window) for window in self._sample_windows()]
         return np.concatenate(
             [part.rgb.reshape(-1, 3) if part.valid is None else part.rgb[part.valid] for part in parts]
         )
