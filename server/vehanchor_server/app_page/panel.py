@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 PANEL_KEY = "vehanchor/panel"
 
 MAX_VEHICLES, MAX_LINES = 2000, 500  # limits of what is drawn
-_PROBABLY = 0.5
 
 
 class DrawnLine(FrozenModel):
@@ -94,9 +93,7 @@ def _sentence_for_people(record: BaseModel) -> str | None:
     if estimate is None:
         return "Measured with the given scale."
     if advice is None:
-        right = [ruler for ruler in estimate.rulers if ruler.sets_scale and ruler.p_right >= _PROBABLY]
-        leading_first = sorted(right, key=lambda ruler: ruler.kind != estimate.leading_ruler)
-        words = f"measured from {', '.join(ruler.label for ruler in leading_first)}"
+        words = f"measured from {', '.join(ruler.label for ruler in estimate.probable_rulers)}"
     else:
         words = f"{advice.why}; {advice.helps}"
     by_hand = "" if estimate.by_hand is None else f" Vehicles corrected by hand: {estimate.by_hand.summary}."

@@ -29,9 +29,6 @@ STATUS_RULES = (
 """The meaning of ``status`` in the descriptions of the measuring tools."""
 
 
-_PROBABLY = 0.5
-
-
 def rounded(value: float) -> str:
     """Format a number with three significant digits; from 100 without decimals."""
     return significant(value)
@@ -49,9 +46,10 @@ def count_vehicles(number: int) -> str:
 
 def ruler_names(estimate: GsdEstimate) -> str:
     """List the rulers that are probably right, the leading one first, without priors."""
-    right = [ruler for ruler in estimate.rulers if ruler.p_right >= _PROBABLY and ruler.sets_scale]
-    ordered = sorted(right, key=lambda ruler: ruler.kind != estimate.leading_ruler)
-    words = [count_vehicles(estimate.n_vehicles) if ruler.kind == "vehicles" else ruler.label for ruler in ordered]
+    words = [
+        count_vehicles(estimate.n_vehicles) if ruler.kind == "vehicles" else ruler.label
+        for ruler in estimate.probable_rulers
+    ]
     return " and ".join(words) or count_vehicles(estimate.n_vehicles)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from vehanchor.records.digits import significant
 from vehanchor.rulers.registry import ruler_class
+from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import GRID
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
         curve = witness.density / witness.density.max()
         shown = np.where(curve > _DRAWN, curve, 0.0)
         axes.fill_between(scales, shown, color=ruler.colour, alpha=0.18, lw=0)
-        axes.plot(scales, shown, color=ruler.colour, lw=1.6, ls="-" if p_right >= 0.5 else "--", label=label)
+        axes.plot(scales, shown, color=ruler.colour, lw=1.6, ls="-" if p_right >= PROBABLY_RIGHT else "--", label=label)
     if found is not None:
         label = f"together {significant(found.gsd_m_per_px)} ({found.chance:.2f})"
         axes.plot(scales, found.density / found.density.max(), color=_INK, lw=2.2, label=label)

@@ -282,7 +282,8 @@ def _rulers_line(analysis: DrawableScale) -> CaptionLine:
     return [
         (
             MARK_RGB if ruler.kind in marked else None,
-            f"{ruler.label} {significant(ruler.gsd_m_per_px)} m/px{'' if ruler.p_right >= 0.5 else ', probably wrong'}",
+            f"{ruler.label} {significant(ruler.gsd_m_per_px)} m/px"
+            f"{'' if ruler.is_probably_right else ', probably wrong'}",
         )
         for ruler in rulers
     ]

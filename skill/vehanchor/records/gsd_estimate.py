@@ -10,7 +10,7 @@ from vehanchor.records.known_scale import KnownScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 from vehanchor.records.ruler_kinds import RulerKind
-from vehanchor.scale.defaults import Aggregation, Reason, Stopped
+from vehanchor.scale.defaults import PROBABLY_RIGHT, Aggregation, Reason, Stopped
 
 Status = Literal["ok", "low_confidence", "no_scale"]
 ReferenceSource = Literal["model", "appearance", "region", "given", "calibration"]
@@ -73,6 +73,11 @@ class RulerScale(Record):
     )
     explanation: str | None = Field(description="Explanation of the measurement in a sentence; null if not needed.")
 
+    @property
+    def is_probably_right(self) -> bool:
+        """Whether it probably measured what it thinks."""
+        return self.p_right >= PROBABLY_RIGHT
+
 
 class TiltEstimate(Record):
     """Tilt of the camera: the scale varies over the image; lengths and areas are measured on the ground plane."""
@@ -82,7 +87,7 @@ class TiltEstimate(Record):
     tilt_ci95_high_deg: float = Field(ge=0, le=90, description="Upper end of its 95 % interval.")
     roll_deg: float = Field(description="Direction of the tilt, clockwise from the image's upper side.")
     focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")
-    source: str = Field(description="Sources: metadata, courts, vehicles; and whether the focal length is unknown.")
+    source: str = Field(description="Source of the angle, and whether the focal length is unknown.")
     gsd_least_m_per_px: float | None = Field(description="Least metres per pixel in the image; null without a scale.")
     gsd_largest_m_per_px: float | None = Field(description="Largest metres per pixel in the image.")
 
@@ -153,7 +158,7 @@ class GsdEstimate(Record):
         description="Scale in the file (geotransform), for comparison only."
     )
     tilt: TiltEstimate | None = Field(
-        description="Tilt of the camera above 10 degrees, from metadata, courts and vehicles; gsd_m_per_px is then the "
+        description="Tilt of the camera above 10 degrees, from the metadata; gsd_m_per_px is then the "
         "scale of the image's centre. Null at nadir or for an unknown tilt."
     )
     frame: FrameScale | None = Field(description="The scale in the caller's resized copy; null without a frame.")
@@ -165,3 +170,9 @@ class GsdEstimate(Record):
     model_sha256: str = Field(description="SHA-256 of the detector's file.")
     warnings: tuple[Notice, ...] = Field(description="Further facts about this result, each with a stable code.")
     schema_version: SchemaVersion = SCHEMA_VERSION
+
+    @property
+    def probable_rulers(self) -> list[RulerScale]:
+        """Rulers that can set a scale and are probably right, the leading one first."""
+        right = [ruler for ruler in self.rulers if ruler.sets_scale and ruler.is_probably_right]
+        return sorted(right, key=lambda ruler: ruler.kind != self.leading_ruler)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.registry import ruler_class
+from vehanchor.scale.defaults import PROBABLY_RIGHT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vehanchor.scale.posterior import Answer, Witness
 
-_PROBABLY = 0.5
 _STATED = ("known_length", "height")
 _UNIT_RATIO, _UNIT_TOLERANCE = math.log(100.0), math.log(2.0)  # centimetres for metres; scenes tell a factor of two
 
@@ -29,7 +29,7 @@ def disagreements(witnesses: Sequence[Witness], found: Answer) -> list[Notice]:
     """
     heard = [each for each in witnesses if each.found]
     setting = [(each, p) for each, p in zip(heard, found.p_right, strict=True) if each.sets_scale]
-    doubted = [each for each, p_right in setting if p_right < _PROBABLY]
+    doubted = [each for each, p_right in setting if p_right < PROBABLY_RIGHT]
     if found.reason == "disagree" and not doubted and len(setting) > 1:
         doubted = [each for each, _ in setting]
     notices = [

@@ -16,6 +16,9 @@ USABLE_CHANCE = 0.9
 Reason = Literal["too_few", "too_coarse", "not_cars", "disagree", "assumed", "imprecise"]
 """Why a scale is not usable."""
 
+PROBABLY_RIGHT = 0.5
+"""Chance from which a ruler counts as right in words and pictures."""
+
 NMS_IOU = 0.45  # paper, section III-B
 OUTLIER_ALPHA = 1.5  # paper, equation 2
 

@@ -195,10 +195,10 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
         The answer; None without a witness that can set a scale.
     """
     heard = [each for each in witnesses if each.found]
-    found = judged(heard)
+    parts = _components(heard)
+    found = _judged(heard, parts)
     if found is None:
         return None
-    parts = _components(heard)
     whole = _log_product(parts)
     p_wrong = [float(np.exp(_log_product(parts, (k,)) - whole.max()).sum()) for k in range(len(heard))]
     total = float(np.exp(whole - whole.max()).sum())
@@ -213,10 +213,13 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
 def judged(witnesses: Sequence[Witness]) -> Answer | None:
     """Compute value, interval and chance alone; see ``answer``."""
     heard = [each for each in witnesses if each.found]
+    return _judged(heard, _components(heard))
+
+
+def _judged(heard: Sequence[Witness], parts: Sequence[_Component]) -> Answer | None:
     setting = [k for k, each in enumerate(heard) if each.sets_scale]
     if not setting:
         return None
-    parts = _components(heard)
     whole = _log_product(parts)
     posterior = np.exp(whole - whole.max())
     none_right = np.exp(_log_product(parts, setting) - whole.max())

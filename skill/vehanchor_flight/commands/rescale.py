@@ -120,10 +120,13 @@ def _write_in_metres(model: Reconstruction, record: ModelScale, project: Path | 
 
     if record.status != "ok" or record.factor is None:
         return []
+    written = []
     if geo is not None:
         write_geo(geo, model, record.factor)
-    in_metres = [] if project is None else [write_rescaled(model, project, record.factor)]
-    return [*([geo] if geo else []), *in_metres]
+        written.append(geo)
+    if project is not None:
+        written.append(write_rescaled(model, project, record.factor))
+    return written
 
 
 def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: bool) -> None:

@@ -310,31 +310,35 @@ class DatasetRaster(Raster):
         if last not in (2, 4) or kinds[-1] != "undefined" or last in self._indexes:
             return None
         with gdal_environment(self.source):
-            parts = [self._dataset.read(last, window=_bounds(each)).ravel() for each in self._sample_windows()]
+            parts = [
+                self._dataset.read(last, window=_bounds(window), out_shape=shape).ravel()
+                for window, shape in self._sample_places()
+            ]
         return last if is_alpha(np.concatenate(parts)) else None
 
     def _sample(self) -> NDArray[Any]:
-        """Sample valid values ``[n, 3]``; a raster of few large blocks is decoded once for all of it."""
-        width, height = self._dataset.width, self._dataset.height
-        if max(rows * columns for rows, columns in self._dataset.block_shapes) > SAMPLE_PX:
-            step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
-            shape = max(1, height // step), max(1, width // step)
-            parts = [self._read_stored(Window(0, 0, width, height), shape)]
-        else:
-            parts = [self._read_stored(window) for window in self._sample_windows()]
+        """Sample valid values ``[n, 3]``."""
+        parts = [self._read_stored(*place) for place in self._sample_places()]
         return np.concatenate(
             [part.rgb.reshape(-1, 3) if part.valid is None else part.rgb[part.valid] for part in parts]
         )
 
-    def _sample_windows(self) -> list[Window]:
-        """Lay out the sample: all of a small raster, a grid of windows of a large one."""
+    def _sample_places(self) -> list[tuple[Window, tuple[int, int] | None]]:
+        """Lay out the sample, as windows with the rows and columns to read them at; None for their own.
+
+        All of a small raster, a grid of windows of a large one; a raster of large blocks once, so that no block is
+        decoded again for each window.
+        """
         width, height = self._dataset.width, self._dataset.height
         if width * height <= SAMPLE_PX:
-            return [Window(0, 0, width, height)]
+            return [(Window(0, 0, width, height), None)]
+        if max(rows * columns for rows, columns in self._dataset.block_shapes) > SAMPLE_PX:
+            step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
+            return [(Window(0, 0, width, height), (max(1, height // step), max(1, width // step)))]
         side = math.isqrt(SAMPLE_PX) // _SAMPLE_GRID
         spots = np.linspace(0, 1, _SAMPLE_GRID)
         w, h = min(side, width), min(side, height)
-        return [Window(int(x * (width - w)), int(y * (height - h)), w, h) for y in spots for x in spots]
+        return [(Window(int(x * (width - w)), int(y * (height - h)), w, h), None) for y in spots for x in spots]
 
 
 def _bounds(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
