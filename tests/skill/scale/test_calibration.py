@@ -16,7 +16,7 @@ import vehanchor
 from research.scenes import render_scene
 from tests.journals import n_results
 from tests.models import blank_image, paint_vehicles, write_detector
-from tests.skill.imagery.metadata_bytes import exif, jpeg, xmp
+from tests.skill.imagery.files import exif, jpeg, xmp
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import (
