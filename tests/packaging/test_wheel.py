@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from tests.conftest import ROOT
-from tests.packaging.server_calls import stdio_answers
+from tests.packaging.container import stdio_answers
 from vehanchor_server.schemas import schema_files
 
 pytestmark = [pytest.mark.packaging, pytest.mark.timeout(900)]  # installing takes what the disk takes
