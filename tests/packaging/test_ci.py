@@ -10,7 +10,8 @@ from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import cv2
 import pytest
@@ -90,10 +91,6 @@ def test_the_container_gets_what_ci_tests() -> None:
 def test_the_locks_name_no_index() -> None:
     for path in sorted(Path(ROOT / "requirements").glob("*.txt")):
         assert not re.search(r"https?:|file:|--(?:extra-)?index|--find-links", path.read_text(encoding="utf-8"))
-
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 
 @pytest.fixture(scope="module")

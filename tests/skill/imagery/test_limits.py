@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests import bombs
-from tests.image_costs import FAMILIES, FORMATS, MIB, Cost, cost, grows_too_fast
+from tests.bombs import FAMILIES, FORMATS, MIB, Cost, cost, grows_too_fast
 from tests.skill.imagery.files import (
     NOISE,
     bigtiff_header,

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -197,10 +197,6 @@ def test_a_path_its_bytes_and_its_array_have_one_id(tmp_path: Path) -> None:
     path.write_bytes(encoded(".png", pixels))
     assert _id(path) == _id(path.read_bytes()) == _id(pixels)
     assert _id(pixels) != _id(pixels[:, ::-1])
-
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def _texture(side: int, seed: int = 0) -> NDArray[np.uint8]:
