@@ -119,6 +119,7 @@ def test_an_audit_that_looked_at_nothing_fails(supply: ModuleType, answer: dict[
     assert supply.verdict(answer)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into Linux wheels")
 def test_the_libraries_inside_opencvs_wheel_are_named(supply: ModuleType) -> None:
     names = {each["name"] for each in supply.native(Path(cv2.__file__).parents[1], "opencv-python-headless")}

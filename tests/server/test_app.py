@@ -194,7 +194,7 @@ def test_the_command_prints_it() -> None:
     assert (done.exit_code, done.stdout) == (0, TEXT)
 
 
-@pytest.mark.anyio
+@pytest.mark.slow
 async def test_its_worked_calls_work(tmp_path: Path) -> None:
     shutil.copy(ROOT / "examples" / "car_park.jpg", tmp_path / "car_park.jpg")
     calls = [json.loads(block) for block in re.findall(r"```json\n(.*?)\n```", TEXT, re.DOTALL)]

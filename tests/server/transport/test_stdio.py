@@ -308,6 +308,7 @@ except ImportError:
     assert _printed(after) == [{}, True]
 
 
+@pytest.mark.slow
 def test_the_listing_of_a_quick_server_is_that_of_a_usual_one() -> None:
     listing = """
 import anyio, sys

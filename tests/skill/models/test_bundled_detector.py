@@ -72,6 +72,7 @@ def test_a_scene_without_vehicles_never_gets_a_confident_answer(detector: Detect
     assert estimate_gsd(ROOT / "examples/scenes/no_cars.jpg", detector=detector).status != "ok"
 
 
+@pytest.mark.slow
 def test_one_and_two_threads_give_the_same_bytes(car_park: np.ndarray) -> None:
     records = {
         estimate_gsd(car_park[:400], detector=str(resolve_model()), threads=threads).model_dump_json()
@@ -107,6 +108,7 @@ def test_the_file_in_eight_bits_is_the_one_that_was_measured() -> None:
     assert path.stat().st_size + verifier.stat().st_size <= 2_500_000
 
 
+@pytest.mark.slow
 def test_eight_bits_say_nearly_what_float32_says_and_the_record_names_them(
     car_park: np.ndarray, detector: Detector
 ) -> None:
