@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import vehanchor
-from tests.journals import forget, n_results
+from tests.known_scale_data import forget, n_results
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import write_sam
 from vehanchor.cli import app as cli

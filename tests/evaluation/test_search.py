@@ -9,8 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.analyses import made_card
-from tests.journals import n_results
-from tests.known_scale_data import REFERENCE_M, cars, dota_lines, paint, write_geotiff
+from tests.known_scale_data import REFERENCE_M, cars, dota_lines, n_results, paint, write_geotiff
 from vehanchor import analyse_scale
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.cli import app as cli

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import vehanchor
-from tests.environments import environment
+from tests.needs import environment
 from tests.sam_models import SamFiles
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path

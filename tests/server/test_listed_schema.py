@@ -16,7 +16,7 @@ from mcp import Client
 from mcp.server import MCPServer
 
 from tests.conftest import ROOT
-from tests.environments import environment
+from tests.needs import environment
 from tests.server.conversation import text_of
 from tests.server.test_app import LISTED, tokens_listed
 from vehanchor_server.app import create_server

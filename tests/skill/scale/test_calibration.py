@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import vehanchor
 from research.scenes import render_scene
-from tests.journals import n_results
+from tests.known_scale_data import n_results
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.skill.imagery.files import exif, jpeg, xmp
 from vehanchor.cli import app as cli
