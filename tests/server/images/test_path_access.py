@@ -88,11 +88,6 @@ def test_every_root_counts(root: Path, outside: Path) -> None:
         assert content(opened) == SECRET
 
 
-def test_without_roots_paths_are_off(root: Path) -> None:
-    with pytest.raises(CallError, match=r"source_disabled: .*--root"), PathAccess([]).open(str(root / "a.png")):
-        pass
-
-
 def test_a_sibling_whose_name_begins_like_the_root_is_outside(root: Path) -> None:
     twin = Path(f"{root}-private")
     twin.mkdir()
