@@ -162,8 +162,6 @@ def test_without_a_key_or_a_model_it_says_what_to_set(
     ("script", "way", "prefix"),
     [
         ("claude_tool_use.py", "mcp", "ANTHROPIC"),
-        ("claude_tool_use.py", "schemas", "ANTHROPIC"),
-        ("openai_tool_use.py", "agents", "OPENAI"),
         ("openai_tool_use.py", "responses", "OPENAI"),
     ],
 )

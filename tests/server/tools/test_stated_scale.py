@@ -74,12 +74,11 @@ async def test_a_measured_scale_as_wide_as_a_guess_is_not_to_be_used(server: MCP
 @pytest.mark.parametrize(
     "more", [{"known_lengths": [LINE]}, {"drop": "1"}, {"add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}]
 )
-@pytest.mark.parametrize("tool", TOOLS)
 async def test_what_a_measured_scale_would_leave_unheard_is_refused(
-    server: MCPServer[object], images: Path, tool: str, more: dict[str, Any]
+    server: MCPServer[object], images: Path, more: dict[str, Any]
 ) -> None:
     stated = {"gsd_m_per_px": 0.15, "gsd_basis": "measured"}
-    code, words = await refused(server, images / "pool.png", tool, **stated, **more)
+    code, words = await refused(server, images / "pool.png", "measure_area", **stated, **more)
     assert code == "invalid_parameter"
     assert "give gsd_m_per_px or " in words
 
@@ -121,7 +120,7 @@ async def test_an_assumed_scale_that_agrees_is_one_more_witness(
     assert chance_of(found, "stated_scale") > 0.5
 
 
-@pytest.mark.parametrize("factor", [0.3, 0.5, 0.7, 1.5, 2, 4])
+@pytest.mark.parametrize("factor", [0.3, 1.5, 4])
 async def test_an_assumed_scale_that_contradicts_the_cars_makes_nothing_surer_and_is_told(
     server: MCPServer[object], images: Path, factor: float
 ) -> None:
@@ -130,7 +129,7 @@ async def test_an_assumed_scale_that_contradicts_the_cars_makes_nothing_surer_an
     assert found["confidence"] < alone["confidence"]
     assert found["status"] == "low_confidence"
     assert "rulers_disagree" in [each["code"] for each in found["warnings"]]
-    if factor not in (1.5, 2):  # there the prior of the scene agrees with the stated scale
+    if factor != 1.5:  # there the prior of the scene agrees with the stated scale
         assert found["gsd_m_per_px"] == pytest.approx(alone["gsd_m_per_px"], rel=0.03)
         assert chance_of(found, "stated_scale") < 0.5
 
