@@ -14,6 +14,7 @@ from research.paper.questions import Question, ask_blindly, ask_with_tools, ques
 from research.paper.vlm_api import Budget, ModelApi, open_api, reply_journal
 from research.scenes import render_scene
 from tests.research.paper.model_service import Answer, Asked, ModelService, UseTool, model_service
+from vehanchor.options import KnownLength
 from vehanchor_evaluation.survey import survey_known_scale
 
 GSD = 0.12
@@ -41,16 +42,19 @@ class Tools:
 
     def __init__(self, gsd: float | None, status: str = "ok") -> None:
         self.gsd, self.status = gsd, status
-        self.asked: list[tuple[str, dict[str, Any]]] = []
+        self.asked: list[dict[str, Any]] = []
 
     def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
-        self.asked.append((name, arguments))
+        assert name == "measure_distance"
+        self.asked.append(arguments)
         if self.gsd is None:
             return "busy: later.", True
-        record: dict[str, Any] = {"status": self.status, "scale": {"gsd_m_per_px": self.gsd}}
+        gsd, status = self.gsd, self.status
+        for line in arguments.get("known_lengths", ()):
+            gsd, status = line["metres"] / (512 * (line["x2"] - line["x1"])), "ok"
         first, second = arguments["lines"][0]["points"]
         px = ((512 * (second["x"] - first["x"])) ** 2 + (400 * (second["y"] - first["y"])) ** 2) ** 0.5
-        record |= {"distance_ci95_low_m": 0.95 * px * self.gsd, "distance_ci95_high_m": 1.05 * px * self.gsd}
+        record = {"status": status, "distance_ci95_low_m": 0.95 * px * gsd, "distance_ci95_high_m": 1.05 * px * gsd}
         return f"A sentence.\n{json.dumps(record)}", False
 
 
@@ -68,8 +72,6 @@ def test_right_tools_are_right_and_wrong_ones_wrong(asked: list[Question]) -> No
     assert (told.right, told.wrong, told.no_answer) == (len(asked), 0, 0)
     assert told.calls_per_right == 1
     assert told.tokens_per_right
-    assert "scale" not in good.asked[0][1]
-    assert all(arguments["scale"] == {"gsd_m_per_px": GSD} for _, arguments in good.asked[1:])
     bad = score("tools", ask_with_tools(asked[:2], Tools(2 * GSD)))
     assert (bad.right, bad.wrong) == (0, 2)
 
@@ -80,29 +82,15 @@ def test_a_low_confidence_or_an_error_is_no_answer(asked: list[Question], tools:
     assert (told.no_answer, told.calls_per_right) == (len(asked), None)
 
 
-class ToolsThatNeedHelp(Tools):
-    """Tools of a low confidence, until they are told a length; the scale that they were given back is the one used."""
-
-    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
-        if name == "estimate_gsd":
-            self.asked.append((name, arguments))
-            (line,) = arguments["known_lengths"]
-            gsd = line["metres"] / (512 * (line["x2"] - line["x1"]))
-            return f"A sentence.\n{json.dumps({'status': 'ok', 'scale': {'gsd_m_per_px': gsd, 'told': True}})}", False
-        told = arguments.get("scale", {}).get("told", False)
-        self.gsd, self.status = (arguments["scale"]["gsd_m_per_px"], "ok") if told else (GSD / 2, "low_confidence")
-        answer, is_error = super().call(name, arguments)
-        return answer.replace('"scale"', '"by"') if told else answer, is_error  # one that was given back is not given
-
-
 def test_at_low_confidence_a_person_is_asked_once_an_image_and_what_they_measured_answers(
     asked: list[Question],
 ) -> None:
-    tools = ToolsThatNeedHelp(GSD)
+    tools = Tools(GSD / 2, "low_confidence")
     told = score("helped", ask_with_tools(asked[:2], tools, with_person=True))
     assert (told.right, told.wrong) == (2, 0)
-    assert [name for name, _ in tools.asked] == ["measure_distance", "estimate_gsd", *["measure_distance"] * 2]
-    assert score("alone", ask_with_tools(asked[:2], ToolsThatNeedHelp(GSD))).no_answer == 2
+    assert ["known_lengths" in arguments for arguments in tools.asked] == [False, True, True]
+    line = tools.asked[1]["known_lengths"][0]
+    assert KnownLength(**line).basis == "measured"
 
 
 def test_without_tools_the_scale_is_guessed(asked: list[Question]) -> None:
