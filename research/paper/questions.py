@@ -1,8 +1,7 @@
 """Planner questions about photographs of known scale (how far, does it fit), answered with and without tools.
 
-The planner is a script, so the results depend only on the tools' answers and their cost; ``asked_model`` uses a real
-model. If a scale is not usable, the planner can ask a person, who has measured one line on the ground. Without tools it
-assumes a usual pixel size.
+The planner is a script, so the results depend only on the tools' answers and their cost. If a scale is not usable, the
+planner can ask a person, who has measured one line on the ground. Without tools it assumes a usual pixel size.
 """
 
 from __future__ import annotations
@@ -70,7 +69,7 @@ class Outcome:
         question: the question.
         verdict: "no answer" if the result is not usable, or if the interval leaves "does it fit" open.
         calls: number of tool calls.
-        tokens: tokens sent to and read from tools; for a model, the service's count.
+        tokens: tokens sent to and read from tools.
     """
 
     question: Question
@@ -197,20 +196,6 @@ def ask_blindly(questions: Iterable[Question]) -> list[Outcome]:
         value, spread = math.hypot(across, down) * USUAL_GSD_M, 1 + USUAL_ERROR
         outcomes.append(Outcome(question, _interval_verdict(question, value / spread, value * spread)))
     return outcomes
-
-
-def judge_answer(question: Question, answer: tuple[float, float] | bool | None) -> Verdict:
-    """Compare an answer with the truth.
-
-    Args:
-        question: the question.
-        answer: an interval, or yes or no for "does it fit"; None for no answer.
-    """
-    if not isinstance(answer, bool):
-        return "no answer" if answer is None else _interval_verdict(question, *answer)
-    if question.kind != "fit":
-        return "no answer"
-    return "right" if answer == bool(question.truth) else "wrong"
 
 
 def _interval_verdict(question: Question, low: float, high: float) -> Verdict:

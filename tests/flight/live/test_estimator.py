@@ -43,7 +43,7 @@ def frame_of(image: NDArray[np.uint8], at_s: float, *, cars: bool) -> Frame:
     if cars:
         boxes = [[60 + 70 * (k % 6), 80 + 90 * (k // 6), length, 12, 0.4] for k, length in enumerate(FLEET)]
         paint_vehicles(image, np.reshape(boxes, (-1, 5)))
-    return Frame(f"at {at_s:.1f} s", image, at_s, 0.0, 0)
+    return Frame(f"at {at_s:.1f} s", image, at_s, 0)
 
 
 def test_the_scale_follows_a_climb_without_cars_and_ends_after_the_hold(
@@ -74,8 +74,9 @@ def test_a_frame_that_shows_nothing_gives_nothing(tmp_path: Path) -> None:
     detector = load_detector(write_detector(tmp_path / "detector.onnx"))
     empty = LiveEstimator(detector, ScaleOptions())
     for number in range(3):
-        record = empty.estimate(Frame("grey", np.full((90, 160, 3), 80, np.uint8), 0.2 * number, 0.0, 0))
+        record = empty.estimate(Frame("grey", np.full((90, 160, 3), 80, np.uint8), 0.2 * number, 0))
         assert (record.status, record.gsd_m_per_px, record.linked) == ("no_scale", None, False)
+        assert record.reason == "too_few"
 
 
 def test_a_stretch_found_once_is_kept_and_tested_now_and_then(

@@ -1,19 +1,13 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from research.paper.__main__ import app
-from research.paper.asked_model import ask_model, read_answer
 from research.paper.questions import Question, ask_blindly, ask_with_tools, questions_of_photographs, score
-from research.paper.vlm_api import Budget, ModelApi, open_api, reply_journal
 from research.scenes import render_scene
-from tests.research.paper.model_service import Answer, Asked, ModelService, UseTool, model_service
 from vehanchor.options import KnownLength
 from vehanchor_evaluation.survey import survey_known_scale
 
@@ -38,7 +32,7 @@ class Tools:
     """Tools that measure by a scale they are told, and remember what they were asked."""
 
     anthropic_tools: list[dict[str, Any]] = []  # noqa: RUF012
-    openai_tools = [{"type": "function", "function": {"name": "measure_distance", "parameters": {}}}]  # noqa: RUF012
+    openai_tools: list[dict[str, Any]] = []  # noqa: RUF012
 
     def __init__(self, gsd: float | None, status: str = "ok") -> None:
         self.gsd, self.status = gsd, status
@@ -97,60 +91,3 @@ def test_without_tools_the_scale_is_guessed(asked: list[Question]) -> None:
     told = score("blind", ask_blindly(asked))
     assert told.calls_per_right in (0, None)
     assert told.right + told.wrong + told.no_answer == told.questions
-
-
-def _obedient(asked: Asked) -> Answer:
-    """A model that measures what it is asked, and says what the tool said, whatever its status."""
-    if not asked.tools:
-        return "I cannot know. **ANSWER=unknown**"
-    if not asked.tool_results:
-        pairs = re.findall(r"\(([\d.]+), ([\d.]+)\)", asked.text)
-        points = [{"x": float(x), "y": float(y)} for x, y in pairs]
-        return UseTool("measure_distance", {"lines": [{"points": points}], "coordinates": "fraction"})
-    record = json.loads(asked.tool_results[-1].splitlines()[-1])
-    low, high = record["distance_ci95_low_m"], record["distance_ci95_high_m"]
-    needed = re.search(r"a row of (\d+) m", asked.text)
-    if needed is not None:
-        return f"ANSWER={'yes' if float(needed[1]) <= low else 'no'}"
-    return f"It is so far.\nANSWER={low:,.2f} m to {high:,.2f} m"
-
-
-def _api(service: ModelService, budget: Budget) -> ModelApi:
-    return open_api("openai-compatible", "m", reply_journal(None), budget, base_url=f"{service.url}/v1")
-
-
-def test_a_real_model_is_asked_with_the_tools_and_by_its_eye(asked: list[Question]) -> None:
-    with model_service(ModelService(answer=_obedient)) as service:
-        api = _api(service, Budget())
-        good, stopped = ask_model(asked, api, Tools(GSD))
-        blind, _ = ask_model(asked, api)
-        bad, _ = ask_model(asked, api, Tools(2 * GSD))
-    told = score("m", good)
-    assert stopped is None
-    assert (told.right, told.wrong, told.calls_per_right) == (len(asked), 0, 1)
-    assert told.tokens_per_right
-    assert score("m", blind).no_answer == len(asked)
-    assert score("m", bad).wrong >= 2
-
-
-@pytest.mark.parametrize(
-    ("reply", "answer"),
-    [
-        ("ANSWER=12.5 to 13", (12.5, 13)),
-        ("first ANSWER=1 to 2\nno: **ANSWER = 1,250 m - 1,300 m**", (1250, 1300)),
-        ("ANSWER=40 m2 to 5e1 m2.", (40, 50)),
-        ("`ANSWER=Yes`", True),
-        ("ANSWER=no.", False),
-        ("ANSWER=unknown", None),
-        ("about 12 m", None),
-        ("ANSWER=12", None),
-    ],
-)
-def test_a_models_last_line_is_its_answer(reply: str, answer: Any) -> None:
-    assert read_answer(reply) == answer
-
-
-def test_a_model_without_a_name_is_refused(table: Path) -> None:
-    result = CliRunner().invoke(app, ["questions", str(table), "--provider", "openai"])
-    assert result.exit_code == 2
-    assert "needs --provider and --model" in result.stderr
