@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.engine import Engine
-from vehanchor.errors import InvalidParameterError
 from vehanchor.rulers.known_length_table import lines_in
 from vehanchor_flight.estimate import check_options, conclude, open_journal, search_flight
 from vehanchor_flight.inputs import check_many, named
@@ -62,7 +61,8 @@ def estimate_flight(
         VehAnchorError: as ``vehanchor.estimate_gsd``.
     """
     check_many(images)  # before a model is loaded
-    lines = {} if known_lengths_table is None else lines_in(known_lengths_table, _paths(images))
+    paths = [each for each in images if isinstance(each, str | os.PathLike)] if isinstance(images, Sequence) else []
+    lines = lines_in(known_lengths_table, paths)
     called, chosen = (engine or Engine()).for_call(options, keywords)
     check_options(chosen)
     detector = checked_detector(called.detector, chosen)
@@ -121,11 +121,10 @@ def rescale(
 
 
 def live_scales(
-    source: str | os.PathLike[str] | int,
+    folder: str | os.PathLike[str],
     options: ScaleOptions | None = None,
     *,
     engine: Engine | None = None,
-    every_s: float = 0.2,
     hold_s: float = 10.0,
     idle_s: float | None = None,
     tell: Callable[[str], None] = lambda _sentence: None,
@@ -133,39 +132,25 @@ def live_scales(
 ) -> Iterator[LiveScale]:
     """Estimate the scale of each frame of a running camera, advisory.
 
-    The newest frame wins: no queue grows while a record is used. A video gives every frame.
+    The newest frame wins: no queue grows while a record is used.
 
     Args:
-        source: folder that fills, video file, or number of a camera.
+        folder: folder into which a program writes the frames of the camera.
         options: as in ``vehanchor.estimate_gsd``. The rulers are vehicles and the scene-scale prior.
         engine: holds the models; None for the bundled ones.
-        every_s: for a video, seconds between frames.
         hold_s: seconds without vehicles after which there is no scale.
-        idle_s: seconds without a new frame that end a folder or a camera; None for never.
-        tell: receives a sentence on each frame that cannot be read, and on each loss and return of the camera.
+        idle_s: seconds without a new frame that end the iterator; None for never.
+        tell: receives a sentence on each frame that cannot be read.
         **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
 
     Returns:
         An iterator of one record for each frame, from all frames so far.
 
     Raises:
-        ImageNotFoundError: there is no such source.
+        ImageNotFoundError: there is no such folder.
         InvalidParameterError: the seconds are invalid, or an option is.
         ModelError: a model cannot be used.
     """
     called, chosen = (engine or Engine()).for_call(options, keywords)
-    name = str(source) if isinstance(source, int) else os.fspath(source)
-    frames = open_frames(name, chosen.reading, every_s=every_s, idle_s=idle_s, tell=tell)
+    frames = open_frames(Path(folder), chosen.reading, idle_s=idle_s, tell=tell)
     return map(LiveEstimator(called.detector, chosen, hold_s=hold_s).estimate, frames)
-
-
-def _paths(images: Iterable[object]) -> list[str | os.PathLike[str]]:
-    """Check that photographs with lines of known length are given as paths.
-
-    Raises:
-        InvalidParameterError: they are not.
-    """
-    paths = [each for each in images if isinstance(each, str | os.PathLike)] if isinstance(images, Sequence) else []
-    if not isinstance(images, Sequence) or len(paths) < len(images):
-        raise InvalidParameterError("a table of known lengths names files: give the photographs as paths")
-    return paths

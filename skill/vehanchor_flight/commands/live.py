@@ -20,15 +20,10 @@ from vehanchor.options.models import Precision
     )
 )
 def live(
-    source: Annotated[
+    folder: Annotated[
         str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="A folder that fills, a video, or the number of a camera (0 is the first).",
-            show_default=False,
-        ),
+        typer.Argument(metavar="FOLDER", help="A folder into which a program writes frames.", show_default=False),
     ],
-    every: Annotated[float, typer.Option(metavar="S", help="For a video: seconds between frames.")] = 0.2,
     hold: Annotated[float, typer.Option(metavar="S", help="Seconds without vehicles until there is no scale.")] = 10.0,
     idle: Annotated[
         float | None,
@@ -46,7 +41,7 @@ def live(
         from vehanchor_flight.verbs import live_scales
 
         engine = replace(chosen, typed={**chosen.typed, "precision": precision}).engine()
-        records = live_scales(source, engine=engine, every_s=every, hold_s=hold, idle_s=idle, tell=_tell)
+        records = live_scales(folder, engine=engine, hold_s=hold, idle_s=idle, tell=_tell)
         for record in records:
             print(record.model_dump_json(), flush=True)
 

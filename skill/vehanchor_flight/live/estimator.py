@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options import ScaleOptions
+    from vehanchor.records import GsdEstimate
     from vehanchor.rulers.view import View
     from vehanchor_flight.features import Features
     from vehanchor_flight.live.frames import Frame
@@ -83,7 +84,7 @@ class LiveEstimator:
             linked = self._follow(raster, seconds)
             analysis = self._search(raster)
         self._turn += 1
-        return self._record(frame, analysis.estimate.n_vehicles, linked=linked)
+        return self._record(frame, analysis.estimate, linked=linked)
 
     def _follow(self, raster: Raster, seconds: float) -> bool:
         """Move the state, the prior and the cars from the last frame to this one; tell whether features link them."""
@@ -145,10 +146,11 @@ class LiveEstimator:
         outside = ~np.all((self._cars >= low) & (self._cars < high), axis=1)
         self._cars = np.concatenate([self._cars[outside], analysis.vehicles.fleet.centres * factor + low])
 
-    def _record(self, frame: Frame, n_vehicles: int, *, linked: bool) -> LiveScale:
+    def _record(self, frame: Frame, window: GsdEstimate, *, linked: bool) -> LiveScale:
         state = self._state
         interval = None if state is None else state.interval
         usable = state is not None and state.usable
+        contradicted = state is not None and state.contradictions > 0
         return LiveScale(
             frame=frame.name,
             at_s=frame.at_s - self._first_s,
@@ -157,11 +159,12 @@ class LiveEstimator:
             gsd_ci95_low_m_per_px=interval and interval.low,
             gsd_ci95_high_m_per_px=interval and interval.high,
             confidence=0.0 if state is None else state.chance,
-            n_vehicles=n_vehicles,
+            reason=None if usable else "disagree" if contradicted else window.reason or "imprecise",
+            n_vehicles=window.n_vehicles,
             seen_s_ago=None if state is None else state.silent_s,
             linked=linked,
             n_skipped=frame.n_skipped,
-            latency_s=max(0.0, time.monotonic() - frame.arrived_s),
+            latency_s=max(0.0, time.monotonic() - frame.at_s),
             image_width_px=frame.image.shape[1],
             image_height_px=frame.image.shape[0],
         )
