@@ -173,7 +173,7 @@ def test_the_verdict_is_told_and_the_files_are_in_metres(rescale: Any, tmp_path:
     done = rescale("project", "--project", "metric", "--geo", "geo.txt", "--out", "scale.json")
     assert done.exit_code == 0, done.output
     assert json.loads((tmp_path / "scale.json").read_text())["status"] == "ok"
-    assert "multiply its lengths by that" in " ".join(done.stdout.split())
+    assert "One unit of the model is 1.08" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80
     heights = [shot.centre[2] for shot in read_model(tmp_path / "metric").shots]
     assert heights == pytest.approx([70, 70, 75], rel=0.015)

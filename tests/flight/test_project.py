@@ -67,7 +67,7 @@ def test_what_is_carried_too_far_to_be_used_says_why() -> None:
     assert (far.status, far.reason) == ("low_confidence", "imprecise")
     assert flight.photographs[0].advice is None
     assert flight.photographs[1].advice == (
-        "The nearest ruler is in another photograph, and the overlaps in between widen the interval: "
+        "Its rulers are in other photographs, and the overlaps in between widen the interval: "
         "add photographs between them, or give the height."
     )
 

@@ -97,7 +97,7 @@ def _verdict(found: _Scaled | None, *, usable: bool) -> str:
         return "The model shows nothing of known size: its size remains unknown."
     said = "" if usable else "Uncertain, do not use: "
     said += f"one unit of the model is {found.factor:.4g} m, +- {50 * (found.high - found.low) / found.factor:.2g} %"
-    said += ": the model has its size." if found.low <= 1 <= found.high else ": multiply its lengths by that."
+    said += ": the model may have its size." if found.low <= 1 <= found.high else ": multiply its lengths by that."
     return said[0].upper() + said[1:]
 
 
