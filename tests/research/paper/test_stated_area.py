@@ -22,7 +22,9 @@ from research.paper.stated_area import read_area
     ],
 )
 def test_an_area_is_read_with_its_unit_and_separators(text: str, area: float) -> None:
-    assert read_area(text) == (pytest.approx(area), None)
+    stated = read_area(text)
+    assert stated.problem is None
+    assert stated.area_m2 == pytest.approx(area)
 
 
 @pytest.mark.parametrize(
