@@ -103,25 +103,12 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
     rule = stop_rule(view.options.search.effort, view.image.width_px * view.image.height_px)
     checks: list[Convergence] = []
     for unseen_share in search:
-        check = convergence_of(search, view, embed=False)._replace(unseen_share=unseen_share)
-        if is_narrow(check, rule):  # most checks fail without the appearance, which costs more than the rest
-            check = convergence_of(search, view, embed=True)._replace(unseen_share=unseen_share)
+        check = convergence(replace(view, detections=search.found()))._replace(unseen_share=unseen_share)
         if check.density is not None:
             search.leave_out(check.density)
         checks.append(check)
         if has_converged(checks, rule):
             search.stop()
-
-
-def convergence_of(search: ImageSearch, view: View, *, embed: bool) -> Convergence:
-    """Measure the uncertainty of the scale of an unfinished search.
-
-    Args:
-        search: of the image.
-        view: of the image, without detections.
-        embed: whether to predict the vehicles' appearance.
-    """
-    return convergence(replace(view, detections=search.found(embed=embed)))
 
 
 def convergence(view: View) -> Convergence:
@@ -138,9 +125,7 @@ def convergence(view: View) -> Convergence:
         math.hypot(resampling, spread),
         vehicles.reference.log_sd,
         doubted=vehicles.doubted or found is None or not _is_settled(found),
-        value_log_sd=math.hypot(resampling, vehicles.reference.sampling_log_sd)
-        if vehicles.n >= MIN_KDE_VEHICLES
-        else math.inf,
+        value_log_sd=resampling if vehicles.n >= MIN_KDE_VEHICLES else math.inf,
         density=product(vehicles.density, *(prior.density for prior in priors if prior.found)),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from vehanchor.detection.appearance import FleetAppearance
+from vehanchor.detection.chips import Looks
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.imagery.facts import ImageFacts
@@ -25,7 +25,7 @@ _CLASSES: dict[str, type[Any]] = {
     "shared": Shared,
     "witness": Witness,
     "lack": Lack,
-    "fleet_appearance": FleetAppearance,
+    "looks": Looks,
     "image_facts": ImageFacts,
     "interval": Interval,
     "mark": Mark,

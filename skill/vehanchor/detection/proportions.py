@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from vehanchor.detection import car_verifier, verifier
+from vehanchor.detection import chips, verifier
 from vehanchor.detection.verifier import surroundings
 from vehanchor.imagery.tiles import read_around
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.detection.car_verifier import CarVerifier
+    from vehanchor.detection.chips import ChipNetwork
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
 
@@ -64,8 +64,8 @@ def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> fl
     return float(gains.mean()) / math.sqrt(variance) / _LIMIT_SIGMAS
 
 
-def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: CarVerifier) -> float | None:
-    """Compute how surely a few vehicles prefer a narrower or a wider image, by the car verifier.
+def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: ChipNetwork) -> float | None:
+    """Compute how surely a few vehicles prefer a narrower or a wider image, by the chip network.
 
     A stretched image suits cars worse than one of the two others, and better than the other one. The measure is the
     smaller of both differences of the mean logits, where the second one counts a third. Parallel vehicles must say it
@@ -82,9 +82,9 @@ def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: CarVerif
     if len(boxes) < _LEAST_VERIFIED:
         return None
     chosen = boxes[:_MOST_VERIFIED]
-    chip = car_verifier.CHIP_PX, car_verifier.CHIP_LENGTH_PX
+    side = chips.CHIP_COLUMNS, chips.CHIP_LENGTH_PX
     narrower, same, wider = (
-        float(np.clip(network.verify(_chips(raster, chosen, width, *chip)).logit, -_MOST_LOGIT, _MOST_LOGIT).mean())
+        float(np.clip(network.answers(chips.middle(_chips(raster, chosen, width, *side))).logit, -_MOST_LOGIT, _MOST_LOGIT).mean())
         for width in (1 / _FACTOR, 1.0, _FACTOR)
     )
     too_wide = max(0.0, min(narrower - same, (narrower - wider) / 3))

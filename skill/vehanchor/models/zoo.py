@@ -14,13 +14,12 @@ if TYPE_CHECKING:
 DEFAULT_DETECTOR = "vehicles"
 _INT8_SUFFIX = "-int8"  # of the name of a bundled detector in int8
 _SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
-_FLEET = "fleet.onnx"  # for the default detector
 _VERIFIER = "verifier.onnx"  # for the default detector in float32
 _VERIFIER_INT8 = "verifier-int8.onnx"  # for the default detector in int8
-_CAR_VERIFIER = "car-verifier.onnx"  # for the default detector
+_CHIPS = "chips.onnx"  # for the default detector
 _SCENE_SCALE = "scene-scale.onnx"
 _COURTS = "courts.onnx"
-_NO_DETECTORS = (*_SEGMENTER, _FLEET, _VERIFIER, _VERIFIER_INT8, _CAR_VERIFIER, _SCENE_SCALE, _COURTS)
+_NO_DETECTORS = (*_SEGMENTER, _VERIFIER, _VERIFIER_INT8, _CHIPS, _SCENE_SCALE, _COURTS)
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
@@ -28,16 +27,6 @@ def bundled_models() -> dict[str, Path]:
     """List the bundled detectors: name to file."""
     files = sorted(_BUNDLED.glob("*.onnx"), key=lambda path: path.stem)
     return {path.stem: path for path in files if path.name not in _NO_DETECTORS}
-
-
-def fleet_beside(detector: Path) -> Path | None:
-    """Find the fleet network of a detector; None without one.
-
-    Args:
-        detector: file of the detector. The default detector's network is bundled; any other's lies beside it, for
-            example ``mine.fleet.onnx`` beside ``mine.onnx``.
-    """
-    return _beside(detector, (_FLEET, _FLEET), "fleet")
 
 
 def verifier_beside(detector: Path) -> Path | None:
@@ -50,14 +39,14 @@ def verifier_beside(detector: Path) -> Path | None:
     return _beside(detector, (_VERIFIER, _VERIFIER_INT8), "verifier")
 
 
-def car_verifier_beside(detector: Path) -> Path | None:
-    """Find the car verifier of a detector; None without one.
+def chips_beside(detector: Path) -> Path | None:
+    """Find the chip network of a detector; None without one.
 
     Args:
-        detector: file of the detector. The default detector's car verifier is bundled; any other's lies beside it, for
-            example ``mine.car-verifier.onnx`` beside ``mine.onnx``.
+        detector: file of the detector. The default detector's network is bundled; any other's lies beside it, for
+            example ``mine.chips.onnx`` beside ``mine.onnx``.
     """
-    return _beside(detector, (_CAR_VERIFIER, _CAR_VERIFIER), "car-verifier")
+    return _beside(detector, (_CHIPS, _CHIPS), "chips")
 
 
 def _beside(detector: Path, bundled: tuple[str, str], kind: str) -> Path | None:
