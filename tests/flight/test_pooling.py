@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import made_card
-from vehanchor.detection.chips import Looks
-from vehanchor.detection.detections import NOT_SEARCHED, Detections
+from vehanchor.detection.detections import NOT_SEARCHED, Detections, Looks
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.records import Notice

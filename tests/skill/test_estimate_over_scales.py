@@ -15,8 +15,7 @@ from research.scenes import Scene, render_scene
 from tests.analyses import analyse_found
 from tests.yards import YARDS, Yard, paint_yard
 from vehanchor import estimate_gsd
-from vehanchor.detection.chips import Looks
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.detector import Detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model

@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from vehanchor.detection.chips import Looks
+    from vehanchor.detection.detections import Looks
 
 _LEAST_VEHICLES = 20  # with which the spread is known to a sixth
 _EQUAL_LENGTHS = 0.045  # spread of log lengths; 3 of 204 fleets have less

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from vehanchor.detection.card import BodyLengths, DetectorCard
-    from vehanchor.detection.chips import Looks
+    from vehanchor.detection.detections import Looks
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 

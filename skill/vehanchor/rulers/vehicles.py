@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.chips import Looks
-    from vehanchor.detection.detections import Detections
+    from vehanchor.detection.detections import Detections, Looks
     from vehanchor.options import Lengths
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.view import View

@@ -14,9 +14,8 @@ from tests.yards import EQUAL_CARS, paint_yard
 from vehanchor import Engine
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch.run import run_batch
-from vehanchor.detection.chips import Looks
 from vehanchor.detection.corrections import corrected
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.errors import InvalidParameterError
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions

@@ -10,8 +10,7 @@ import pytest
 
 from tests.analyses import made_card
 from vehanchor.detection.card import DetectorCard
-from vehanchor.detection.chips import Looks
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.detector import load_detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.facts import ImageFacts
