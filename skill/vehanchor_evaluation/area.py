@@ -205,7 +205,7 @@ def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTr
         true_mask_area_px=entry.mask_area_px,
         gsd_m_per_px=gsd,
         confidence=scale.confidence,
-        n_vehicles=scale.n_vehicles,
+        n_vehicles=scale.n_vehicles or 0,
         end_to_end_m2=None if gsd is None or not n_px else n_px * gsd**2,
         true_scale_m2=n_px * entry.gsd_m_per_px**2 if n_px else None,
         true_mask_m2=None if gsd is None else entry.mask_area_px * gsd**2,

@@ -29,6 +29,7 @@ from vehanchor.rulers.view import View
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.storage.codec import Codec
 from vehanchor.storage.journal import Journal, Source
+from vehanchor.tilt.camera_tilt import metadata_tilt
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 
 if TYPE_CHECKING:
@@ -73,7 +74,10 @@ class SearchedImage:
         share = self.resolved.get(options.lengths.alpha) if self.resolved else 1.0
         if share is None:
             raise InvalidParameterError(f"searched without alpha {options.lengths.alpha}: search with these options")
-        return analyse_view(View(self.image, self.detections, card, options, lambda *_: share, prior=self.prior))
+        tilt = metadata_tilt(self.image, options)
+        return analyse_view(
+            View(self.image, self.detections, card, options, lambda *_: share, prior=self.prior, tilt=tilt)
+        )
 
 
 DetectionLog: TypeAlias = Journal[SearchedImage]

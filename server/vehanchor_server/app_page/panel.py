@@ -96,7 +96,8 @@ def _sentence_for_people(record: BaseModel) -> str | None:
         words = f"measured from {', '.join(ruler.label for ruler in estimate.probable_rulers)}"
     else:
         words = f"{advice.why}; {advice.helps}"
-    by_hand = "" if estimate.by_hand is None else f" Vehicles corrected by hand: {estimate.by_hand.summary}."
+    told = estimate.details.by_hand
+    by_hand = "" if told is None else f" Vehicles corrected by hand: {told.summary}."
     return f"{words[0].upper()}{words[1:]}.{by_hand}"
 
 

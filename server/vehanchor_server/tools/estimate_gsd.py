@@ -152,8 +152,9 @@ def describe_estimate(estimate: GsdEstimate, detail: Detail = "full", check: str
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
         words.append(f"In your {frame.width_px} x {frame.height_px} copy that is {rounded(frame.gsd_m_per_px)} m/px.")
-    if estimate.by_hand is not None:
-        words.append(f"Vehicles corrected by hand: {estimate.by_hand.summary}.")
+    by_hand = estimate.details.by_hand
+    if by_hand is not None:
+        words.append(f"Vehicles corrected by hand: {by_hand.summary}.")
     return " ".join([*words, *ruler_explanations(estimate), *warnings(estimate.warnings, detail)])
 
 

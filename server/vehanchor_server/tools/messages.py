@@ -46,11 +46,9 @@ def count_vehicles(number: int) -> str:
 
 def ruler_names(estimate: GsdEstimate) -> str:
     """List the rulers that are probably right, the leading one first, without priors."""
-    words = [
-        count_vehicles(estimate.n_vehicles) if ruler.kind == "vehicles" else ruler.label
-        for ruler in estimate.probable_rulers
-    ]
-    return " and ".join(words) or count_vehicles(estimate.n_vehicles)
+    cars = count_vehicles(estimate.n_vehicles or 0)
+    words = [cars if ruler.kind == "vehicles" else ruler.label for ruler in estimate.probable_rulers]
+    return " and ".join(words) or cars
 
 
 def ruler_explanations(estimate: GsdEstimate) -> list[str]:

@@ -65,6 +65,7 @@ def batch(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
     ] = False,
+    details: Annotated[bool, typer.Option("--details", help="Write all columns, not the 20 main ones.")] = False,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
     *,
@@ -78,13 +79,13 @@ def batch(
         started = time.monotonic()
         with image_progress() as progress:
             if measure is not None:
-                if engine is not _Engine.local or workers or known_lengths:
-                    raise InvalidParameterError("--measure excludes --engine, --workers and --known-lengths")
+                if engine is not _Engine.local or workers or known_lengths or details:
+                    raise InvalidParameterError("--measure excludes --engine, --workers, --known-lengths and --details")
                 from vehanchor.cli.batch_targets import measure_table
 
                 measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
                 return
-            common = {"known_lengths": known_lengths, "overwrite": overwrite}
+            common = {"known_lengths": known_lengths, "details": details, "overwrite": overwrite}
             try:
                 machines = {"engine": engine.value, "address": address, "workers": workers}
                 summary = _each(inputs, output, chosen, runtime=chosen.runtime(progress), **machines, **common)

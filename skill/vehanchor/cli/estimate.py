@@ -28,6 +28,7 @@ from vehanchor.cli.terminal import (
     scale_text,
     tile_progress,
     under_one_folder,
+    vehicles_text,
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
 from vehanchor.export.geojson import check_geojson_path
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.engine import Engine
-    from vehanchor.records import GsdEstimate, RulerScale, TiltEstimate
+    from vehanchor.records import EstimateDetails, GsdEstimate, RulerScale, TiltEstimate
 
 _STEM = "{stem}"
 _SHORT_SHA = 12
@@ -253,11 +254,11 @@ def _write_outputs(analysis: ScaleAnalysis, source: str, outputs: _Outputs) -> b
 
 def _estimate_table(source: str, record: GsdEstimate) -> Table:
     fused = any(ruler.sets_scale and ruler.kind != "vehicles" for ruler in record.rulers)
-    guard = "; the vehicles are too coarse" if record.resolution_guard and not fused else ""
+    guard = "; the vehicles are too coarse" if record.details.resolution_guard and not fused else ""
     facts = [
         ("scale", scale_text(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)),
         ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
-        ("vehicles", _vehicles_text(record)),
+        ("vehicles", vehicles_text(record)),
     ]
     if fused:
         facts += [("" if row else "rulers", _ruler_text(ruler)) for row, ruler in enumerate(record.rulers)]
@@ -265,10 +266,7 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         facts.append(("not usable", f"{advice.why}: {advice.helps}"))
     size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is not None and record.mode_length_px is not None:
-        found_at = f", found at {record.working_scale:g} of the size" if record.working_scale not in (None, 1) else ""
-        told = " by the vehicles' appearance" if record.reference_source == "appearance" else ""
-        found = f"{record.mode_length_px:.1f} px ({record.aggregation})"
-        facts.append(("modal length", f"{found} = {significant(record.reference_length_m, 4)} m{told}{found_at}"))
+        facts.append(("modal length", _length_text(record.mode_length_px, record.details)))
     if record.gsd_m_per_px is not None and record.tilt is None:
         width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
         size += f" = {significant(width_m, 4)} x {significant(height_m, 4)} m"
@@ -281,15 +279,16 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         facts.append(("your frame", f"{seen.width_px} x {seen.height_px} px: {scale}"))
     if record.georeference_gsd_m_per_px is not None:
         facts.append(("file's own scale", f"{significant(record.georeference_gsd_m_per_px, 4)} m/px"))
-    facts.append(("model", f"{record.model} ({record.model_sha256[:_SHORT_SHA]})"))
+    facts.append(("model", f"{record.model} ({record.details.model_sha256[:_SHORT_SHA]})"))
     return facts_table(source, facts)
 
 
-def _vehicles_text(record: GsdEstimate) -> str:
-    if record.stopped_because is None:
-        return "not searched"
-    kept, told = f"{record.n_vehicles} kept of {record.n_detections} found", record.by_hand
-    return f"{kept}; by hand: {told.summary}" if told else kept
+def _length_text(mode_px: float, details: EstimateDetails) -> str:
+    scale = details.working_scale
+    found_at = "" if scale is None or scale == 1 else f", found at {scale:g} of the size"
+    told = " by the vehicles' appearance" if details.reference_source == "appearance" else ""
+    metres = significant(details.reference_length_m or 0, 4)
+    return f"{mode_px:.1f} px ({details.aggregation}) = {metres} m{told}{found_at}"
 
 
 def _ruler_text(ruler: RulerScale) -> str:
@@ -325,7 +324,7 @@ def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
             "-" if record.gsd_m_per_px is None else significant(record.gsd_m_per_px, 4),
             "-" if low is None or high is None else f"{significant(low, 4)} to {significant(high, 4)}",
             f"{record.confidence:.2f}",
-            str(record.n_vehicles),
+            "-" if record.n_vehicles is None else str(record.n_vehicles),
             record.status,
         )
     return table

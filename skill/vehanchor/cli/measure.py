@@ -23,6 +23,7 @@ from vehanchor.cli.terminal import (
     quantity_text,
     scale_text,
     tile_progress,
+    vehicles_text,
 )
 from vehanchor.errors import InvalidParameterError, OutputError, VehAnchorError
 from vehanchor.export.geojson import check_geojson_path
@@ -194,7 +195,7 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
         facts += [
             ("scale", scale_text(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)),
             ("confidence", f"{scale.confidence:.2f}   {STATUS_TEXTS[scale.status]}"),
-            ("vehicles", f"{scale.n_vehicles} kept of {scale.n_detections} found"),
+            ("vehicles", vehicles_text(scale)),
         ]
     facts.append(("status", record.status))
     facts.append(("segmenter", f"{record.segmenter} ({record.segmenter_sha256[:_SHORT_SHA]})"))

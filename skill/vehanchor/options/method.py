@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar
 
 from vehanchor.options.option import Option, group
-from vehanchor.scale.defaults import NMS_IOU, OUTLIER_ALPHA
+from vehanchor.scale.defaults import NMS_IOU, OUTLIER_ALPHA, Preset
 
-Preset: TypeAlias = Literal["paper"]
-"""Names of the presets."""
-
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: dict[Preset, dict[str, Any]] = {
     "paper": {
         "min_score": 0.1,
         "nms_iou": NMS_IOU,

@@ -247,8 +247,9 @@ def _headline(estimate: GsdEstimate) -> str:
 def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
     """Compose the caption: the reason against an unusable scale, scale, interval, confidence, and the legend."""
     estimate = analysis.estimate
-    n_dropped = estimate.n_detections - estimate.n_vehicles
-    legend = [(KEPT_RGB, f"{estimate.n_vehicles} vehicle{'s' * (estimate.n_vehicles != 1)}{_by_hand(estimate)}")]
+    n_found, n_kept = estimate.details.n_detections or 0, estimate.n_vehicles or 0
+    n_dropped = n_found - n_kept
+    legend = [(KEPT_RGB, f"{n_kept} vehicle{'s' * (n_kept != 1)}{_by_hand(estimate)}")]
     if n_dropped:
         legend.append((DROPPED_RGB, f"{n_dropped} outlier{'s' * (n_dropped != 1)}, dropped"))
     scale = _headline(estimate)
@@ -262,7 +263,7 @@ def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
             lines.append([(None, f"{scale}, confidence {estimate.confidence:.2f}")])
     if estimate.tilt is not None:
         lines.append([(None, f"at the centre: the camera was tilted by {estimate.tilt.tilt_deg:.0f} degrees")])
-    if estimate.n_detections:
+    if n_found:
         lines.append([*legend])
     if rulers := _rulers_line(analysis):
         lines.append(rulers)
@@ -270,7 +271,8 @@ def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
 
 
 def _by_hand(estimate: GsdEstimate) -> str:
-    return f" (by hand: {estimate.by_hand.summary})" if estimate.by_hand else ""
+    told = estimate.details.by_hand
+    return f" (by hand: {told.summary})" if told else ""
 
 
 def _rulers_line(analysis: DrawableScale) -> CaptionLine:
@@ -278,12 +280,11 @@ def _rulers_line(analysis: DrawableScale) -> CaptionLine:
     rulers = [ruler for ruler in analysis.estimate.rulers if ruler.sets_scale]
     if [ruler.kind for ruler in rulers] in ([], ["vehicles"]):
         return []
-    marked = {other.kind for other in analysis.others if other.marks}
+    marked = {each.kind for each in analysis.witnesses if each.marks}
     return [
         (
             MARK_RGB if ruler.kind in marked else None,
-            f"{ruler.label} {significant(ruler.gsd_m_per_px)} m/px"
-            f"{'' if ruler.is_probably_right else ', probably wrong'}",
+            f"{ruler.label} {significant(ruler.gsd_m_per_px)} m/px{'' if ruler.probably_right else ', probably wrong'}",
         )
         for ruler in rulers
     ]

@@ -54,9 +54,9 @@ def advice_for(estimate: GsdEstimate | None, check: str = CHECK_VEHICLES) -> Adv
 
 def _specific(estimate: GsdEstimate) -> Advice | None:
     """Give the advice for a cause that the record shows; None for that of the reason alone."""
-    reason, n = estimate.reason, estimate.n_vehicles
+    reason, n = estimate.reason, estimate.n_vehicles or 0
     codes = {notice.code for notice in estimate.warnings}
-    if reason in ("too_few", "imprecise") and estimate.stopped_because is None and estimate.n_detections == 0:
+    if reason in ("too_few", "imprecise") and estimate.n_vehicles is None:
         return Advice(ADVICE[reason].why, f"also use the ruler vehicles, or {_LINE}")
     if n == 0 and reason == "too_few":
         return Advice("no car was found", f"{_LINE}, or take a picture with cars")
@@ -72,7 +72,7 @@ def _specific(estimate: GsdEstimate) -> Advice | None:
         return Advice("the image is stretched in one direction", "send the original image, or keep its aspect ratio")
     if reason == "disagree":
         return _disagreement(estimate)
-    if reason in ("too_few", "imprecise") and n and estimate.reference_source in ("model", "appearance"):
+    if reason in ("too_few", "imprecise") and n and estimate.details.reference_source in ("model", "appearance"):
         if reason == "imprecise":
             return Advice(ADVICE[reason].why, f"give the region, or {_LINE}")
         alone = f"{n} vehicle{'' if n == 1 else 's'} alone: too little evidence"
@@ -85,6 +85,7 @@ def _disagreement(estimate: GsdEstimate) -> Advice | None:
     setting = [ruler.label for ruler in estimate.rulers if ruler.sets_scale]
     if len(setting) > 1:
         return Advice(f"{' and '.join(setting)} contradict each other", f"check them, or {_LINE}")
-    if estimate.scene_scale is not None and estimate.n_vehicles:
-        return Advice(f"by the scene the scale is about {estimate.scene_scale.gsd_m_per_px:.2g} m/px", _CHECK)
+    scene = estimate.details.scene_scale
+    if scene is not None and estimate.n_vehicles:
+        return Advice(f"by the scene the scale is about {scene.gsd_m_per_px:.2g} m/px", _CHECK)
     return None

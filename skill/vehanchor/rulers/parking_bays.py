@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.rulers.bay_rows import find_bay_rows
-from vehanchor.rulers.point import no_evidence, point_witness
+from vehanchor.rulers.point import point_witness
 from vehanchor.rulers.prior_range import prior_range
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.rulers.standards import lengths_of
@@ -42,21 +42,20 @@ class ParkingBays(Ruler):
     help = "a row of parking bays with visible lines, up to 0.33 m/px"
     colour = "#882255"
     pooling_gain = 0.0  # one country: one error
-    independent_of_vehicles = True
 
-    def measure(self, view: View) -> Witness:
+    def measure(self, view: View) -> Witness | None:
         """Measure rows of bays at the scales that the scene-scale prior allows; none without pixels or prior.
 
         After a search that ended early, only the searched part of the image is examined.
         """
         scale = prior_range(view, _RESOLVED, _PRIOR_SHARE, _FARTHEST)
         if view.raster is None or scale is None:
-            return no_evidence(self.kind)
+            return None
         rows = find_bay_rows(view.raster, scale, view.detections.covers)
         return witness_of(rows, view.options.reference.region)
 
 
-def witness_of(rows: Sequence[BayRow], region: str | None = None) -> Witness:
+def witness_of(rows: Sequence[BayRow], region: str | None = None) -> Witness | None:
     """Compare the width of bays with the standards of a region, or of all countries.
 
     Args:
@@ -64,7 +63,7 @@ def witness_of(rows: Sequence[BayRow], region: str | None = None) -> Witness:
         region: country or region; None if it is unknown.
     """
     if not rows:
-        return no_evidence(ParkingBays.kind)
+        return None
     widths = np.log([row.pitch_px for row in rows])
     lines = np.array([len(row.ends) for row in rows])
     order = np.argsort(widths, kind="stable")
@@ -77,7 +76,7 @@ def witness_of(rows: Sequence[BayRow], region: str | None = None) -> Witness:
     log_width, log_sd = _standard_width(region)
     gsd = math.exp(log_width) / width_px
     if not on_grid(gsd):
-        return no_evidence(ParkingBays.kind)
+        return None
     reliability = RELIABILITY[ParkingBays.kind]
     return point_witness(
         ParkingBays.kind,

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from vehanchor.scale.reliability import Shared
 
 
-def no_evidence(kind: str, *notices: Remark) -> Witness:
-    """Make the witness of a ruler that found nothing; notices say why."""
+def unusable(kind: str, *notices: Remark) -> Witness:
+    """Make the witness of a ruler that cannot measure; notices say why."""
     return Witness(kind, n=0, notices=notices)
 
 

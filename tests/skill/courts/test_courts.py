@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import vehanchor
 from research.scenes import render_scene
-from tests.analyses import log_sd
+from tests.analyses import log_sd, told
 from tests.skill.courts.drawing import draw_court
 from vehanchor.courts.court import Court
 from vehanchor.courts.find import courts_among, measure_court
@@ -109,7 +109,7 @@ def _court(gsd: float, kind: str = "tennis", log_sd: float = 0.001) -> Court:
 
 
 def test_courts_are_a_witness_with_their_measured_sides() -> None:
-    witness = witness_of([_court(0.3), _court(0.302)])
+    witness = told(witness_of([_court(0.3), _court(0.302)]))
     assert witness.gsd_m_per_px == pytest.approx(0.301, rel=1e-3)
     assert (witness.kind, witness.n) == ("courts", 2)
     assert witness.interval is not None
@@ -124,14 +124,14 @@ def test_courts_are_a_witness_with_their_measured_sides() -> None:
 
 
 def test_rules_of_basketball_that_are_hard_to_tell_apart_make_a_wider_interval() -> None:
-    tennis, basketball = witness_of([_court(0.3)]), witness_of([_court(0.3, "basketball_nba")])
+    tennis, basketball = told(witness_of([_court(0.3)])), told(witness_of([_court(0.3, "basketball_nba")]))
     assert log_sd(basketball) > 1.5 * log_sd(tennis)
     assert basketball.said is not None
     assert "by the NBA's rules" in basketball.said
 
 
 def test_a_court_that_says_something_else_than_the_others_is_left_out() -> None:
-    witness = witness_of([_court(0.3), _court(0.301), _court(0.4)])
+    witness = told(witness_of([_court(0.3), _court(0.301), _court(0.4)]))
     assert witness.n == 2
     assert witness.gsd_m_per_px == pytest.approx(0.3, rel=0.01)
 
