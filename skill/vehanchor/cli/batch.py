@@ -65,7 +65,7 @@ def batch(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
     ] = False,
-    details: Annotated[bool, typer.Option("--details", help="Write all columns, not the 20 main ones.")] = False,
+    details: Annotated[bool, typer.Option("--details", help="Write all columns, also of the search and of each ruler.")] = False,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
     *,
