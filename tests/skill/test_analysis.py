@@ -25,7 +25,7 @@ from vehanchor.errors import InvalidParameterError, MissingExtraError
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.measured import MEASURED_RGB
 from vehanchor.records import KnownPlane, Notice, Reason, SceneScaleEstimate
-from vehanchor.records.advice import ADVICE, advice_for
+from vehanchor.records.text import ADVICE, advice_for
 
 
 @pytest.fixture(scope="module")

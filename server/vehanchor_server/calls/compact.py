@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, OtherObject
-from vehanchor.records.advice import advice_for
+from vehanchor.records.text import advice_for
 from vehanchor.scale.defaults import USABLE_CHANCE
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from mcp.types import CallToolResult, InputRequiredResult
 from pydantic import Field
 
 from vehanchor.records import GsdEstimate
-from vehanchor.records.advice import CHECK_VEHICLES
+from vehanchor.records.text import CHECK_VEHICLES, by_hand_text, ruler_names
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
@@ -38,7 +38,6 @@ from vehanchor_server.tools.messages import (
     no_scale_message,
     rounded,
     ruler_explanations,
-    ruler_names,
     unusable_scale,
     warnings,
 )
@@ -152,9 +151,8 @@ def describe_estimate(estimate: GsdEstimate, detail: Detail = "full", check: str
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
         words.append(f"In your {frame.width_px} x {frame.height_px} copy that is {rounded(frame.gsd_m_per_px)} m/px.")
-    by_hand = estimate.details.by_hand
-    if by_hand is not None:
-        words.append(f"Vehicles corrected by hand: {by_hand.summary}.")
+    if by_hand := by_hand_text(estimate):
+        words.append(f"Vehicles corrected {by_hand}.")
     return " ".join([*words, *ruler_explanations(estimate), *warnings(estimate.warnings, detail)])
 
 

@@ -33,8 +33,7 @@ from vehanchor.cli.terminal import (
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
 from vehanchor.export.geojson import check_geojson_path
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
-from vehanchor.records.advice import advice_for
-from vehanchor.records.digits import significant
+from vehanchor.records.text import advice_for, significant
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -28,7 +28,7 @@ from vehanchor.cli.terminal import (
 from vehanchor.errors import InvalidParameterError, OutputError, VehAnchorError
 from vehanchor.export.geojson import check_geojson_path
 from vehanchor.options.models import SEGMENTER
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, TextIO, TypeAlias
 import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
-from vehanchor.records.digits import with_interval
 from vehanchor.records.foreign_text import on_one_line
+from vehanchor.records.text import by_hand_text, with_interval
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -246,5 +246,5 @@ def vehicles_text(record: GsdEstimate) -> str:
     """Count the vehicles of an estimate."""
     if record.n_vehicles is None:
         return "not searched"
-    kept, told = f"{record.n_vehicles} kept of {record.details.n_detections} found", record.details.by_hand
-    return f"{kept}; by hand: {told.summary}" if told else kept
+    by_hand = by_hand_text(record)
+    return f"{record.n_vehicles} kept of {record.details.n_detections} found{by_hand and f'; {by_hand}'}"

@@ -9,7 +9,7 @@ import numpy as np
 from vehanchor.errors import MissingExtraError
 from vehanchor.pictures.ruler_plot import plot_rulers
 from vehanchor.pictures.scale import write_picture
-from vehanchor.records.digits import significant, with_interval
+from vehanchor.records.text import NO_SCALE, count, scale_text, significant
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, modal_density
 
 if TYPE_CHECKING:
@@ -72,9 +72,7 @@ def plot_scale(analysis: DrawableScale) -> Figure:
             axes.spines[side].set_visible(False)
     if not (measured or fused):
         rows[0].set_axis_off()
-        rows[0].text(
-            0.5, 0.5, "no scale: nothing of known size found", ha="center", va="center", fontsize=14, color=_INK
-        )
+        rows[0].text(0.5, 0.5, NO_SCALE, ha="center", va="center", fontsize=14, color=_INK)
         return figure
     if measured:
         _plot_lengths(figure, rows[0], analysis)
@@ -85,10 +83,8 @@ def plot_scale(analysis: DrawableScale) -> Figure:
 
 
 def _title(estimate: GsdEstimate) -> str:
-    if estimate.gsd_m_per_px is None:
-        return "no scale: nothing of known size found"
-    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
-    return f"{with_interval(estimate.gsd_m_per_px, low, high, 'm/px')},  confidence {estimate.confidence:.2f}"
+    confidence = "" if estimate.gsd_m_per_px is None else f",  confidence {estimate.confidence:.2f}"
+    return f"{scale_text(estimate)}{confidence}"
 
 
 def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
@@ -161,12 +157,12 @@ def _draw_lengths(axes: Axes, analysis: DrawableScale, right_px: float, aggregat
     lengths = analysis.detections.boxes[:, 2]
     kept, dropped = lengths[analysis.kept], lengths[~analysis.kept]
     edges = _bin_edges(kept, float(lengths.min()), min(float(lengths.max()), right_px))
-    groups, colours, labels = [kept], [_KEPT], [f"{len(kept)} vehicle{'s' * (len(kept) != 1)} kept"]
+    groups, colours, labels = [kept], [_KEPT], [f"{count(len(kept), 'vehicle')} kept"]
     if len(dropped):
         n_beyond = int((dropped > right_px).sum())
         beyond = f" ({n_beyond} beyond the axis)" if n_beyond else ""
         groups, colours = [*groups, dropped], [*colours, _DROPPED]
-        labels.append(f"{len(dropped)} outlier{'s' * (len(dropped) != 1)} dropped{beyond}")
+        labels.append(f"{count(len(dropped), 'outlier')} dropped{beyond}")
     axes.hist(groups, bins=list(edges), stacked=True, color=colours, label=labels, edgecolor="white", linewidth=0.6)
     axes.set_ylim(0, 1.12 * axes.get_ylim()[1])
     if len(kept) < MIN_KDE_VEHICLES:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.scale.density import GRID
 

@@ -1,4 +1,4 @@
-"""Advice for a scale that is not usable: the problem, and what would raise the chance most."""
+"""Text from records: numbers, scales, vehicles, and advice for a scale that is not usable."""
 
 from __future__ import annotations
 
@@ -8,6 +8,50 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from vehanchor.records import GsdEstimate, Reason
+
+NO_SCALE = "no scale: nothing of known size found"
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """Format a finite number with significant digits: 0.12 as ``0.120``, 1234.5 as ``1234``; 0 as ``0``.
+
+    Zeros are kept, because they say how exactly the number is known. Whole digits are never replaced by zeros.
+    """
+    if value == 0:
+        return "0"
+    exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])  # after rounding: 9.996 has that of 10.0
+    return f"{value:.{max(digits - 1 - exponent, 0)}f}"
+
+
+def with_interval(value: float, low: float | None, high: float | None, unit: str) -> str:
+    """Format a quantity with four digits, and with its 95 % interval if it has one."""
+    interval = "" if low is None or high is None else f"  (95 %: {significant(low, 4)} to {significant(high, 4)})"
+    return f"{significant(value, 4)} {unit}{interval}"
+
+
+def count(number: int, noun: str) -> str:
+    """Format a number of things, as "1 vehicle" and "2 vehicles"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def scale_text(estimate: GsdEstimate) -> str:
+    """Format the scale with its interval, or say that there is none."""
+    if estimate.gsd_m_per_px is None:
+        return NO_SCALE
+    return with_interval(estimate.gsd_m_per_px, estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px, "m/px")
+
+
+def by_hand_text(estimate: GsdEstimate) -> str:
+    """Count the caller's corrections, as "by hand: 2 added, 1 dropped"; empty without any."""
+    told = estimate.details.by_hand
+    return "" if told is None else f"by hand: {told.summary}"
+
+
+def ruler_names(estimate: GsdEstimate) -> str:
+    """List the rulers that are probably right, the leading one first, without priors."""
+    cars = count(estimate.n_vehicles or 0, "vehicle")
+    words = [cars if ruler.kind == "vehicles" else ruler.label for ruler in estimate.probable_rulers]
+    return " and ".join(words) or cars
 
 
 class Advice(NamedTuple):
@@ -75,7 +119,7 @@ def _specific(estimate: GsdEstimate) -> Advice | None:
     if reason in ("too_few", "imprecise") and n and estimate.details.reference_source in ("model", "appearance"):
         if reason == "imprecise":
             return Advice(ADVICE[reason].why, f"give the region, or {_LINE}")
-        alone = f"{n} vehicle{'' if n == 1 else 's'} alone: too little evidence"
+        alone = f"{count(n, 'vehicle')} alone: too little evidence"
         return Advice(alone, "give the region, or include one more car")
     return None
 
