@@ -36,8 +36,7 @@ from vehanchor.records import (
     VehiclesByHand,
 )
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.disagreements import disagreements
-from vehanchor.rulers.measurement import measure_all
+from vehanchor.rulers.measurement import disagreements, measure_all
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class
 from vehanchor.rulers.scene_scale import SceneScale
@@ -48,8 +47,7 @@ from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judged, sharing
 from vehanchor.scale.reliability import STRETCH
-from vehanchor.tilt.camera_tilt import metadata_tilt
-from vehanchor.tilt.suspected import tilt_notice
+from vehanchor.tilt.camera_tilt import metadata_tilt, tilt_notice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

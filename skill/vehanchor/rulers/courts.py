@@ -17,7 +17,7 @@ from vehanchor.scale.reliability import RELIABILITY
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.courts.court import Court
+    from vehanchor.courts.find import Court
     from vehanchor.rulers.view import View
     from vehanchor.scale.posterior import Witness
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from vehanchor.rulers.bay_rows import find_bay_rows
 from vehanchor.rulers.point import point_witness
-from vehanchor.rulers.prior_range import prior_range
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.rulers.standards import lengths_of
-from vehanchor.scale.density import on_grid
+from vehanchor.scale.density import credible_interval, on_grid
 from vehanchor.scale.lengths import Interval
 from vehanchor.scale.posterior import Mark
 from vehanchor.scale.reliability import PAINT, RELIABILITY
@@ -48,7 +47,7 @@ class ParkingBays(Ruler):
 
         After a search that ended early, only the searched part of the image is examined.
         """
-        scale = prior_range(view, _RESOLVED, _PRIOR_SHARE, _FARTHEST)
+        scale = _prior_range(view)
         if view.raster is None or scale is None:
             return None
         rows = find_bay_rows(view.raster, scale, view.detections.covers)
@@ -112,3 +111,13 @@ def _marks(row: BayRow) -> list[Mark]:
 
 def _points(places: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in places)
+
+
+def _prior_range(view: View) -> Interval | None:
+    """Compute the range of scales to search; None in a tilted view, without a prior, or outside the resolved scales."""
+    if view.prior is None or view.plane is not None:
+        return None
+    middle = credible_interval(view.prior.density, 0.0).low
+    low, high = credible_interval(view.prior.density, _PRIOR_SHARE)
+    low, high = max(low, middle / _FARTHEST, _RESOLVED.low), min(high, middle * _FARTHEST, _RESOLVED.high)
+    return Interval(low, high) if low < high else None

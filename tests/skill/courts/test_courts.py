@@ -11,8 +11,7 @@ import vehanchor
 from research.scenes import render_scene
 from tests.analyses import log_sd, told
 from tests.skill.courts.drawing import draw_court
-from vehanchor.courts.court import Court
-from vehanchor.courts.find import courts_among, measure_court
+from vehanchor.courts.find import Court, courts_among, measure_court
 from vehanchor.courts.match import Pose
 from vehanchor.courts.proposals import Proposal, coarse_factors, load_court_network
 from vehanchor.courts.template import BASKETBALL, TENNIS, Template

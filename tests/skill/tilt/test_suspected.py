@@ -15,7 +15,7 @@ from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.rulers.view import View
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.suspected import LEAST_CARS, SizeTrend, size_trend
+from vehanchor.tilt.camera_tilt import LEAST_CARS, SizeTrend, size_trend
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.pooling import pool
 
