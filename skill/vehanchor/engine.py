@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.imagery.raster import Raster
     from vehanchor.measure.resolved_scale import ScaleInput
-    from vehanchor.options.coordinates import Place
+    from vehanchor.options.reading import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
     from vehanchor.segmentation.prompt import Box, Point
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 from pydantic import BeforeValidator, Field
 
 from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
-from vehanchor.options.given_scale import OBJECT_HEIGHT, ObjectHeight
 from vehanchor.options.option import Option
+from vehanchor.options.rulers import OBJECT_HEIGHT, ObjectHeight
 from vehanchor_server.calls.reply import MAX_SIDE_PX, Detail
 from vehanchor_server.frozen import Flag, WholeNumber
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.search import ImageSearch
-    from vehanchor.options.search import Effort
+    from vehanchor.options.method import Effort
     from vehanchor.rulers.view import View
     from vehanchor.scale.posterior import Answer
 

@@ -15,7 +15,7 @@ from vehanchor.analysis.measured import DistanceAnalysis
 from vehanchor.errors import PromptError
 from vehanchor.measure.resolved_scale import resolve_scale
 from vehanchor.options import ScaleOptions
-from vehanchor.options.coordinates import CoordinateFrame
+from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import DistanceMeasurement, ImagePoint
 from vehanchor.records.interop import places_of
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
     from vehanchor.measure.resolved_scale import ResolvedScale, ScaleInput
-    from vehanchor.options.coordinates import Place
+    from vehanchor.options.reading import Place
 
 MIN_PATH_PX = 2.0
 """Shortest path, pixels of the full image."""

@@ -16,7 +16,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens
 from vehanchor.measure.spread import Spread
-from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
+from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale, Notice
 from vehanchor.records.known_scale import known_scale
 from vehanchor.records.notices import NoticeCode
