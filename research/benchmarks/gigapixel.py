@@ -99,7 +99,7 @@ def search(image: Path, effort: str, threads: int | None, model: str | None) -> 
     options = ScaleOptions.of({"effort": effort})
     started, cpu = time.perf_counter(), time.process_time()
     with networks_seconds(time.thread_time) as networks, open_raster(image, limits=options.reading.limits) as raster:
-        found = analyse_raster(raster, detector, options).estimate
+        found = analyse_raster(detector, raster, options).estimate
     seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     search = found.details

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
 
 from vehanchor.analysis.image_list import estimate_each
-from vehanchor.analysis.pipeline import analyse_image, checked_detector
+from vehanchor.analysis.pipeline import analyse_image, analyse_raster, checked_detector
 from vehanchor.courts.proposals import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
@@ -314,9 +314,9 @@ class Engine:
         scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
         options: ScaleOptions,
     ) -> ScaleInput:
-        """Take the caller's known scale, else the detector."""
+        """Take the caller's known scale, else the analysis that finds it."""
         given = given_scale(gsd_m_per_px, scale, options)
-        return checked_detector(self.detector, options) if given is None else given
+        return partial(analyse_raster, checked_detector(self.detector, options)) if given is None else given
 
 
 @contextmanager

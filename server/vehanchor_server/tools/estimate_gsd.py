@@ -135,7 +135,7 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
     checked_detector(detector, options)
     job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
-        analysis = services.models.memory.analyse(raster, detector, options)
+        analysis = services.models.memory.analyse(detector, raster, options)
         return scale_reply(raster, analysis, asked.wanted, job)
 
 

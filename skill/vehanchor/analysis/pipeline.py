@@ -79,12 +79,12 @@ def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions)
     """Open an image, search it and measure its scale; see ``Engine.analyse_scale``."""
     reading = options.reading
     with open_raster(image, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
-        analysis = analyse_raster(raster, detector, options)
+        analysis = analyse_raster(detector, raster, options)
     seen = image if can_be_read_again(image) else None
     return replace(analysis, image=seen, reading=reading, ground=raster.ground)
 
 
-def analyse_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
+def analyse_raster(detector: Detector, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:
     """Search an open image and measure its scale, with the detector's runtime."""
     return analyse_view(search_raster(raster, detector, options))
 

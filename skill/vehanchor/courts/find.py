@@ -148,17 +148,6 @@ def _distinct(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
             yield one
 
 
-def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
-    """Match, fit and verify a proposal; None if its lines do not support a court.
-
-    Args:
-        raster: the image.
-        proposal: the proposal; it may name the wrong game.
-    """
-    courts = (_measured(raster, each) for each in _matches(raster, proposal))
-    return next((court for court in courts if court is not None), None)
-
-
 def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
     """Match the templates of all games near a proposal, the best first; empty if there are too few lines."""
     games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]

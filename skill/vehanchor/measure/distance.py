@@ -66,7 +66,7 @@ def analyse_paths(
     Args:
         raster: the image.
         paths: results of ``read_path``, in the caller's coordinates.
-        scale: the known scale, or the detector that finds it.
+        scale: the known scale, or the analysis that finds it.
         options: all options of the scale estimate.
         object_height_m: height of all paths above the ground.
 

@@ -11,7 +11,7 @@ import vehanchor
 from research.scenes import render_scene
 from tests.analyses import log_sd, told
 from tests.skill.courts.drawing import draw_court
-from vehanchor.courts.find import Court, courts_among, measure_court
+from vehanchor.courts.find import Court, courts_among
 from vehanchor.courts.match import Pose
 from vehanchor.courts.proposals import Proposal, coarse_factors, load_court_network
 from vehanchor.courts.template import BASKETBALL, TENNIS, Template
@@ -26,7 +26,7 @@ def _measured(image: Any, gsd: float, *, which: int = 0, degrees: float = 20.0, 
     middle = image.shape[0] / 2
     pose = Pose(middle + 6, middle - 5, math.radians(degrees + 7), 1.1 / gsd)
     with open_raster(image) as raster:
-        return measure_court(raster, Proposal(which, 0.9, pose, factor))
+        return next(iter(courts_among(raster, [Proposal(which, 0.9, pose, factor)])), None)
 
 
 @pytest.mark.parametrize(("gsd", "side", "factor"), [(0.3, 256, 2), (0.2, 256, 2), (0.1, 512, 4), (0.05, 1024, 8)])
