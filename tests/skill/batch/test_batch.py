@@ -7,10 +7,8 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +21,6 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import estimate_gsd
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch
 from vehanchor.batch.engines.local import local_workers
-from vehanchor.batch.pool import finished
 from vehanchor.batch.row import ALL_COLUMNS, COLUMNS
 from vehanchor.batch.run import journal_path
 from vehanchor.batch.worker import Task, Worker
@@ -549,20 +546,3 @@ def test_a_table_that_is_a_link_to_an_image_is_refused(folder: Path, detector: P
         assert result.exit_code == 2
         assert "are one file by a link" in result.stderr
     assert table.is_symlink()
-
-
-def test_items_are_taken_up_as_the_pool_gets_through_them_and_left_when_it_is_closed() -> None:
-    begun: list[int] = []
-    lock = threading.Lock()
-
-    def work(n: int) -> int:
-        with lock:
-            begun.append(n)
-        return n
-
-    pool = ThreadPoolExecutor(2)
-    with closing(finished(pool, 2, work, range(10**9))) as results:
-        next(results)
-    assert len(begun) < 50
-    with pytest.raises(RuntimeError, match="shutdown"):
-        pool.submit(work, 1)
