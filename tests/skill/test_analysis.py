@@ -183,7 +183,7 @@ def test_a_distance_is_drawn_where_it_lies_as_by_the_command(
     words[words.index(out)] = photograph
     refused = CliRunner().invoke(app, list(map(str, words)))
     assert refused.exit_code == 2
-    assert "is the image itself" in refused.stderr
+    assert "is one of the images" in refused.stderr
 
 
 def test_a_size_whose_scale_is_not_to_be_used_or_holds_in_one_place_has_no_bar(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
-from vehanchor.cli.metric_outputs import refusal, write_metric_outputs
+from vehanchor.cli.outputs import check_outputs, write_outputs
 from vehanchor.cli.terminal import (
     BAD_INPUT,
     NOT_OK,
@@ -31,14 +31,12 @@ from vehanchor.cli.terminal import (
     vehicles_text,
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
-from vehanchor.export.geojson import check_geojson_path
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.records.text import advice_for, significant
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.engine import Engine
     from vehanchor.records import EstimateDetails, GsdEstimate, RulerScale, TiltEstimate
 
@@ -110,7 +108,8 @@ def estimate(
             _refuse_folders(images)
             if len(images) > 1:
                 chosen.options().by_hand.check_single()
-            outputs = _outputs(images, _Patterns(overlay, plot, boxes, scale_bar, geotiff))
+            files = {"overlay": overlay, "plot": plot, "boxes": boxes, "scale_bar": scale_bar, "geotiff": geotiff}
+            outputs = _outputs(images, files)
             engine = chosen.engine()
             engine.load()
         except VehAnchorError as error:
@@ -137,7 +136,7 @@ def _refuse_folders(images: Sequence[str]) -> None:
 
 
 def _estimate_all(
-    images: Sequence[str], engine: Engine, outputs: Sequence[_Outputs], *, as_json: bool
+    images: Sequence[str], engine: Engine, outputs: Sequence[Mapping[str, Path]], *, as_json: bool
 ) -> tuple[list[tuple[str, GsdEstimate]], int, int]:
     """Estimate all images; return the records, the number of errors, and of images without metric outputs."""
     rows: list[tuple[str, GsdEstimate]] = []
@@ -156,99 +155,30 @@ def _estimate_all(
                 print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
             rows.append((source, analysis.estimate))
             try:
-                n_refused += not _write_outputs(analysis, source, outputs[number])
+                why = write_outputs(analysis, outputs[number])
+                if why is not None:
+                    n_refused += 1
+                    print(printable(f"{source}: no scale bar and no GeoTIFF: {why}"), file=sys.stderr)
             except VehAnchorError as error:
                 n_failed += 1
                 report(error, source if len(images) > 1 else "")
     return rows, n_failed, n_refused
 
 
-class _Patterns(NamedTuple):
-    """Names of output files, with ``{stem}`` for several images; by option."""
-
-    overlay: str | None
-    plot: str | None
-    boxes: str | None
-    scale_bar: str | None
-    geotiff: str | None
+def _outputs(images: Sequence[str], patterns: Mapping[str, str | None]) -> list[dict[str, Path]]:
+    """Choose the output files of each image by their options, and check them before the work."""
+    named = {name: _names(images, f"--{name.replace('_', '-')}", each) for name, each in patterns.items() if each}
+    check_outputs(images, ((name, path) for name, paths in named.items() for path in paths))
+    return [{name: paths[number] for name, paths in named.items()} for number in range(len(images))]
 
 
-class _Outputs(NamedTuple):
-    """Output files of one image, by option."""
-
-    overlay: Path | None
-    plot: Path | None
-    boxes: Path | None
-    scale_bar: Path | None
-    geotiff: Path | None
-
-
-def _outputs(images: Sequence[str], patterns: _Patterns) -> list[_Outputs]:
-    """Choose the output files of each image, and check folder, suffix and conflicts before the work."""
-    if patterns.plot is not None:
-        from vehanchor.pictures.plot import require_plots
-
-        require_plots()
-    named = [_names(images, f"--{name.replace('_', '-')}", each) for name, each in patterns._asdict().items()]
-    inputs = {Path(source).resolve() for source in images}
-    seen: set[Path] = set()
-    for name, paths in zip(_Outputs._fields, named, strict=True):
-        for path in filter(None, paths):
-            resolved = _checked(name, path).resolve()
-            if resolved in inputs:
-                raise InvalidParameterError(f"{str(path)!r} is one of the images: writing there would destroy it")
-            if resolved in seen:
-                raise InvalidParameterError(f"two files would both be written to {str(path)!r}: choose other names")
-            seen.add(resolved)
-    return [_Outputs(*paths) for paths in zip(*named, strict=True)]
-
-
-def _checked(name: str, path: Path) -> Path:
-    """Check folder and suffix of an output file."""
-    if name == "boxes":
-        return check_geojson_path(path)
-    if name == "geotiff":
-        from vehanchor.export.geotiff import check_copy_path
-
-        return check_copy_path(path)
-    from vehanchor.pictures.scale import check_picture_path
-
-    return check_picture_path(path)
-
-
-def _names(images: Sequence[str], option: str, pattern: str | None) -> list[Path | None]:
-    if pattern is None:
-        return [None] * len(images)
+def _names(images: Sequence[str], option: str, pattern: str) -> list[Path]:
     if len(images) > 1 and _STEM not in pattern:
         raise InvalidParameterError(
             f"{option} {pattern!r} names one file for {len(images)} images: add {_STEM} to the name, as in "
             f"{option} '{_STEM}_{option.lstrip('-')}{Path(pattern).suffix}'"
         )
     return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
-
-
-def _write_outputs(analysis: ScaleAnalysis, source: str, outputs: _Outputs) -> bool:
-    """Write the files of one image; return False if it has no scale for the metric ones."""
-    if outputs.overlay is not None:
-        from vehanchor.pictures.scale import write_picture
-
-        write_picture(outputs.overlay, analysis.overlay())
-    if outputs.plot is not None:
-        from vehanchor.pictures.plot import write_plot
-
-        write_plot(outputs.plot, analysis.plot())
-    if outputs.boxes is not None:
-        from vehanchor.export.geojson import write_boxes
-
-        write_boxes(outputs.boxes, analysis)
-    if outputs.scale_bar is None and outputs.geotiff is None:
-        return True
-    why = refusal(analysis.estimate)
-    if why is None:
-        write_metric_outputs(analysis, outputs.scale_bar, outputs.geotiff)
-    else:
-        print(printable(f"{source}: no scale bar and no GeoTIFF: {why}"), file=sys.stderr)
-    return why is None
 
 
 def _estimate_table(source: str, record: GsdEstimate) -> Table:
