@@ -14,8 +14,7 @@ from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.ruler import Ruler
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import Ruler, View
 from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.posterior import Witness

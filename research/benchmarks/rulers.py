@@ -26,7 +26,7 @@ from vehanchor.errors import ImageError
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.point import point_witness
+from vehanchor.rulers.ruler import point_witness
 from vehanchor.scale.posterior import Witness, answer
 from vehanchor_evaluation.table import survey_table
 

@@ -34,8 +34,8 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions, Search
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.rulers.view import View
 from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import answer
 

@@ -23,8 +23,8 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
 from vehanchor.rulers.registry import needs_search
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import select
-from vehanchor.rulers.view import View
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.storage.codec import Codec
 from vehanchor.storage.journal import Journal, Source

@@ -12,7 +12,7 @@ from vehanchor.analysis.stored import stored_classes
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.rulers.registry import ruler_class
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.storage.codec import Codec
 
 if TYPE_CHECKING:

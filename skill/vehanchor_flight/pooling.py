@@ -19,8 +19,8 @@ from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
-from vehanchor.rulers.view import View
 from vehanchor.scale.density import quantile, shifted
 from vehanchor.scale.posterior import Lack, Remark, Witness
 from vehanchor.tilt.camera_tilt import known_plane, with_scale

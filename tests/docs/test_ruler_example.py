@@ -27,7 +27,7 @@ from vehanchor.records import GsdEstimate
 from vehanchor.records.flat import flat_row
 from vehanchor.records.ruler_kinds import RULERS
 from vehanchor.rulers.registry import ruler_class
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor_flight.verbs import estimate_flight
 

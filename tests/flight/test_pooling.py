@@ -12,7 +12,7 @@ from vehanchor.detection.detections import NOT_SEARCHED, Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.records import Notice
-from vehanchor.rulers.point import point_witness, prior_witness, unusable
+from vehanchor.rulers.ruler import point_witness, prior_witness, unusable
 from vehanchor.scale.density import credible_interval, lognormal
 from vehanchor.scale.reliability import Shared
 from vehanchor_flight.photograph import Photograph, StoredPhotograph

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.search import ImageSearch
     from vehanchor.options.method import Effort
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Answer
 
 _LEAST_FLEET_LOG_SD = 0.03  # even a known fleet differs this much between parts of a town

@@ -39,10 +39,10 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.measurement import disagreements, measure_all
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.stated_scale import StatedScale
 from vehanchor.rulers.vehicles import measured_vehicles
-from vehanchor.rulers.view import View
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judged, sharing

@@ -13,9 +13,7 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.point import point_witness, unusable
-from vehanchor.rulers.ruler import Ruler
-from vehanchor.rulers.view import mark_of_height
+from vehanchor.rulers.ruler import Ruler, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.height import height_log_sd
 from vehanchor.scale.reliability import RELIABILITY, Shared
@@ -24,7 +22,7 @@ from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.metadata.lens import Lens
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 LENS, HEIGHT = "lens", "height above take-off"

@@ -9,17 +9,15 @@ from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera import LENS, coarsening, cropped
-from vehanchor.rulers.point import assumed, point_witness, unusable
 from vehanchor.rulers.registry import uses
-from vehanchor.rulers.ruler import Ruler
-from vehanchor.rulers.view import mark_of_height
+from vehanchor.rulers.ruler import Ruler, assumed, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.reliability import RELIABILITY, Shared
 
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 _SAME_HEIGHT = 0.02  # relative: a height this near to the file's repeats it

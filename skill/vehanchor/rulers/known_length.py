@@ -12,8 +12,7 @@ import numpy as np
 from vehanchor.errors import KnownLengthError
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.point import assumed, in_words
-from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.ruler import Ruler, assumed, in_words
 from vehanchor.rulers.standards import Variant, lengths_of
 from vehanchor.scale.density import lognormal, mass_within, on_grid, product, quantile
 from vehanchor.scale.lengths import Z95
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.options import KnownLength
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.plane import GroundPlane
 
 _END_SD_PX = 1.0  # error of a drawn end, in pixels of the picture where it was drawn

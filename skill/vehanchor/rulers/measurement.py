@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.point import unusable
 from vehanchor.rulers.registry import active_rulers, ruler_class
+from vehanchor.rulers.ruler import unusable
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import product
 
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from vehanchor.rulers.ruler import Ruler
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import Ruler, View
     from vehanchor.scale.posterior import Answer, Witness
 
 _STATED = ("known_length", "height")

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.rulers.bay_rows import find_bay_rows
-from vehanchor.rulers.point import point_witness
-from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.ruler import Ruler, point_witness
 from vehanchor.rulers.standards import lengths_of
 from vehanchor.scale.density import credible_interval, on_grid
 from vehanchor.scale.lengths import Interval
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.rulers.bay_rows import BayRow
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 _STANDARD = "parking_bay_width"

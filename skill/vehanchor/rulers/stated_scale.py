@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.rulers.point import assumed, point_witness
-from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.ruler import Ruler, assumed, point_witness
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.reliability import RELIABILITY
 
 if TYPE_CHECKING:
     from vehanchor.options.rulers import StatedScale as Stated
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 

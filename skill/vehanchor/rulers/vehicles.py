@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.options import Lengths
     from vehanchor.rulers.reference import ReferenceLength
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.defaults import Aggregation, Reason
     from vehanchor.scale.paper import PaperScale
     from vehanchor.scale.votes import Votes

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options import ScaleOptions
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor_flight.features import Features
     from vehanchor_flight.live.frames import Frame
     from vehanchor_flight.matching import Match

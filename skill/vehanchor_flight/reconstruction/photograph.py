@@ -17,8 +17,8 @@ from vehanchor.detection.detections import Detections
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.registry import active_rulers
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.rulers.view import View
 from vehanchor.scale.plane import LEAST_DESCENT
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt
 from vehanchor.tilt.rectified import box_axes, length_off_nadir

@@ -26,8 +26,8 @@ from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.known_length_table import read_known_lengths
 from vehanchor.rulers.positions import baseline
 from vehanchor.rulers.registry import check_rulers
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.standards import lengths_of, standards
-from vehanchor.rulers.view import View
 from vehanchor.scale.countries import COUNTRY_REGIONS
 
 

@@ -17,7 +17,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.bay_rows import BayRow, find_bay_rows
 from vehanchor.rulers.parking_bays import ParkingBays, witness_of
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.lengths import Interval
 
 
