@@ -23,7 +23,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
 from vehanchor_evaluation.table import survey_table
 
@@ -104,8 +104,8 @@ def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
         t for t in trials if t.image.gsd_m_per_px < 0.3 and (t.image.labelled_vehicles or 0) >= 20 and t.error < 0.1
     ]
     sure = [t for t in good if t.analysis.estimate.status == "ok"]
-    found = [t.analysis.estimate.n_vehicles > 0 for t in trials if t.image.labelled_vehicles]
-    empty = [t.analysis.estimate.n_vehicles == 0 for t in trials if t.image.set == "empty"]
+    found = [bool(t.analysis.estimate.n_vehicles) for t in trials if t.image.labelled_vehicles]
+    empty = [not t.analysis.estimate.n_vehicles for t in trials if t.image.set == "empty"]
     values: dict[str, float] = {
         "Spearman's rho of confidence and error": rho,
         "Pearson's r of confidence and error": r,

@@ -30,7 +30,7 @@ from vehanchor_flight.components import single_component
 from vehanchor_flight.estimate import conclude, search_flight
 from vehanchor_flight.features import find_features
 from vehanchor_flight.inputs import InputPhotograph
-from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
+from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, of_photographs, photograph_codec
 from vehanchor_flight.record import Failure, conclude_flight
 from vehanchor_flight.records import FlightEstimate
 
@@ -260,7 +260,7 @@ def without_vehicles(photograph: Photograph) -> Photograph:
         fleet=None if seen.fleet is None else seen.fleet.take(np.zeros(len(seen.fleet.log_odds), bool)),
         classes=None if seen.classes is None else seen.classes[:0],
     )
-    again = StoredPhotograph(photograph.view.image, bare, 1.0, photograph.analysis.others)
+    again = StoredPhotograph(photograph.view.image, bare, 1.0, of_photographs(photograph.analysis.witnesses))
     return Photograph.of(photograph.name, again, photograph.view.card, photograph.view.options, photograph.features)
 
 

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
+from vehanchor.detection.appearance import FleetAppearance
 
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
 from research.results.record import add_record_option, header, recording
 from vehanchor.analysis.convergence import convergence, has_converged, stop_rule
-from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import load_detector
 from vehanchor.detection.levels import search_levels
@@ -34,8 +34,8 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions, Search
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.rulers.view import View
 from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import answer
 

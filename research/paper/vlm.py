@@ -20,12 +20,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from research.paper.conversation import converse
 from research.paper.stated_area import read_area
 from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError
-from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.scale import read_reduced
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
 from vehanchor_evaluation.known_scale import FileIssue
+from vehanchor_evaluation.pool import finished
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -167,7 +167,7 @@ def run_vlm_trials(
         progress: called with (entries done, total).
     """
     round_ = _Collector(api, query, tools)
-    with closing(finished_in_threads(workers, round_.work, entries)) as answers:
+    with closing(finished(workers, round_.work, entries)) as answers:
         for done, (entry, answer) in enumerate(answers, start=1):
             round_.take(entry, answer)
             if progress is not None and not round_.stopped:

@@ -66,7 +66,7 @@ def survey_photographs(
     for file in files:
         try:
             with open_raster(file, bands=without_vehicles.reading.bands, limits=DATASET_LIMITS) as raster:
-                record = analyse_raster(raster, detector, with_lines_of(without_vehicles, lines, file)).estimate
+                record = analyse_raster(detector, raster, with_lines_of(without_vehicles, lines, file)).estimate
         except VehAnchorError as error:
             issues.append(FileIssue(file, error.code, str(error)))
             continue

@@ -16,7 +16,7 @@ from vehanchor.cli import app as cli
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.votes import Votes
 from vehanchor_evaluation.gsd import ScaleTrial
 from vehanchor_evaluation.known_scale import KnownScaleImage

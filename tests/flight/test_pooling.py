@@ -11,7 +11,7 @@ from vehanchor.detection.detections import NOT_SEARCHED, Detections, Looks
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.records import Notice
-from vehanchor.rulers.point import no_evidence, point_witness, prior_witness
+from vehanchor.rulers.ruler import point_witness, prior_witness, unusable
 from vehanchor.scale.density import credible_interval, lognormal
 from vehanchor.scale.reliability import Shared
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
@@ -30,9 +30,11 @@ _FLEET = 30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3)
 def test_the_boxes_of_all_photographs_make_one_mode() -> None:
     parts = [_photograph(_FLEET[k::3]) for k in range(3)]
     together = pool(parts, np.zeros(3), 0).estimate
-    assert [part.analysis.estimate.aggregation for part in parts] == ["median"] * 3  # three vehicles are too few
+    assert [part.analysis.estimate.details.aggregation for part in parts] == [
+        "median"
+    ] * 3  # three vehicles are too few
     assert together.n_vehicles == 9
-    assert together.aggregation == "kde"
+    assert together.details.aggregation == "kde"
     assert together.mode_length_px == pytest.approx(_photograph(_FLEET).analysis.estimate.mode_length_px)
     assert together.confidence > max(part.analysis.estimate.confidence for part in parts)
 
@@ -100,7 +102,7 @@ def test_a_witness_of_the_flight_is_heard() -> None:
     photographs = [_photograph(_FLEET), _photograph(_FLEET)]
     extra = point_witness("positions", 0.17, 0.05, 0.05, "{}", n=3)
     pooled = pool(photographs, np.zeros(2), 0, [extra])
-    assert [other for other in pooled.others if other.found] == [extra]
+    assert pooled.witnesses[1:] == (extra,)
     assert [ruler.kind for ruler in pooled.estimate.rulers] == ["vehicles", "positions"]
 
 
@@ -140,7 +142,7 @@ def test_two_stretched_photographs_are_as_doubtful_together_as_alone() -> None:
 def test_one_ruler_that_speaks_leaves_the_others_notices_in() -> None:
     told = Notice(code="camera_unusable", message="a crop")
     spoke = point_witness("camera", 0.1, 0.1, 0.05, "{}")
-    pooled = _pooled_witness("camera", [(spoke, 0.0), (no_evidence("camera", told), 0.0)])
+    pooled = _pooled_witness("camera", [(spoke, 0.0), (unusable("camera", told), 0.0)])
     assert (pooled.gsd_m_per_px, pooled.notices) == (0.1, (told,))
 
 

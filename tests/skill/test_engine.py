@@ -153,9 +153,9 @@ def test_a_bad_image_of_a_list_is_named_and_the_others_are_kept(engine: Engine, 
 def test_keywords_change_single_fields_of_the_engines_options(files: Path) -> None:
     image = _place()
     chosen = Engine(files / "m.onnx", options=ScaleOptions.of({"reference_length_m": 4.0, "alpha": None}))
-    assert chosen.estimate(image).reference_length_m == 4.0
-    assert chosen.estimate(image, frame=(400, 300)).reference_length_m == 4.0
-    assert chosen.estimate(image, reference_length_m=5.0).reference_length_m == 5.0
+    assert chosen.estimate(image).details.reference_length_m == 4.0
+    assert chosen.estimate(image, frame=(400, 300)).details.reference_length_m == 4.0
+    assert chosen.estimate(image, reference_length_m=5.0).details.reference_length_m == 5.0
     assert chosen.estimate(image, ScaleOptions()) == Engine(files / "m.onnx").estimate(image)
     with pytest.raises(InvalidParameterError, match="there is no option 'regoin'"):
         chosen.estimate(image, regoin="europe")

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options import ScaleOptions
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor_flight.features import Features
     from vehanchor_flight.live.frames import Frame
     from vehanchor_flight.matching import Match
@@ -83,7 +83,7 @@ class LiveEstimator:
             linked = self._follow(raster, seconds)
             analysis = self._search(raster)
         self._turn += 1
-        return self._record(frame, analysis.estimate.n_vehicles, linked=linked)
+        return self._record(frame, analysis.estimate.n_vehicles or 0, linked=linked)
 
     def _follow(self, raster: Raster, seconds: float) -> bool:
         """Move the state, the prior and the cars from the last frame to this one; tell whether features link them."""
@@ -115,7 +115,7 @@ class LiveEstimator:
         with open_raster(read_reduced_window(raster, window, factor)) as part:
             view = search_raster(part, self._detector, self._options, prior, check_stretch=self._checks_stretch)
             view = self._with_stretch(view)
-            analysis = conclude(view, *measure_all(view))  # no tilt: the camera looks down
+            analysis = conclude(view, measure_all(view))  # no tilt: the camera looks down
         measured = measurement(analysis, factor)
         if measured is not None:
             self._state = corrected(self._state, measured)
@@ -143,7 +143,8 @@ class LiveEstimator:
         low = np.array([window.x_px, window.y_px]) * factor
         high = low + np.array([window.width_px, window.height_px]) * factor
         outside = ~np.all((self._cars >= low) & (self._cars < high), axis=1)
-        self._cars = np.concatenate([self._cars[outside], analysis.vehicles.fleet.centres * factor + low])
+        centres = np.zeros((0, 2)) if analysis.vehicles is None else analysis.vehicles.fleet.centres
+        self._cars = np.concatenate([self._cars[outside], centres * factor + low])
 
     def _record(self, frame: Frame, n_vehicles: int, *, linked: bool) -> LiveScale:
         state = self._state
@@ -179,7 +180,7 @@ def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
     """
     estimate, vehicles = analysis.estimate, analysis.vehicles
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
-    if estimate.gsd_m_per_px is None or not low or not high:
+    if estimate.gsd_m_per_px is None or vehicles is None or not low or not high:
         return None
     log_sd = math.log(high / low) / (2 * Z95)
     common = min(log_sd, vehicles.reference.log_sd)

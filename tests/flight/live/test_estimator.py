@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.rulers.vehicles import VehicleWitness
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 FLEET = 30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3)
@@ -92,7 +91,7 @@ def test_a_stretch_found_once_is_kept_and_tested_now_and_then(
         stretched = replace(view.detections, stretch=7.0 if check_stretch else None, scales=scales)
         return replace(view, detections=stretched)
 
-    def measured(view: View) -> tuple[VehicleWitness, tuple[Witness, ...]]:
+    def measured(view: View) -> tuple[Witness, ...]:
         kept.append(view.detections.stretch)
         return measure_all(view)
 

@@ -47,7 +47,6 @@ def never_searches(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("searched")
 
     monkeypatch.setattr("vehanchor.analysis.memory.AnalysisMemory.analyse", searched)
-    monkeypatch.setattr("vehanchor.measure.resolved_scale.analyse_raster", searched)
 
 
 @pytest.mark.parametrize("tool", TOOLS)
@@ -252,7 +251,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(
     plain = await measured(server, images / "pool.png", tool)
     told = {"drop": "1,3", "add": [{"x1": 100, "y1": 480, "x2": 132, "y2": 480}]}
     found = await measured(server, images / "pool.png", tool, **told)
-    assert found["estimate"]["by_hand"] == {"dropped": 2, "added": 1}
+    assert found["estimate"]["details"]["by_hand"] == {"dropped": 2, "added": 1}
     assert found["estimate"]["n_vehicles"] == plain["estimate"]["n_vehicles"] - 1
     assert found["estimate"] == await estimated(server, images / "pool.png", **told)
     half: dict[str, Any] = {"frame": {"width_px": 320, "height_px": 256}, "coordinates": "pixels", "drop": "1,3"}
@@ -260,7 +259,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(
     halved = {"box": {name: value / 2 for name, value in POOL_BOX.items()}}
     where = {"targets": [halved]} if tool == "measure_area" else {"lines": [{"points": HALVED}]}
     copied = await measured(server, images / "pool.png", tool, **half, **where)
-    assert copied["estimate"]["by_hand"] == found["estimate"]["by_hand"]
+    assert copied["estimate"]["details"]["by_hand"] == found["estimate"]["details"]["by_hand"]
     assert copied["gsd_m_per_px"] == pytest.approx(found["gsd_m_per_px"], rel=1e-3)  # points of a copy are less exact
 
 

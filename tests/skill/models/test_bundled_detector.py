@@ -112,7 +112,7 @@ def test_eight_bits_say_nearly_what_float32_says_and_the_record_names_them(
     small, again = (estimate_gsd(image, detector="vehicles-int8", threads=threads) for threads in (1, 2))
     assert small == again
     assert (plain.model, small.model) == ("vehicles", "vehicles-int8")
-    assert small.model_sha256 != plain.model_sha256
+    assert small.details.model_sha256 != plain.details.model_sha256
     assert small.gsd_m_per_px == pytest.approx(plain.gsd_m_per_px, rel=0.02)
     assert small.confidence == pytest.approx(plain.confidence, abs=0.1)
     cards = detector.card, load_detector(resolve_model("vehicles-int8")).card

@@ -7,7 +7,7 @@ import pytest
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import ByHand, ScaleOptions
-from vehanchor.options.by_hand import MOST_BY_HAND, AddedVehicle, vehicle_numbers
+from vehanchor.options.rulers import MOST_BY_HAND, AddedVehicle, vehicle_numbers
 
 
 @pytest.mark.parametrize(

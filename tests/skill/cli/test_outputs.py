@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import vehanchor
 from tests.models import blank_image, write_detector
 from vehanchor.cli.app import app
-from vehanchor.cli.metric_outputs import refusal
+from vehanchor.cli.outputs import refusal
 from vehanchor.records import KnownPlane
 
 LINE = ("--known-length", "100 100 500 100 40 measured")  # 0.1 m/px

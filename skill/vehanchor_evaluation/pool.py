@@ -1,8 +1,8 @@
-"""Work on a pool of threads or processes, with results in order of completion."""
+"""Work on a pool of threads, with results in order of completion."""
 
 from __future__ import annotations
 
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from itertools import islice
 from typing import TYPE_CHECKING, TypeVar
 
@@ -15,22 +15,21 @@ Result = TypeVar("Result")
 
 
 def finished(
-    pool: Executor, workers: int, work: Callable[[Item], Result], items: Iterable[Item]
+    workers: int, work: Callable[[Item], Result], items: Iterable[Item]
 ) -> Generator[tuple[Item, Future[Result]]]:
-    """Process all items.
+    """Process all items in threads, which can share a model.
 
     Closing the generator shuts the pool down and drops items that have not started: use it in ``closing``.
 
     Args:
-        pool: of threads or processes.
-        workers: number of its workers.
-        work: function for one item; for processes a module-level function.
-        items: consumed as workers become free.
+        workers: number of threads.
+        work: function for one item.
+        items: consumed as threads become free.
 
     Yields:
         Each item with its finished future, in order of completion.
     """
-    waiting = iter(items)
+    waiting, pool = iter(items), ThreadPoolExecutor(workers)
 
     def begun(n: int) -> dict[Future[Result], Item]:
         return {pool.submit(work, item): item for item in islice(waiting, n)}
@@ -44,10 +43,3 @@ def finished(
             yield from ready
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def finished_in_threads(
-    workers: int, work: Callable[[Item], Result], items: Iterable[Item]
-) -> Generator[tuple[Item, Future[Result]]]:
-    """Process items as ``finished`` does, in threads of this process: for work that shares a model."""
-    return finished(ThreadPoolExecutor(workers), workers, work, items)

@@ -11,27 +11,31 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+import os
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, overload
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
 
 from vehanchor.analysis.image_list import estimate_each
-from vehanchor.analysis.pipeline import analyse_image, checked_detector
+from vehanchor.analysis.pipeline import analyse_image, analyse_raster, checked_detector
 from vehanchor.courts.proposals import load_court_network
-from vehanchor.detection.detector import Detector
+from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
-from vehanchor.engine.model_sources import DetectorSource, OnDemand, SegmenterSource, open_detector, open_segmenter
-from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
+from vehanchor.errors import InvalidParameterError
+from vehanchor.imagery.sources.opening import ImageSource, can_be_read_again, open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.measure.resolved_scale import given_scale
-from vehanchor.models.runtime import Runtime
+from vehanchor.models.runtime import Cancellation, Runtime
+from vehanchor.models.zoo import resolve_model, resolve_segmenter
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.registry import check_rulers
 from vehanchor.segmentation.prompt import read_prompt
-from vehanchor.segmentation.segmenter import Segmenter
+from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,22 +43,19 @@ if TYPE_CHECKING:
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.imagery.raster import Raster
-    from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.resolved_scale import ScaleInput
-    from vehanchor.options.coordinates import Place
-    from vehanchor.records import (
-        AreaMeasurement,
-        DistanceMeasurement,
-        GsdEstimate,
-        KnownScale,
-    )
+    from vehanchor.options.reading import Place
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
     from vehanchor.segmentation.prompt import Box, Point
 
+__all__ = ["Cancellation", "Detector", "Engine", "ImageSource", "Runtime", "Segmenter"]
+
 _OWN_KEYWORDS = frozenset({"detector", "segmenter", *(each.name for each in fields(Runtime))})
-
-
-def _ignore(_sentence: str) -> None:
-    pass
+T = TypeVar("T")
+DetectorSource: TypeAlias = Detector | str | os.PathLike[str]
+"""A bundled model's name, the path of an ONNX oriented-box model, or a loaded detector."""
+SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
+"""Paths of encoder and decoder, or a loaded segmenter."""
 
 
 class Engine:
@@ -313,9 +314,9 @@ class Engine:
         scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
         options: ScaleOptions,
     ) -> ScaleInput:
-        """Take the caller's known scale, else the detector."""
+        """Take the caller's known scale, else the analysis that finds it."""
         given = given_scale(gsd_m_per_px, scale, options)
-        return checked_detector(self.detector, options) if given is None else given
+        return partial(analyse_raster, checked_detector(self.detector, options)) if given is None else given
 
 
 @contextmanager
@@ -328,3 +329,48 @@ def _opened(image: ImageSource, options: ScaleOptions) -> Iterator[Raster]:
 def _kept(image: ImageSource) -> ImageSource | None:
     """Keep the image for later drawing; None for a source that can be read only once."""
     return image if can_be_read_again(image) else None
+
+
+class OnDemand(Generic[T]):
+    """Model that one thread loads on first use."""
+
+    def __init__(self, load: Callable[[], T]) -> None:
+        self._load, self._lock, self._model = load, threading.Lock(), None
+
+    _model: T | None
+
+    def get(self) -> T:
+        """Load the model, or return the loaded one."""
+        with self._lock:
+            if self._model is None:
+                self._model = self._load()
+            return self._model
+
+
+def open_detector(source: DetectorSource | None, classes: Sequence[str | int] | None, runtime: Runtime) -> Detector:
+    """Open a detector.
+
+    Raises:
+        ModelError: it cannot be used.
+    """
+    if isinstance(source, Detector):
+        return source
+    path = resolve_model(None if source is None else str(source), runtime.precision)
+    return Detector(path, classes=classes, runtime=runtime) if classes else load_detector(path, runtime)
+
+
+def open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmenter:
+    """Open a segmenter.
+
+    Raises:
+        ModelError: it cannot be used.
+        InvalidParameterError: the source is neither a ``Segmenter`` nor two paths.
+    """
+    if isinstance(source, Segmenter):
+        return source
+    files = None
+    if source is not None:
+        if isinstance(source, str) or len(source) != 2:
+            raise InvalidParameterError(f"segmenter is {source!r}: give two paths, of its encoder and its decoder")
+        files = Path(source[0]), Path(source[1])
+    return load_segmenter(*resolve_segmenter(files), runtime)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from vehanchor.records.digits import significant, with_interval
+from vehanchor.records.text import significant, with_interval
 
 
 @pytest.mark.parametrize(
