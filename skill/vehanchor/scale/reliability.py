@@ -110,8 +110,9 @@ CALLER = Shared("caller", 0.0, 0.11)
 RECOGNITION = Shared("caller", 0.0, _NOT_MEASURED)
 """A caller mistakes all things of known size in an image. A choice."""
 
-STRETCH = Shared("stretched image", 0.0, 0.5)
-"""A stretched image has no one scale for any ruler: 5 of 9 photographs that the check doubts are stretched."""
+NO_ONE_SCALE = Shared("stretched or tilted image", 0.0, 0.5)
+"""A stretched or tilted image has no one scale for any ruler: 5 of 9 photographs whose proportions are doubted are
+stretched. All 3 whose cars are larger on one side are tilted, and their scales 1 to 24 % off."""
 
 PAINT = Shared("paint", 0.05)
 """One country's widths of bays and lanes. A choice."""
