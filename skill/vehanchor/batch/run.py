@@ -120,7 +120,7 @@ def run_batch(
         known_lengths: CSV with lines of known length by image; see ``read_known_lengths``.
         details: write all columns, with the details, the rulers, the tilt and the scale to give back.
         overwrite: start again; an existing table stays until the new one is complete.
-        runtime: providers and precision of the models, each on one thread; its progress gets (images done, images in
+        runtime: providers of the models, each on one thread; its progress gets (images done, images in
             all).
 
     Raises:
@@ -198,7 +198,7 @@ def _job(
 ) -> BatchJob:
     """Make the job; load the model once to find its errors before the work."""
     named = tuple(classes) if classes else None
-    path = resolve_model(None if detector is None else str(detector), runtime.precision)
+    path = resolve_model(None if detector is None else str(detector))
     model = checked_detector(Detector(path, classes=named, runtime=runtime), options)
     bundled = model.path in bundled_models().values()  # its path may differ on other machines of a cluster
     name = model.path.stem if bundled else str(model.path.resolve())
