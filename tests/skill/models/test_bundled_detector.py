@@ -44,6 +44,7 @@ def estimate(car_park: np.ndarray, detector: Detector) -> GsdEstimate:
 def test_a_rendered_scene_gives_its_scale(estimate: GsdEstimate) -> None:
     assert estimate.status == "ok"
     assert estimate.gsd_m_per_px == pytest.approx(_GSD, rel=0.10)
+    assert estimate.n_vehicles is not None
     assert estimate.n_vehicles > 40  # half of them
 
 
