@@ -78,8 +78,7 @@ def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
     for name in _LARGE_PIXELS:
         monkeypatch.setattr(f"vehanchor.{name}", 100_000_000)
     image, full = _town(), searched["full"].estimate
-    auto, again = (estimate_gsd(image, detector=detector, **_TILES) for _ in range(2))
-    assert auto == again
+    auto = estimate_gsd(image, detector=detector, **_TILES)
     assert (full.details.stopped_because, auto.details.stopped_because) == ("all_searched", "converged")
     assert auto.details.tiles_searched < 0.6 * full.details.tiles_searched
     assert (auto.status, auto.reason) == (full.status, full.reason) == ("ok", None)

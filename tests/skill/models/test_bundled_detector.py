@@ -71,6 +71,7 @@ def test_a_scene_without_vehicles_never_gets_a_confident_answer(detector: Detect
     assert estimate_gsd(ROOT / "examples/scenes/no_cars.jpg", detector=detector).status != "ok"
 
 
+@pytest.mark.slow
 def test_one_and_two_threads_give_the_same_bytes(car_park: np.ndarray) -> None:
     records = {
         estimate_gsd(car_park[:400], detector=str(resolve_model()), threads=threads).model_dump_json()

@@ -10,11 +10,14 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from typer.testing import CliRunner
 
 from research.scenes import CATEGORIES, Layout, Scene, render_scene
+from research.scenes.__main__ import app
 from research.scenes.fleet import Fleet, VehicleModel
+from research.scenes.loads import LOADS
 from research.scenes.painter import Painter
-from research.scenes.sprites import Sun
+from research.scenes.sprites import Sun, vehicle_sprite
 from research.scenes.world import Material, PlacedVehicle, Surface, World
 from vehanchor.errors import InvalidParameterError
 
@@ -242,3 +245,89 @@ def test_bad_parameters_are_refused_by_name(parameters: dict[str, Any]) -> None:
     (name,) = parameters
     with pytest.raises(InvalidParameterError, match=name):
         render_scene(**{"gsd_m_per_px": 0.15, "width_px": 32, "height_px": 32, **parameters})
+
+
+_LIGHT = Sun(1.0, 0.8).light()
+
+
+def _models(count: int = 2_000, mean: float = 4.6) -> list[tuple[str, float]]:
+    fleet = Fleet(mean, np.random.default_rng(0), "mixed")
+    return [(model.body, model.length_m) for model in (fleet.small() for _ in range(count))]
+
+
+def test_a_mixed_fleet_holds_kei_cars_pickups_and_every_load() -> None:
+    bodies = [body for body, _ in _models()]
+    assert {"kei", "kei truck", "crew cab", "single cab", "flatbed", "van"} <= {b.partition(":")[0] for b in bodies}
+    assert {b.partition(":")[2].partition(" ")[0] for b in bodies} == {"", *LOADS}
+
+
+@pytest.mark.parametrize("mean", [4.0, 5.0])
+def test_a_mixed_fleet_has_the_mean_length_asked_for(mean: float) -> None:
+    assert np.mean([length for _, length in _models(mean=mean)]) == pytest.approx(mean, rel=0.01)
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_a_load_changes_what_is_seen_inside_the_outline_and_never_the_outline(load: str) -> None:
+    body = "minivan" if load == "rack" else "crew cab"
+    bare, loaded = (vehicle_sprite(name, 5.4, 1.95, 40, _LIGHT) for name in (body, f"{body}:{load} 3"))
+    np.testing.assert_array_equal(loaded[:, :, 0], bare[:, :, 0])
+    changed = np.flatnonzero((np.abs(loaded - bare) > 1).any(axis=(0, 2)))
+    assert len(changed) > 10
+    cab_and_bonnet = slice(round(0.45 * bare.shape[1]), None) if load != "rack" else slice(0, 3)
+    assert not (np.abs(loaded - bare)[:, cab_and_bonnet] > 1).any()
+
+
+def test_the_same_seed_draws_the_same_mixed_scene_and_names_bodies() -> None:
+    first, again = (
+        render_scene(0.15, width_px=320, height_px=320, seed=3, layout="parking", fleet_kind="mixed") for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.image, again.image)
+    assert {vehicle.body.partition(":")[0] for vehicle in first.vehicles} & {"kei", "crew cab", "single cab"}
+    assert first.parameters["fleet_kind"] == "mixed"
+
+
+def test_an_unknown_fleet_is_refused() -> None:
+    with pytest.raises(InvalidParameterError, match="fleet_kind must be one of passenger, mixed, not 'tanks'"):
+        render_scene(0.15, fleet_kind="tanks")  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Runs ``python -m research.scenes`` in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
+    return lambda *arguments: CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_scene_writes_an_image_and_its_truth(run: Any, tmp_path: Path) -> None:
+    out = tmp_path / "scene.png"
+    result = run(out, "--gsd", "0.2", "--size", "300", "200", "--seed", "3", "--layout", "parking", "--fleet", "5")
+    assert result.exit_code == 0, result.stderr
+    picture = cv2.imread(str(out))
+    assert picture is not None
+    assert picture.shape == (200, 300, 3)
+    printed = "".join(result.stdout.split())
+    for path in tmp_path.iterdir():
+        assert path.name in printed
+    truth = json.loads((tmp_path / "scene.json").read_text())
+    assert truth["gsd_m_per_px"] == 0.2
+    assert truth["parameters"]["layout"] == "parking"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["scene.png", "--gsd", "-1"], "invalid_parameter"),
+        (["scene.png", "--gsd", "nan"], "invalid_parameter"),
+        (["scene.png", "--gsd", "0.2", "--size", "0", "100"], "invalid_parameter"),
+        (["scene.gif", "--gsd", "0.2"], "output_unwritable"),
+        (["nowhere/scene.png", "--gsd", "0.2"], "output_unwritable"),
+    ],
+)
+def test_scene_refuses_what_has_no_meaning(run: Any, arguments: list[str], code: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith(f"error[{code}]: ")

@@ -1,4 +1,4 @@
-"""Pixels that show nothing: transparent ones, and those of a no-data value without a tag."""
+"""Pixels as they are shown: bands, stretched values, and those that show nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from PIL import Image
 from rasterio.enums import ColorInterp
 
 from tests.skill.imagery.files import HEIGHT_PX, NOISE, RGB, WIDTH_PX, encoded, geotiff, pillow, read_all
-from vehanchor.errors import ImageFormatError
+from vehanchor.errors import (
+    ImageFormatError,
+    InvalidParameterError,
+)
+from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 
 LEFT = np.full((HEIGHT_PX, WIDTH_PX), 255, np.uint8)
@@ -127,3 +131,84 @@ def test_clipped_highlights_dead_pixels_and_single_bands_stay(share: float) -> N
         values[:rows] = 65535
         with open_raster(values) as raster:
             assert "no data" not in raster.warnings[0].message
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_sixteen_bits_are_stretched_by_percentiles_and_not_shifted(suffix: str) -> None:
+    twelve_bit = RGB.astype(np.uint16) * 16 + 7
+    with open_raster(encoded(suffix, twelve_bit)) as raster:
+        shown = raster.read()
+        assert [note.code for note in raster.warnings] == ["pixels_stretched"]
+    low, high = np.percentile(twelve_bit, (2, 98), method="nearest")
+    expected = np.rint(np.clip((twelve_bit - float(low)) / (float(high) - low), 0, 1) * 255)
+    np.testing.assert_allclose(shown, expected, atol=1)
+    np.testing.assert_array_equal(shown, read_all(twelve_bit))
+
+
+@pytest.mark.parametrize("dtype", ["float16", ">u2", ">f4", "uint16", "float64"])
+def test_depths_and_byte_orders_give_the_same_picture(dtype: str) -> None:
+    array = (RGB.astype(int) * 3).astype(dtype)
+    np.testing.assert_array_equal(read_all(array), read_all(array.astype(np.float64)))
+
+
+def test_one_bright_pixel_does_not_turn_the_picture_black() -> None:
+    array = np.zeros((30, 30), np.uint16)
+    array[4, 5] = 60000
+    shown = read_all(array)
+    assert shown[4, 5].tolist() == [255, 255, 255]
+    assert shown.sum() == 3 * 255
+
+
+def test_a_large_array_is_stretched_from_a_sample_spread_over_all_of_it() -> None:
+    ramp = np.linspace(1000, 3000, 1500).astype(np.uint16)
+    with open_raster(np.tile(ramp, (1200, 1))) as raster:
+        row = raster.read(Window(0, 600, 1500, 1))[0, :, 0].astype(int)
+    assert abs(int(np.argmax(row > 0)) - 30) <= 8
+    assert abs(int(np.argmax(row == 255)) - 1470) <= 8
+
+
+def test_values_without_data_do_not_take_part_in_the_stretch(tmp_path: Path) -> None:
+    values = RGB.astype(np.uint16) * 20
+    values[:20] = 0
+    shown = read_all(geotiff(tmp_path / "a.tif", values, nodata=0))
+    np.testing.assert_array_equal(shown[20:], read_all(values[20:]))
+    assert not shown[:20].any()
+
+
+def test_a_large_raster_is_stretched_alike_in_all_windows(tmp_path: Path) -> None:
+    ramp = np.tile(np.linspace(1000, 3000, 1500).astype(np.uint16), (1200, 1))
+    path = geotiff(tmp_path / "a.tif", ramp[..., np.newaxis], tiled=True, compress="deflate")
+    with open_raster(path) as raster:
+        whole = raster.read()
+        np.testing.assert_array_equal(raster.read(Window(700, 100, 300, 200)), whole[100:300, 700:1000])
+    assert whole[0, 10].max() == 0
+    assert whole[0, -10].min() == 255
+
+
+def test_bands_choose_red_green_and_blue() -> None:
+    five = np.concatenate([RGB, 255 - RGB[..., :2]], axis=2)
+    with open_raster(five) as raster:
+        np.testing.assert_array_equal(raster.read(), RGB)
+        assert [note.code for note in raster.warnings] == ["bands_selected"]
+        assert "5 bands" in raster.warnings[0].message
+    with open_raster(five, bands=(5, 1, 4)) as raster:
+        np.testing.assert_array_equal(raster.read(), five[..., [4, 0, 3]])
+        assert raster.warnings == ()
+    np.testing.assert_array_equal(read_all(encoded(".png"), bands=(3, 2, 2)), RGB[..., [2, 1, 1]])
+
+
+@pytest.mark.parametrize("bands", [(0, 1, 2), (1, 2, 4), (1, 2), (-1, 1, 1), (1.0, 2.0, 3.0), "123"])
+def test_bands_that_are_not_there_are_a_wrong_parameter(bands: Any) -> None:
+    for image in (RGB, encoded(".png")):
+        with pytest.raises(InvalidParameterError):
+            open_raster(image, bands=bands)
+
+
+def test_more_than_four_bands_are_read_through_rasterio_and_told(tmp_path: Path) -> None:
+    five = np.concatenate([RGB, 255 - RGB[..., :2]], axis=2)
+    path = geotiff(tmp_path / "a.tif", five, crs=None, transform=None)
+    with open_raster(path) as raster:
+        assert raster.georeference_gsd_m_per_px is None
+        assert [note.code for note in raster.warnings] == ["bands_selected"]
+        np.testing.assert_array_equal(raster.read(), RGB)
+    np.testing.assert_array_equal(read_all(path, bands=(5, 5, 1)), five[..., [4, 4, 0]])
