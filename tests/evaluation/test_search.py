@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from typer.testing import CliRunner
-from vehanchor.rulers.view import View
 
 from tests.analyses import made_card
 from tests.known_scale_data import REFERENCE_M, cars, dota_lines, n_results, paint, write_geotiff
@@ -19,6 +18,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.votes import Votes
 from vehanchor_evaluation.dota import survey_dota
 from vehanchor_evaluation.geotiff import survey_geotiffs

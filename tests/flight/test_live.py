@@ -16,7 +16,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from vehanchor.rulers.view import View
 
 from tests.flight.ground import ground, photograph_of
 from tests.models import paint_vehicles, write_detector
@@ -24,7 +23,7 @@ from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import load_detector
 from vehanchor.options import Reading, ScaleOptions
 from vehanchor.rulers.measurement import measure_all
-from vehanchor.rulers.vehicles import VehicleWitness
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.posterior import Witness
 from vehanchor_flight.live.estimator import LiveEstimator
 from vehanchor_flight.live.filter import FilterState, Measurement, Motion, corrected, predicted, started
@@ -345,7 +344,7 @@ def test_a_stretch_found_once_is_kept_and_tested_now_and_then(
         stretched = replace(view.detections, stretch=7.0 if check_stretch else None, scales=scales)
         return replace(view, detections=stretched)
 
-    def measured(view: View) -> tuple[VehicleWitness, tuple[Witness, ...]]:
+    def measured(view: View) -> tuple[Witness, ...]:
         kept.append(view.detections.stretch)
         return measure_all(view)
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
-from vehanchor.records.digits import significant, with_interval
 
 import vehanchor
 from tests.analyses import make_analysis
@@ -23,6 +22,7 @@ from vehanchor.measure.distance import read_path
 from vehanchor.records import SCHEMA_VERSION, GsdEstimate, Notice
 from vehanchor.records.flat import flat_columns, flat_row
 from vehanchor.records.interop import as_frame, outline_geometry
+from vehanchor.records.text import significant, with_interval
 from vehanchor.segmentation.prompt import read_prompt
 
 
