@@ -241,9 +241,10 @@ def foreign_bytes(services: Services, job: Job, source: Any, hexadecimal: str) -
     ],
 )
 def test_a_worker_that_sends_other_bytes_is_ended(running: Services, sent: bytes) -> None:
-    before = done(running, number)
+    before, started = done(running, number), time.monotonic()
     with pytest.raises(CallError, match="worker_killed"):
         done(running, foreign_bytes, sent.hex())
+    assert time.monotonic() - started < 2.0  # although it sleeps for 5 s
     ready(running)
     assert done(running, number) != before
 

@@ -24,7 +24,6 @@ from tests.server.calls.working import Value, answered, done
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
-from vehanchor_server.sandbox import confinement
 from vehanchor_server.sandbox.environment import KEPT, SEARCH_PATHS
 from vehanchor_server.sandbox.trace import confined_calls
 from vehanchor_server.services import Services
@@ -181,14 +180,6 @@ def test_what_a_system_lacks_is_told_and_the_rest_is_done(
     assert words in found[2]
     assert bool(found[0]) == (landlock and bool(held[0]))
     assert found[1] == (seccomp and held[1])
-
-
-@pytest.mark.parametrize("version", range(1, 8))
-def test_every_right_that_a_kernel_does_not_hold_is_named(version: int) -> None:
-    words = {3: "empty files", 4: "connect over TCP", 5: "control devices", 6: "signal other processes"}
-    (missing,) = confinement._missing_rights(version, seccomp=False) or [""]
-    assert {since for since, what in words.items() if what in missing} == {each for each in words if each > version}
-    assert confinement._missing_rights(version, seccomp=True) == [], "the filter of system calls refuses them"
 
 
 @work(Value)

@@ -49,7 +49,7 @@ def base(settings: Settings) -> Iterator[str]:
 def guarded(detector_path: Path) -> Iterator[str]:
     settings = Settings(
         detector=str(detector_path),
-        public_urls=("https://vehanchor.test/mcp", "https://console.test"),
+        public_urls=("https://vehanchor.test/mcp", "https://console.test", "https://agents.test:8443/mcp"),
         isolation="in-process",
     )
     with served(settings) as address:
@@ -190,11 +190,20 @@ async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> N
         assert metadata["authorization_servers"] == ["https://issuer.test"]
 
 
+@pytest.mark.promise("origins")
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
         ({"Host": "evil.test"}, 421),
         ({"Host": "127.0.0.1.evil.test"}, 421),
+        ({"Host": "localhost.evil.test:80"}, 421),
+        ({"Host": "agents.test"}, 421),
+        ({"Host": "agents.test:8443"}, 200),
+        ({"Host": "[::1]:80"}, 200),
+        ({"Origin": "https://agents.test"}, 403),
+        ({"Origin": "https://console.test:444"}, 403),
+        ({"Origin": "ftp://localhost"}, 403),
+        ({"Origin": "http://[::1]:80"}, 200),
         ({"Origin": "https://evil.test"}, 403),
         ({"Origin": "null"}, 403),
         ({"Origin": "http://localhost.evil.test"}, 403),
