@@ -137,11 +137,11 @@ def test_the_first_entries_are_of_all_categories_and_of_many_images(folders: tup
 
 
 def test_a_seed_decides_and_nothing_else(folders: tuple[Path, Path], tmp_path: Path) -> None:
-    def index(seed: int, folder: str, workers: int = 1) -> str:
-        build_benchmark([folders], tmp_path / folder, seed=seed, workers=workers)
+    def index(seed: int, folder: str) -> str:
+        build_benchmark([folders], tmp_path / folder, seed=seed)
         return (tmp_path / folder / "index.csv").read_text()
 
-    assert index(0, "a") == index(0, "b", workers=3)
+    assert index(0, "a") == index(0, "b")
     assert len({index(seed, f"c{seed}") for seed in range(6)}) > 1
 
 
@@ -202,44 +202,37 @@ def test_a_folder_without_annotations_is_refused(tmp_path: Path) -> None:
         ("AREA=120", 120),
         ("so 10 x 12\nAREA = 1,234.5 m²", 1234.5),
         ("**AREA=1,234**", 1234),
-        ("AREA=1.234,5", 1234.5),
-        ("AREA=1\u202f234", 1234),
-        ("AREA=12,5", 12.5),
+        ("`AREA=450`", 450),
+        ("AREA=1,234,567.89", 1234567.89),
         ("AREA=1.2e3", 1200),
-        ("AREA=1.2 \u00d7 10^3 m²", 1200),
-        ("AREA=5·10⁻¹", None),
-        ("AREA=$1.2 \\times 10^{3}\\ \\text{m}^2$", 1200),
         ("AREA=\\boxed{450}", 450),
         ("AREA=approximately 450 square meters.", 450),
         ("AREA=450 (from 3 cars)", 450),
         ("AREA=100 ± 20", 100),
         ("AREA=<number>\n...\nAREA=77", 77),
-        ("AREA=0.5 ha", 5000),
-        ("AREA=2 km2", 2e6),
-        ("AREA=1,000 ft²", 92.90304),
-        ("AREA=1 acre", 4046.8564224),
     ],
 )
-def test_an_area_is_read_with_its_unit_and_separators(text: str, area: float | None) -> None:
+def test_an_area_is_read_with_its_unit_and_separators(text: str, area: float) -> None:
     stated = read_area(text)
-    if area is None:
-        assert stated.area_m2 is None
-    else:
-        assert stated.problem is None
-        assert stated.area_m2 == pytest.approx(area)
+    assert stated.problem is None
+    assert stated.area_m2 == pytest.approx(area)
 
 
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
         ("It is about 450 m².", "no_area_line"),
+        ("", "no_area_line"),
         ("AREA=N/A", "no_number"),
         ("AREA=-5", "no_number"),
-        ("AREA=100-200", "ambiguous_number"),
-        ("AREA=10 x 12 = 120", "ambiguous_number"),
-        ("AREA=1,2,3", "ambiguous_number"),
-        ("AREA=1e99", "ambiguous_number"),
+        ("AREA=1,2,3", "no_number"),
+        ("AREA=1.234,5", "no_number"),
+        ("AREA=100-200", "unknown_unit"),
+        ("AREA=100 to 200", "unknown_unit"),
+        ("AREA=10 x 12 = 120", "unknown_unit"),
         ("AREA=450 pixels", "unknown_unit"),
+        ("AREA=450 m", "unknown_unit"),
+        ("AREA=2 km2", "unknown_unit"),
     ],
 )
 def test_what_is_no_area_is_refused_with_its_reason(text: str, problem: str) -> None:
