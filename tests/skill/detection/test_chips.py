@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
@@ -10,8 +9,8 @@ import numpy as np
 import pytest
 
 from research.scenes import render_scene
-from research.training import chips
-from research.training.chips.chip_network import (
+from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.chips import (
     CHIP_COLUMNS,
     CHIP_LENGTH_PX,
     CHIP_ROWS,
@@ -21,9 +20,9 @@ from research.training.chips.chip_network import (
     bodies,
     candidate_chips,
 )
-from vehanchor.detection.boxes import box_corners
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
+from vehanchor.models.zoo import chips_beside, resolve_model
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -89,7 +88,9 @@ def test_edges_that_cross_still_give_a_body() -> None:
 
 
 def test_the_trained_one_measures_rendered_cars_in_boxes_that_are_too_large() -> None:
-    network = ChipNetwork(Path(chips.__file__).with_name("chips.onnx"), runtime=Runtime(threads=1))
+    path = chips_beside(resolve_model())
+    assert path is not None
+    network = ChipNetwork(path, runtime=Runtime(threads=1))
     scene = render_scene(0.1, width_px=640, height_px=640, seed=4, layout="urban")
     cars = [car for car in scene.vehicles if car.kind == "small-vehicle" and not car.difficult]
     truth = np.array([[car.x_px, car.y_px, car.length_px, car.width_px, car.angle_rad] for car in cars])
