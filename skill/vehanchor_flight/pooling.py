@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from vehanchor.analysis.pipeline import conclude
-from vehanchor.detection.chips import Looks
-from vehanchor.detection.detections import Detections, Objects
+from vehanchor.detection.detections import Detections, Looks, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class

@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import made_card
-from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.detections import NOT_SEARCHED, Detections
+from vehanchor.detection.detections import NOT_SEARCHED, Detections, Looks
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.records import Notice
@@ -66,15 +65,17 @@ def test_looks_at_vehicles_stay_with_their_boxes() -> None:
     first = Detections(
         np.full((3, 5), 1.0),
         np.array([0.9, 0.5, 0.3]),
-        fleet=FleetAppearance(np.array([9.0, 5.0]), np.array([1.9, 1.5])),
+        looks=Looks(np.array([1.9, 1.5]), np.array([0.1, 0.2]), np.array([9.0, 5.0])),
     )
     second = Detections(
-        np.full((2, 5), 2.0), np.array([0.8, 0.4]), fleet=FleetAppearance(np.array([8.0, 4.0]), np.array([1.8, 1.4]))
+        np.full((2, 5), 2.0),
+        np.array([0.8, 0.4]),
+        looks=Looks(np.array([1.8, 1.4]), np.array([0.3, 0.4]), np.array([8.0, 4.0])),
     )
     both = pooled_detections([first, second], np.zeros(2))
-    assert both.fleet is not None
-    assert list(both.fleet.log_odds) == [9.0, 8.0, 5.0, 4.0]
-    assert list(both.fleet.log_lengths) == [1.9, 1.8, 1.5, 1.4]
+    assert both.looks is not None
+    assert list(both.looks.logits) == [9.0, 8.0, 5.0, 4.0]
+    assert list(both.looks.log_lengths) == [1.9, 1.8, 1.5, 1.4]
     assert list(both.scores) == [0.9, 0.8, 0.5, 0.4, 0.3]
     assert list(both.boxes[:, 0]) == [1, 2, 1, 2, 1]
 

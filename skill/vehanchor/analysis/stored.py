@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from vehanchor.detection.chips import Looks
-from vehanchor.detection.detections import Detections, Objects
+from vehanchor.detection.detections import Detections, Looks, Objects
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata

@@ -139,7 +139,9 @@ def show_model(
             return
         card = model.card
         size = "any" if model.fixed_size is None else f"{model.fixed_size[1]} x {model.fixed_size[0]} px"
-        regions = ", ".join(f"{name} {length:.4g} m" for name, length in sorted((card.bodies or card).region_lengths_m.items()))
+        regions = ", ".join(
+            f"{name} {length:.4g} m" for name, length in sorted((card.bodies or card).region_lengths_m.items())
+        )
         facts = [
             ("file", str(model.path)),
             ("input", size),

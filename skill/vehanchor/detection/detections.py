@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.detection.chips import Looks
     from vehanchor.scale.defaults import Stopped
 
 
@@ -45,6 +44,32 @@ class Objects:
             np.concatenate([np.zeros(0), *(part.scores for part in parts)]),
             np.concatenate([np.zeros(0, np.intp), *(part.classes for part in parts)]),
         )
+
+
+class Looks(NamedTuple):
+    """Sizes of vehicles by their appearance.
+
+    Attributes:
+        log_lengths: ``[n]`` float64, log of the metres that each body's length in pixels stands for.
+        log_sds: ``[n]`` float64, their standard deviations.
+        logits: ``[n]`` float64, log odds of a small vehicle in a fitting box, before calibration.
+    """
+
+    log_lengths: NDArray[np.float64]
+    log_sds: NDArray[np.float64]
+    logits: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.log_lengths)
+
+    def take(self, kept: NDArray[np.bool_] | NDArray[np.intp]) -> Looks:
+        """Select vehicles by a mask ``[n]``, or by indices in their order."""
+        return Looks(*(each[kept] for each in self))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Looks]) -> Looks:
+        """Concatenate the vehicles of at least one part."""
+        return cls(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 class Corrections(NamedTuple):

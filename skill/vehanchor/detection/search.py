@@ -2,8 +2,8 @@
 
 Tiles are visited where cars are likely first. Resolutions that the scene-scale prior excludes come last, and only if
 the others show few vehicles. The caller ends the search of a photograph or a larger image when more tiles cannot change
-its scale. In crowded tiles the verifier scores a sample of the candidates. At the end the chip network looks at the best
-vehicles, scores them again and replaces their boxes by those of their bodies; if they are few, it looks at weaker
+its scale. In crowded tiles the verifier scores a sample of the candidates. At the end the chip network looks at the
+best vehicles, scores them again and replaces their boxes by those of their bodies; if they are few, it looks at weaker
 candidates, too.
 """
 

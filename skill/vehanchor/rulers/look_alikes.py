@@ -9,12 +9,12 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from vehanchor.detection.chips import Looks
+    from vehanchor.detection.detections import Looks
 
 _LEAST_VEHICLES = 20  # with which the spread is known to a sixth
-_EQUAL_LENGTHS = 0.045  # spread of log lengths; 2 of 123 fleets have less
-_EQUAL_LOOKS = 0.04  # spread of log lengths by appearance; neither of those two has less
-_LEAST_LOGIT = 2.0  # mean; 123 fleets have 2.1 and more
+_EQUAL_LENGTHS = 0.045  # spread of log lengths; 3 of 204 fleets have less
+_EQUAL_LOOKS = 0.04  # spread of log lengths by appearance; none of those three has less
+_LEAST_LOGIT = 2.0  # mean; 203 of 204 fleets have more
 _QUARTILES_PER_SD = 1.349  # of a normal distribution
 
 

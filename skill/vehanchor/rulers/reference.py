@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from vehanchor.detection.card import BodyLengths, DetectorCard
-    from vehanchor.detection.chips import Looks
+    from vehanchor.detection.detections import Looks
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 
@@ -93,7 +93,7 @@ def _by_looks(bodies: BodyLengths, looks: Looks, region: str | None) -> Referenc
     spread = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
     share = LOOKS_LOG_SD**2 / (LOOKS_LOG_SD**2 + spread**2)
     moved = share * (math.log(_region_length(region, bodies.region_lengths_m)) - fleet)
-    errors = ((1.0, 0.0, math.sqrt(1 - share) * LOOKS_LOG_SD),)
+    errors = tuple((weight, (1 - share) * mean, math.sqrt(1 - share) * sd) for weight, mean, sd in FLEETS)
     return ReferenceLength(math.exp(log_length + moved), "region", errors, moved)
 
 

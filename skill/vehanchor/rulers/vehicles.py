@@ -20,7 +20,7 @@ from vehanchor.scale.density import GRID, blurred, flat, lognormal, on_grid, pro
 from vehanchor.scale.lengths import dominant_group, guard_length, inlier_mask
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
-from vehanchor.scale.reliability import CAR_LOG_SD, LOOKS_FACTOR, RELIABILITY, uncalibrated_wrong, unresolved
+from vehanchor.scale.reliability import CAR_LOG_SD, RELIABILITY, uncalibrated_wrong, unresolved
 from vehanchor.scale.votes import UNCALIBRATED, vehicle_likelihood
 from vehanchor.tilt.rectified import rectified
 
@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.chips import Looks
-    from vehanchor.detection.detections import Detections
+    from vehanchor.detection.detections import Detections, Looks
     from vehanchor.options import Lengths
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.view import View
@@ -290,7 +289,7 @@ class _Votes:
         if self.reference.by_looks is not None and found.looks is not None:
             seen = len(found.looks)
             lengths_m[:seen] = np.exp(found.looks.log_lengths + self.reference.by_looks)
-            log_sds[:seen] = LOOKS_FACTOR * found.looks.log_sds
+            log_sds[:seen] = found.looks.log_sds
         if found.corrections is not None:
             log_sds = np.hypot(log_sds, found.corrections.pointed_log_sds)
         return lengths_m, log_sds

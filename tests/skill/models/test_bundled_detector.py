@@ -15,8 +15,7 @@ from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import (
     DEFAULT_DETECTOR,
-    car_verifier_beside,
-    fleet_beside,
+    chips_beside,
     resolve_model,
     verifier_beside,
 )
@@ -86,12 +85,10 @@ def test_the_shipped_file_is_the_one_that_was_measured() -> None:
     assert sha256 in (ROOT / "research/results/scale.json").read_text(encoding="utf-8")
     assert sha256 in path.with_suffix(".md").read_text(encoding="utf-8")
     assert path.stat().st_size <= 8_000_000
-    fleet, car_verifier = fleet_beside(path), car_verifier_beside(path)
-    assert fleet is not None
-    assert car_verifier is not None
-    for file, card in ((fleet, path), (car_verifier, car_verifier)):
-        sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
-        assert sha256 in card.with_suffix(".md").read_text(encoding="utf-8")
+    chips = chips_beside(path)
+    assert chips is not None
+    sha256 = hashlib.sha256(chips.read_bytes()).hexdigest()
+    assert sha256 in chips.with_suffix(".md").read_text(encoding="utf-8")
 
 
 def test_the_file_in_eight_bits_is_the_one_that_was_measured() -> None:
@@ -120,7 +117,7 @@ def test_eight_bits_say_nearly_what_float32_says_and_the_record_names_them(
     assert small.confidence == pytest.approx(plain.confidence, abs=0.1)
     cards = detector.card, load_detector(resolve_model("vehicles-int8")).card
     assert cards[1].quantised_from == cards[0].name
-    assert cards[1].fleet_sha256 == cards[0].fleet_sha256
+    assert cards[1].chips_sha256 == cards[0].chips_sha256
     assert cards[1].verifier_sha256 not in (None, cards[0].verifier_sha256)
 
 
