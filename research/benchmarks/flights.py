@@ -218,7 +218,7 @@ def without_vehicles(photograph: Photograph) -> Photograph:
         boxes=seen.boxes[:0],
         scores=seen.scores[:0],
         scales=None if seen.scales is None else seen.scales[:0],
-        fleet=None if seen.fleet is None else seen.fleet.take(np.zeros(len(seen.fleet.log_odds), bool)),
+        looks=None if seen.looks is None else seen.looks.take(np.zeros(len(seen.looks), bool)),
         classes=None if seen.classes is None else seen.classes[:0],
     )
     again = StoredPhotograph(photograph.view.image, bare, 1.0, of_photographs(photograph.analysis.witnesses))

@@ -23,9 +23,9 @@ class Rows(NamedTuple):
 
     Attributes:
         car: 1 for a car in a fitting box, 0 for anything else.
-        type: index into ``VEHICLE_TYPES``, or -1.
-        box: ``[n, 5]`` the true box relative to the candidate, as ``network.Answers.box``; NaN where unknown.
-        box_weight: 1 where the box is exact, less where a model drew it, 0 where it is unknown.
+        type: index into ``KINDS``, or -1.
+        box: ``[n, 5]`` the true box relative to the candidate: centre along and across in candidate lengths, log of the
+            length and width over the candidate's length, turn in radians; NaN where unknown.
         log_length_m: log of the true length in metres, NaN where unknown.
         length_px: of the candidate in its source image: how much detail there is.
         score: the detector's, 0 where it did not find the box.
@@ -37,7 +37,6 @@ class Rows(NamedTuple):
     car: NDArray[np.int8]
     type: NDArray[np.int8]
     box: NDArray[np.float32]
-    box_weight: NDArray[np.float32]
     log_length_m: NDArray[np.float32]
     length_px: NDArray[np.float32]
     score: NDArray[np.float32]
@@ -48,6 +47,16 @@ class Rows(NamedTuple):
     def take(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Rows:
         """Select rows by a mask or by indices."""
         return Rows(*(each[which] for each in self))  # type: ignore[arg-type]
+
+    @classmethod
+    def unlabelled(cls, lengths_px: NDArray[np.floating], set_name: str, file: str) -> Rows:
+        """Candidates of these lengths in an image: no cars, of unknown type, found by nobody."""
+        count, nothing = len(lengths_px), np.zeros(len(lengths_px), np.float32)
+        return cls(
+            np.zeros(count, np.int8), np.full(count, UNKNOWN, np.int8), np.full((count, 5), np.nan, np.float32),
+            np.full(count, np.nan, np.float32), lengths_px.astype(np.float32), nothing, nothing,
+            np.full(count, set_name), np.full(count, file),
+        )  # fmt: skip
 
     @classmethod
     def joined(cls, parts: Sequence[Rows]) -> Rows:

@@ -1,6 +1,6 @@
 """Rendered vehicles and look-alikes on real ground.
 
-``python -m research.training.car_verifier.paste RUN --count 12000`` writes the store ``RUN/pasted``. The
+``python -m research.training.chips.paste RUN --count 12000`` writes the store ``RUN/pasted``. The
 ground comes from train images of known scale. A vehicle keeps its true size; its corners are exact and exclude its
 shadow. Vehicles and look-alikes are drawn, blurred and coarsened alike.
 """
@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from research.scenes.fleet import Fleet, VehicleModel
 from research.scenes.painter import VEHICLE_SHADOW_HEIGHT_M
 from research.scenes.sprites import VEHICLE_PAD, Sun, vehicle_sprite
-from research.training.car_verifier.lookalikes import LOOKALIKES, Canvas, shade
-from research.training.car_verifier.mine import GSD_M_PER_PX, chia_images, relative, type_of
-from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, ChipStore, Rows
+from research.training.chips.lookalikes import LOOKALIKES, Canvas, shade
+from research.training.chips.mine import GSD_M_PER_PX, chia_images, relative, type_of
+from research.training.chips.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, ChipStore, Rows
 from research.training.detector.data import TrainImage, load_train_images
 from research.training.detector.scenery import CAR_M, load_scenery
 from vehanchor.detection.boxes import boxes_from_corners
-from vehanchor.detection.car_verifier import VEHICLE_TYPES
+from vehanchor.detection.chips import KINDS
 
 _CANVAS_PX = 2 * STORED_PX  # drawn twice as fine
 _CAR_SHARE, _LORRY_SHARE = 0.55, 0.12
@@ -171,7 +171,7 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
             np.float32,
         )
         px_per_m *= factor
-        car, kind, answer, length_m = 0, VEHICLE_TYPES.index("other"), None, math.nan
+        car, kind, answer, length_m = 0, KINDS.index("other"), None, math.nan
     coarse = px_per_m * ground.gsd_m_per_px
     chip = photographed(rng, canvas, coarse)
     return Pasted(chip, car, kind, answer, length_m, 2 * STORED_LENGTH_PX / max(coarse, 2.0) if coarse > 2 else 36.0)
@@ -270,21 +270,13 @@ def main() -> None:
                 print(len(made), flush=True)
     store = ChipStore()
     nothing = np.full(5, np.nan, np.float32)
-    store.add(
-        np.stack([one.chip for one in made]),
-        Rows(
-            np.array([one.car for one in made], np.int8),
-            np.array([one.type for one in made], np.int8),
-            np.stack([nothing if one.box is None else one.box for one in made]),
-            np.array([0.0 if one.box is None else 1.0 for one in made], np.float32),
-            np.log(np.array([one.length_m for one in made], np.float32)),
-            np.array([one.length_px for one in made], np.float32),
-            np.zeros(len(made), np.float32),
-            np.zeros(len(made), np.float32),
-            np.full(len(made), "pasted"),
-            np.full(len(made), "pasted"),
-        ),
+    rows = Rows.unlabelled(np.array([one.length_px for one in made]), "pasted", "pasted")._replace(
+        car=np.array([one.car for one in made], np.int8),
+        type=np.array([one.type for one in made], np.int8),
+        box=np.stack([nothing if one.box is None else one.box for one in made]),
+        log_length_m=np.log(np.array([one.length_m for one in made], np.float32)),
     )
+    store.add(np.stack([one.chip for one in made]), rows)
     rows = store.save(options.run / "pasted")
     print(f"{(rows.car == 1).sum()} cars, {(rows.car == 0).sum()} others")
 

@@ -1,4 +1,4 @@
-"""Collect candidates from the train images: ``python -m research.training.car_verifier.mine RUN``.
+"""Collect candidates from the train images: ``python -m research.training.chips.mine RUN``.
 
 Writes the stores ``RUN/train`` and ``RUN/held_out``. A chip comes from one of four sources: what the bundled detector
 finds at a low score, every labelled car, labelled boxes moved or scaled until they fit no more, and lorries. With
@@ -19,12 +19,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, ChipStore, Rows
+from research.training.chips.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, ChipStore, Rows
 from research.training.detector.data import TrainImage, is_dev, load_scenes, load_train_images
 from research.training.detector.places import is_held_out, places
 from research.training.detector.scenery import CAR_M, load_scenery
 from vehanchor.detection.boxes import box_corners, boxes_from_corners, oriented_iou
-from vehanchor.detection.car_verifier import VEHICLE_TYPES
+from vehanchor.detection.chips import KINDS
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.search import search
@@ -43,7 +43,6 @@ _CROP_PX = 640  # side of the part of an image that is searched as the library d
 _MOST_FALSE = 50  # of an image at one size: half the surest, half at random
 _FITS, _MISSES = 0.5, 0.25  # IoU with a label from which a box fits, and below which it does not
 GSD_M_PER_PX = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "empty": 0.3048}
-_MODEL_BOX_WEIGHT = 0.25  # of boxes that a model drew: they may hold the shadow along the car
 _MOVED_SHARE = 0.35  # of the labelled cars give a box that does not fit
 _LEAST_LENGTH_PX = 8.0
 LOOKED_AT = Path(__file__).with_name("looked_at.csv")
@@ -52,7 +51,7 @@ _TYPE_OF_BODY = {
     "single cab": "pickup", "crew cab": "pickup", "flatbed": "pickup", "truck": "lorry", "bus": "lorry",
     "semitrailer": "lorry", "caravan": "trailer",
 }  # fmt: skip
-_OTHER, _LORRY = VEHICLE_TYPES.index("other"), VEHICLE_TYPES.index("lorry")
+_OTHER, _LORRY = KINDS.index("other"), KINDS.index("lorry")
 
 
 class Named(NamedTuple):
@@ -66,15 +65,15 @@ class Named(NamedTuple):
 
 
 def type_of(body: str, length_m: float) -> int:
-    """Index into ``VEHICLE_TYPES`` of a rendered vehicle; hatchbacks, saloons and estates by their length."""
+    """Index into ``KINDS`` of a rendered vehicle; hatchbacks, saloons and estates by their length."""
     known = _TYPE_OF_BODY.get(body.partition(":")[0])
     if known is None:
         known = "small" if length_m < 3.95 else "compact" if length_m < 4.45 else "saloon"
-    return VEHICLE_TYPES.index(known)
+    return KINDS.index(known)
 
 
 def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float32]:
-    """True boxes relative to candidates, ``[n, 5]``; see ``network.Answers.box``.
+    """True boxes relative to candidates, ``[n, 5]``; see ``Rows.box``.
 
     Args:
         boxes: ``[n, 5]`` candidates.
@@ -131,12 +130,8 @@ def rows_of(
     kind = np.where((car == 0) & (iou < 0.01), _OTHER, UNKNOWN).astype(np.int8)
     if label_types is not None:
         kind[hit] = label_types[which[hit]]
-    weight = np.where(car == 1, 1.0 if sample.set == "scene" else _MODEL_BOX_WEIGHT, 0.0).astype(np.float32)
-    count = len(boxes)
-    return Rows(
-        car, kind, box, weight, length_m, boxes[:, 2].astype(np.float32), scores.astype(np.float32),
-        combined.astype(np.float32), np.full(count, sample.set), np.full(count, file),
-    ), known  # fmt: skip
+    rows = Rows.unlabelled(boxes[:, 2], sample.set, file)._replace(car=car, type=kind, box=box, log_length_m=length_m)
+    return rows._replace(score=scores.astype(np.float32), combined=combined.astype(np.float32)), known
 
 
 def found(
@@ -215,13 +210,8 @@ def add_lorries(image: Named, store: ChipStore) -> None:
     boxes = boxes[(boxes[:, 2] > 1.7 * boxes[:, 3]) & (boxes[:, 2] > 1.5 * _LEAST_LENGTH_PX)]
     if not len(boxes):
         return
-    count = len(boxes)
-    nothing = np.zeros(count, np.float32)
-    rows = Rows(
-        np.zeros(count, np.int8), np.full(count, _LORRY, np.int8), np.full((count, 5), np.nan, np.float32), nothing,
-        np.full(count, np.nan, np.float32), boxes[:, 2].astype(np.float32), nothing, nothing,
-        np.full(count, f"lorry_{image.set}"), np.full(count, image.file),
-    )  # fmt: skip
+    rows = Rows.unlabelled(boxes[:, 2], f"lorry_{image.set}", image.file)
+    rows = rows._replace(type=np.full(len(boxes), _LORRY, np.int8))
     store.add(surroundings(image.sample.image, boxes, STORED_PX, STORED_LENGTH_PX), rows)
 
 
@@ -289,7 +279,7 @@ def chia_images(data: Path) -> Iterator[Named]:
 
 
 def scene_images(folder: Path) -> Iterator[Named]:
-    """Rendered scenes with the types of their vehicles (see ``render_scenes``)."""
+    """Rendered scenes with the types of their vehicles (``render_scenes chips``)."""
     for path, sample in zip(sorted(folder.glob("*.jpg")), load_scenes(folder), strict=True):
         labels = read_labels(path.with_suffix(".txt"))
         assert labels.gsd_m_per_px is not None
@@ -306,7 +296,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--scenes", type=Path, help="mine this folder of render_scenes alone, into RUN/rendered")
+    parser.add_argument("--scenes", type=Path, help="a folder of `render_scenes chips` alone, into RUN/rendered")
     parser.add_argument("--native", action="store_true", help="search as the library does, into RUN/native")
     parser.add_argument("--sets", default="", help="with --native: these alone, comma between")
     options = parser.parse_args()
@@ -322,7 +312,7 @@ def main() -> None:
     else:
         parts = {name: train_images(options.data, held_out=name == "held_out") for name in ("held_out", "train")}
     detector = Detector(resolve_model(), runtime=Runtime(threads=1))
-    detector.car_verifier = None  # its candidates are wanted
+    detector.chips = None  # its candidates are wanted
     for name, images in parts.items():
         store, rng = ChipStore(), np.random.default_rng(0)
         for number, image in enumerate(images):
