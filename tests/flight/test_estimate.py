@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.flight.photographs import car_park, write_flight
+from tests.flight.ground import car_park, write_flight
 from tests.models import write_detector
 from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import Detector

@@ -120,12 +120,15 @@ def test_a_model_acts_in_tasks_of_fit_and_direction(asked: list[tuple[Task, Path
     assert [each.deed for each in run.answers] == ["acted rightly"]
 
 
-def test_the_command_asks_script_and_model(pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_renders_missing_pictures_and_asks_script_and_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("OPENAI_API_KEY", "k")
     with model_service(ModelService(answer=lambda _: "ANSWER=unknown")) as service:
         options = ["--provider", "openai-compatible", "--model", "m", "--base-url", f"{service.url}/v1"]
-        done = CliRunner().invoke(app, ["agents", str(pictures), "--limit", "1", *options])
+        done = CliRunner().invoke(app, ["agents", str(tmp_path / "new"), "--limit", "1", *options])
     assert done.exit_code == 0, done.output
+    assert (tmp_path / "new" / RENDERED[0].file).is_file()
     (table,) = tables_of(done.stdout)
     assert [row[0] for row in table.rows] == [
         name for name in ("with what it recognises", "without", "m") for _ in TASKS

@@ -182,8 +182,7 @@ def test_an_entry_whose_requests_all_fail_is_reported_and_the_others_are_asked(r
     assert json.loads(Path("out/vlm.json").read_text())["left_out"] == {"request_failed": 2}
 
 
-@pytest.mark.parametrize("provider", PROVIDERS)
-@pytest.mark.parametrize("status", [401, 403, 404])
+@pytest.mark.parametrize(("provider", "status"), list(zip(PROVIDERS, (401, 403, 404), strict=True)))
 def test_a_refused_key_or_model_ends_the_run(run: Any, service: ModelService, provider: str, status: int) -> None:
     service.failures = [(status, {})] * 9
     result = run(provider=provider)
