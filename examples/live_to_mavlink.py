@@ -1,6 +1,6 @@
 """Send the scale of a running camera over MAVLink, from the JSON lines of ``vehanchor flight live``.
 
-    vehanchor flight live frames | python examples/live_to_mavlink.py 127.0.0.1:14550
+    vehanchor flight live 0 | python examples/live_to_mavlink.py 127.0.0.1:14550
 
 Each line with a scale becomes one UDP datagram with four messages NAMED_VALUE_FLOAT: VEH_GSD (metres per pixel),
 VEH_GSD_LO and VEH_GSD_HI (its 95 % interval), and VEH_CONF (confidence; below 0.9 it is not to be used). Autopilots log

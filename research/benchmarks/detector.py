@@ -23,7 +23,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Reference, ScaleOptions
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
 from vehanchor_evaluation.table import survey_table
 

@@ -26,7 +26,7 @@ from vehanchor.options import ScaleOptions
 from vehanchor_flight.components import single_component
 from vehanchor_flight.estimate import conclude, search_flight
 from vehanchor_flight.inputs import InputPhotograph
-from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member
+from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, of_photographs
 from vehanchor_flight.record import Failure, conclude_flight
 from vehanchor_flight.records import FlightEstimate
 
@@ -218,10 +218,10 @@ def without_vehicles(photograph: Photograph) -> Photograph:
         boxes=seen.boxes[:0],
         scores=seen.scores[:0],
         scales=None if seen.scales is None else seen.scales[:0],
-        fleet=None if seen.fleet is None else seen.fleet.take(np.zeros(len(seen.fleet.log_odds), bool)),
+        looks=None if seen.looks is None else seen.looks.take(np.zeros(len(seen.looks), bool)),
         classes=None if seen.classes is None else seen.classes[:0],
     )
-    again = StoredPhotograph(photograph.view.image, bare, 1.0, photograph.analysis.others)
+    again = StoredPhotograph(photograph.view.image, bare, 1.0, of_photographs(photograph.analysis.witnesses))
     return Photograph.of(photograph.name, again, photograph.view.card, photograph.view.options, photograph.features)
 
 

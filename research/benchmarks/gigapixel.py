@@ -93,11 +93,12 @@ def search(image: Path, effort: str, threads: int | None) -> str:
     options = ScaleOptions.of({"effort": effort})
     started, cpu = time.perf_counter(), time.process_time()
     with open_raster(image, limits=options.reading.limits) as raster:
-        found = analyse_raster(raster, detector, options).estimate
+        found = analyse_raster(detector, raster, options).estimate
     seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    details = found.details
     return (
-        f"| {effort} | {image.stem} | {found.tiles_searched} | {found.tiles_total} | {found.stopped_because} | "
+        f"| {effort} | {image.stem} | {details.tiles_searched} | {details.tiles_total} | {details.stopped_because} | "
         f"{seconds:.0f} | {cpu:.0f} | {found.gsd_m_per_px or 0:.4f} | {found.gsd_ci95_low_m_per_px or 0:.3f} to "
         f"{found.gsd_ci95_high_m_per_px or 0:.3f} | {found.status} | {found.n_vehicles} | {peak:.0f} |"
     )

@@ -5,13 +5,13 @@ Prints Markdown; ``--record`` keeps it. ``--part`` chooses:
 * ``people``: precision and recall on upright boxes drawn by people. A hit has its centre inside the label grown by a
   tenth and a length between 0.6 of the label's longer side and 1.25 of its diagonal; each label is hit once, and a
   second hit is a false box. Boxes on labelled lorries count as false, too. "Corrected by eye" adds cars that nobody had
-  labelled and leaves doubtful things out (``car_verifier/looked_at.csv``);
+  labelled and leaves doubtful things out (``training/chips/looked_at.csv``);
 * ``clutter``: false boxes a megapixel where there are no cars, or where the cars are known;
 * ``mistakes``: confidence of 0.5 and more on an image of known scale with an error above 20 %, or without cars.
 
 ``--held-out`` measures ``people`` on the held-out tenth of *train* instead of *val*: thresholds are chosen there.
-``--thresholds`` prints a row for each of several scores instead of the model's own alone. A detector without its second
-look is a copy of its file in another folder.
+``--thresholds`` prints a row for each of several scores instead of the model's own alone. A detector without its
+verifier and its chip network is a copy of its file in another folder.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from research.results.record import add_record_option, recording
-from research.training import car_verifier
+from research.training import chips
 from research.training.detector.places import Place, is_held_out, looked_at, places
 from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _LEAST_SCORE = 0.15
 _THRESHOLDS = (0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
-_LOOKED_AT = Path(car_verifier.__file__).with_name("looked_at.csv")
+_LOOKED_AT = Path(chips.__file__).with_name("looked_at.csv")
 _SAME_PLACE = 0.35  # of a length
 _HIGH_ERROR = 0.2
 _NEARCAR_LENGTH_M = 3.0  # of a car that is there, a box is not false

@@ -26,7 +26,7 @@ from vehanchor.errors import ImageError
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.point import point_witness
+from vehanchor.rulers.ruler import point_witness
 from vehanchor.scale.posterior import Witness, answer
 from vehanchor_evaluation.table import survey_table
 
@@ -75,18 +75,19 @@ def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
             analysis = analyse_scale(item.path, options, detector=detector)
         except ImageError:
             continue
-        seen.append(_seen(analysis.vehicles, analysis.others, item.gsd_m_per_px, analysis.estimate.status == "ok"))
+        seen.append(_seen(analysis.witnesses, item.gsd_m_per_px, analysis.estimate.status == "ok"))
     rng = np.random.default_rng(3)
     for seed in range(n_scenes):
         gsd = float(np.exp(rng.uniform(math.log(0.06), math.log(0.22))))
         scene = render_scene(gsd, width_px=768, height_px=768, seed=900 + seed, n_vehicles=int(rng.integers(3, 11)))
         analysis = analyse_scale(scene.image, options, detector=detector)
         usable = analysis.estimate.status == "ok"
-        seen.append(_seen(analysis.vehicles, analysis.others, gsd, usable))
+        seen.append(_seen(analysis.witnesses, gsd, usable))
     return [each for each in seen if each.cars.gsd_m_per_px is not None]
 
 
-def _seen(cars: Witness, ground: Sequence[Witness], true_gsd: float, usable: bool) -> Seen:
+def _seen(witnesses: Sequence[Witness], true_gsd: float, usable: bool) -> Seen:
+    cars, *ground = witnesses
     return Seen(cars, tuple(ground), true_gsd, usable and cars.n >= _LEAST_CARS)
 
 

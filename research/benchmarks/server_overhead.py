@@ -41,7 +41,8 @@ async def overhead(n_calls: int, threads: int) -> None:
     with tempfile.TemporaryDirectory() as directory:
         image = write_images(Path(directory).resolve())[0]
         by_path = {"image": {"kind": "path", "path": str(image)}, "detail": "full"}
-        box, stated = middle_box(image), {"gsd_m_per_px": 0.15, "gsd_basis": "measured"}
+        box = middle_box(image)
+        stated: dict[str, Any] = {"gsd_m_per_px": 0.15, "gsd_basis": "measured"}
         questions: dict[str, tuple[Callable[[], BaseModel], dict[str, Any]]] = {
             "estimate_gsd": (lambda: estimate_gsd(image, detector=detector), by_path),
             "measure_area": (

@@ -21,8 +21,7 @@ import numpy as np
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
 from research.results.record import add_record_option, header, recording
 from vehanchor.analysis.convergence import convergence, has_converged, stop_rule
-from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.detector import load_detector
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.limits import LARGE_PIXELS, next_pause, search_limits
@@ -34,8 +33,8 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions, Search
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.rulers.view import View
 from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import answer
 
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
 
 _SCENE_LOG_SD = 0.25  # of what the ground says
-_APPEARANCES = 100  # vehicles whose appearance is known, as in a search
+_LOOKED_AT = 64  # vehicles whose looks are known, as in a search
 
 
 class Cell(NamedTuple):
@@ -53,8 +52,7 @@ class Cell(NamedTuple):
 
     boxes: NDArray[Any]
     scores: NDArray[Any]
-    odds: NDArray[Any]
-    lengths: NDArray[Any]
+    looks: Looks
     tile_prior: float
 
 
@@ -66,15 +64,10 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
         image = np.ascontiguousarray(image[:CELL_PX, :CELL_PX, ::-1])
         with open_raster(image) as raster:
             found = search(raster, detector, Search(search_scales=False))
-            if len(found.boxes) and detector.fleet is not None:
-                appearance = detector.fleet.appearance(raster, found.boxes)
-            else:
-                appearance = FleetAppearance(np.zeros(0), np.zeros(0))
-        assert len(appearance.log_odds) == len(found.boxes) <= _APPEARANCES
+        looks = found.looks if found.looks is not None else Looks(*(np.zeros(0) for _ in Looks._fields))
+        assert len(looks) == len(found.boxes) <= _LOOKED_AT
         coarse = np.asarray(cv2.resize(image, (CELL_PX // 8,) * 2, interpolation=cv2.INTER_AREA), np.uint8)
-        cells.append(
-            Cell(found.boxes, found.scores, appearance.log_odds, appearance.log_lengths, car_prior(coarse).item())
-        )
+        cells.append(Cell(found.boxes, found.scores, looks, car_prior(coarse).item()))
     return cells
 
 
@@ -108,17 +101,15 @@ class Mosaic:
         )
         flat = [cell for cells in chosen for cell in cells]
         self.scores = np.concatenate([cell.scores for cell in flat])
-        self.odds, self.lengths = (
-            np.concatenate([getattr(cell, name) for cell in flat]) for name in ("odds", "lengths")
-        )
+        self.looks = Looks.joined([cell.looks for cell in flat])
         self.side = side
 
     def detections(self, found: NDArray[Any]) -> Detections:
         """Detections of a search that has found these boxes."""
         kept = np.flatnonzero(found)
         kept = kept[np.argsort(-self.scores[kept], kind="stable")]
-        appearance = FleetAppearance(self.odds[kept[:_APPEARANCES]], self.lengths[kept[:_APPEARANCES]])
-        return Detections(self.boxes[kept], self.scores[kept], scales=np.ones(len(kept)), fleet=appearance)
+        looks = self.looks.take(kept[:_LOOKED_AT])
+        return Detections(self.boxes[kept], self.scores[kept], scales=np.ones(len(kept)), looks=looks)
 
 
 class Outcome(NamedTuple):

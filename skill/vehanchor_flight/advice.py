@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.records.advice import Advice, advice_for
+from vehanchor.records.text import Advice, advice_for
 
 if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate

@@ -18,6 +18,7 @@ from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import Z95
 from vehanchor.tilt.camera_tilt import known_plane
 from vehanchor_flight.advice import carried_advice, component_advice
+from vehanchor_flight.photograph import of_photographs
 from vehanchor_flight.pooling import pool
 from vehanchor_flight.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler
 from vehanchor_flight.sorties import number_sorties
@@ -110,7 +111,7 @@ def conclude_flight(
         gsd_ci95_low_m_per_px=whole.gsd_ci95_low_m_per_px if whole else None,
         gsd_ci95_high_m_per_px=whole.gsd_ci95_high_m_per_px if whole else None,
         confidence=min(each.confidence for each in ordered if each.confidence is not None),
-        n_vehicles=sum(each.pooled.n_vehicles for each in pooled_components),
+        n_vehicles=sum(each.pooled.n_vehicles or 0 for each in pooled_components),
         photographs=ordered,
         components=tuple(pooled_components),
         links=tuple(links),
@@ -249,7 +250,8 @@ def _supporting_rulers(
 def _supports(members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis) -> list[_Support]:
     """List the rulers that support the component's scale, with the photograph of each."""
     supports = []
-    lengths = pooled.vehicles.fleet.lengths
+    vehicles = pooled.vehicles
+    lengths = np.zeros(0) if vehicles is None else vehicles.fleet.lengths
     for place, member in enumerate(members):
         detections = member.measured
         own = detections.boxes[:, 2] * math.exp(component.offsets[place])
@@ -261,7 +263,7 @@ def _supports(members: Sequence[Photograph], component: Component, pooled: Scale
             supports.append(_Support(Vehicles.kind, place, strength))
         supports += [
             _Support(other.kind, place, 1.0 - other.chance_wrong)
-            for other in member.analysis.others
+            for other in of_photographs(member.analysis.witnesses)
             if other.found and other.sets_scale
         ]
     return supports

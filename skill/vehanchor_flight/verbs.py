@@ -121,10 +121,11 @@ def rescale(
 
 
 def live_scales(
-    folder: str | os.PathLike[str],
+    source: str | os.PathLike[str] | int,
     options: ScaleOptions | None = None,
     *,
     engine: Engine | None = None,
+    every_s: float = 0.2,
     hold_s: float = 10.0,
     idle_s: float | None = None,
     tell: Callable[[str], None] = lambda _sentence: None,
@@ -132,25 +133,27 @@ def live_scales(
 ) -> Iterator[LiveScale]:
     """Estimate the scale of each frame of a running camera, advisory.
 
-    The newest frame wins: no queue grows while a record is used.
+    The newest frame wins: no queue grows while a record is used. A video gives every frame.
 
     Args:
-        folder: folder into which a program writes the frames of the camera.
+        source: folder that fills, video file, or number of a camera.
         options: as in ``vehanchor.estimate_gsd``. The rulers are vehicles and the scene-scale prior.
         engine: holds the models; None for the bundled ones.
+        every_s: for a video, seconds between frames.
         hold_s: seconds without vehicles after which there is no scale.
-        idle_s: seconds without a new frame that end the iterator; None for never.
-        tell: receives a sentence on each frame that cannot be read.
+        idle_s: seconds without a new frame that end a folder or a camera; None for never.
+        tell: receives a sentence on each frame that cannot be read, and on each loss and return of the camera.
         **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
 
     Returns:
         An iterator of one record for each frame, from all frames so far.
 
     Raises:
-        ImageNotFoundError: there is no such folder.
+        ImageNotFoundError: there is no such source.
         InvalidParameterError: the seconds are invalid, or an option is.
         ModelError: a model cannot be used.
     """
     called, chosen = (engine or Engine()).for_call(options, keywords)
-    frames = open_frames(Path(folder), chosen.reading, idle_s=idle_s, tell=tell)
+    name = str(source) if isinstance(source, int) else os.fspath(source)
+    frames = open_frames(name, chosen.reading, every_s=every_s, idle_s=idle_s, tell=tell)
     return map(LiveEstimator(called.detector, chosen, hold_s=hold_s).estimate, frames)

@@ -15,7 +15,7 @@ from mcp import Client, StdioServerParameters
 from PIL import Image
 
 import vehanchor
-from tests.analyses import made_card
+from tests.analyses import made_card, with_tilt
 from tests.conftest import ROOT
 from tests.docs.documents import blocks
 from tests.models import blank_image, paint_vehicles, write_detector
@@ -31,7 +31,7 @@ from vehanchor.records import GsdEstimate
 from vehanchor.records.flat import flat_row
 from vehanchor.records.ruler_kinds import RULERS
 from vehanchor.rulers.registry import ruler_class
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor_flight.verbs import estimate_flight
 
@@ -62,7 +62,7 @@ def _analysed(
     found = Detections(np.zeros((0, 5)), np.zeros(0), others=seen)
     card = made_card().model_copy(update={"class_names": {0: "small-vehicle", 1: name}})
     facts = ImageFacts(1000, 800, camera=camera)
-    return analyse_view(View(facts, found, card, ScaleOptions.of(options), lambda *_: 1.0))
+    return analyse_view(with_tilt(View(facts, found, card, ScaleOptions.of(options), lambda *_: 1.0)))
 
 
 @pytest.mark.usefixtures("track")
@@ -111,9 +111,10 @@ def test_a_ruler_that_cannot_use_the_plane_gives_no_evidence_on_a_tilted_photogr
     monkeypatch.setattr(track, "uses_plane", False)
     record = _analysed(camera=TILTED).estimate
     assert (record.status, record.gsd_m_per_px, record.rulers) == ("no_scale", None, ())
-    (warning,) = (each for each in record.warnings if each.code == "ruler_needs_nadir")
+    (warning,) = (each for each in record.warnings if "running track" in each.message)
+    assert warning.code == "camera_tilted"
     assert warning.message.startswith("The camera was tilted by 40 degrees: the ruler running track is left out")
-    assert not any(each.code == "ruler_needs_nadir" for each in _analysed(300.0, camera=TILTED).estimate.warnings)
+    assert not any("running track" in each.message for each in _analysed(300.0, camera=TILTED).estimate.warnings)
 
 
 @pytest.fixture
@@ -133,7 +134,7 @@ def test_the_verb_searches_for_it_and_the_record_its_table_and_its_schema_name_i
     detector: Path, photograph: Path
 ) -> None:
     record = vehanchor.estimate_gsd(photograph, detector=str(detector), rulers=("track",))
-    assert (record.leading_ruler, record.n_vehicles, record.tiles_searched) == ("track", 0, 1)
+    assert (record.leading_ruler, record.n_vehicles, record.details.tiles_searched) == ("track", 0, 1)
     assert record.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
     assert flat_row(record)["ruler_track_gsd_m_per_px"] == record.rulers[0].gsd_m_per_px
     assert "track" in GsdEstimate.model_json_schema()["$defs"]["RulerScale"]["properties"]["kind"]["enum"]

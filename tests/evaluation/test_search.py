@@ -18,7 +18,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.votes import Votes
 from vehanchor_evaluation.dota import survey_dota
 from vehanchor_evaluation.geotiff import survey_geotiffs

@@ -139,6 +139,7 @@ def test_each_frame_is_one_line_of_json(live: Any) -> None:
     [
         ("nowhere",),
         (".", "--hold", "0"),
+        (".", "--every", "nan"),
         (".", "--idle", "-1"),
     ],
 )
@@ -146,6 +147,14 @@ def test_a_wrong_argument_is_refused_before_the_work(live: Any, arguments: tuple
     done = live(*arguments)
     assert done.exit_code == 2
     assert done.stderr.startswith("error[")
+
+
+def test_a_camera_that_is_not_there_is_told_once(live: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    done = live("97", "--idle", 2)
+    assert done.exit_code == 0
+    assert not done.stdout
+    assert done.stderr.count("camera 97 gives no frames") == 1
+    assert "WARN" not in capfd.readouterr().err
 
 
 LENGTHS = 4.8 * (1 + 0.06 * np.linspace(-1, 1, 12) ** 3)
@@ -173,7 +182,8 @@ def test_the_verdict_is_told_and_the_files_are_in_metres(rescale: Any, tmp_path:
     done = rescale("project", "--project", "metric", "--geo", "geo.txt", "--out", "scale.json")
     assert done.exit_code == 0, done.output
     assert json.loads((tmp_path / "scale.json").read_text())["status"] == "ok"
-    assert "One unit of the model is 1.08" in done.stdout
+    assert "too small" in done.stdout
+    assert "0.png" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80
     heights = [shot.centre[2] for shot in read_model(tmp_path / "metric").shots]
     assert heights == pytest.approx([70, 70, 75], rel=0.015)

@@ -1,6 +1,6 @@
-"""Car or not beside today's networks: ``python -m research.training.chips.cars CHIPS.onnx R``.
+"""Car or not beside detector and verifier: ``python -m research.training.chips.cars CHIPS.onnx R``.
 
-``R`` has the stores ``held_out`` (``research.training.car_verifier.mine``) and ``people`` (``people.py``). Logits are
+``R`` has the stores ``held_out`` (``mine.py``) and ``people`` (``people.py``). Logits are
 joined by logistic regression, fitted on one half of the held-out files for the other, and on all for ``people``.
 ``--write`` writes the weights of the search and the chip network into the file.
 """
@@ -16,29 +16,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from research.training.car_verifier.store import STORED_LENGTH_PX, Rows, read_store
-from research.training.car_verifier.stream import Move
-from research.training.car_verifier.stream import cut as car_verifier_chip
-from research.training.chips.chip_network import ChipNetwork
 from research.training.chips.export import write_weights
+from research.training.chips.store import STORED_LENGTH_PX, Rows, read_store
 from research.training.chips.stream import cut
-from vehanchor.detection.car_verifier import CarVerifier
+from vehanchor.detection.chips import ChipNetwork
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import car_verifier_beside, resolve_model
 
 _LEAST_SCORE = 0.15  # of the detector
 _SHIPPED = ("search", "chips")
-_STILL = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
 _JOINED = {
     "detector": ("detector",),
     "search (detector and verifier)": ("search",),
-    "search and car verifier": ("search", "car verifier"),
     "detector and chips, one view": ("detector", "chips, one view"),
     "detector and chips": ("detector", "chips"),
     "search and chips, one view": ("search", "chips, one view"),
     "search and chips": ("search", "chips"),
     "chips": ("chips",),
-    "car verifier": ("car verifier",),
 }
 
 
@@ -60,19 +53,15 @@ def judged(folder: Path, network: ChipNetwork) -> Judged:
     chips, rows = read_store(folder)
     chosen = np.flatnonzero(rows.score >= _LEAST_SCORE)
     rows = rows.take(chosen)
-    path = car_verifier_beside(resolve_model())
-    assert path is not None
-    ours = np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in chosen])
-    theirs = np.stack([car_verifier_chip(np.asarray(chips[k]), _STILL) for k in chosen])
+    cuts = np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in chosen])
     return Judged(
         rows,
         rows.car == 1,
         {
             "detector": _logit(rows.score),
             "search": _logit(rows.combined),
-            "car verifier": CarVerifier(path).verify(theirs).logit,
-            "chips": network.answers(ours).logit,
-            "chips, one view": network.answers(ours, views=1).logit,
+            "chips": network.answers(cuts).logit,
+            "chips, one view": network.answers(cuts, views=1).logit,
         },
     )
 

@@ -12,17 +12,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from research.training.chips.chip_network import KINDS, ChipAnswers, ChipNetwork
 from research.training.chips.kinds import BODY_M, CARS, GROUP_OF_KIND, GROUPS, UNKNOWN
 from research.training.chips.readings import READ_LENGTH_PX, Read, load
 from research.training.chips.stream import cut
+from vehanchor.detection.chips import KINDS, ChipAnswers, ChipNetwork, looks
 from vehanchor.models.runtime import Runtime
 
 _N_GROUPS = 4  # of cars
 _BOX_M = 4.6  # about a detector's box
-_WITHIN_KIND = np.array([[0.075**2, 0.6 * 0.075 * 0.04], [0.6 * 0.075 * 0.04, 0.04**2]])  # of log length and width
-_LEAST_LOG_SD = np.array([0.02, 0.03])
-_LOOKS_LOG_SD = np.array([0.10, 0.05])
+_FAR_PX = 10_000  # the border of an image that cuts no car
 
 
 def sizes(edges: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -33,6 +31,14 @@ def sizes(edges: NDArray[np.floating]) -> NDArray[np.float64]:
 def robust(values: NDArray[np.float64]) -> float:
     """Standard deviation by the median absolute deviation."""
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def log_scale(read: Read, said: ChipAnswers) -> NDArray[np.float64]:
+    """Log of metres per pixel from each car alone, as the search has it."""
+    width_px = np.nan_to_num(read.width_px, nan=1.0)
+    middle = np.full(len(width_px), _FAR_PX / 2)
+    boxes = np.column_stack([middle, middle, read.length_px, width_px, np.zeros(len(middle))])
+    return looks(boxes, said, (_FAR_PX, _FAR_PX)).log_lengths - np.log(said.sizes[:, 0] * read.length_px)
 
 
 def edge_report(read: Read, said: ChipAnswers) -> Iterator[str]:
@@ -55,41 +61,14 @@ def edge_report(read: Read, said: ChipAnswers) -> Iterator[str]:
 def kind_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     """Agreement of kinds with the eye, in four groups of cars."""
     cars = (read.kind != UNKNOWN) & (read.kind < len(CARS))
-    best = said.kinds[:, : len(CARS)].argmax(axis=1)
     groups = np.stack([said.kinds[:, k == GROUP_OF_KIND].sum(axis=1) for k in range(_N_GROUPS)], axis=1).argmax(axis=1)
-    for name in (*np.unique(read.place), "all"):
-        chosen = cars & ((read.place == name) | (name == "all"))
-        if chosen.any():
-            truth = GROUP_OF_KIND[read.kind[chosen]]
-            same, grouped = np.mean(best[chosen] == read.kind[chosen]), np.mean(groups[chosen] == truth)
-            most = np.bincount(truth).max() / chosen.sum()
-            yield f"kinds {name}: n {chosen.sum()}, same {same:.2f}, group {grouped:.2f}, commonest {most:.2f}"
+    truth = GROUP_OF_KIND[read.kind[cars]]
+    same, most = np.mean(groups[cars] == truth), np.bincount(truth).max() / len(truth)
+    yield f"kinds: n {len(truth)}, group {same:.2f}, commonest {most:.2f}"
     table = np.zeros((_N_GROUPS, _N_GROUPS), int)
-    np.add.at(table, (GROUP_OF_KIND[read.kind[cars]], groups[cars]), 1)
+    np.add.at(table, (truth, groups[cars]), 1)
     for name, row in zip(GROUPS, table.tolist(), strict=False):
         yield f"read {name}: said {dict(zip(GROUPS, row, strict=False))}"
-
-
-def log_scale(said: ChipAnswers, length_px: NDArray[np.float64], use: list[int], *, looks: bool) -> NDArray[np.float64]:
-    """Log of metres per pixel from each car alone.
-
-    Args:
-        said: of the network.
-        length_px: of the candidates.
-        use: 0 for the length, 1 for the width, or both.
-        looks: whether the metres by looks narrow the kinds' sizes.
-    """
-    seen = np.log(said.sizes * length_px[:, None])
-    chance = said.kinds[:, : len(CARS)] / said.kinds[:, : len(CARS)].sum(axis=1, keepdims=True)
-    middle = chance @ np.log([BODY_M[kind] for kind in CARS])
-    if looks:
-        table, by_looks = 1 / np.diag(_WITHIN_KIND), 1 / _LOOKS_LOG_SD**2
-        middle = (middle * table + said.log_metres * by_looks) / (table + by_looks)
-    out = np.zeros(len(seen))
-    for k, noise in enumerate(np.hypot(said.log_size_sd, _LEAST_LOG_SD) ** 2):
-        inner = np.linalg.inv((_WITHIN_KIND + np.diag(noise))[np.ix_(use, use)])
-        out[k] = inner.sum(axis=0) @ (middle[k] - seen[k])[use] / inner.sum()
-    return out
 
 
 def scale_report(read: Read, said: ChipAnswers) -> Iterator[str]:
@@ -97,19 +76,13 @@ def scale_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     eye, ours = (np.log(sizes(each) * read.length_px[:, None]) for each in (read.edges, said.edges))
     body = np.log([BODY_M.get(KINDS[max(kind, 0)], (np.nan, np.nan)) for kind in read.kind])
     ways = {
-        "detector's length": -np.log(read.length_px),
-        "length": -ours[:, 0],
-        "width": -ours[:, 1],
-        "length and kind": log_scale(said, read.length_px, [0], looks=False),
-        "width and kind": log_scale(said, read.length_px, [1], looks=False),
-        "length, width and kind": log_scale(said, read.length_px, [0, 1], looks=False),
+        "detector's length": np.log(_BOX_M / read.length_px),
+        "length alone": -ours[:, 0],
         "looks over length": said.log_metres[:, 0] - ours[:, 0],
-        "looks over detector's length": said.log_metres[:, 0] - np.log(read.length_px),
         "looks over width": said.log_metres[:, 1] - ours[:, 1],
-        "length, width, kind and looks": log_scale(said, read.length_px, [0, 1], looks=True),
+        "looks, as the search": log_scale(read, said),
         "eye's length": -eye[:, 0],
         "eye's length and kind": body[:, 0] - eye[:, 0],
-        "eye's width and kind": body[:, 1] - eye[:, 1],
     }
     chosen = np.isfinite(read.edges).all(axis=1) & np.isfinite(body[:, 0]) & np.isfinite(read.gsd)
     for name, way in ways.items():
@@ -127,8 +100,8 @@ def scale_report(read: Read, said: ChipAnswers) -> Iterator[str]:
 
 def place_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     """Bias and spread of one car's scale by place, of all cars of a known scale, and of the detector's length alone."""
-    ours = log_scale(said, read.length_px, [0, 1], looks=True)
-    box = -np.log(read.length_px) + np.log(_BOX_M)
+    ours = log_scale(read, said)
+    box = np.log(_BOX_M / read.length_px)
     cars = (read.kind != UNKNOWN) & (read.kind < len(CARS)) & np.isfinite(read.gsd)
     for place in np.unique(read.place[cars]):
         here = cars & (read.place == place)

@@ -93,7 +93,7 @@ def load_images(data: Path, *, held_out: bool = False, without: Collection[str] 
 
 
 def load_scenes(folder: Path) -> list[ScaledImage]:
-    """Load rendered scenes (``research.training.detector.render_scenes``): images with DOTA text beside them."""
+    """Load rendered scenes (``render_scenes detector``): images with DOTA text beside them."""
     out = []
     for path in sorted(folder.glob("*.jpg")):
         gsd = float(path.with_suffix(".txt").read_text().split()[0].removeprefix("gsd:"))

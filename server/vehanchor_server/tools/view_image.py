@@ -142,7 +142,7 @@ def _view(services: Services, job: Job, source: OpenedImage, request: _ViewReque
 
     from vehanchor.imagery.raster import Window
     from vehanchor.imagery.sources.opening import open_raster
-    from vehanchor.options.coordinates import CoordinateFrame
+    from vehanchor.options.reading import CoordinateFrame
     from vehanchor.pictures.grid import draw_grid
     from vehanchor_server.calls.overlay import small_jpeg
 

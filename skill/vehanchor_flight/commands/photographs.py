@@ -25,7 +25,7 @@ from vehanchor.cli.terminal import (
     under_one_folder,
 )
 from vehanchor.errors import InvalidParameterError
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

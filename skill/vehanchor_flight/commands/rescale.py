@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
-from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import (
     NOT_OK,
     STATUS_TEXTS,
@@ -28,8 +27,10 @@ from vehanchor.errors import InvalidParameterError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rich.table import Table
+
     from vehanchor_flight.reconstruction.model import Reconstruction
-    from vehanchor_flight.records import ModelScale
+    from vehanchor_flight.records import ModelPhotograph, ModelScale
 
 _FILES = "Files to write"
 _METADATA = ("metadata", "height_m", "height_basis", "height_tolerance_m", "focal_35mm")
@@ -48,9 +49,17 @@ def rescale(
     images: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Photographs of the model. Default: near its files.")
     ] = None,
-    known_lengths: KnownLengthsFile = None,
+    lines: Annotated[
+        Path | None,
+        typer.Option(
+            "--known-lengths",
+            metavar="LINES.csv",
+            help="Lines of known length in the photographs: file, x1, y1, x2, y2, metres; files are relative to the "
+            "table.",
+        ),
+    ] = None,
     project: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="reconstruction.json in metres.", rich_help_panel=_FILES)
+        Path | None, typer.Option(metavar="FOLDER", help="Model in metres, in its format.", rich_help_panel=_FILES)
     ] = None,
     geo: Annotated[
         Path | None,
@@ -78,7 +87,7 @@ def rescale(
         with image_progress() as progress, resumable(journal):
             engine = chosen.engine(progress=progress)
             images = images or images_of(model)
-            record = rescaled(model, engine=engine, images=images, known_lengths_table=known_lengths, journal=journal)
+            record = rescaled(model, engine=engine, images=images, known_lengths_table=lines, journal=journal)
         written = _write_in_metres(model, record, project, geo)
         if out is not None:
             write_record(out, record)
@@ -97,9 +106,9 @@ def _model(source: str, project: Path | None, geo: Path | None) -> Reconstructio
 
     if geo is not None:
         check_output(geo)
-    model = read_model(source)
     if project is not None:
-        check_project_path(model, project)
+        check_project_path(project)
+    model = read_model(source)
     if geo is not None and model.origin is None:
         raise InvalidParameterError("--geo needs a model with a position on Earth (reference_lla of OpenSfM)")
     return model
@@ -107,8 +116,7 @@ def _model(source: str, project: Path | None, geo: Path | None) -> Reconstructio
 
 def _write_in_metres(model: Reconstruction, record: ModelScale, project: Path | None, geo: Path | None) -> list[Path]:
     """Write the files in metres of a usable size; return their paths."""
-    from vehanchor_flight.reconstruction.files import write_geo
-    from vehanchor_flight.reconstruction.opensfm import write_scaled_opensfm
+    from vehanchor_flight.reconstruction.files import write_geo, write_rescaled
 
     if record.status != "ok" or record.factor is None:
         return []
@@ -117,7 +125,7 @@ def _write_in_metres(model: Reconstruction, record: ModelScale, project: Path | 
         write_geo(geo, model, record.factor)
         written.append(geo)
     if project is not None:
-        written.append(write_scaled_opensfm(model.path, project, record.factor))
+        written.append(write_rescaled(model, project, record.factor))
     return written
 
 
@@ -135,14 +143,16 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
         part = f"right: {ruler.p_right:.2f}"
         stated = _interval(ruler.factor, ruler.factor_ci95_low, ruler.factor_ci95_high)
         facts.append((ruler.label, f"{stated}, n {ruler.n}, {part}"))
-    n_used = sum(each.status == "used" for each in record.photographs)
-    facts.append(("photographs", f"{record.n_photographs}, {n_used} of them carry the factor"))
-    for each in record.photographs:
-        if each.status == "outlier" and each.factor is not None:
-            own = _interval(each.factor, each.factor_ci95_low, each.factor_ci95_high)
-            facts.append(("outlier", f"{each.photograph}: {', '.join(each.rulers)} {own}"))
+    used = [each for each in record.photographs if each.status == "used"]
+    if record.photographs:
+        facts.append(("photographs", f"{record.n_photographs}, {len(used)} of them carry the factor"))
+    facts += [
+        ("outlier", f"{each.photograph}: {_own(each)}") for each in record.photographs if each.status == "outlier"
+    ]
     facts += [("written", str(path)) for path in written]
     print_table(facts_table(source, facts))
+    if used:
+        print_table(_photographs(used))
     for each in record.photographs:
         if each.status == "error":
             typer.echo(printable(f"not measured[{each.error_code}]: {each.photograph}: {each.error}"), err=True)
@@ -151,3 +161,31 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
 
 def _interval(factor: float, low: float | None, high: float | None) -> str:
     return f"{factor:.4g}" if low is None or high is None else f"{factor:.4g}   (95 %: {low:.4g} to {high:.4g})"
+
+
+def _own(each: ModelPhotograph) -> str:
+    if each.factor is None:
+        return "-"
+    return f"{', '.join(each.rulers)} {_interval(each.factor, each.factor_ci95_low, each.factor_ci95_high)}"
+
+
+def _photographs(used: Sequence[ModelPhotograph]) -> Table:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("photograph", overflow="fold")
+    for heading in ("factor", "95 %", "cars"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("rulers", overflow="fold")
+    for each in used:
+        low, high = each.factor_ci95_low, each.factor_ci95_high
+        table.add_row(
+            Text(printable(each.photograph)),
+            f"{each.factor:.4g}",
+            f"{low:.3g} to {high:.3g}",
+            str(each.n_vehicles),
+            ", ".join(each.rulers),
+        )
+    return table

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor_flight.features import Features
     from vehanchor_flight.live.frames import Frame
     from vehanchor_flight.matching import Match
@@ -116,7 +116,7 @@ class LiveEstimator:
         with open_raster(read_reduced_window(raster, window, factor)) as part:
             view = search_raster(part, self._detector, self._options, prior, check_stretch=self._checks_stretch)
             view = self._with_stretch(view)
-            analysis = conclude(view, *measure_all(view))  # no tilt: the camera looks down
+            analysis = conclude(view, measure_all(view))  # no tilt: the camera looks down
         measured = measurement(analysis, factor)
         if measured is not None:
             self._state = corrected(self._state, measured)
@@ -144,7 +144,8 @@ class LiveEstimator:
         low = np.array([window.x_px, window.y_px]) * factor
         high = low + np.array([window.width_px, window.height_px]) * factor
         outside = ~np.all((self._cars >= low) & (self._cars < high), axis=1)
-        self._cars = np.concatenate([self._cars[outside], analysis.vehicles.fleet.centres * factor + low])
+        centres = np.zeros((0, 2)) if analysis.vehicles is None else analysis.vehicles.fleet.centres
+        self._cars = np.concatenate([self._cars[outside], centres * factor + low])
 
     def _record(self, frame: Frame, window: GsdEstimate, *, linked: bool) -> LiveScale:
         state = self._state
@@ -160,11 +161,11 @@ class LiveEstimator:
             gsd_ci95_high_m_per_px=interval and interval.high,
             confidence=0.0 if state is None else state.chance,
             reason=None if usable else "disagree" if contradicted else window.reason or "imprecise",
-            n_vehicles=window.n_vehicles,
+            n_vehicles=window.n_vehicles or 0,
             seen_s_ago=None if state is None else state.silent_s,
             linked=linked,
             n_skipped=frame.n_skipped,
-            latency_s=max(0.0, time.monotonic() - frame.at_s),
+            latency_s=max(0.0, time.monotonic() - frame.arrived_s),
             image_width_px=frame.image.shape[1],
             image_height_px=frame.image.shape[0],
         )
@@ -182,7 +183,7 @@ def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
     """
     estimate, vehicles = analysis.estimate, analysis.vehicles
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
-    if estimate.gsd_m_per_px is None or not low or not high:
+    if estimate.gsd_m_per_px is None or vehicles is None or not low or not high:
         return None
     log_sd = math.log(high / low) / (2 * Z95)
     common = min(log_sd, vehicles.reference.log_sd)

@@ -1,41 +1,52 @@
 """Models of COLMAP, text and binary: cameras, images and points3D.
 
-The layouts are those of https://colmap.github.io/format.html. Rigs and frames, which newer versions add, are not read.
+The layouts are those of https://colmap.github.io/format.html. Rigs and frames, which newer versions add, are not read;
+COLMAP makes them anew from a model without them.
 """
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vehanchor.errors import ReconstructionError
+from vehanchor.storage.atomic import whole_file
 from vehanchor_flight.reconstruction.model import Lens, Reconstruction, Shot
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 _FILES = ("cameras", "images", "points3D")
 _MOST_BYTES = 8 << 30
 _POSE, _NAME_BYTES = struct.Struct("<I7dI"), 1024
+_THREE = struct.Struct("<3d")
 _POINT = struct.Struct("<Q3d3BdQ")
 
 
-_MODELS = {  # number in binary files, focal lengths (1 or 2), parameters in all
-    "SIMPLE_PINHOLE": (0, 1, 3),
-    "PINHOLE": (1, 2, 4),
-    "SIMPLE_RADIAL": (2, 1, 4),
-    "RADIAL": (3, 1, 5),
-    "OPENCV": (4, 2, 8),
-    "OPENCV_FISHEYE": (5, 2, 8),
-    "FULL_OPENCV": (6, 2, 12),
-    "SIMPLE_RADIAL_FISHEYE": (8, 1, 4),
-    "RADIAL_FISHEYE": (9, 1, 5),
+class _CameraModel(NamedTuple):
+    """Camera model of COLMAP: its number in binary files, focal lengths (1 or 2), and parameters in all."""
+
+    number: int
+    n_focals: int
+    n_parameters: int
+
+
+_MODELS = {
+    "SIMPLE_PINHOLE": _CameraModel(0, 1, 3),
+    "PINHOLE": _CameraModel(1, 2, 4),
+    "SIMPLE_RADIAL": _CameraModel(2, 1, 4),
+    "RADIAL": _CameraModel(3, 1, 5),
+    "OPENCV": _CameraModel(4, 2, 8),
+    "OPENCV_FISHEYE": _CameraModel(5, 2, 8),
+    "FULL_OPENCV": _CameraModel(6, 2, 12),
+    "SIMPLE_RADIAL_FISHEYE": _CameraModel(8, 1, 4),
+    "RADIAL_FISHEYE": _CameraModel(9, 1, 5),
 }
-_NAMES = {number: name for name, (number, _, _) in _MODELS.items()}
+_NAMES = {model.number: name for name, model in _MODELS.items()}
 
 
 def is_colmap(folder: Path) -> bool:
@@ -58,8 +69,10 @@ def read_colmap(folder: Path) -> Reconstruction:
             points = np.array([row.split()[1:4] for row in _rows(folder / "points3D.txt")], np.float64)
         else:
             lenses = _binary_cameras(_bytes(folder / "cameras.bin"))
-            shots = tuple(_binary_shots(_bytes(folder / "images.bin"), lenses))
-            points = np.array([*_binary_points(_bytes(folder / "points3D.bin"))], np.float64)
+            images = _bytes(folder / "images.bin")
+            shots = tuple(_binary_shot(images, at, lenses) for at in _image_offsets(images))
+            found = _bytes(folder / "points3D.bin")
+            points = np.array([_POINT.unpack_from(found, at)[1:4] for at in _point_offsets(found)], np.float64)
     except (ValueError, IndexError, KeyError, struct.error, OverflowError) as error:
         if isinstance(error, ReconstructionError):
             raise
@@ -67,11 +80,43 @@ def read_colmap(folder: Path) -> Reconstruction:
     return Reconstruction("colmap_text" if text else "colmap_binary", folder, shots, points.reshape(-1, 3))
 
 
-def _bytes(path: Path) -> bytes:
+def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
+    """Write a model of COLMAP, scaled about its origin, in the format of the source.
+
+    Args:
+        folder: of the model.
+        target: folder for the new files; it exists.
+        factor: metres per unit of the model.
+
+    Returns:
+        The folder.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    text = (folder / "images.txt").is_file()
+    ending = ".txt" if text else ".bin"
+    cameras, images, points = (folder / f"{name}{ending}" for name in _FILES)
+    _write(target / cameras.name, _bytes(cameras))
+    if text:
+        _write(target / images.name, _scaled_text(images, 5, factor, every=2))
+        _write(target / points.name, _scaled_text(points, 1, factor))
+    else:
+        _write(target / images.name, _scaled_binary(images, _image_offsets, 36, factor))
+        _write(target / points.name, _scaled_binary(points, _point_offsets, 8, factor))
+    return target
+
+
+def _write(path: Path, content: bytes | bytearray) -> None:
+    with whole_file(path) as partial:
+        partial.write_bytes(content)
+
+
+def _bytes(path: Path) -> bytearray:
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise ReconstructionError(f"{str(path)!r} is larger than {_MOST_BYTES >> 30} GiB")
-        return path.read_bytes()
+        return bytearray(path.read_bytes())
     except OSError as error:
         raise ReconstructionError(f"cannot read {str(path)!r}: {error.strerror or error}") from None
 
@@ -94,20 +139,20 @@ def _text_shot(row: str, lenses: dict[int, Lens]) -> Shot:
     return _shot(values[9], lenses[int(values[8])], pose)
 
 
-def _binary_cameras(found: bytes) -> dict[int, Lens]:
+def _binary_cameras(found: bytearray) -> dict[int, Lens]:
     (n,), at = struct.unpack_from("<Q", found), 8
     lenses = {}
     for _ in range(n):
         number, kind, width, height = struct.unpack_from("<IiQQ", found, at)
         at += 24
         name = _NAMES.get(kind, f"number {kind}")
-        n_parameters = _supported(name)[2]
+        n_parameters = _supported(name).n_parameters
         lenses[number] = _lens(name, width, height, struct.unpack_from(f"<{n_parameters}d", found, at))
         at += 8 * n_parameters
     return lenses
 
 
-def _supported(kind: str) -> tuple[int, int, int]:
+def _supported(kind: str) -> _CameraModel:
     if kind not in _MODELS:
         raise ReconstructionError(f"a camera has COLMAP's model {kind}: supported are {', '.join(_MODELS)}")
     return _MODELS[kind]
@@ -124,28 +169,32 @@ def _lens(kind: str, width: float, height: float, parameters: Sequence[float]) -
     return Lens(width, height, focal_x, focal_y, centre_x, centre_y, distortion, kind.endswith("FISHEYE"))
 
 
-def _binary_shots(found: bytes, lenses: dict[int, Lens]) -> Iterator[Shot]:
+def _image_offsets(found: bytearray) -> Iterator[int]:
     (n,), at = struct.unpack_from("<Q", found), 8
     for _ in range(n):
-        _, *pose, camera = _POSE.unpack_from(found, at)
-        start = at + _POSE.size
-        end = found.index(b"\0", start, start + _NAME_BYTES)
-        yield _shot(found[start:end].decode(), lenses[camera], pose)
-        (n_points,) = struct.unpack_from("<Q", found, end + 1)
-        at = end + 9 + 24 * n_points
+        yield at
+        end = found.index(b"\0", at + _POSE.size) + 1
+        (n_points,) = struct.unpack_from("<Q", found, end)
+        at = end + 8 + 24 * n_points
     _check_end(found, at)
 
 
-def _binary_points(found: bytes) -> Iterator[tuple[float, ...]]:
+def _binary_shot(found: bytearray, at: int, lenses: dict[int, Lens]) -> Shot:
+    _, *pose, camera = _POSE.unpack_from(found, at)
+    start = at + _POSE.size
+    name = found[start : found.index(b"\0", start, start + _NAME_BYTES)].decode()
+    return _shot(name, lenses[camera], pose)
+
+
+def _point_offsets(found: bytearray) -> Iterator[int]:
     (n,), at = struct.unpack_from("<Q", found), 8
     for _ in range(n):
-        _, *point, _, _, _, _, n_seen = _POINT.unpack_from(found, at)
-        yield tuple(point)
-        at += _POINT.size + 8 * n_seen
+        yield at
+        at += _POINT.size + 8 * _POINT.unpack_from(found, at)[-1]
     _check_end(found, at)
 
 
-def _check_end(found: bytes, at: int) -> None:
+def _check_end(found: bytearray, at: int) -> None:
     if at != len(found):
         raise ValueError(f"{len(found)} bytes instead of {at}")
 
@@ -156,3 +205,25 @@ def _shot(name: str, lens: Lens, pose: Sequence[float]) -> Shot:
         raise ValueError(f"the pose of {name!r} is {pose}")
     w, *axis = pose[:4]
     return Shot(name, lens, Rotation.from_quat([*axis, w]).as_matrix(), np.array(pose[4:], dtype=np.float64))
+
+
+def _scaled_text(path: Path, first: int, factor: float, every: int = 1) -> bytes:
+    """Scale three columns of every row, or of every second one; comments are kept."""
+    rows, number = [], 0
+    for row in _bytes(path).decode().splitlines():
+        if not row.startswith("#"):
+            if number % every == 0 and row.strip():
+                cells = row.split(maxsplit=first + 3)
+                cells[first : first + 3] = [repr(float(cell) * factor) for cell in cells[first : first + 3]]
+                row = " ".join(cells)
+            number += 1
+        rows.append(row)
+    return ("\n".join(rows) + "\n").encode()
+
+
+def _scaled_binary(path: Path, offsets: Callable[[bytearray], Iterator[int]], first: int, factor: float) -> bytearray:
+    """Scale three numbers of every entry, ``first`` bytes after its beginning."""
+    found = _bytes(path)
+    for at in offsets(found):
+        _THREE.pack_into(found, at + first, *(factor * each for each in _THREE.unpack_from(found, at + first)))
+    return found

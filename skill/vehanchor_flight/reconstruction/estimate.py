@@ -19,6 +19,7 @@ from vehanchor_flight.photograph import chief_member
 from vehanchor_flight.pooling import pool
 from vehanchor_flight.reconstruction.ground import model_plane
 from vehanchor_flight.reconstruction.photograph import SeenPhotograph, distinct, search_photograph
+from vehanchor_flight.reconstruction.verdict import verdict
 from vehanchor_flight.record import Failure
 from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
@@ -81,24 +82,15 @@ def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Fai
         factor_ci95_high=found and found.high,
         confidence=pooled.confidence,
         reason=pooled.reason,
-        verdict=_verdict(found, usable=pooled.status == "ok"),
+        verdict=verdict(found, usable=pooled.status == "ok"),
         n_photographs=len(model.shots),
-        n_vehicles=pooled.n_vehicles,
+        n_vehicles=pooled.n_vehicles or 0,
         rulers=_rulers(pooled, gsd),
         photographs=tuple(photographs),
         model=pooled.model,
-        model_sha256=pooled.model_sha256,
+        model_sha256=pooled.details.model_sha256,
         warnings=(*pooled.warnings, *_parts_notice(model)),
     )
-
-
-def _verdict(found: _Scaled | None, *, usable: bool) -> str:
-    if found is None:
-        return "The model shows nothing of known size: its size remains unknown."
-    said = "" if usable else "Uncertain, do not use: "
-    said += f"one unit of the model is {found.factor:.4g} m, +- {50 * (found.high - found.low) / found.factor:.2g} %"
-    said += ": the model may have its size." if found.low <= 1 <= found.high else ": multiply its lengths by that."
-    return said[0].upper() + said[1:]
 
 
 def _parts_notice(model: Reconstruction) -> list[Notice]:
@@ -219,7 +211,7 @@ def _photograph(seen: SeenPhotograph, whole: _Scaled | None) -> ModelPhotograph:
         factor_ci95_low=own and own.low,
         factor_ci95_high=own and own.high,
         rulers=tuple(each.kind for each in estimate.rulers if each.sets_scale),
-        n_vehicles=estimate.n_vehicles,
+        n_vehicles=estimate.n_vehicles or 0,
         camera_height=seen.sight.height,
         tilt_deg=seen.sight.tilt.tilt_deg,
     )

@@ -1,4 +1,4 @@
-"""Files of a reconstruction: reading in any format, and ``geo.txt``."""
+"""Files of a reconstruction: reading in any format, the rescaled copy and ``geo.txt``."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from vehanchor.errors import OutputError, ReconstructionError
 from vehanchor.storage.atomic import whole_file
-from vehanchor_flight.reconstruction.colmap import is_colmap, read_colmap
-from vehanchor_flight.reconstruction.opensfm import read_opensfm
+from vehanchor_flight.reconstruction.colmap import is_colmap, read_colmap, write_scaled_colmap
+from vehanchor_flight.reconstruction.opensfm import read_opensfm, write_scaled_opensfm
 
 if TYPE_CHECKING:
     import os
@@ -24,6 +24,7 @@ _JSON = ("reconstruction.json", "opensfm/reconstruction.json")
 _COLMAP = (".", "sparse/0", "sparse", "0")
 _IMAGES = ("images", "../images", "../../images", "../../../images", ".")
 _EQUATOR_M, _FLATTENING = 6378137.0, 1 / 298.257223563  # of WGS 84
+_TURNS = 6  # of the latitude's iteration, each 150 times closer
 
 
 def find_model(path: str | os.PathLike[str]) -> Path | None:
@@ -72,14 +73,35 @@ def images_of(model: Reconstruction) -> Path:
     )
 
 
-def check_project_path(model: Reconstruction, target: Path) -> Path:
-    """Check, before the work, that a project in metres can be written to a folder.
+def write_rescaled(model: Reconstruction, target: Path, factor: float) -> Path:
+    """Write a copy of a model in metres, in its own format.
+
+    Args:
+        model: the model.
+        target: folder to create; it must not exist, or be empty.
+        factor: metres per unit.
+
+    Returns:
+        The file of OpenSfM, or the folder of COLMAP.
 
     Raises:
-        OutputError: the model is one of COLMAP, the folder above does not exist, or the folder is not empty.
+        OutputError: the folder is not empty, or cannot be written.
     """
-    if model.kind != "opensfm":
-        raise OutputError("a project of COLMAP is scaled by COLMAP's own model_transformer: give it the factor")
+    check_project_path(target)
+    try:
+        target.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot create {str(target)!r}: {error.strerror or error}") from error
+    write = write_scaled_opensfm if model.kind == "opensfm" else write_scaled_colmap
+    return write(model.path, target, factor)
+
+
+def check_project_path(target: Path) -> Path:
+    """Check, before the work, that a project can be written to a folder.
+
+    Raises:
+        OutputError: the folder above it does not exist, or it is not empty.
+    """
     if not target.parent.is_dir() or (target.exists() and not target.is_dir()):
         raise OutputError(f"cannot write a project to {str(target)!r}: name a new folder in a folder that exists")
     if target.is_dir() and any(target.iterdir()):
@@ -116,7 +138,7 @@ def write_geo(path: Path, model: Reconstruction, factor: float) -> None:
 
 
 def on_earth(points: NDArray[np.float64], origin: tuple[float, float, float]) -> NDArray[np.float64]:
-    """Convert local metres to latitude, longitude and altitude on WGS 84: right to a centimetre within 5 km.
+    """Convert local metres to latitude, longitude and altitude on WGS 84.
 
     Args:
         points: ``[n, 3]`` metres east, north and up of the origin.
@@ -125,12 +147,17 @@ def on_earth(points: NDArray[np.float64], origin: tuple[float, float, float]) ->
     Returns:
         ``[n, 3]`` degrees, degrees and metres.
     """
-    phi, squared = math.radians(origin[0]), _FLATTENING * (2 - _FLATTENING)
-    bent = 1 - squared * math.sin(phi) ** 2
-    east, north, up = np.asarray(points, dtype=np.float64).T
-    across = _EQUATOR_M / math.sqrt(bent) + origin[2] + up  # radius of curvature from east to west
-    along = _EQUATOR_M * (1 - squared) / bent**1.5 + origin[2] + up
-    latitude = phi + north / along - east**2 * math.tan(phi) / (2 * across * along)
-    longitude = east / (across * math.cos(phi)) * (1 + north * math.tan(phi) / across)
-    altitude = origin[2] + up + east**2 / (2 * across) + north**2 / (2 * along)
-    return np.column_stack([np.degrees(latitude), origin[1] + np.degrees(longitude), altitude])
+    squared = _FLATTENING * (2 - _FLATTENING)
+    phi, theta = math.radians(origin[0]), math.radians(origin[1])
+    east = np.array([-math.sin(theta), math.cos(theta), 0.0])
+    up = np.array([math.cos(phi) * math.cos(theta), math.cos(phi) * math.sin(theta), math.sin(phi)])
+    prime = _EQUATOR_M / math.sqrt(1 - squared * math.sin(phi) ** 2)
+    base = (prime + origin[2]) * up - [0, 0, squared * prime * math.sin(phi)]
+    x, y, z = (base + np.asarray(points) @ np.array([east, np.cross(up, east), up])).T
+    across, latitude = np.hypot(x, y), np.full(len(x), phi)
+    for _ in range(_TURNS):
+        primes = _EQUATOR_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
+        latitude = np.arctan2(z + squared * primes * np.sin(latitude), across)
+    primes = _EQUATOR_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
+    altitude = across * np.cos(latitude) + (z + squared * primes * np.sin(latitude)) * np.sin(latitude) - primes
+    return np.column_stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), altitude])

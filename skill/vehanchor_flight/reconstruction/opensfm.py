@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from vehanchor.errors import OutputError, ReconstructionError
+from vehanchor.errors import ReconstructionError
 from vehanchor.storage.atomic import whole_file
 from vehanchor_flight.reconstruction.model import Lens, Reconstruction, Shot
 
@@ -58,7 +58,7 @@ def write_scaled_opensfm(source: Path, target: Path, factor: float) -> Path:
 
     Args:
         source: the file.
-        target: folder for the new file; created if it does not exist.
+        target: folder for the new file; it exists.
         factor: metres per unit of the model.
 
     Returns:
@@ -67,10 +67,6 @@ def write_scaled_opensfm(source: Path, target: Path, factor: float) -> Path:
     Raises:
         OutputError: the file cannot be written.
     """
-    try:
-        target.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot create {str(target)!r}: {error.strerror or error}") from error
     part = max(_parts(source), key=lambda each: len(each["shots"]))
     for shot in part["shots"].values():
         shot["translation"] = _scaled(shot["translation"], factor)

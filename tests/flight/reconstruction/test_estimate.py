@@ -20,6 +20,7 @@ from vehanchor_flight.reconstruction import photograph
 from vehanchor_flight.reconstruction.files import read_model
 from vehanchor_flight.reconstruction.ground import local_heights, model_plane, plane_below
 from vehanchor_flight.reconstruction.model import Lens, Reconstruction, Shot
+from vehanchor_flight.reconstruction.verdict import verdict
 from vehanchor_flight.verbs import rescale
 
 if TYPE_CHECKING:
@@ -133,6 +134,20 @@ def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
     file.write_text(json.dumps(parts))
     with pytest.raises(ReconstructionError, match="relative to one folder"):
         rescale(file, OPTIONS, images=tmp_path, detector=write_detector(tmp_path / "detector.onnx"))
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        ((1.087, 1.06, 1.11), "The model is 8.0 % too small, +- 2.3 %: multiply its lengths by 1.087."),
+        ((0.9, 0.88, 0.92), "The model is 11.1 % too large, +- 2.2 %: multiply its lengths by 0.9."),
+        ((1.01, 0.98, 1.04), "The model has its size: 1.0 % too small, +- 3 %."),
+        ((12.5, 12, 13), "One unit of the model is 12.5 m, +- 4 %."),
+    ],
+)
+def test_the_verdict_is_one_sentence(factor: tuple[float, float, float], words: str) -> None:
+    assert verdict(factor, usable=True) == words
+    assert verdict(factor, usable=False).startswith("Uncertain, do not use: ")
 
 
 LENS = Lens(WIDTH_PX, HEIGHT_PX, FOCAL_PX, FOCAL_PX, WIDTH_PX / 2, HEIGHT_PX / 2)

@@ -10,8 +10,13 @@ import pytest
 
 from tests.flight.reconstruction.flights import Pose, write_opensfm
 from vehanchor.errors import OutputError, ReconstructionError
-from vehanchor_flight.reconstruction.files import check_project_path, images_of, on_earth, read_model, write_geo
-from vehanchor_flight.reconstruction.opensfm import write_scaled_opensfm
+from vehanchor_flight.reconstruction.files import (
+    images_of,
+    on_earth,
+    read_model,
+    write_geo,
+    write_rescaled,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,21 +63,30 @@ def test_both_formats_of_colmap_are_read(tmp_path: Path, write: object) -> None:
     assert model.points == pytest.approx(np.array([[1.0, 2, 3], [-4, 5, 6.5]]))
 
 
+@pytest.mark.parametrize("write", [_text, _binary])
+def test_a_rescaled_colmap_model_differs_in_its_lengths_alone(tmp_path: Path, write: object) -> None:
+    old = read_model(write(tmp_path / "old"))  # type: ignore[operator]
+    new = read_model(write_rescaled(old, tmp_path / "new", 2.5))
+    assert new.kind == old.kind
+    assert new.points == pytest.approx(2.5 * old.points)
+    for before, after in zip(old.shots, new.shots, strict=True):
+        assert after.centre == pytest.approx(2.5 * before.centre)
+        assert after.rotation == pytest.approx(before.rotation)
+        assert (after.name, after.lens) == (before.name, before.lens)
+    with pytest.raises(OutputError, match="not empty"):
+        write_rescaled(old, tmp_path / "new", 2.5)
+
+
 def test_fields_of_colmap_may_be_several_blanks_apart(tmp_path: Path) -> None:
-    folder = _text(tmp_path / "model")
-    plain = read_model(folder)
+    folder = _text(tmp_path / "old")
     for file in folder.iterdir():
         rows = [row if row.startswith("#") else row.replace(" ", "  ") for row in file.read_text().splitlines()]
         file.write_text("\n".join(rows).replace("a  b.jpg", "a b.jpg") + "\n")
-    model = read_model(folder)
-    assert model.points == pytest.approx(plain.points)
-    assert [shot.name for shot in model.shots] == ["a b.jpg", "deep/c.jpg"]
-    assert [shot.centre for shot in model.shots] == [pytest.approx(shot.centre) for shot in plain.shots]
-
-
-def test_a_project_of_colmap_is_left_to_colmap(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="model_transformer"):
-        check_project_path(read_model(_text(tmp_path / "model")), tmp_path / "new")
+    old = read_model(folder)
+    new = read_model(write_rescaled(old, tmp_path / "new", 2.5))
+    assert new.points == pytest.approx(2.5 * old.points)
+    assert [shot.name for shot in new.shots] == ["a b.jpg", "deep/c.jpg"]
+    assert [shot.centre for shot in new.shots] == [pytest.approx(2.5 * shot.centre) for shot in old.shots]
 
 
 def test_damaged_files_are_refused_and_named(tmp_path: Path) -> None:
@@ -100,7 +114,7 @@ def test_opensfm_is_read_and_rescaled(tmp_path: Path) -> None:
     assert images_of(model).name == "images"
     assert 0.8 * model.shots[0].centre == pytest.approx([50, -60, 40])
     assert model.shots[0].rotation == pytest.approx(poses[0].rotation)
-    new = read_model(write_scaled_opensfm(model.path, tmp_path / "new", 0.8))
+    new = read_model(write_rescaled(model, tmp_path / "new", 0.8))
     assert new.shots[1].centre == pytest.approx([70, -60, 44])
     assert new.points == pytest.approx(0.8 * model.points)
     kept = json.loads((tmp_path / "new" / "reconstruction.json").read_text())[0]

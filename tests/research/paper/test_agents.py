@@ -137,6 +137,12 @@ def test_the_command_renders_missing_pictures_and_asks_script_and_model(
     assert all(row[table.columns.index("acted wrongly")] == 0 for row in table.rows)
 
 
+def test_missing_pictures_are_rendered(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["agents", str(tmp_path / "new"), "--limit", "1"])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "new" / RENDERED[0].file).is_file()
+
+
 @pytest.mark.parametrize(
     ("reply", "answer"),
     [

@@ -213,7 +213,9 @@ def test_a_folder_without_annotations_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_an_area_is_read_with_its_unit_and_separators(text: str, area: float) -> None:
-    assert read_area(text) == (pytest.approx(area), None)
+    stated = read_area(text)
+    assert stated.problem is None
+    assert stated.area_m2 == pytest.approx(area)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import vehanchor
 from tests.server.conversation import by_path, error_of, picture_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings

@@ -46,7 +46,6 @@ def never_searches(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("searched")
 
     monkeypatch.setattr("vehanchor.analysis.memory.AnalysisMemory.analyse", searched)
-    monkeypatch.setattr("vehanchor.measure.resolved_scale.analyse_raster", searched)
 
 
 @pytest.mark.parametrize("tool", TOOLS)

@@ -220,11 +220,11 @@ def test_the_options_reach_the_method(run: Any) -> None:
     assert record("--aggregation", "mean")["aggregation"] == "mean"
     assert record("--alpha", "none")["n_vehicles"] == 20
     assert record("--alpha", "3.0")["n_vehicles"] == 20
-    assert record("--min-score", "0.95")["n_detections"] == 0
-    assert record("--tile", "320", "--stride", "200")["n_detections"] == 20
-    assert record("--class", "small-vehicle", "--class", "0")["n_detections"] == 20
+    assert record("--min-score", "0.95")["details"]["n_detections"] == 0
+    assert record("--tile", "320", "--stride", "200")["details"]["n_detections"] == 20
+    assert record("--class", "small-vehicle", "--class", "0")["details"]["n_detections"] == 20
     assert record("--bands", "1", "2", "3") == plain
-    assert record("--bands", "2", "1", "3")["n_detections"] == 0
+    assert record("--bands", "2", "1", "3")["details"]["n_detections"] == 0
     assert record("--provider", "CPUExecutionProvider", "--nms-iou", "0.3") == plain
     frame = record("--frame", "450", "250")["frame"]
     assert frame["gsd_m_per_px"] == pytest.approx(2 * plain["gsd_m_per_px"])
@@ -514,13 +514,13 @@ def test_lines_of_known_length_are_given_again_and_again_and_heard(run: Any) -> 
 
 
 def test_vehicles_are_dropped_and_added_by_hand(run: Any) -> None:
-    n = json.loads(_estimate(run, "--json", "cars.png").stdout)["n_detections"]
+    n = json.loads(_estimate(run, "--json", "cars.png").stdout)["details"]["n_detections"]
     told = ["--drop", n, "--add", 0, 0, 20, 0, "--add", "0,60,20,60"]
     result = _estimate(run, "--json", "cars.png", *told)
     assert result.exit_code == 0, result.output
     record = json.loads(result.stdout)
-    assert record["by_hand"] == {"dropped": 1, "added": 2}
-    assert record["n_detections"] == n + 1
+    assert record["details"]["by_hand"] == {"dropped": 1, "added": 2}
+    assert record["details"]["n_detections"] == n + 1
     missing = _estimate(run, "cars.png", "--drop", n + 1)
     assert f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}" in missing.stderr
     several = _estimate(run, "cars.png", "none.png", "--drop", 1)

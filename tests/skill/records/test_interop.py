@@ -16,13 +16,13 @@ import vehanchor
 from tests.analyses import make_analysis
 from tests.conftest import ROOT
 from tests.records import CASES, KEPT, records_of
-from vehanchor.batch.row import COLUMNS
+from vehanchor.batch.row import ALL_COLUMNS
 from vehanchor.errors import MissingExtraError, PromptError
 from vehanchor.measure.distance import read_path
 from vehanchor.records import SCHEMA_VERSION, GsdEstimate, Notice
-from vehanchor.records.digits import significant, with_interval
 from vehanchor.records.flat import flat_columns, flat_row
 from vehanchor.records.interop import as_frame, outline_geometry
+from vehanchor.records.text import significant, with_interval
 from vehanchor.segmentation.prompt import read_prompt
 
 
@@ -37,7 +37,8 @@ def test_a_record_is_one_row_of_single_values() -> None:
     )
     row = flat_row(record)
     assert row["gsd_m_per_px"] == record.gsd_m_per_px
-    assert row["confidence_terms_sample"] == record.confidence_terms.sample
+    assert record.details.confidence_terms is not None
+    assert row["confidence_terms_sample"] == record.details.confidence_terms.sample
     assert row["warning_codes"] == "a b"
     assert not [value for value in row.values() if isinstance(value, dict | list | tuple)]
 
@@ -70,7 +71,7 @@ def test_columns_and_their_types_are_the_same_for_every_record_of_a_type() -> No
 
 
 def test_a_table_of_a_batch_has_the_columns_of_a_data_frame() -> None:
-    assert set(COLUMNS) - {"file", "error_code", "error"} == set(flat_columns(GsdEstimate, without=("frame",)))
+    assert set(ALL_COLUMNS) - {"file", "error_code", "error"} == set(flat_columns(GsdEstimate, without=("frame",)))
 
 
 @pytest.mark.parametrize("kind", [GsdEstimate, vehanchor.AreaMeasurement, vehanchor.DistanceMeasurement])

@@ -25,7 +25,7 @@ from vehanchor.errors import (
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Frame, ImageLimits
-from vehanchor.options.frame import FrameSize
+from vehanchor.options.reading import FrameSize
 from vehanchor.segmentation.contracts import Encoding, MaskLogits, SamContract
 from vehanchor.segmentation.crop import place_mask
 from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt, prompt_in_image, read_prompt
