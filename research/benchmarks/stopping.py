@@ -21,8 +21,7 @@ import numpy as np
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
 from research.results.record import add_record_option, header, recording
 from vehanchor.analysis.convergence import convergence, has_converged, stop_rule
-from vehanchor.detection.chips import Looks
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.detector import load_detector
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.limits import LARGE_PIXELS, next_pause, search_limits
