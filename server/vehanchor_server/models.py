@@ -7,6 +7,7 @@ import importlib
 import logging
 import os
 import threading
+from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 from vehanchor.errors import VehAnchorError
@@ -57,10 +58,8 @@ class Models:
         self._lock = threading.Lock()
         self._preloading: threading.Timer | None = None
         self._made: Engine | None = None
-        self._memory: AnalysisMemory | None = None
         self._calibration: Calibration | None = None
-        self._loaded: set[str] = set()
-        self._failures: dict[str, str] = {}
+        self._failures: dict[str, str | None] = {}  # None for a model that is loaded
         self._required = ["detector"]
         if settings.calibration is not None:
             self._required.append("calibration")
@@ -70,12 +69,12 @@ class Models:
     @property
     def ready(self) -> bool:
         """Whether a call can start at once."""
-        return self._loaded.issuperset(self._required)
+        return all(self._failures.get(name, "not loaded") is None for name in self._required)
 
     @property
     def failure(self) -> str | None:
         """Error code of the last failed load, or None."""
-        return next((self._failures[name] for name in self._required if name in self._failures), None)
+        return next((code for name in self._required if (code := self._failures.get(name))), None)
 
     def files(self) -> tuple[Path, ...]:
         """List all existing files that loading reads."""
@@ -139,14 +138,12 @@ class Models:
         for module in SLOW_IMPORTS:
             importlib.import_module(module)
 
-    @property
+    @cached_property
     def memory(self) -> AnalysisMemory:
         """Memory of the analyses of this process."""
         from vehanchor.analysis.memory import AnalysisMemory
 
-        with self._lock:
-            self._memory = self._memory or AnalysisMemory()
-            return self._memory
+        return AnalysisMemory()
 
     @property
     def _engine(self) -> Engine:
@@ -177,8 +174,7 @@ class Models:
                 "model_unavailable",
                 f"this server's {name} cannot be loaded ({error.code}). Its operator must check --{name}.",
             ) from error
-        self._failures.pop(name, None)
-        self._loaded.add(name)
+        self._failures[name] = None
         return model
 
     def _read_calibration(self) -> Calibration:

@@ -18,11 +18,12 @@ from vehanchor.detection.detections import Detections, Looks, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
-from vehanchor.rulers.view import View
 from vehanchor.scale.density import quantile, shifted
 from vehanchor.scale.posterior import Lack, Remark, Witness
 from vehanchor.tilt.camera_tilt import known_plane, with_scale
+from vehanchor_flight.photograph import of_photographs
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -83,7 +84,7 @@ def pool(
         prior=_pooled_prior([member.view for member in members], offsets),
         expected=None if chief.tilt is None else expected_scale(others),
     )
-    pooled = conclude(view, *measure_all(view, others))
+    pooled = conclude(view, measure_all(view, others))
     own = members[reference].analysis.estimate
     if own.tilt is None:
         return pooled
@@ -165,7 +166,7 @@ def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> N
 
 def _resolved(members: Sequence[Photograph]) -> float:
     """Compute the median share of resolution with detail, weighted by the photographs' numbers of vehicles."""
-    counts = np.array([member.analysis.estimate.n_vehicles for member in members], dtype=np.float64)
+    counts = np.array([member.analysis.estimate.n_vehicles or 0 for member in members], dtype=np.float64)
     if not counts.any():
         return 1.0
     values = np.array([member.analysis.resolved for member in members])
@@ -188,14 +189,15 @@ def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneS
 
 
 def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Witness]:
-    """Pool the witnesses of each other ruler over the photographs."""
-    kinds = dict.fromkeys(other.kind for member in members for other in member.analysis.others)
+    """Pool the witnesses of each ruler that measures each photograph."""
+    others = [of_photographs(member.analysis.witnesses) for member in members]
+    kinds = dict.fromkeys(other.kind for own in others for other in own)
     pooled = []
     for kind in kinds:
         found = [
             (other, float(offset))
-            for member, offset in zip(members, offsets, strict=True)
-            for other in member.analysis.others
+            for own, offset in zip(others, offsets, strict=True)
+            for other in own
             if other.kind == kind
         ]
         pooled.append(_pooled_witness(kind, found))
@@ -212,7 +214,9 @@ def _pooled_witness(kind: str, found: Sequence[tuple[Witness, float]]) -> Witnes
     if len(heard) == 1:
         return replace(_moved(*heard[0]), notices=notices)
     densities = [shifted(other.right, offset) for other, offset in heard if other.right is not None]
-    right = combined_density(densities, ruler_class(kind).pooling_gain)
+    gain = ruler_class(kind).pooling_gain
+    assert gain is not None
+    right = combined_density(densities, gain)
     return replace(
         first,
         gsd_m_per_px=quantile(right, 0.5),

@@ -19,7 +19,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS
-from tests.packaging.dockerfile import read_dockerfile
+from tests.packaging.container import read_dockerfile
 from vehanchor.engine import Engine
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Search
 from vehanchor.records import AreaMeasurement, GsdEstimate
@@ -100,3 +100,25 @@ def test_the_container_reports_nothing_to_others() -> None:
     told = subprocess.run([sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "1"
     assert read_dockerfile(ROOT / "Dockerfile")[-1].environment["ORT_DISABLE_TELEMETRY"] == "1"
+
+
+_TEXT = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+MAX_WORDS = 600
+
+
+def test_each_promise_has_a_test_that_names_it_and_no_test_names_another() -> None:
+    promised = re.findall(r"^- \*\*([a-z-]+)\*\*: ", _TEXT.partition("## Promises")[2], flags=re.MULTILINE)
+    texts = [file.read_text(encoding="utf-8") for file in (ROOT / "tests").rglob("test_*.py")]
+    kept = {name for text in texts for name in re.findall(r"mark\.promise\(\"([a-z-]+)\"\)", text)}
+    assert sorted(promised) == sorted(kept)
+
+
+def test_every_line_of_the_promises_is_one() -> None:
+    section = _TEXT.partition("## Promises")[2].partition("## Limits")[0]
+    lines = re.findall(r"^- .*", section, flags=re.MULTILINE)
+    assert all(re.match(r"- \*\*[a-z-]+\*\*: ", line) for line in lines)
+    assert len(lines) > 25
+
+
+def test_the_notes_are_short_enough_to_be_read() -> None:
+    assert len(_TEXT.split()) <= MAX_WORDS

@@ -29,7 +29,7 @@ from rasterio.transform import Affine
 
 from research.scenes import render_scene
 from tests import bombs
-from tests.skill.imagery import metadata_bytes as blocks
+from tests.skill.imagery import files as blocks
 from vehanchor import estimate_gsd
 from vehanchor.detection.card import ChipCard, VerifierCard, read_auxiliary_card, read_detector_card
 from vehanchor.errors import VehAnchorError

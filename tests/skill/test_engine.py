@@ -153,9 +153,9 @@ def test_a_bad_image_of_a_list_is_named_and_the_others_are_kept(engine: Engine, 
 def test_keywords_change_single_fields_of_the_engines_options(files: Path) -> None:
     image = _place()
     chosen = Engine(files / "m.onnx", options=ScaleOptions.of({"reference_length_m": 4.0, "alpha": None}))
-    assert chosen.estimate(image).reference_length_m == 4.0
-    assert chosen.estimate(image, frame=(400, 300)).reference_length_m == 4.0
-    assert chosen.estimate(image, reference_length_m=5.0).reference_length_m == 5.0
+    assert chosen.estimate(image).details.reference_length_m == 4.0
+    assert chosen.estimate(image, frame=(400, 300)).details.reference_length_m == 4.0
+    assert chosen.estimate(image, reference_length_m=5.0).details.reference_length_m == 5.0
     assert chosen.estimate(image, ScaleOptions()) == Engine(files / "m.onnx").estimate(image)
     with pytest.raises(InvalidParameterError, match="there is no option 'regoin'"):
         chosen.estimate(image, regoin="europe")
@@ -189,7 +189,7 @@ def test_load_leaves_no_model_for_the_first_estimate_to_open(monkeypatch: pytest
     engine = Engine(runtime=Runtime(threads=5))  # of no other test: the process has none of these models yet
     engine.load()
     n_opened = len(opened)
-    assert n_opened >= 4, "detector, fleet appearance, verifier, scene-scale prior; courts, unless a test had them"
+    assert n_opened >= 4, "detector, chip network, verifier, scene-scale prior; courts, unless a test had them"
     assert engine.estimate(_place()).model == engine.detector.card.name
     assert len(opened) == n_opened
 
@@ -197,8 +197,6 @@ def test_load_leaves_no_model_for_the_first_estimate_to_open(monkeypatch: pytest
 def test_load_fails_before_the_work(tmp_path: Path) -> None:
     with pytest.raises(VehAnchorError):
         Engine(tmp_path / "nowhere.onnx").load()
-    with pytest.raises(ModelNotFoundError, match="int8"):
-        Engine("vehicles-none", runtime=Runtime(precision="int8")).load()
 
 
 @pytest.mark.parametrize("threads", [0, -1, 257, 1.5, True, "two", float("nan"), float("inf")])

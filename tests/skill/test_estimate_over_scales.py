@@ -81,7 +81,7 @@ def test_a_level_with_little_evidence_neither_moves_nor_lowers_the_answer(search
     assert beside.mode_length_px == pytest.approx(alone.mode_length_px)
     assert beside.n_vehicles == 40
     assert beside.confidence == pytest.approx(alone.confidence)
-    assert beside.working_scale == 1.0
+    assert beside.details.working_scale == 1.0
     assert beside.warnings == ()
 
 
@@ -125,13 +125,13 @@ def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
 
 def test_scores_and_not_numbers_alone_decide_which_level_dominates(searching: Detector) -> None:
     e = _analysis(searching, [(30.0, 30, 0.4, 1.0), (190.0, 20, 0.9, 0.25)])
-    assert e.working_scale == 0.25
+    assert e.details.working_scale == 0.25
     assert e.mode_length_px == pytest.approx(190.0, rel=0.02)
 
 
 def test_a_fleet_at_the_border_of_two_levels_is_one_fleet(searching: Detector) -> None:
     e = _analysis(searching, [(55.0, 20, 0.8, 1.0), (60.0, 18, 0.8, 0.5)])
-    assert (e.status, e.n_vehicles, e.working_scale) == ("ok", 38, 1.0)
+    assert (e.status, e.n_vehicles, e.details.working_scale) == ("ok", 38, 1.0)
     assert 54 < e.mode_length_px < 61
 
 
@@ -169,7 +169,7 @@ def close_view() -> Scene:
 def test_cars_longer_than_any_in_training_give_the_scale(bundled: Detector, close_view: Scene) -> None:
     e = estimate_gsd(close_view.image, detector=bundled, search_scales=True, reference_length_m=4.6)
     assert e.gsd_m_per_px == pytest.approx(0.04, rel=0.10)
-    assert e.working_scale in (0.25, 0.5)
+    assert e.details.working_scale in (0.25, 0.5)
     assert e.status == "ok"
     alone = estimate_gsd(
         close_view.image, detector=bundled, search_scales=False, rulers=("vehicles",), reference_length_m=4.6

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-NAME = "vehicles-int8"
 _CROP_PX = 256
 _QUANTISED = ("Conv", "Add", "Relu", "Resize")
 _HEADS = ("heat_head", "shape_head")
@@ -70,9 +69,8 @@ def main() -> None:
     parser.add_argument("--wide", action="store_true", help="weights of eight bits instead of seven")
     chosen = parser.parse_args()
     batches = list(crops(chosen.data / "vehicles", chosen.crops))
-    names = {"vehanchor.name": NAME, "vehanchor.quantised_from": "vehicles"}
     how = {"method": chosen.method, "percentile": chosen.percentile, "narrow": not chosen.wide}
-    write_eight_bits(chosen.model, chosen.out, batches, quantised_nodes, names, **how)
+    write_eight_bits(chosen.model, chosen.out, batches, quantised_nodes, {}, **how)
     print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")
 
 

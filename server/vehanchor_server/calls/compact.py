@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, OtherObject
-from vehanchor.records.advice import advice_for
+from vehanchor.records.text import advice_for
 from vehanchor.scale.defaults import USABLE_CHANCE
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "gsd_ci95_high_m_per_px",
         "confidence",
         "n_vehicles",
-        "by_hand",
         "mode_length_px",
         "reason",
         "leading_ruler",
@@ -113,6 +112,8 @@ def _short(record: BaseModel) -> dict[str, Any]:
             value = {key: each for key, each in value.items() if key not in _OMITTED_IN_FRAME}
         if value is not None or name in _KEPT_WHEN_NULL:
             short[name] = _rounded(name, value)
+    if isinstance(record, GsdEstimate) and record.details.by_hand is not None:
+        short["by_hand"] = values["details"]["by_hand"]
     reason = getattr(getattr(record, "estimate", None), "reason", None)
     if reason is not None:
         short["reason"] = reason

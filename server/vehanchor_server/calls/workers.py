@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.reply import Reply
     from vehanchor_server.calls.task import Record, Task
     from vehanchor_server.calls.worker_process import WorkerLimits
-    from vehanchor_server.parts import Parts
+    from vehanchor_server.services import Services
 
 _ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
 _POLL_S = 0.05  # interval at which a waiting thread checks for a stop request
@@ -74,7 +74,7 @@ class WorkerPool:
         failure: error code of the last failed load of the models, or None.
     """
 
-    def __init__(self, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
+    def __init__(self, make_services: Callable[[], Services], limits: WorkerLimits) -> None:
         self.make_services = make_services
         self.limits = limits
         self.closed = False
@@ -320,7 +320,8 @@ class _Worker:
             except MessageError as error:
                 _logger.error("a worker sent an invalid message: %s", error)
                 raise self._ended() from error
-            except (EOFError, OSError) as error:  # a broken pipe: the process ended
+            except (EOFError, OSError) as error:  # the process ended, or sent too much
+                self.kill()  # does not change the exit code of one that ended
                 self.process.join(_ENDS_WITHIN_S)
                 stop.check()
                 _logger.warning("a worker ended during a call: exit code %s", self.process.exitcode)

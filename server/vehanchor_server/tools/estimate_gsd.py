@@ -14,7 +14,7 @@ from mcp.types import CallToolResult, InputRequiredResult
 from pydantic import Field
 
 from vehanchor.records import GsdEstimate
-from vehanchor.records.advice import CHECK_VEHICLES
+from vehanchor.records.text import CHECK_VEHICLES, by_hand_text, ruler_names
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
@@ -38,7 +38,6 @@ from vehanchor_server.tools.messages import (
     no_scale_message,
     rounded,
     ruler_explanations,
-    ruler_names,
     unusable_scale,
     warnings,
 )
@@ -136,7 +135,7 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
     checked_detector(detector, options)
     job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
-        analysis = services.models.memory.analyse(raster, detector, options)
+        analysis = services.models.memory.analyse(detector, raster, options)
         return scale_reply(raster, analysis, asked.wanted, job)
 
 
@@ -152,8 +151,8 @@ def describe_estimate(estimate: GsdEstimate, detail: Detail = "full", check: str
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
         words.append(f"In your {frame.width_px} x {frame.height_px} copy that is {rounded(frame.gsd_m_per_px)} m/px.")
-    if estimate.by_hand is not None:
-        words.append(f"Vehicles corrected by hand: {estimate.by_hand.summary}.")
+    if by_hand := by_hand_text(estimate):
+        words.append(f"Vehicles corrected {by_hand}.")
     return " ".join([*words, *ruler_explanations(estimate), *warnings(estimate.warnings, detail)])
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.records.advice import CHECK_VEHICLES, advice_for
-from vehanchor.records.digits import significant
+from vehanchor.records.text import CHECK_VEHICLES, advice_for, ruler_names, significant
 from vehanchor_server.calls.compact import ADVICE_ON_STATED
 
 if TYPE_CHECKING:
@@ -37,20 +36,6 @@ def rounded(value: float) -> str:
 def interval(low: float | None, high: float | None) -> str:
     """Format an interval in brackets; empty without one."""
     return "" if low is None or high is None else f" (95 % interval {rounded(low)} to {rounded(high)})"
-
-
-def count_vehicles(number: int) -> str:
-    """Format a number of vehicles."""
-    return f"{number} vehicle{'' if number == 1 else 's'}"
-
-
-def ruler_names(estimate: GsdEstimate) -> str:
-    """List the rulers that are probably right, the leading one first, without priors."""
-    words = [
-        count_vehicles(estimate.n_vehicles) if ruler.kind == "vehicles" else ruler.label
-        for ruler in estimate.probable_rulers
-    ]
-    return " and ".join(words) or count_vehicles(estimate.n_vehicles)
 
 
 def ruler_explanations(estimate: GsdEstimate) -> list[str]:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 from pydantic import BeforeValidator, Field
 
 from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
-from vehanchor.options.given_scale import OBJECT_HEIGHT, ObjectHeight
 from vehanchor.options.option import Option
+from vehanchor.options.rulers import OBJECT_HEIGHT, ObjectHeight
 from vehanchor_server.calls.reply import MAX_SIDE_PX, Detail
 from vehanchor_server.frozen import Flag, WholeNumber
 
@@ -133,7 +133,6 @@ def resolve_source(given: Given, services: Services, job: Job) -> ScaleSource:
         CallError: a model cannot be loaded.
         VehAnchorError: the arguments contradict each other.
     """
-    from vehanchor.analysis.memory import RememberingDetector
     from vehanchor.analysis.pipeline import checked_detector
     from vehanchor.measure.resolved_scale import given_scale
 
@@ -145,7 +144,7 @@ def resolve_source(given: Given, services: Services, job: Job) -> ScaleSource:
         return ScaleSource(options, known, height)
     options = scale_options(given, services.settings, services.models)
     detector = checked_detector(services.models.detector(job.runtime), options)
-    return ScaleSource(options, RememberingDetector(detector, services.models.memory), height)
+    return ScaleSource(options, functools.partial(services.models.memory.analyse, detector), height)
 
 
 def copy_hint(places: Iterable[tuple[float, float]], given: Given, width_px: int, height_px: int) -> list[str]:

@@ -22,7 +22,7 @@ from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import product
-from vehanchor.scale.lengths import MIN_KDE_VEHICLES, statistical_log_sds
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 from vehanchor.scale.posterior import answer
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.search import ImageSearch
-    from vehanchor.options.search import Effort
-    from vehanchor.rulers.view import View
+    from vehanchor.options.method import Effort
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Answer
 
 _LEAST_FLEET_LOG_SD = 0.03  # even a known fleet differs this much between parts of a town
@@ -113,13 +113,12 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
 
 def convergence(view: View) -> Convergence:
     """Measure how far more vehicles would change the scale found so far, by the vehicles and the prior alone."""
-    priors = [ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale]
+    measured = (ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale)
+    priors = [each for each in measured if each is not None]
     vehicles = Vehicles().measure(view)
-    mode_px, lengths = vehicles.paper.mode_length_px, vehicles.fleet.lengths
-    if mode_px is None:
+    if not vehicles.found:
         return Convergence(math.inf, 0.0, doubted=True)
-    scores = vehicles.fleet.scores if vehicles.paper.aggregation == "weighted_kde" else None
-    resampling, spread = statistical_log_sds(lengths, mode_px, scores=scores)
+    resampling, spread = vehicles.statistical_log_sds
     found = answer([vehicles, *priors])
     return Convergence(
         math.hypot(resampling, spread),

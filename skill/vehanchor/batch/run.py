@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
-from vehanchor.batch.row import BatchRow
+from vehanchor.batch.row import ALL_COLUMNS, COLUMNS, BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, MadeRow, Task
 from vehanchor.detection.detector import Detector
@@ -98,6 +98,7 @@ def run_batch(
     classes: Sequence[str | int] | None = None,
     options: ScaleOptions | None = None,
     known_lengths: str | os.PathLike[str] | None = None,
+    details: bool = False,
     overwrite: bool = False,
     runtime: Runtime | None = None,
 ) -> BatchSummary:
@@ -117,8 +118,9 @@ def run_batch(
         classes: classes of the model, by name or index, that count as vehicles; default the model's own.
         options: all options of the method, without a frame.
         known_lengths: CSV with lines of known length by image; see ``read_known_lengths``.
+        details: write all columns, with the details, the rulers, the tilt and the scale to give back.
         overwrite: start again; an existing table stays until the new one is complete.
-        runtime: providers and precision of the models, each on one thread; its progress gets (images done, images in
+        runtime: providers of the models, each on one thread; its progress gets (images done, images in
             all).
 
     Raises:
@@ -143,7 +145,8 @@ def run_batch(
             for made in _counting(rows, len(tasks) - len(missing), len(tasks), told.tell):
                 journal.add(keys[made.row.file], made.row)
                 times.append((made.seconds, made.waited_s))
-        statuses, reasons = write_counted(table, journal.values(keys[task.file] for task in tasks))
+        columns = ALL_COLUMNS if details else COLUMNS
+        statuses, reasons = write_counted(table, journal.values(keys[task.file] for task in tasks), columns)
         journal.remove()
     pace = Pace.of(time.monotonic() - started, times)
     return BatchSummary(table, len(tasks), len(tasks) - len(missing), statuses, reasons, pace)
@@ -195,7 +198,7 @@ def _job(
 ) -> BatchJob:
     """Make the job; load the model once to find its errors before the work."""
     named = tuple(classes) if classes else None
-    path = resolve_model(None if detector is None else str(detector), runtime.precision)
+    path = resolve_model(None if detector is None else str(detector))
     model = checked_detector(Detector(path, classes=named, runtime=runtime), options)
     bundled = model.path in bundled_models().values()  # its path may differ on other machines of a cluster
     name = model.path.stem if bundled else str(model.path.resolve())
@@ -242,7 +245,9 @@ def _counting(
         tell(number, n_tasks)
 
 
-def write_counted(table: Path, rows: Iterable[BatchRow]) -> tuple[dict[str, int], dict[str, int]]:
+def write_counted(
+    table: Path, rows: Iterable[BatchRow], columns: Mapping[str, type]
+) -> tuple[dict[str, int], dict[str, int]]:
     """Write the table; return the number of rows by status and by reason."""
     statuses: Counter[str] = Counter()
     reasons: Counter[str] = Counter()
@@ -255,5 +260,5 @@ def write_counted(table: Path, rows: Iterable[BatchRow]) -> tuple[dict[str, int]
                 reasons[reason] += 1
             yield row
 
-    write_table(table, counted())
+    write_table(table, counted(), columns)
     return dict(statuses), dict(reasons)

@@ -79,7 +79,6 @@ class DetectorCard(_Card):
             verifier's.
         chips_sha256: checksum of the chip network's file; None without one.
         votes: calibration of the boxes' votes; None if it was never fitted, as for other people's models.
-        quantised_from: name of the detector from which this one was quantised; it shares that one's auxiliary models.
     """
 
     name: str
@@ -99,7 +98,6 @@ class DetectorCard(_Card):
     verifier_sha256: str | None = None
     chips_sha256: str | None = None
     votes: Votes | None = None
-    quantised_from: str | None = None
 
     @field_validator("length_range_px")
     @classmethod
@@ -218,7 +216,6 @@ _DETECTOR_ENTRIES: dict[str, _Entry] = {
     "aggregation": ("vehanchor.aggregation", str, "a name"),
     "stride_px": ("stride", _whole, "a whole number >= 1"),
     "votes": ("vehanchor.votes", _votes, "a JSON object of the fields of Votes"),
-    "quantised_from": ("vehanchor.quantised_from", str, "a detector's name"),
 }
 _FOR_DETECTOR: dict[str, _Entry] = {"detector": ("vehanchor.detector", str, "a detector's name")}
 _VERIFIER_ENTRIES: dict[str, _Entry] = {
@@ -314,7 +311,7 @@ def read_detector_card(
     regions = {name: length for name, length in lengths.items() if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M}
     values["region_lengths_m"] = regions | values.get("region_lengths_m", {})
     for network, kind in ((verifier, "verifier"), (chips, "chip network")):
-        if network is not None and network.detector not in (values["name"], values.get("quantised_from")):
+        if network is not None and network.detector != values["name"]:
             raise ModelContractError(
                 f"the {kind} of {path} was made for the detector {network.detector!r}, and this is "
                 f"{values['name']!r}: remove its file, or state this name in its metadata 'vehanchor.detector'"

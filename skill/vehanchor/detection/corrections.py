@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detections import Detections
     from vehanchor.options import Frame
-    from vehanchor.options.by_hand import ByHand
+    from vehanchor.options.rulers import ByHand
 
 _STATED_SCORE = 0.99  # the caller can be wrong, too
 _POINTED_SD_PX = 2.0  # error of an end, in pixels where it was pointed at; our assumption

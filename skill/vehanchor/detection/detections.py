@@ -101,7 +101,7 @@ class Detections:
             missing.
         scales: ``[n]`` float64, scale of the image in which each was found: 1, 0.5, 0.25 or 0.125; None for a search
             at full resolution only.
-        looks: sizes of the first m = min(n, 100) vehicles by their appearance; None without a chip network.
+        looks: sizes of the first m = min(n, 64) vehicles by their appearance; None without a chip network.
         classes: ``[n]`` int, class index of each vehicle; None without classes, as for labels.
         others: objects of the model's other classes, in image pixels, best score first; overlapping boxes are merged
             within a class, not between classes.

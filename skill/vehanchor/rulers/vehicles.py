@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.look_alikes import look_alikes
@@ -17,7 +16,7 @@ from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import GRID, blurred, flat, lognormal, on_grid, product
-from vehanchor.scale.lengths import dominant_group, guard_length, inlier_mask
+from vehanchor.scale.lengths import dominant_group, guard_length, inlier_mask, modal_length, statistical_log_sds
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.scale.reliability import CAR_LOG_SD, RELIABILITY, uncalibrated_wrong, unresolved
@@ -25,7 +24,7 @@ from vehanchor.scale.votes import UNCALIBRATED, vehicle_likelihood
 from vehanchor.tilt.rectified import rectified
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -33,8 +32,8 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections, Looks
     from vehanchor.options import Lengths
     from vehanchor.rulers.reference import ReferenceLength
-    from vehanchor.rulers.view import View
-    from vehanchor.scale.defaults import Reason
+    from vehanchor.rulers.ruler import View
+    from vehanchor.scale.defaults import Aggregation, Reason
     from vehanchor.scale.paper import PaperScale
     from vehanchor.scale.votes import Votes
 
@@ -140,20 +139,42 @@ class VehicleWitness(Witness):
     Attributes:
         fleet: the vehicles.
         reference: ``L_ref`` and its source.
-        paper: scale by the published method.
+        mode_length_px: ``P_mode``; None without vehicles.
+        aggregation: statistic of the lengths.
+        length_range_px: shortest and longest vehicle in the model's training data.
         guard_length_px: ``P_thresh`` of the resolution guard.
         resolved: share of the pixels' resolution at which there is detail.
         doubted: whether the vehicles may be look-alikes, the image stretched, or the vehicles too coarse.
-        stretched: whether width and height of the image seem to have different scales.
     """
 
     fleet: Fleet
     reference: ReferenceLength
-    paper: PaperScale
+    mode_length_px: float | None
+    aggregation: Aggregation
+    length_range_px: tuple[float, float]
     guard_length_px: float
     resolved: float
     doubted: bool = False
-    stretched: bool = False
+
+    @cached_property
+    def paper(self) -> PaperScale:
+        """Scale by the published method; a search needs none of it."""
+        return paper_scale(
+            self.fleet.lengths,
+            self.fleet.scores,
+            (self.mode_length_px, self.aggregation),
+            (self.reference.length_m, self.reference.log_sd * self.reference.length_m),
+            seen_scale=self.fleet.working_scale or 1.0,
+            guard_length_px=self.guard_length_px,
+            length_range_px=self.length_range_px,
+        )
+
+    @property
+    def statistical_log_sds(self) -> tuple[float, float]:
+        """Log standard deviations of the mode under resampling and of the fleet's spread; there must be vehicles."""
+        assert self.mode_length_px is not None
+        scores = self.fleet.scores if self.aggregation == "weighted_kde" else None
+        return statistical_log_sds(self.fleet.lengths, self.mode_length_px, scores=scores)
 
 
 class Vehicles(Ruler):
@@ -164,8 +185,10 @@ class Vehicles(Ruler):
     plural = True
     help = "cars"
     colour = "#0072B2"
+    pooling_gain = None
     needs_search = True
     uses_plane = True
+    measured_last = True
 
     def measure(self, view: View) -> VehicleWitness:
         """Measure the fleet in a view (paper, section III); its own scale is ``L_ref / P_mode``.
@@ -179,17 +202,12 @@ class Vehicles(Ruler):
         fleet = select(detections, view.options.lengths, _expected(view))
         reference = reference_length(card, view.options.reference, fleet.looks)
         guard_px, seen_scale = guard_length(reference.length_m, card.min_length_px), fleet.working_scale or 1.0
-        paper = paper_scale(
-            fleet.lengths,
-            fleet.scores,
-            (reference.length_m, reference.log_sd * reference.length_m),
-            view.options.lengths.aggregation or card.aggregation,
-            seen_scale=seen_scale,
-            guard_length_px=guard_px,
-            length_range_px=(max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
-        )
+        mode_px, aggregation = None, view.options.lengths.aggregation or card.aggregation
+        if len(fleet.lengths):
+            mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, aggregation)
+        gsd = None if mode_px is None else reference.length_m / mode_px
         resolved = view.resolved_share(fleet.centres, seen_scale)
-        seen_px = (paper.mode_length_px or 0.0) * seen_scale  # in pixels of the copy that the model saw
+        seen_px = (mode_px or 0.0) * seen_scale  # in pixels of the copy that the model saw
         doubts = _doubts(fleet, None if plane else detections.stretch)
         coarseness = guard_px / (seen_px * resolved) if seen_px else 0.0
         votes = _Votes(
@@ -198,10 +216,10 @@ class Vehicles(Ruler):
         unresolved_only = seen_px >= guard_px > seen_px * resolved
         return VehicleWitness(
             self.kind,
-            paper.gsd_m_per_px,
+            gsd,
             votes.density() if len(fleet.lengths) else None,
             votes.chance_wrong,
-            votes.wrong(paper.gsd_m_per_px),
+            votes.wrong(gsd),
             n=len(fleet.lengths),
             notices=(
                 *_capped(detections),
@@ -211,16 +229,13 @@ class Vehicles(Ruler):
             lacks=votes.lacks() if len(fleet.lengths) else (),
             fleet=fleet,
             reference=reference,
-            paper=paper,
+            mode_length_px=mode_px,
+            aggregation=aggregation,
+            length_range_px=(max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
             guard_length_px=guard_px,
             resolved=resolved,
             doubted=bool(doubts) or votes.chance_wrong > _Votes(fleet, card, reference).chance_wrong,
-            stretched=NoticeCode.STRETCHED in doubts,
         )
-
-    def not_measured(self, view: View) -> VehicleWitness:
-        """Make the witness without vehicles, for a caller who excludes them."""
-        return self.measure(replace(view, detections=NOT_SEARCHED, tilt=None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,3 +401,8 @@ def _detail_missing(seen_px: float, resolved: float, guard_px: float) -> Notice:
         f"{seen_px:.1f} px have the detail of {seen_px * resolved:.1f} px, and {guard_px:.1f} px are needed. Give the "
         "original image.",
     )
+
+
+def measured_vehicles(witnesses: Iterable[Witness]) -> VehicleWitness | None:
+    """Find the witness of the vehicles; None if the caller excludes them."""
+    return cast("VehicleWitness | None", next((each for each in witnesses if each.kind == Vehicles.kind), None))

@@ -7,6 +7,9 @@ from typing import Literal
 Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
 """Rule for the modal length (see ``vehanchor.scale.lengths.modal_length``)."""
 
+Preset = Literal["paper"]
+"""Names of the presets."""
+
 Stopped = Literal["all_searched", "converged", "max_tiles", "max_seconds"]
 """Why a search ended."""
 

@@ -15,8 +15,8 @@ from tests.server.test_models import calibration_file
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.records import GsdEstimate, Notice
-from vehanchor.records.digits import significant
 from vehanchor.records.notices import NoticeCode
+from vehanchor.records.text import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -46,10 +46,8 @@ async def test_callers_limit_the_search(server: MCPServer[object], images: Path)
         result = await client.call_tool("estimate_gsd", {**large, "max_tiles": 2, "effort": "full"})
         refused = await client.call_tool("estimate_gsd", {**large, "effort": "most"})
     assert result.structured_content is not None
-    assert (result.structured_content["tiles_searched"], result.structured_content["stopped_because"]) == (
-        2,
-        "max_tiles",
-    )
+    search = result.structured_content["details"]
+    assert (search["tiles_searched"], search["stopped_because"]) == (2, "max_tiles")
     assert refused.is_error
     assert "effort" not in listed["estimate_gsd"]["properties"]  # a model need not know of it
 
@@ -122,7 +120,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPSe
         listed = {tool.name: tool.input_schema for tool in (await client.list_tools()).tools}
         plain = (await client.call_tool("estimate_gsd", photo)).structured_content
         assert plain is not None
-        n = plain["n_detections"]
+        n = plain["details"]["n_detections"]
         told = {"drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
         frame = {"width_px": plain["image_width_px"] // 2, "height_px": plain["image_height_px"] // 2}
         result = await client.call_tool("estimate_gsd", {**photo, **told, "frame": frame})
@@ -131,7 +129,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPSe
     assert "drop" in listed["estimate_gsd"]["properties"]
     assert not result.is_error, text_of(result)
     assert result.structured_content is not None
-    assert result.structured_content["by_hand"] == {"dropped": 1, "added": 1}
+    assert result.structured_content["details"]["by_hand"] == {"dropped": 1, "added": 1}
     assert result.structured_content["confidence"] <= 0.99
     assert "by hand: 1 added, 1 dropped" in text_of(result)
     assert missing.is_error

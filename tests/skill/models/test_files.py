@@ -23,7 +23,6 @@ from vehanchor.models.zoo import (
     chips_beside,
     resolve_model,
     resolve_segmenter,
-    verifier_beside,
 )
 
 
@@ -195,32 +194,6 @@ def test_a_detector_is_given_by_its_name_or_its_path(bundled: Path, tmp_path: Pa
     for name in ("chips", "segmenter-encoder", str(tmp_path / "absent.onnx"), str(tmp_path)):
         with pytest.raises(ModelNotFoundError, match=r"bundled detectors \(boats, vehicles\)"):
             resolve_model(name)
-
-
-def test_a_bundled_detector_in_eight_bits_is_asked_for_by_precision(
-    bundled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain, small = bundled / "vehicles.onnx", bundled / "vehicles-int8.onnx"
-    with pytest.raises(ModelNotFoundError, match="no int8 version of 'vehicles'"):
-        resolve_model(None, "int8")
-    small.touch()
-    for quick in (True, False):
-        monkeypatch.setattr(zoo, "has_byte_dot_products", lambda quick=quick: quick)
-        assert resolve_model(None, "auto") == resolve_model("vehicles", "auto") == (small if quick else plain)
-        assert resolve_model(None, "int8") == resolve_model("vehicles-int8") == small
-        assert resolve_model("vehicles-int8", "int8") == resolve_model("vehicles-int8", "auto") == small
-        assert resolve_model(None, "float32") == resolve_model() == plain
-        assert resolve_model("boats", "auto") == bundled / "boats.onnx"
-    own = tmp_path / "own.onnx"
-    own.touch()
-    assert resolve_model(own, "auto") == own
-    with pytest.raises(ModelNotFoundError, match="no int8 version"):
-        resolve_model(own, "int8")
-    assert chips_beside(small) == chips_beside(plain) == bundled / "chips.onnx"
-    (bundled / "verifier-int8.onnx").touch()
-    assert verifier_beside(small) == bundled / "verifier-int8.onnx"
-    assert verifier_beside(plain) is None
-    assert list(bundled_models()) == ["boats", "vehicles", "vehicles-int8"]
 
 
 def test_the_chip_network_lies_beside_its_detector(bundled: Path, tmp_path: Path) -> None:

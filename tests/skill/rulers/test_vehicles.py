@@ -17,8 +17,8 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Reference, ScaleOptions
 from vehanchor.rulers.reference import reference_length
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
-from vehanchor.rulers.view import View
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, country_length
 from vehanchor.scale.defaults import REGIONS
 from vehanchor.scale.reliability import FLEETS
