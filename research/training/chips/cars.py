@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from research.training.chips.export import write_weights
 from research.training.chips.store import STORED_LENGTH_PX, Rows, read_store
 from research.training.chips.stream import cut
+from research.training.logistic import area, logistic, weight_of_sets
 from vehanchor.detection.chips import ChipNetwork
 from vehanchor.models.runtime import Runtime
 
@@ -71,29 +72,15 @@ def judged(folder: Path, network: ChipNetwork) -> Judged:
     )
 
 
-def logistic(design: NDArray[np.float64], car: NDArray[np.bool_], weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights of the columns of ``design [n, k]``."""
-    theta = np.zeros(design.shape[1])
-    for _ in range(30):
-        chance = 1 / (1 + np.exp(-np.clip(design @ theta, -30, 30)))
-        curve = (design * (weight * chance * (1 - chance))[:, None]).T @ design + 1e-6 * np.eye(len(theta))
-        theta = theta - np.linalg.solve(curve, design.T @ (weight * (chance - car)) + 1e-6 * theta)
-    return theta
-
-
 def _design(cases: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
     return np.column_stack([*(cases.logits[name] for name in names), np.ones(len(cases.car))])
 
 
 def fitted(names: tuple[str, ...], *parts: Judged) -> NDArray[np.float64]:
     """Weights of the logits and a bias; parts count alike, and in a part each set by the root of its number."""
-    weights = []
-    for part in parts:
-        _, number, counts = np.unique(part.rows.sets, return_inverse=True, return_counts=True)
-        weight = (1 / np.sqrt(counts))[number]
-        weights.append(weight / weight.sum())
-    designs, cars = ([_design(part, names) for part in parts], [part.car for part in parts])
-    return logistic(np.concatenate(designs), np.concatenate(cars), np.concatenate(weights))
+    designs = np.concatenate([_design(part, names) for part in parts])
+    weights = np.concatenate([weight_of_sets(part.rows.sets) for part in parts])
+    return logistic(designs, np.concatenate([part.car for part in parts]), weights)
 
 
 def joined(known: Judged, asked: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
@@ -113,12 +100,6 @@ def left_out(known: Judged, asked: Judged, names: tuple[str, ...]) -> NDArray[np
         here = asked.rows.sets == name
         odds[here] = _design(asked.take(here), names) @ fitted(names, known, asked.take(~here))
     return odds
-
-
-def area(hits: NDArray[np.float64], false: NDArray[np.float64]) -> float:
-    """Area under the ROC curve."""
-    rank = np.argsort(np.argsort(np.concatenate([hits, false]), kind="stable"), kind="stable")
-    return float((rank[: len(hits)].mean() - (len(hits) - 1) / 2) / len(false))
 
 
 def line(odds: NDArray[np.float64], car: NDArray[np.bool_]) -> str:
