@@ -7,7 +7,6 @@ import importlib
 import logging
 import os
 import threading
-from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 from vehanchor.errors import VehAnchorError
@@ -58,8 +57,10 @@ class Models:
         self._lock = threading.Lock()
         self._preloading: threading.Timer | None = None
         self._made: Engine | None = None
+        self._memory: AnalysisMemory | None = None
         self._calibration: Calibration | None = None
-        self._failures: dict[str, str | None] = {}  # None for a model that is loaded
+        self._loaded: set[str] = set()
+        self._failures: dict[str, str] = {}
         self._required = ["detector"]
         if settings.calibration is not None:
             self._required.append("calibration")
@@ -69,12 +70,12 @@ class Models:
     @property
     def ready(self) -> bool:
         """Whether a call can start at once."""
-        return all(self._failures.get(name, "not loaded") is None for name in self._required)
+        return self._loaded.issuperset(self._required)
 
     @property
     def failure(self) -> str | None:
         """Error code of the last failed load, or None."""
-        return next((code for name in self._required if (code := self._failures.get(name))), None)
+        return next((self._failures[name] for name in self._required if name in self._failures), None)
 
     def files(self) -> tuple[Path, ...]:
         """List all existing files that loading reads."""
@@ -138,12 +139,14 @@ class Models:
         for module in SLOW_IMPORTS:
             importlib.import_module(module)
 
-    @cached_property
+    @property
     def memory(self) -> AnalysisMemory:
         """Memory of the analyses of this process."""
         from vehanchor.analysis.memory import AnalysisMemory
 
-        return AnalysisMemory()
+        with self._lock:
+            self._memory = self._memory or AnalysisMemory()
+            return self._memory
 
     @property
     def _engine(self) -> Engine:
@@ -174,7 +177,8 @@ class Models:
                 "model_unavailable",
                 f"this server's {name} cannot be loaded ({error.code}). Its operator must check --{name}.",
             ) from error
-        self._failures[name] = None
+        self._failures.pop(name, None)
+        self._loaded.add(name)
         return model
 
     def _read_calibration(self) -> Calibration:

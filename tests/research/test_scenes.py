@@ -246,9 +246,6 @@ def test_bad_parameters_are_refused_by_name(parameters: dict[str, Any]) -> None:
         render_scene(**{"gsd_m_per_px": 0.15, "width_px": 32, "height_px": 32, **parameters})
 
 
-_LIGHT = Sun(1.0, 0.8).light()
-
-
 def _models(count: int = 2_000, mean: float = 4.6) -> list[tuple[str, float]]:
     fleet = Fleet(mean, np.random.default_rng(0), "mixed")
     return [(model.body, model.length_m) for model in (fleet.small() for _ in range(count))]

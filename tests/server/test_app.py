@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import anyio
+import jsonschema
 import numpy as np
 import pytest
 import yaml
@@ -27,6 +28,7 @@ from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, text_of
 from vehanchor.cli.app import app
 from vehanchor_server.app import create_server
+from vehanchor_server.schemas import schema_files
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 
@@ -132,8 +134,8 @@ async def test_the_list_of_tools_is_short(server: MCPServer[object]) -> None:
     assert tokens_listed(listed.tools) <= LISTED, tokens_listed(listed.tools)
 
 
-async def test_twenty_answers_are_short(server: MCPServer[object], images: Path) -> None:
-    costs = []
+async def test_twenty_answers_are_short_and_valid(server: MCPServer[object], images: Path) -> None:
+    costs, files = [], schema_files({tool for tool, *_ in CALLS})
     async with Client(server) as client:
         for tool, image, more, limit in CALLS:
             arguments = {"image": by_path(images / image)["image"], **more}
@@ -142,6 +144,8 @@ async def test_twenty_answers_are_short(server: MCPServer[object], images: Path)
             costs.append(cost(result))
             assert costs[-1] <= limit, (tool, image, more, text_of(result), result.structured_content)
             full = await client.call_tool(tool, {**arguments, "detail": "full"})
+            jsonschema.validate(arguments, json.loads(files[f"{tool}.input.json"]))
+            jsonschema.validate(full.structured_content, json.loads(files[f"{tool}.output.json"]))
             assert result.structured_content is not None
             assert full.structured_content is not None
             assert set(result.structured_content) <= {*full.structured_content, "reason", "advice"}
