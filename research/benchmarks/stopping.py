@@ -37,6 +37,7 @@ from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import answer
+from vehanchor.scale.reliability import LOOKS_LOG_SD
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -64,8 +65,9 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
         image = np.ascontiguousarray(image[:CELL_PX, :CELL_PX, ::-1])
         with open_raster(image) as raster:
             found = search(raster, detector, Search(search_scales=False))
-        looks = found.looks if found.looks is not None else Looks(*(np.zeros(0) for _ in Looks._fields))
-        assert len(looks) == len(found.boxes) <= _LOOKED_AT
+        n, looks = len(found.boxes), Looks(*(np.zeros(0) for _ in Looks._fields))
+        if n and found.looks is not None:
+            looks = found.looks.take(np.arange(n) % len(found.looks))  # beyond the first, those of others in the cell
         coarse = np.asarray(cv2.resize(image, (CELL_PX // 8,) * 2, interpolation=cv2.INTER_AREA), np.uint8)
         cells.append(Cell(found.boxes, found.scores, looks, car_prior(coarse).item()))
     return cells
@@ -171,7 +173,7 @@ def main() -> None:
     for seed in range(chosen.mosaics):
         rng = np.random.default_rng(seed)
         name = sorted(towns)[seed % len(towns)]
-        factor = math.exp(rng.normal(0, 0.079))  # the fleet of this place, as the bundled model's card has it
+        factor = math.exp(rng.normal(0, LOOKS_LOG_SD))  # of this place's cars, which their looks do not tell
         mosaic = Mosaic(chosen.side, towns[name], fields, float(rng.uniform(0.05, 0.4)), factor, rng)
         for effort, outcomes in found.items():
             outcomes.append(outcome(mosaic, detector, ScaleOptions.of({"effort": effort})))

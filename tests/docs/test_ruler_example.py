@@ -134,7 +134,7 @@ def test_the_verb_searches_for_it_and_the_record_its_table_and_its_schema_name_i
     detector: Path, photograph: Path
 ) -> None:
     record = vehanchor.estimate_gsd(photograph, detector=str(detector), rulers=("track",))
-    assert (record.leading_ruler, record.n_vehicles, record.details.tiles_searched) == ("track", 0, 1)
+    assert (record.leading_ruler, record.n_vehicles, record.details.tiles_searched) == ("track", None, 1)
     assert record.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
     assert flat_row(record)["ruler_track_gsd_m_per_px"] == record.rulers[0].gsd_m_per_px
     assert "track" in GsdEstimate.model_json_schema()["$defs"]["RulerScale"]["properties"]["kind"]["enum"]

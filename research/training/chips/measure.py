@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from research.results.record import add_record_option, header, recording
 from research.training.chips.kinds import BODY_M, CARS, GROUP_OF_KIND, GROUPS, UNKNOWN
 from research.training.chips.readings import READ_LENGTH_PX, Read, load
 from research.training.chips.stream import cut
@@ -42,20 +43,17 @@ def log_scale(read: Read, said: ChipAnswers) -> NDArray[np.float64]:
 
 
 def edge_report(read: Read, said: ChipAnswers) -> Iterator[str]:
-    """Length and width against the eye, of the network and of the detector's box."""
+    """Length and width against the eye, of the detector's box and of the network."""
     whole = np.isfinite(read.edges).all(axis=1)
     eye, ours = (np.log(sizes(each[whole])) for each in (read.edges, said.edges))
     box = np.stack([np.zeros(whole.sum()), np.log(read.width_px[whole] / read.length_px[whole])], axis=1)
-    for name, seen in (("chips", ours), ("detector", box)):
-        for k, what in enumerate(("length", "width")):
-            off = 100 * (seen[:, k] - eye[:, k])
-            spread = f"sd {off.std(ddof=1):.1f} %, robust {robust(off):.1f} %"
-            yield f"{name} {what}: n {len(off)}, bias {np.median(off):+.1f} %, {spread}"
-        ratio, wanted = seen[:, 1] - seen[:, 0], eye[:, 1] - eye[:, 0]
-        yield f"{name} width over length: correlation {np.corrcoef(ratio, wanted)[0, 1]:.2f}"
+    yield header("size", "n", "detector: bias", "detector: sd", "bias", "sd", "robust sd")
+    for k, what in enumerate(("length", "width")):
+        cells = [part for seen in (box, ours) for part in _errors(seen[:, k] - eye[:, k])]
+        yield f"| {what} | {len(eye)} | {' | '.join((*cells, _percent(robust(ours[:, k] - eye[:, k]))))} |"
     known = np.isfinite(read.edges)
     off = ((said.edges - read.edges) / said.edge_sd)[known]
-    yield f"edges: error over stated sd: robust {robust(off):.2f}, rms {np.sqrt(np.mean(off**2)):.2f}"
+    yield f"\nError of an edge over its stated spread: robust {robust(off):.2f}, rms {np.sqrt(np.mean(off**2)):.2f}"
 
 
 def kind_report(read: Read, said: ChipAnswers) -> Iterator[str]:
@@ -85,31 +83,37 @@ def scale_report(read: Read, said: ChipAnswers) -> Iterator[str]:
         "eye's length and kind": body[:, 0] - eye[:, 0],
     }
     chosen = np.isfinite(read.edges).all(axis=1) & np.isfinite(body[:, 0]) & np.isfinite(read.gsd)
+    yield header("scale of one car after its place", "n", "sd", "robust sd")
     for name, way in ways.items():
-        off, bias = [], []
+        off = []
         for place in np.unique(read.place[chosen]):
             here = chosen & (read.place == place)
-            errors = 100 * (way[here] - np.log(read.gsd[here]))
+            errors = way[here] - np.log(read.gsd[here])
             off.append(errors - np.median(errors))
-            bias.append(f"{place} {np.median(errors):+.1f} %")
         joined = np.concatenate(off)
-        sd = np.sqrt(np.sum(joined**2) / (len(joined) - len(off)))
-        text = "" if np.abs(np.median(way[chosen] - np.log(read.gsd[chosen]))) > 1 else f", bias {', '.join(bias)}"
-        yield f"one car's scale by {name}: n {len(joined)}, sd {sd:.1f} %, robust {robust(joined):.1f} %{text}"
+        sd = float(np.sqrt(np.sum(joined**2) / (len(joined) - len(off))))
+        yield f"| {name} | {len(joined)} | {_percent(sd)} | {_percent(robust(joined))} |"
 
 
 def place_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     """Bias and spread of one car's scale by place, of all cars of a known scale, and of the detector's length alone."""
-    ours = log_scale(read, said)
-    box = np.log(_BOX_M / read.length_px)
     cars = (read.kind != UNKNOWN) & (read.kind < len(CARS)) & np.isfinite(read.gsd)
+    yield header("place", "cars", "GSD", "detector: bias", "detector: sd", "bias", "sd")
     for place in np.unique(read.place[cars]):
         here = cars & (read.place == place)
-        text = []
-        for name, way in (("chips", ours), ("detector", box)):
-            off = 100 * (way[here] - np.log(read.gsd[here]))
-            text.append(f"{name} bias {np.median(off):+.1f} %, sd {off.std():.1f} %, robust {robust(off):.1f} %")
-        yield f"{place}, {here.sum()} cars of {np.median(read.length_px[here]):.0f} px: {'; '.join(text)}"
+        truth = np.log(read.gsd[here])
+        ways = (np.log(_BOX_M / read.length_px[here]), log_scale(read, said)[here])
+        cells = [part for way in ways for part in _errors(way - truth)]
+        yield f"| {place} | {here.sum()} | {np.exp(np.median(truth)):.2f} m | {' | '.join(cells)} |"
+
+
+def _errors(logs: NDArray[np.float64]) -> tuple[str, str]:
+    """Median and standard deviation of errors."""
+    return _percent(float(np.median(logs)), "+"), _percent(float(logs.std(ddof=1)))
+
+
+def _percent(share: float, sign: str = "") -> str:
+    return f"{100 * share:{sign}.1f} %"
 
 
 def main() -> None:
@@ -119,13 +123,15 @@ def main() -> None:
     parser.add_argument("readings", type=Path)
     parser.add_argument("--places", default="", help="whose readings are looked at, comma between")
     parser.add_argument("--views", type=int, default=4)
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     read = load(options.readings)
     read = read.take(np.isin(read.place, options.places.split(",")) if options.places else read.check)
     chips = np.stack([cut(chip, READ_LENGTH_PX) for chip in read.chips])
     said = ChipNetwork(options.network, runtime=Runtime(threads=1)).answers(chips, views=options.views)
-    for report in (edge_report, kind_report, scale_report, place_report):
-        print("\n".join(report(read, said)), flush=True)
+    print("\n".join(kind_report(read, said)), flush=True)
+    with recording("scale", ["bodies", "one_car", "looks"], options.record):
+        for report in (edge_report, scale_report, place_report):
+            print("\n".join([*report(read, said), ""]), flush=True)
 
 
 if __name__ == "__main__":

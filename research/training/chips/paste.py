@@ -25,6 +25,7 @@ from research.training.chips.mine import GSD_M_PER_PX, chia_images, relative, ty
 from research.training.chips.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, ChipStore, Rows
 from research.training.detector.data import TrainImage, load_train_images
 from research.training.detector.scenery import CAR_M, load_scenery
+from research.training.logistic import weight_of_sets
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.chips import KINDS
 
@@ -257,8 +258,7 @@ def main() -> None:
     rng = np.random.default_rng(options.seed)
     places = [ground for ground in grounds(options.data) if ground.sample.set not in options.without.split(",")]
     names = np.array([ground.sample.set for ground in places])
-    _, number, counts = np.unique(names, return_inverse=True, return_counts=True)
-    odds = (1 / np.sqrt(counts))[number]
+    odds = weight_of_sets(names)
     odds[[ground.gsd_m_per_px < _SHARP_M_PER_PX for ground in places]] *= _SHARP_WEIGHT
     made: list[Pasted] = []
     while len(made) < options.count:

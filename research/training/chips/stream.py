@@ -17,6 +17,7 @@ from research.training.chips.readings import READ_LENGTH_PX, Read
 from research.training.chips.store import STORED_LENGTH_PX, Rows, read_store
 from research.training.detector.data import photometric
 from research.training.detector.shade import shaded
+from research.training.logistic import weight_of_sets
 from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS, KINDS
 
 _SHIFT, _SCALE, _TURN = 0.06, 0.08, 0.07  # standard deviations: lengths, log, radians
@@ -243,9 +244,7 @@ class ChipStream:
     @staticmethod
     def _weighed(chosen: NDArray[np.intp], names: NDArray[np.str_]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Indices, and cumulated odds by the root of the number of each name."""
-        _, number, counts = np.unique(names[chosen], return_inverse=True, return_counts=True)
-        odds = np.cumsum((1 / np.sqrt(counts))[number])
-        return chosen, odds / odds[-1]
+        return chosen, np.cumsum(weight_of_sets(names[chosen]))
 
     def __getitem__(self, index: int) -> Batch:
         """The example of an index."""

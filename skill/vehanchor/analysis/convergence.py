@@ -5,7 +5,7 @@ error of the value by its vehicles, times the root of the share of vehicles in t
 vehicles that agree by chance do not end it.
 
 The uncertainty of a scale has two parts. More vehicles reduce the statistical part; the uncertainty of the fleet's
-length remains. The search of a large image ends when the statistical part is below a third of the fleet's part at two
+length remains. The search of a large image ends when the statistical part is below 0.45 of the fleet's part at two
 checks in a row.
 
 With doubts about the vehicles, or with a scale that more vehicles may make usable, no search ends early.
@@ -80,10 +80,10 @@ class StopRule(NamedTuple):
     checks: int
 
 
-_PHOTOGRAPH = StopRule(share=2 / 3, change=_CHANGE, checks=1)
-_PHOTOGRAPH_FAST = StopRule(share=1.0, change=_FAST_CHANGE, checks=1)
-_LARGE = StopRule(share=1 / 3, change=math.inf, checks=2)
-_LARGE_FAST = StopRule(share=2 / 3, change=math.inf, checks=1)
+_PHOTOGRAPH = StopRule(share=0.9, change=_CHANGE, checks=1)
+_PHOTOGRAPH_FAST = StopRule(share=1.35, change=_FAST_CHANGE, checks=1)
+_LARGE = StopRule(share=0.45, change=math.inf, checks=2)
+_LARGE_FAST = StopRule(share=0.9, change=math.inf, checks=1)
 
 
 def stop_rule(effort: Effort, n_pixels: int) -> StopRule:

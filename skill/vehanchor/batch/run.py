@@ -118,10 +118,9 @@ def run_batch(
         classes: classes of the model, by name or index, that count as vehicles; default the model's own.
         options: all options of the method, without a frame.
         known_lengths: CSV with lines of known length by image; see ``read_known_lengths``.
-        details: write all columns, with the details, the rulers, the tilt and the scale to give back.
+        details: write all columns.
         overwrite: start again; an existing table stays until the new one is complete.
-        runtime: providers of the models, each on one thread; its progress gets (images done, images in
-            all).
+        runtime: providers of the models, each on one thread; its progress gets (images done, images in all).
 
     Raises:
         ImageNotFoundError: a directory does not exist, or a directory or pattern has no image.
@@ -146,10 +145,11 @@ def run_batch(
                 journal.add(keys[made.row.file], made.row)
                 times.append((made.seconds, made.waited_s))
         columns = ALL_COLUMNS if details else COLUMNS
-        statuses, reasons = write_counted(table, journal.values(keys[task.file] for task in tasks), columns)
+        counts = write_counted(table, journal.values(keys[task.file] for task in tasks), columns)
         journal.remove()
-    pace = Pace.of(time.monotonic() - started, times)
-    return BatchSummary(table, len(tasks), len(tasks) - len(missing), statuses, reasons, pace)
+    return BatchSummary(
+        table, len(tasks), len(tasks) - len(missing), *counts, Pace.of(time.monotonic() - started, times)
+    )
 
 
 def journal_path(table: Path) -> Path:

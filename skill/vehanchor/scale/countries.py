@@ -54,6 +54,8 @@ _REGION_COUNTRIES = {
 The British Isles and Denmark are in ``europe``, because ``northern_europe`` was measured in Estonia. Central America
 and the Caribbean are in ``south_america``. Afghanistan and Iran are left out of ``south_asia``, measured in Nepal.
 """
+REGIONS = tuple(_REGION_COUNTRIES)
+"""Regions with a reference length in the bundled models; other models may have others."""
 COUNTRY_REGIONS: dict[str, str] = {
     code: region for region, codes in _REGION_COUNTRIES.items() for code in codes.split()
 }

@@ -216,8 +216,8 @@ def test_the_options_reach_the_method(run: Any) -> None:
     plain = record()
     shorter = record("--reference-length", "4")["gsd_m_per_px"]
     assert shorter == pytest.approx(plain["gsd_m_per_px"] * 4 / 5.045, rel=0.005)
-    assert record("--region", "europe")["reference_length_m"] == pytest.approx(4.5)
-    assert record("--aggregation", "mean")["aggregation"] == "mean"
+    assert record("--region", "europe")["details"]["reference_length_m"] == pytest.approx(4.5)
+    assert record("--aggregation", "mean")["details"]["aggregation"] == "mean"
     assert record("--alpha", "none")["n_vehicles"] == 20
     assert record("--alpha", "3.0")["n_vehicles"] == 20
     assert record("--min-score", "0.95")["details"]["n_detections"] == 0
@@ -419,7 +419,7 @@ def test_models_list_as_json(run: Any) -> None:
     other, default = _lines(result)
     assert other["error"]["code"] == "model_contract"
     assert default["default"] is True
-    assert default["reference_length_m"] == 4.65
+    assert default["details"]["reference_length_m"] == 4.65
     assert len(default["sha256"]) == 64
 
 
@@ -427,7 +427,7 @@ def test_models_list_as_json(run: Any) -> None:
 def test_the_bundled_model_is_the_default(run: Any) -> None:
     result = run("estimate", "cars.png", "--json")
     assert result.exit_code == 0
-    assert _lines(result)[0]["reference_length_m"] == 4.65
+    assert _lines(result)[0]["details"]["reference_length_m"] == 4.65
 
 
 def test_models_list_shows_the_segmenter_that_ships(run: Any) -> None:

@@ -135,7 +135,7 @@ def test_the_options_reach_the_method(run: Any) -> None:
     longer = _line(run("cars.png", "--box", *BOX, "--json", "--reference-length", 10.09))
     assert longer["area_m2"] == pytest.approx(4 * plain["area_m2"], rel=0.02)
     europe = _line(run("cars.png", "--box", *BOX, "--json", "--region", "europe"))
-    assert europe["estimate"]["reference_length_m"] == pytest.approx(4.5)
+    assert europe["estimate"]["details"]["reference_length_m"] == pytest.approx(4.5)
     assert _line(run("cars.png", "--box", *BOX, "--json", "--bands", 2, 1, 3))["n_vehicles"] == 0
     assert _line(run("cars.png", "--box", *BOX, "--json", "--threads", 1)) == plain
 

@@ -19,7 +19,7 @@ from vehanchor.models.zoo import (
     resolve_model,
 )
 from vehanchor.records import GsdEstimate
-from vehanchor.scale.defaults import REGIONS
+from vehanchor.scale.countries import REGIONS
 from vehanchor_evaluation.gsd import run_trials, summarise
 from vehanchor_evaluation.table import survey_table
 

@@ -19,8 +19,7 @@ from vehanchor.options import Reference, ScaleOptions
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
-from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, country_length
-from vehanchor.scale.defaults import REGIONS
+from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, REGIONS, country_length
 from vehanchor.scale.reliability import FLEETS
 
 _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
