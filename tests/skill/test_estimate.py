@@ -89,25 +89,25 @@ def test_the_resolution_guard_doubts_short_vehicles(detector: Detector) -> None:
 
 def test_every_constant_can_be_overridden(detector: Detector) -> None:
     image = _car_park([*_fleet(), 70.0], [0.9] * 30 + [0.2])
-    assert estimate_gsd(image, detector=detector, alpha=None).n_vehicles == 31
-    assert estimate_gsd(image, detector=detector, min_score=0.5).details.n_detections == 30
-    assert estimate_gsd(image, detector=detector, aggregation="mean", alpha=None).mode_length_px == pytest.approx(
-        np.mean([*_fleet(), 70.0]), abs=0.01
-    )
-    assert estimate_gsd(image, detector=detector, reference_length_m=4.0).gsd_m_per_px == pytest.approx(
+    assert estimate_gsd(image, detector=detector, **ALONE, alpha=None).n_vehicles == 31
+    assert estimate_gsd(image, detector=detector, **ALONE, min_score=0.5).details.n_detections == 30
+    assert estimate_gsd(
+        image, detector=detector, **ALONE, aggregation="mean", alpha=None
+    ).mode_length_px == pytest.approx(np.mean([*_fleet(), 70.0]), abs=0.01)
+    assert estimate_gsd(image, detector=detector, **ALONE, reference_length_m=4.0).gsd_m_per_px == pytest.approx(
         4 / 30, rel=0.01
     )
-    europe = estimate_gsd(image, detector=detector, region="europe")
+    europe = estimate_gsd(image, detector=detector, **ALONE, region="europe")
     assert europe.details.reference_length_m == pytest.approx(4.5)
-    tiled = estimate_gsd(image, detector=detector, tile_px=128, stride_px=64)
-    assert tiled.mode_length_px == pytest.approx(estimate_gsd(image, detector=detector).mode_length_px)
+    tiled = estimate_gsd(image, detector=detector, **ALONE, tile_px=128, stride_px=64)
+    assert tiled.mode_length_px == pytest.approx(estimate_gsd(image, detector=detector, **ALONE).mode_length_px)
 
 
 def test_a_named_region_narrows_the_interval(detector: Detector) -> None:
     image = _car_park(_fleet(100))
 
     def width(**options: Any) -> float:
-        e = estimate_gsd(image, detector=detector, **options)
+        e = estimate_gsd(image, detector=detector, **ALONE, **options)
         assert e.gsd_ci95_low_m_per_px is not None
         assert e.gsd_ci95_high_m_per_px is not None
         return e.gsd_ci95_high_m_per_px / e.gsd_ci95_low_m_per_px
@@ -117,15 +117,15 @@ def test_a_named_region_narrows_the_interval(detector: Detector) -> None:
 
 def test_the_frame_gives_the_scale_of_the_callers_copy(detector: Detector) -> None:
     image = _car_park(_fleet())  # 480 x 360
-    e = estimate_gsd(image, detector=detector, frame=(240, 180))
+    e = estimate_gsd(image, detector=detector, **ALONE, frame=(240, 180))
     assert e.frame is not None
     assert e.gsd_m_per_px is not None
     assert e.frame.gsd_m_per_px == pytest.approx(2 * e.gsd_m_per_px)
     assert e.frame.gsd_ci95_low_m_per_px == pytest.approx(2 * (e.gsd_ci95_low_m_per_px or 0))
-    estimate_gsd(image, detector=detector, frame=(333, 250))  # rounded
+    estimate_gsd(image, detector=detector, **ALONE, frame=(333, 250))  # rounded
     with pytest.raises(FrameError, match="180"):
-        estimate_gsd(image, detector=detector, frame=(240, 240))
-    empty = estimate_gsd(blank_image(480, 360), detector=detector, frame=(240, 180))
+        estimate_gsd(image, detector=detector, **ALONE, frame=(240, 240))
+    empty = estimate_gsd(blank_image(480, 360), detector=detector, **ALONE, frame=(240, 180))
     assert empty.frame is not None
     assert empty.frame.gsd_m_per_px is None
 
@@ -149,10 +149,10 @@ def test_a_georeference_that_disagrees_is_reported_and_not_used(tmp_path: Path, 
             dataset.write(image[:360].transpose(2, 0, 1))
         return path
 
-    plain = estimate_gsd(image[:360], detector=detector)
+    plain = estimate_gsd(image[:360], detector=detector, **ALONE)
     assert plain.gsd_m_per_px is not None
-    agrees = estimate_gsd(write("a.tif", plain.gsd_m_per_px * 1.05), detector=detector)
-    differs = estimate_gsd(write("b.tif", plain.gsd_m_per_px * 1.3), detector=detector)
+    agrees = estimate_gsd(write("a.tif", plain.gsd_m_per_px * 1.05), detector=detector, **ALONE)
+    differs = estimate_gsd(write("b.tif", plain.gsd_m_per_px * 1.3), detector=detector, **ALONE)
     assert agrees.gsd_m_per_px == differs.gsd_m_per_px == plain.gsd_m_per_px
     assert agrees.georeference_gsd_m_per_px == pytest.approx(plain.gsd_m_per_px * 1.05)
     assert [w.code for w in agrees.warnings] == []

@@ -22,6 +22,7 @@ from vehanchor.segmentation.segmenter import Segmenter
 
 SIZE = 800, 600
 BOX = (410.7, 273.9, 477.3, 382.1)
+ALONE: dict[str, Any] = {"rulers": ("vehicles",)}  # quicker: no other network looks at the image
 
 
 def _place(n_vehicles: int = 30) -> NDArray[np.uint8]:
@@ -35,7 +36,7 @@ def _place(n_vehicles: int = 30) -> NDArray[np.uint8]:
 
 def test_a_distance_is_the_paths_pixels_times_the_scale_of_the_vehicles(detector: Detector) -> None:
     image = _place()
-    alone: dict[str, Any] = {"detector": detector, "rulers": ("vehicles",)}
+    alone: dict[str, Any] = {"detector": detector, **ALONE}
     estimate = vehanchor.estimate_gsd(image, **alone)
     record = vehanchor.measure_distance(image, [(100, 500), (400, 500), (400, 100)], **alone)
     assert estimate.gsd_m_per_px is not None
@@ -149,7 +150,7 @@ def test_a_line_of_known_length_in_shares_of_the_sides_is_the_line_in_pixels(det
 
 @pytest.fixture(scope="module")
 def estimate(detector: Detector) -> vehanchor.GsdEstimate:
-    return vehanchor.estimate_gsd(_place(), detector=detector)
+    return vehanchor.estimate_gsd(_place(), detector=detector, **ALONE)
 
 
 def test_a_distance_and_an_area_have_the_skewed_interval_of_their_scale(
@@ -179,13 +180,13 @@ def test_a_scale_given_back_needs_no_detector_and_keeps_interval_and_confidence(
     assert isinstance(estimate.scale, KnownScale)
     nowhere = "there is none.onnx"
     path = [(100.0, 500.0), (400.0, 500.0)]
-    searched = vehanchor.measure_distance(_place(), path, detector=detector)
+    searched = vehanchor.measure_distance(_place(), path, detector=detector, **ALONE)
     reused = vehanchor.measure_distance(_place(), path, scale=estimate.scale, detector=nowhere)
     assert (reused.scale_source, reused.estimate, reused.n_vehicles) == ("reused", None, None)
     assert reused.scale == estimate.scale
     same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "confidence", "status", "gsd_m_per_px")
     assert [getattr(reused, name) for name in same] == [getattr(searched, name) for name in same]
-    area = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, detector=detector)
+    area = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, detector=detector, **ALONE)
     again = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, scale=estimate, detector=nowhere)
     same = ("area_m2", "area_ci95_low_m2", "inscribed_diameter_ci95_high_m", "confidence", "status", "warnings")
     assert [getattr(again, name) for name in same] == [getattr(area, name) for name in same]
