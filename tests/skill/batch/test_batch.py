@@ -293,7 +293,7 @@ def test_rows_of_other_options_are_not_mixed_in(analysed: list[str], detector: P
         run_batch(["."], table, detector=detector, workers=1, options=other)
     again = run_batch(["."], table, detector=detector, workers=1, options=other, overwrite=True, details=True)
     assert again.n_resumed == 0
-    assert {row["details_reference_length_m"] for row in _rows(table)} == {4.3, None}
+    assert {row["reference_length_m"] for row in _rows(table)} == {4.3, None}
 
 
 def test_an_image_that_was_replaced_meanwhile_is_looked_at_again(

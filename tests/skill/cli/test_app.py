@@ -419,7 +419,7 @@ def test_models_list_as_json(run: Any) -> None:
     other, default = _lines(result)
     assert other["error"]["code"] == "model_contract"
     assert default["default"] is True
-    assert default["details"]["reference_length_m"] == 4.65
+    assert default["reference_length_m"] == 4.65
     assert len(default["sha256"]) == 64
 
 
