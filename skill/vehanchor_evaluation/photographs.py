@@ -50,9 +50,7 @@ def survey_photographs(
     Raises:
         InvalidParameterError: a path does not exist, or the options exclude all these rulers.
     """
-    rulers = tuple(
-        each.kind for each in active_rulers(options.rulers) if each.sets_scale and each.independent_of_vehicles
-    )
+    rulers = tuple(each.kind for each in active_rulers(options.rulers) if each.sets_scale and not each.measured_last)
     if not rulers:
         raise InvalidParameterError("photographs need a ruler other than vehicles: drop --rulers and --metadata")
     without_vehicles = replace(

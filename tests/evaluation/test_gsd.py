@@ -120,9 +120,10 @@ def test_the_ablation_repeats_the_second_half_with_one_choice_changed(tmp_path: 
 
     def expected(**options: Any) -> float:
         chosen = ScaleOptions.of(options)
-        found = analyse_scale(tmp_path / "images" / "a.png", chosen, detector=detector).vehicles.gsd_m_per_px
+        found = analyse_scale(tmp_path / "images" / "a.png", chosen, detector=detector).vehicles
         assert found is not None
-        return abs(found / truth - 1)
+        assert found.gsd_m_per_px is not None
+        return abs(found.gsd_m_per_px / truth - 1)
 
     for aggregation in ("kde", "weighted_kde", "median", "mean"):
         assert median("aggregation", aggregation) == pytest.approx(expected(aggregation=aggregation), abs=1e-3)

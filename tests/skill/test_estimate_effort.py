@@ -68,6 +68,8 @@ def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(searched: dict[
     assert auto.details.tiles_searched < 0.6 * auto.details.tiles_total
     assert auto.status == full.status == "ok"
     assert auto.gsd_m_per_px == pytest.approx(full.gsd_m_per_px, rel=0.02)
+    assert full.n_vehicles is not None
+    assert auto.n_vehicles is not None
     assert full.n_vehicles > auto.n_vehicles > 100
     assert fast.details.tiles_searched < auto.details.tiles_searched
 

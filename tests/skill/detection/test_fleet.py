@@ -43,12 +43,13 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Detector:
 
 def test_a_model_that_tells_fleets_apart_moves_the_reference_length(model: Detector) -> None:
     dark, light = (analyse_scale(_car_park([level] * 12), detector=model).estimate for level in (40, 235))
-    assert dark.reference_source == light.reference_source == "appearance"
-    assert 4.0 <= light.reference_length_m < 4.3 < 4.7 < dark.reference_length_m <= 5.0
+    assert dark.details.reference_source == light.details.reference_source == "appearance"
+    short, long = light.details.reference_length_m or 0, dark.details.reference_length_m or 0
+    assert 4.0 <= short < 4.3 < 4.7 < long <= 5.0
     assert dark.mode_length_px == light.mode_length_px
     for estimate in (dark, light):
         assert estimate.mode_length_px is not None
-        assert estimate.rulers[0].gsd_m_per_px == estimate.reference_length_m / estimate.mode_length_px
+        assert estimate.rulers[0].gsd_m_per_px == (estimate.details.reference_length_m or 0) / estimate.mode_length_px
 
 
 def test_only_vehicles_that_were_kept_have_a_say(model: Detector) -> None:
@@ -57,9 +58,9 @@ def test_only_vehicles_that_were_kept_have_a_say(model: Detector) -> None:
     paint_vehicles(lorries, [[50 + 70 * k, 50, 65, 20, 0.0] for k in range(3)])
     alone = analyse_scale(image, detector=model).estimate
     together = analyse_scale(np.vstack([image, lorries]), detector=model)
-    assert together.estimate.n_detections == 11
+    assert together.estimate.details.n_detections == 11
     assert together.estimate.n_vehicles == 8
-    assert together.estimate.reference_length_m == pytest.approx(alone.reference_length_m, abs=0.02)
+    assert together.estimate.details.reference_length_m == pytest.approx(alone.details.reference_length_m, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -71,7 +72,7 @@ def test_only_vehicles_that_were_kept_have_a_say(model: Detector) -> None:
 )
 def test_what_the_caller_says_comes_first(model: Detector, options: Any, source: str, length: float) -> None:
     estimate = analyse_scale(_car_park([40] * 6), ScaleOptions.of(options), detector=model).estimate
-    assert (estimate.reference_source, estimate.reference_length_m) == (source, length)
+    assert (estimate.details.reference_source, estimate.details.reference_length_m) == (source, length)
 
 
 def test_no_more_than_a_hundred_vehicles_are_asked(model: Detector) -> None:
@@ -82,7 +83,7 @@ def test_no_more_than_a_hundred_vehicles_are_asked(model: Detector) -> None:
     assert len(found.boxes) == 140
     assert found.fleet is not None
     assert len(found.fleet.log_odds) == MAX_CHIPS
-    assert analyse_scale(image, detector=model).estimate.reference_source == "appearance"
+    assert analyse_scale(image, detector=model).estimate.details.reference_source == "appearance"
 
 
 def test_a_network_of_another_contract_is_refused(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def estimate(car_park: np.ndarray, detector: Detector) -> GsdEstimate:
 def test_a_rendered_scene_gives_its_scale(estimate: GsdEstimate) -> None:
     assert estimate.status == "ok"
     assert estimate.gsd_m_per_px == pytest.approx(_GSD, rel=0.10)
-    assert estimate.n_vehicles > 40  # half of them
+    assert (estimate.n_vehicles or 0) > 40  # half of them
 
 
 def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(

@@ -40,15 +40,16 @@ def test_the_preset_gives_the_papers_numbers(scene: Path, detector: Detector) ->
     assert record.mode_length_px == pytest.approx(mode, rel=1e-3)
     assert record.mode_length_px is not None
     assert record.gsd_m_per_px == pytest.approx(LENGTH_M / record.mode_length_px, rel=1e-12)
-    terms = record.confidence_terms.model_dump()
+    assert record.details.confidence_terms is not None
+    terms = record.details.confidence_terms.model_dump()
     total = sum(weight * terms[name] for name, weight in WEIGHTS.items())
     guarded = record.mode_length_px < max(LENGTH_M / 0.3, detector.card.min_length_px)
-    assert record.resolution_guard == guarded
+    assert record.details.resolution_guard == guarded
     assert record.confidence == pytest.approx(min(total, 0.3) if guarded else total, rel=1e-12)
-    assert record.composite_confidence == record.confidence
+    assert record.details.composite_confidence == record.confidence
     assert record.status == ("ok" if record.confidence >= 0.5 else "low_confidence")
-    assert (record.reference_length_m, record.aggregation) == (LENGTH_M, "kde")
-    assert record.tiles_searched == record.tiles_total
+    assert (record.details.reference_length_m, record.details.aggregation) == (LENGTH_M, "kde")
+    assert record.details.tiles_searched == record.details.tiles_total
     assert [ruler.kind for ruler in record.rulers] == ["vehicles"]
 
 

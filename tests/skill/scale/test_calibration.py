@@ -235,7 +235,7 @@ def test_calibrating_with_the_detector_makes_its_estimates_true(folder: Path, ca
     assert before.gsd_m_per_px == pytest.approx(GSD * 5.045 / FLEET_M, rel=0.03)
     assert after.rulers[0].gsd_m_per_px == pytest.approx(GSD, rel=1e-4)
     assert after.gsd_m_per_px == pytest.approx(GSD, rel=0.03)  # beside a prior that is wrong for a painted picture
-    assert after.reference_length_m == record.reference_length_m
+    assert after.details.reference_length_m == record.reference_length_m
     given = vehanchor.analyse_scale(
         folder / "cars.png", ScaleOptions.of({"calibration": record}), detector=folder / "detector.onnx"
     )
@@ -324,7 +324,7 @@ def test_a_calibration_from_labels_alone_fits_any_detector(folder: Path) -> None
     record = _calibrated()
     for name in ("detector.onnx", "other.onnx"):
         found = vehanchor.estimate_gsd(folder / "cars.png", detector=folder / name, calibration=record)
-        assert found.reference_length_m == record.reference_length_m
+        assert found.details.reference_length_m == record.reference_length_m
     with pytest.raises(CalibrationMismatchError, match="made for detector 'mine'"):
         _calibrated(detector="mine", detector_sha256="0" * 64).check_detector("yours", "1" * 64)
 
