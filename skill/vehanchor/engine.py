@@ -67,15 +67,15 @@ class Engine:
 
     Args:
         detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``, which keeps
-            its own threads, providers and precision; None for the bundled one.
+            its own threads and providers; None for the bundled one.
         segmenter: paths of encoder and decoder, or a loaded ``Segmenter``; None for the bundled one.
         classes: the detector's classes, by name or index, that count as vehicles; None for the model's own.
         options: defaults of the method; keywords of a call change single fields.
-        runtime: threads, providers and precision of the models; None for the CPU and all cores.
+        runtime: threads and providers of the models; None for the CPU and all cores.
 
     Attributes:
         options: defaults of the method.
-        runtime: threads, providers and precision of the models.
+        runtime: threads and providers of the models.
     """
 
     def __init__(
@@ -355,7 +355,7 @@ def open_detector(source: DetectorSource | None, classes: Sequence[str | int] | 
     """
     if isinstance(source, Detector):
         return source
-    path = resolve_model(None if source is None else str(source), runtime.precision)
+    path = resolve_model(None if source is None else str(source))
     return Detector(path, classes=classes, runtime=runtime) if classes else load_detector(path, runtime)
 
 

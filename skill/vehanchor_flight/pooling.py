@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from vehanchor.analysis.pipeline import conclude
-from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.detections import Detections, Objects
+from vehanchor.detection.detections import Detections, Looks, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
@@ -95,7 +94,7 @@ def pool(
 
 
 def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> Detections:
-    """Pool boxes in the order of ``Detections``: boxes with a known appearance first, then by score.
+    """Pool boxes in the order of ``Detections``: boxes with looks first, then by score.
 
     Args:
         detections: of the photographs.
@@ -106,7 +105,7 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     """
     factors = np.exp(np.asarray(offsets, dtype=np.float64))
     scores = np.concatenate([each.scores for each in detections])
-    looked = [0 if each.fleet is None else len(each.fleet.log_odds) for each in detections]
+    looked = [0 if each.looks is None else len(each.looks) for each in detections]
     known = np.concatenate([np.arange(len(each.boxes)) < n for each, n in zip(detections, looked, strict=True)])
     order = np.lexsort((-scores, ~known))
     boxes = np.concatenate(
@@ -117,8 +116,8 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         (np.ones(len(each.boxes)) if each.scales is None else each.scales) / k
         for each, k in zip(detections, factors, strict=True)
     ]
-    fleets = [each.fleet for each in detections if each.fleet is not None]
-    place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among boxes with a known appearance
+    looks = [each.looks for each in detections if each.looks is not None]
+    place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among boxes with looks
     named = all(each.classes is not None for each in detections)
     classes = np.concatenate(
         [each.classes for each in detections if each.classes is not None] or [np.zeros(0, np.intp)]
@@ -130,12 +129,11 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         sum(each.n_tiles for each in detections),
         sum(each.n_capped_tiles for each in detections),
         np.concatenate(scales)[order] if scaled else None,
-        FleetAppearance(*(np.concatenate(part)[place] for part in zip(*fleets, strict=True))) if fleets else None,
+        Looks.joined(looks).take(place) if looks else None,
         classes[order] if named else None,
         Objects.joined(),
         n_tiles_total=sum(each.n_tiles_total or each.n_tiles for each in detections),
         n_skipped=sum(each.n_skipped for each in detections),
-        verified=all(each.verified for each in detections),
         stopped_because=next(ends, None),
         stretch=_pooled_stretch(detections),
     )

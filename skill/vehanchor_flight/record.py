@@ -169,8 +169,7 @@ def _photograph(
             confidence = _carried_chance(confidence, math.log(high / low), up + down)
         if status == "ok" and confidence < USABLE_CHANCE:
             status, reason = "low_confidence", "imprecise"
-            n_between = len(rulers[0].through) + 1 if rulers else 1
-            advice = carried_advice(n_between, maybe_tilted=component.maybe_tilted)
+            advice = carried_advice(maybe_tilted=component.maybe_tilted)
     return FlightPhotograph(
         photograph=photograph.name,
         status=status,
@@ -227,7 +226,7 @@ def _status(photographs: Sequence[FlightPhotograph]) -> Status:
 def _supporting_rulers(
     members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis
 ) -> list[tuple[FlightRuler, ...]]:
-    """List each member's supporting rulers, by weight: of the nearest member with rulers, then of the strongest."""
+    """List each member's supporting rulers: its own, then those of the strongest member."""
     measured = _supports(members, component, pooled)
     of_flight = [each for each in component.extra if each.found]
     common = [
@@ -237,23 +236,14 @@ def _supporting_rulers(
     if not supports:
         return [()] * len(members)
     chances = {ruler.kind: ruler.p_right for ruler in pooled.estimate.rulers}
-    by_member: dict[int, list[_Support]] = {}
-    for support in sorted(supports, key=lambda each: (-chances.get(each.ruler, 0.0), -each.strength)):
-        by_member.setdefault(support.member, []).append(support)
-    nearest = component.paths(sorted(by_member))
+    supports.sort(key=lambda each: (-chances.get(each.ruler, 0.0), -each.strength))
     strongest = max(measured or common, key=lambda each: each.strength).member
-    to_strongest = component.paths([strongest])
     named = []
     for place in range(len(members)):
-        chosen: dict[tuple[str, int], FlightRuler] = {}
-        for way in (nearest[place], to_strongest[place]):
-            if way is None:
-                continue
-            for support in by_member[way[0]]:
-                through = tuple(members[each].name for each in way[1])
-                supporting = FlightRuler(ruler=support.ruler, photograph=members[way[0]].name, through=through)
-                chosen.setdefault((support.ruler, way[0]), supporting)
-        named.append(tuple(chosen.values())[:_MOST_RULERS])
+        own = [each for each in supports if each.member == place]
+        others = [each for each in supports if each.member == strongest != place]
+        chosen = [FlightRuler(ruler=each.ruler, photograph=members[each.member].name) for each in own + others]
+        named.append(tuple(chosen[:_MOST_RULERS]))
     return named
 
 

@@ -24,8 +24,8 @@ NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
 
 
 def _photograph(name: str, image: ImageFacts, found: Detections) -> Photograph:
-    stored = StoredPhotograph(image, found, 1.0, tilt=metadata_tilt(image, ScaleOptions()))
-    return Photograph.of(name, stored, made_card(CAR_M), ScaleOptions())
+    kept = StoredPhotograph(image, found, 1.0, tilt=metadata_tilt(image, ScaleOptions()))
+    return Photograph.of(name, kept, made_card(CAR_M), ScaleOptions())
 
 
 def _flight(*photographs: Photograph | Failure) -> FlightEstimate:
@@ -68,7 +68,7 @@ def test_what_is_carried_too_far_to_be_used_says_why() -> None:
     assert (far.status, far.reason) == ("low_confidence", "imprecise")
     assert flight.photographs[0].advice is None
     assert flight.photographs[1].advice == (
-        "The nearest ruler is in another photograph, and the overlaps in between widen the interval: "
+        "Its rulers are in other photographs, and the overlaps in between widen the interval: "
         "add photographs between them, or give the height."
     )
 

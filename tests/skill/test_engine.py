@@ -189,7 +189,7 @@ def test_load_leaves_no_model_for_the_first_estimate_to_open(monkeypatch: pytest
     engine = Engine(runtime=Runtime(threads=5))  # of no other test: the process has none of these models yet
     engine.load()
     n_opened = len(opened)
-    assert n_opened >= 4, "detector, fleet appearance, verifier, scene-scale prior; courts, unless a test had them"
+    assert n_opened >= 4, "detector, chip network, verifier, scene-scale prior; courts, unless a test had them"
     assert engine.estimate(_place()).model == engine.detector.card.name
     assert len(opened) == n_opened
 
@@ -197,8 +197,6 @@ def test_load_leaves_no_model_for_the_first_estimate_to_open(monkeypatch: pytest
 def test_load_fails_before_the_work(tmp_path: Path) -> None:
     with pytest.raises(VehAnchorError):
         Engine(tmp_path / "nowhere.onnx").load()
-    with pytest.raises(ModelNotFoundError, match="int8"):
-        Engine("vehicles-none", runtime=Runtime(precision="int8")).load()
 
 
 @pytest.mark.parametrize("threads", [0, -1, 257, 1.5, True, "two", float("nan"), float("inf")])

@@ -69,7 +69,8 @@ def test_no_vehicles_mean_no_scale_and_no_confidence(detector: Detector) -> None
 def test_fewer_than_five_vehicles_use_the_median_and_stay_below_the_threshold(detector: Detector, n: int) -> None:
     e = estimate_gsd(_car_park([30.0] * n, [1.0] * n), detector=detector, **ALONE)
     assert (e.details.aggregation, e.status) == ("median", "low_confidence")
-    assert max(e.confidence / 0.9, (e.details.composite_confidence or 0) / 0.5) < 1
+    assert e.details.composite_confidence is not None
+    assert max(e.confidence / 0.9, e.details.composite_confidence / 0.5) < 1
     assert e.gsd_m_per_px == pytest.approx(5.045 / 30, rel=0.01)
 
 
@@ -79,7 +80,8 @@ def test_the_resolution_guard_doubts_short_vehicles(detector: Detector) -> None:
     assert coarse.details.resolution_guard
     assert coarse.details.composite_confidence == 0.3
     assert not fine.details.resolution_guard
-    assert (fine.details.composite_confidence or 0) > 0.5
+    assert fine.details.composite_confidence is not None
+    assert fine.details.composite_confidence > 0.5
     assert coarse.confidence < fine.confidence
     lower = estimate_gsd(_car_park(_fleet(mean=16.0)), detector=detector, reference_length_m=4.5)
     assert not lower.details.resolution_guard  # the threshold follows the reference length

@@ -68,9 +68,7 @@ def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(searched: dict[
     assert auto.details.tiles_searched < 0.6 * auto.details.tiles_total
     assert auto.status == full.status == "ok"
     assert auto.gsd_m_per_px == pytest.approx(full.gsd_m_per_px, rel=0.02)
-    assert full.n_vehicles is not None
-    assert auto.n_vehicles is not None
-    assert full.n_vehicles > auto.n_vehicles > 100
+    assert (full.n_vehicles or 0) > (auto.n_vehicles or 0) > 100
     assert fast.details.tiles_searched < auto.details.tiles_searched
 
 
@@ -80,8 +78,7 @@ def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
     for name in _LARGE_PIXELS:
         monkeypatch.setattr(f"vehanchor.{name}", 100_000_000)
     image, full = _town(), searched["full"].estimate
-    auto, again = (estimate_gsd(image, detector=detector, **_TILES) for _ in range(2))
-    assert auto == again
+    auto = estimate_gsd(image, detector=detector, **_TILES)
     assert (full.details.stopped_because, auto.details.stopped_because) == ("all_searched", "converged")
     assert auto.details.tiles_searched < 0.6 * full.details.tiles_searched
     assert (auto.status, auto.reason) == (full.status, full.reason) == ("ok", None)

@@ -15,8 +15,7 @@ from research.scenes import Scene, render_scene
 from tests.analyses import analyse_found
 from tests.yards import YARDS, Yard, paint_yard
 from vehanchor import estimate_gsd
-from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.detector import Detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
@@ -95,27 +94,27 @@ def test_two_levels_that_disagree_are_not_averaged_and_never_sure(searching: Det
 
 
 @pytest.mark.parametrize(
-    ("n", "mean", "spread", "of_lengths", "doubt"),
+    ("n", "logit", "of_looks", "of_lengths", "doubt"),
     [
-        (30, 0.0, 1.2, 0.07, None),
-        (30, 0.5, 0.5, 0.055, "look_alikes"),
-        (30, 0.5, 0.5, 0.08, None),  # equal things have equal lengths
-        (30, 0.5, 1.2, 0.055, None),
-        (12, 0.5, 0.5, 0.055, None),
-        (30, -3.6, 1.2, 0.07, "look_alikes"),
-        (12, -3.6, 1.2, 0.07, None),
-        (30, 3.6, 1.2, 0.07, None),
+        (30, 3.5, 0.07, 0.07, None),
+        (30, 3.5, 0.03, 0.03, "look_alikes"),
+        (30, 3.5, 0.03, 0.07, None),  # equal things have equal lengths
+        (30, 3.5, 0.07, 0.03, None),  # and equal looks
+        (12, 3.5, 0.03, 0.03, None),
+        (30, 1.5, 0.07, 0.07, "look_alikes"),
+        (12, 1.5, 0.07, 0.07, None),
     ],
 )
 def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
-    searching: Detector, n: int, mean: float, spread: float, of_lengths: float, doubt: str | None
+    searching: Detector, n: int, logit: float, of_looks: float, of_lengths: float, doubt: str | None
 ) -> None:
-    odds = mean + spread * np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
+    normal = np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
     lengths = np.array(_fleet(40.0, n, of_lengths))
-    boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.2, lengths * 0])
+    boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.6, lengths * 0])
+    looks = Looks(np.log(4.4) + of_looks * normal, np.full(n, 0.07), np.full(n, logit))
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:
-        found = Detections(boxes, np.full(n, 0.9), scales=scales, fleet=FleetAppearance(odds, np.zeros(n)))
+        found = Detections(boxes, np.full(n, 0.9), scales=scales, looks=looks)
         return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
 
     searched = estimate(np.ones(n))

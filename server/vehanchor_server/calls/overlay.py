@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster, Window
-    from vehanchor_server.calls.capacity import Stop
     from vehanchor_server.calls.job import Job
     from vehanchor_server.calls.reply import PictureRequest
 
@@ -48,7 +47,7 @@ def draw_pictures(
 
     Args:
         raster: the image.
-        job: can stop the reading.
+        job: can stop before the reading.
         wanted: the requested pictures.
         draw: draws the overlay, ``[h', w', 3]`` RGB, on the image, its part or a reduced copy, ``[h, w, 3]``.
         part: the part that the overlay shows; None for all of the image.
@@ -56,18 +55,12 @@ def draw_pictures(
     if not (wanted.overlay or wanted.page):
         return Pictures()
     job.stop.check()
-    source = stoppable(raster, job.stop)
-    whole = read_reduced(source) if wanted.page or part is None else None
+    whole = read_reduced(raster) if wanted.page or part is None else None
     page = small_jpeg(whole, MAX_PAGE_BYTES) if whole is not None and wanted.page else None
     if not wanted.overlay:
         return Pictures(None, page)
-    seen = whole if whole is not None and part is None else read_reduced(source, part)
+    seen = whole if whole is not None and part is None else read_reduced(raster, part)
     return Pictures(small_jpeg(draw(seen), side_px=wanted.long_side_px), page)
-
-
-def stoppable(raster: Raster, stop: Stop) -> Raster:
-    """Wrap an image so that a stop request ends its reading."""
-    return cast("Raster", _StoppableRaster(raster, stop))
 
 
 def small_jpeg(picture: NDArray[np.uint8], max_bytes: int = MAX_PICTURE_BYTES, side_px: int = MAX_SIDE_PX) -> bytes:
@@ -88,18 +81,3 @@ def _within(picture: NDArray[np.uint8], side_px: int) -> NDArray[np.uint8]:
         return picture
     size = max(1, round(width * factor)), max(1, round(height * factor))
     return cast("NDArray[np.uint8]", cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-
-
-class _StoppableRaster:
-    """A raster whose reading a stop request ends."""
-
-    def __init__(self, raster: Raster, stop: Stop) -> None:
-        self._raster = raster
-        self._stop = stop
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._raster, name)
-
-    def read(self, window: Window | None = None) -> NDArray[np.uint8]:
-        self._stop.check()
-        return self._raster.read(window)

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from vehanchor.errors import KnownLengthError
 from vehanchor.options import Basis, KnownLength
 from vehanchor.options.rulers import FocalLength, Height
-from vehanchor.scale.defaults import REGIONS
+from vehanchor.scale.countries import REGIONS
 from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:

@@ -100,7 +100,9 @@ async def _list_images(services: Services, page: int) -> CallToolResult:
     first = (page - 1) * _IMAGES_A_PAGE
 
     async def call(stop: Stop) -> tuple[list[str], int]:
-        return await services.capacity.in_thread(stop, partial(services.sources.listed, first, _IMAGES_A_PAGE, stop))
+        return await services.capacity.in_thread(
+            stop, partial(services.sources.paths.listed, first, _IMAGES_A_PAGE, stop)
+        )
 
     names, total = await services.capacity.run(call)
     more = first + len(names) < total and bool(names)
@@ -142,7 +144,7 @@ def _view(services: Services, job: Job, source: OpenedImage, request: _ViewReque
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.options.reading import CoordinateFrame
     from vehanchor.pictures.grid import draw_grid
-    from vehanchor_server.calls.overlay import small_jpeg, stoppable
+    from vehanchor_server.calls.overlay import small_jpeg
 
     job.stop.check()
     reading = Reading(limits=services.settings.image_limits)
@@ -152,13 +154,7 @@ def _view(services: Services, job: Job, source: OpenedImage, request: _ViewReque
             coordinates = CoordinateFrame(Frame(coordinates=request.coordinates), raster.width_px, raster.height_px)
             window = Window(*_inside(request.part, coordinates))
         job.stop.check()
-        picture = draw_grid(
-            stoppable(raster, job.stop),
-            window,
-            request.long_side_px,
-            _MAX_ENLARGEMENT,
-            request.grid,
-        )
+        picture = draw_grid(raster, window, request.long_side_px, _MAX_ENLARGEMENT, request.grid)
         jpeg = small_jpeg(picture.rgb)
         shown = cv2.imdecode(_bytes(jpeg), cv2.IMREAD_COLOR)
         assert shown is not None

@@ -5,7 +5,7 @@ error of the value by its vehicles, times the root of the share of vehicles in t
 vehicles that agree by chance do not end it.
 
 The uncertainty of a scale has two parts. More vehicles reduce the statistical part; the uncertainty of the fleet's
-length remains. The search of a large image ends when the statistical part is below a third of the fleet's part at two
+length remains. The search of a large image ends when the statistical part is below 0.45 of the fleet's part at two
 checks in a row.
 
 With doubts about the vehicles, or with a scale that more vehicles may make usable, no search ends early.
@@ -80,10 +80,10 @@ class StopRule(NamedTuple):
     checks: int
 
 
-_PHOTOGRAPH = StopRule(share=2 / 3, change=_CHANGE, checks=1)
-_PHOTOGRAPH_FAST = StopRule(share=1.0, change=_FAST_CHANGE, checks=1)
-_LARGE = StopRule(share=1 / 3, change=math.inf, checks=2)
-_LARGE_FAST = StopRule(share=2 / 3, change=math.inf, checks=1)
+_PHOTOGRAPH = StopRule(share=0.9, change=_CHANGE, checks=1)
+_PHOTOGRAPH_FAST = StopRule(share=1.35, change=_FAST_CHANGE, checks=1)
+_LARGE = StopRule(share=0.45, change=math.inf, checks=2)
+_LARGE_FAST = StopRule(share=0.9, change=math.inf, checks=1)
 
 
 def stop_rule(effort: Effort, n_pixels: int) -> StopRule:
@@ -103,25 +103,12 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
     rule = stop_rule(view.options.search.effort, view.image.width_px * view.image.height_px)
     checks: list[Convergence] = []
     for unseen_share in search:
-        check = convergence_of(search, view, embed=False)._replace(unseen_share=unseen_share)
-        if is_narrow(check, rule):  # most checks fail without the appearance, which costs more than the rest
-            check = convergence_of(search, view, embed=True)._replace(unseen_share=unseen_share)
+        check = convergence(replace(view, detections=search.found()))._replace(unseen_share=unseen_share)
         if check.density is not None:
             search.leave_out(check.density)
         checks.append(check)
         if has_converged(checks, rule):
             search.stop()
-
-
-def convergence_of(search: ImageSearch, view: View, *, embed: bool) -> Convergence:
-    """Measure the uncertainty of the scale of an unfinished search.
-
-    Args:
-        search: of the image.
-        view: of the image, without detections.
-        embed: whether to predict the vehicles' appearance.
-    """
-    return convergence(replace(view, detections=search.found(embed=embed)))
 
 
 def convergence(view: View) -> Convergence:
@@ -137,9 +124,7 @@ def convergence(view: View) -> Convergence:
         math.hypot(resampling, spread),
         vehicles.reference.log_sd,
         doubted=vehicles.doubted or found is None or not _is_settled(found),
-        value_log_sd=math.hypot(resampling, vehicles.reference.sampling_log_sd)
-        if vehicles.n >= MIN_KDE_VEHICLES
-        else math.inf,
+        value_log_sd=resampling if vehicles.n >= MIN_KDE_VEHICLES else math.inf,
         density=product(vehicles.density, *(prior.density for prior in priors if prior.found)),
     )
 

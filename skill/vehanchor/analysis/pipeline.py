@@ -46,7 +46,7 @@ from vehanchor.rulers.vehicles import measured_vehicles
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judged, sharing
-from vehanchor.scale.reliability import STRETCH
+from vehanchor.scale.reliability import NO_ONE_SCALE
 from vehanchor.tilt.camera_tilt import metadata_tilt, tilt_notice
 
 if TYPE_CHECKING:
@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from vehanchor.scale.posterior import Remark, Witness
 
 _MODEL_DIGITS = 12
+_NO_ONE_SCALE = (NoticeCode.STRETCHED, NoticeCode.TILT_SUSPECTED)
 _SAME_SCALE = 0.02  # of the log: a stated scale this near to the answer repeats it; a choice
 GEOREFERENCE_TOLERANCE = 0.10  # largest difference of the file's own scale without a warning
 
@@ -160,8 +161,8 @@ def conclude(view: View, measured: tuple[Witness, ...], notices: Sequence[Notice
     """
     witnesses = _without_repetition(measured)
     own = notices_of(notice for each in witnesses for notice in each.notices)
-    if any(notice.code == NoticeCode.STRETCHED for notice in own):
-        witnesses = tuple(sharing(each, STRETCH, "disagree") if each.found else each for each in witnesses)
+    if any(notice.code in _NO_ONE_SCALE for notice in (*own, *notices)):
+        witnesses = tuple(sharing(each, NO_ONE_SCALE, "disagree") if each.found else each for each in witnesses)
     vehicles = measured_vehicles(witnesses)
     if view.options.method.preset == "paper":
         found, decided = None, _by_paper(vehicles)

@@ -10,12 +10,12 @@ from pydantic import BeforeValidator, Field
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.models import CALIBRATION
 from vehanchor.options.option import Flag, Limits, Option, group
+from vehanchor.scale.countries import REGIONS
 from vehanchor.scale.defaults import (
     LARGEST_VEHICLE_M,
     LEAST_VEHICLE_M,
     NMS_IOU,
     OUTLIER_ALPHA,
-    REGIONS,
     Aggregation,
     Preset,
 )
@@ -154,7 +154,7 @@ class Reference:
 
     Attributes:
         reference_length_m: the fleet's modal vehicle length, 2 to 20 metres.
-        region: use the model's reference length for a region (bundled: ``vehanchor.scale.defaults.REGIONS``), or that
+        region: use the model's reference length for a region (bundled: ``vehanchor.scale.countries.REGIONS``), or that
             of a country by its ISO 3166-1 alpha-2 code (``vehanchor.scale.countries``).
         calibration: use the reference length measured for this fleet and detector (see ``load_calibration``); a path
             is read at once.

@@ -112,6 +112,10 @@ def _specific(estimate: GsdEstimate) -> Advice | None:
         return Advice("the image is enlarged or blurred", "send the original image")
     if reason == "too_coarse" and estimate.mode_length_px is not None:
         return Advice(f"the vehicles are only {estimate.mode_length_px:.0f} px long", ADVICE["too_coarse"].helps)
+    if "tilt_suspected" in codes and reason == "disagree":
+        return Advice(
+            "the camera was tilted by an unknown angle", "send the original file, or a picture taken straight down"
+        )
     if "stretched" in codes and reason == "disagree":
         return Advice("the image is stretched in one direction", "send the original image, or keep its aspect ratio")
     if reason == "disagree":

@@ -19,7 +19,7 @@ from vehanchor.scale.density import GRID, blurred, flat, lognormal, on_grid, pro
 from vehanchor.scale.lengths import dominant_group, guard_length, inlier_mask, modal_length, statistical_log_sds
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
-from vehanchor.scale.reliability import RELIABILITY, uncalibrated_wrong, unresolved
+from vehanchor.scale.reliability import CAR_LOG_SD, RELIABILITY, uncalibrated_wrong, unresolved
 from vehanchor.scale.votes import UNCALIBRATED, vehicle_likelihood
 from vehanchor.tilt.rectified import rectified
 
@@ -28,9 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.detection.appearance import FleetAppearance
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.detections import Detections
+    from vehanchor.detection.detections import Detections, Looks
     from vehanchor.options import Lengths
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.ruler import View
@@ -82,12 +81,12 @@ class Fleet:
         return np.asarray(self.detections.scores[self.kept])
 
     @property
-    def appearance(self) -> FleetAppearance | None:
-        """Appearance of the embedded vehicles; None without any."""
-        fleet = self.detections.fleet
-        if fleet is None or not self.kept[: len(fleet.log_odds)].any():
+    def looks(self) -> Looks | None:
+        """Looks of the vehicles that have any; None without such vehicles."""
+        looks = self.detections.looks
+        if looks is None or not self.kept[: len(looks)].any():
             return None
-        return fleet.take(self.kept[: len(fleet.log_odds)])
+        return looks.take(self.kept[: len(looks)])
 
 
 def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float64] | None = None) -> Fleet:
@@ -201,7 +200,7 @@ class Vehicles(Ruler):
         card, plane = view.card, view.plane
         detections = view.detections if plane is None else rectified(view.detections, plane)
         fleet = select(detections, view.options.lengths, _expected(view))
-        reference = reference_length(card, view.options.reference, fleet.appearance)
+        reference = reference_length(card, view.options.reference, fleet.looks)
         guard_px, seen_scale = guard_length(reference.length_m, card.min_length_px), fleet.working_scale or 1.0
         mode_px, aggregation = None, view.options.lengths.aggregation or card.aggregation
         if len(fleet.lengths):
@@ -292,10 +291,23 @@ class _Votes:
         found = self.fleet.detections
         alone = self.only_kept or self.fleet.is_stated
         voting = self.fleet.kept if alone else np.ones(len(self.fleet.kept), bool)
-        pointed = np.zeros(len(voting)) if found.corrections is None else found.corrections.pointed_log_sds
+        lengths_m, log_sds = self._lengths_m
         return vehicle_likelihood(
-            found.boxes[voting, 2], scores[voting], self.reference.length_m, self._model, pointed[voting]
+            found.boxes[voting, 2], scores[voting], lengths_m[voting], self._model, log_sds[voting]
         )
+
+    @cached_property
+    def _lengths_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lengths ``[n]`` in metres if the boxes are cars, by their looks or the reference, and their log errors."""
+        found = self.fleet.detections
+        lengths_m, log_sds = np.full(len(found.boxes), self.reference.length_m), np.full(len(found.boxes), CAR_LOG_SD)
+        if self.reference.by_looks is not None and found.looks is not None:
+            seen = len(found.looks)
+            lengths_m[:seen] = np.exp(found.looks.log_lengths + self.reference.by_looks)
+            log_sds[:seen] = found.looks.log_sds
+        if found.corrections is not None:
+            log_sds = np.hypot(log_sds, found.corrections.pointed_log_sds)
+        return lengths_m, log_sds
 
     @property
     def _model(self) -> Votes:
@@ -364,10 +376,9 @@ def _doubts(fleet: Fleet, stretch: float | None) -> tuple[NoticeCode, ...]:
     """
     if fleet.detections.scales is None or not len(fleet.lengths):
         return ()
-    odds = None if fleet.appearance is None else fleet.appearance.log_odds
     return (
         *([NoticeCode.STRETCHED] if stretch is not None and abs(stretch) > 1.0 else []),
-        *([NoticeCode.LOOK_ALIKES] if not fleet.is_stated and look_alikes(fleet.lengths, odds) else []),
+        *([NoticeCode.LOOK_ALIKES] if not fleet.is_stated and look_alikes(fleet.lengths, fleet.looks) else []),
     )
 
 

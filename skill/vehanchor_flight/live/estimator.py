@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options import ScaleOptions
+    from vehanchor.records import GsdEstimate
     from vehanchor.rulers.ruler import View
     from vehanchor_flight.features import Features
     from vehanchor_flight.live.frames import Frame
@@ -83,7 +84,7 @@ class LiveEstimator:
             linked = self._follow(raster, seconds)
             analysis = self._search(raster)
         self._turn += 1
-        return self._record(frame, analysis.estimate.n_vehicles or 0, linked=linked)
+        return self._record(frame, analysis.estimate, linked=linked)
 
     def _follow(self, raster: Raster, seconds: float) -> bool:
         """Move the state, the prior and the cars from the last frame to this one; tell whether features link them."""
@@ -146,10 +147,11 @@ class LiveEstimator:
         centres = np.zeros((0, 2)) if analysis.vehicles is None else analysis.vehicles.fleet.centres
         self._cars = np.concatenate([self._cars[outside], centres * factor + low])
 
-    def _record(self, frame: Frame, n_vehicles: int, *, linked: bool) -> LiveScale:
+    def _record(self, frame: Frame, window: GsdEstimate, *, linked: bool) -> LiveScale:
         state = self._state
         interval = None if state is None else state.interval
         usable = state is not None and state.usable
+        contradicted = state is not None and state.contradictions > 0
         return LiveScale(
             frame=frame.name,
             at_s=frame.at_s - self._first_s,
@@ -158,7 +160,8 @@ class LiveEstimator:
             gsd_ci95_low_m_per_px=interval and interval.low,
             gsd_ci95_high_m_per_px=interval and interval.high,
             confidence=0.0 if state is None else state.chance,
-            n_vehicles=n_vehicles,
+            reason=None if usable else "disagree" if contradicted else window.reason or "imprecise",
+            n_vehicles=window.n_vehicles or 0,
             seen_s_ago=None if state is None else state.silent_s,
             linked=linked,
             n_skipped=frame.n_skipped,

@@ -254,14 +254,14 @@ def _on_ground(
 
 def _taken(detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.float64]) -> Detections:
     """Select boxes ``[n]`` and replace their lengths."""
-    boxes, fleet = detections.boxes.copy(), detections.fleet
+    boxes, looks = detections.boxes.copy(), detections.looks
     boxes[:, 2] = lengths
     return replace(
         detections,
         boxes=boxes[kept],
         scores=detections.scores[kept],
         scales=None if detections.scales is None else detections.scales[kept],
-        fleet=None if fleet is None else fleet.take(kept[: len(fleet.log_odds)]),
+        looks=None if looks is None else looks.take(kept[: len(looks)]),
         classes=None if detections.classes is None else detections.classes[kept],
         stretch=None,  # width and height have the scales that the model gives them
     )

@@ -96,7 +96,7 @@ async def test_arguments_reach_the_library(server: MCPServer[object], images: Pa
     assert expected.frame is not None
     assert f"In your 320 x 256 copy that is {expected.frame.gsd_m_per_px:.3g} m/px." in text_of(result)
     assert by_region.structured_content is not None
-    assert by_region.structured_content["reference_length_m"] == pytest.approx(4.5)
+    assert by_region.structured_content["details"]["reference_length_m"] == pytest.approx(4.5)
 
 
 async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_against_the_vehicles(
@@ -161,9 +161,9 @@ async def test_the_operators_calibration_is_the_ruler_of_callers_who_name_none(
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
         named = await client.call_tool("estimate_gsd", {**by_path(images / "cars.png"), "reference_length_m": 4.8})
     assert result.structured_content is not None
-    assert result.structured_content["reference_length_m"] == 4.31
+    assert result.structured_content["details"]["reference_length_m"] == 4.31
     assert named.structured_content is not None
-    assert named.structured_content["reference_length_m"] == 4.8
+    assert named.structured_content["details"]["reference_length_m"] == 4.8
 
 
 async def test_the_overlay_is_a_small_jpeg_beside_the_record(server: MCPServer[object], images: Path, era: str) -> None:

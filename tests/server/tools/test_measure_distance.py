@@ -99,18 +99,6 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServ
         assert record_of(told)["distance_m"] == pytest.approx(whole["distance_m"])
 
 
-async def test_no_vehicle_is_a_result_without_a_distance(server: MCPServer[object], images: Path) -> None:
-    result = await asked(server, "measure_distance", images / "empty.png", lines=[LINE])
-    assert (record_of(result)["status"], record_of(result)["distance_m"]) == ("no_scale", None)
-    assert text_of(result).startswith("No distance: the line is 500 px long, but no ruler was found, confidence 0")
-
-
-async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:
-    result = await asked(server, "measure_distance", images / "two.png", lines=[LINE])
-    assert record_of(result)["status"] == "low_confidence"
-    assert "from 2 vehicles: do not rely on it (" in text_of(result)
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

@@ -14,9 +14,8 @@ from tests.yards import EQUAL_CARS, paint_yard
 from vehanchor import Engine
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch.run import run_batch
-from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.corrections import corrected
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.errors import InvalidParameterError
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
@@ -25,7 +24,7 @@ _SIDE = 4000
 
 
 def _found(
-    groups: list[tuple[float, int]], *, score: float = 0.8, fleet: FleetAppearance | None = None, spread: float = 0.07
+    groups: list[tuple[float, int]], *, score: float = 0.8, looks: Looks | None = None, spread: float = 0.07
 ) -> Detections:
     """Groups of (length, number), spread as a fleet, in rows of their own."""
     boxes = [
@@ -34,7 +33,7 @@ def _found(
         for k in range(n)
     ]
     n = len(boxes)
-    return Detections(np.array(boxes).reshape(-1, 5), np.full(n, score), scales=np.ones(n), fleet=fleet)
+    return Detections(np.array(boxes).reshape(-1, 5), np.full(n, score), scales=np.ones(n), looks=looks)
 
 
 def _corrected(found: Detections, **told: Any) -> Detections:

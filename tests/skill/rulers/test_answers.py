@@ -63,7 +63,8 @@ def _right(record: GsdEstimate) -> dict[str, bool]:
 def test_the_status_follows_the_chance_for_any_number_of_cars(cars: int) -> None:
     record = record_of(cars)
     assert (record.status == "ok") == (record.confidence >= 0.9)
-    assert ((record.details.composite_confidence or 0) < 0.5) == (cars < 5)  # the paper's
+    assert record.details.composite_confidence is not None
+    assert (record.details.composite_confidence < 0.5) == (cars < 5)  # the paper's
 
 
 def test_more_cars_that_agree_are_a_better_chance() -> None:
@@ -93,7 +94,9 @@ def test_a_stretched_photograph_is_not_usable(cars: int) -> None:
 def test_the_vehicles_keep_the_papers_scale_beside_the_answer() -> None:
     record = record_of(30, **_lines(0.093, basis="measured"))
     vehicles = next(ruler for ruler in record.rulers if ruler.kind == "vehicles")
-    assert vehicles.gsd_m_per_px == (record.details.reference_length_m or 0) / (record.mode_length_px or math.nan)
+    assert vehicles.gsd_m_per_px == (record.details.reference_length_m or math.nan) / (
+        record.mode_length_px or math.nan
+    )
     assert record.gsd_m_per_px == pytest.approx(0.093, rel=0.01)
 
 
@@ -235,7 +238,7 @@ def test_the_preset_paper_acts_on_the_composite_alone(cars: int, status: str) ->
     assert record.confidence == record.details.composite_confidence
     assert record.status == status
     assert (record.confidence >= 0.5) == (status == "ok")
-    assert record.gsd_m_per_px == (record.details.reference_length_m or 0) / (record.mode_length_px or math.nan)
+    assert record.gsd_m_per_px == (record.details.reference_length_m or math.nan) / (record.mode_length_px or math.nan)
 
 
 DRAWS = 300
