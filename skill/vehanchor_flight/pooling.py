@@ -50,7 +50,7 @@ class _PooledPrior(SceneScalePrior):
 
     @cached_property
     def density(self) -> NDArray[np.float64]:
-        """Probabilities on ``vehanchor.scale.fusion.GRID``."""
+        """Probabilities on ``vehanchor.scale.density.GRID``."""
         return self.pooled
 
 

@@ -112,3 +112,4 @@ def test_a_search_that_no_ruler_needs_counts_no_tiles(detector: Detector) -> Non
         blank_image(300, 300), detector=detector, rulers=["known_length"], known_lengths=[(10, 10, 200, 10, 38.0)]
     )
     assert (given.details.tiles_searched, given.details.tiles_total, given.details.stopped_because) == (0, 0, None)
+    assert (given.n_vehicles, given.details.n_detections, given.details.composite_confidence) == (None, None, None)

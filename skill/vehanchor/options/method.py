@@ -43,7 +43,7 @@ class Search:
         tile_px: tile side; None is 1024, or the model's fixed input size.
         stride_px: step between tiles; None is three quarters of the tile.
         effort: ``full`` searches every tile; ``auto`` and ``fast`` search likely tiles first, and end when more tiles
-            would not change the scale (see ``vehanchor.detection.convergence``). In images below 4 megapixels they
+            would not change the scale (see ``vehanchor.analysis.convergence``). In images below 4 megapixels they
             skip only resolutions at which, by the scene-scale prior, no car has a valid size.
         max_tiles: largest number of tiles, likely ones first; None for all.
         max_seconds: largest time in seconds; None for no limit. With it, results depend on the machine.

@@ -19,7 +19,7 @@ from tests.records import CASES, KEPT, records_of
 from vehanchor.batch.row import ALL_COLUMNS
 from vehanchor.errors import MissingExtraError, PromptError
 from vehanchor.measure.distance import read_path
-from vehanchor.records import SCHEMA_VERSION, GsdEstimate, Notice
+from vehanchor.records import SCHEMA_VERSION, EstimateDetails, GsdEstimate, Notice
 from vehanchor.records.flat import flat_columns, flat_row
 from vehanchor.records.interop import as_frame, outline_geometry
 from vehanchor.records.text import significant, with_interval
@@ -41,6 +41,11 @@ def test_a_record_is_one_row_of_single_values() -> None:
     assert row["confidence_terms_sample"] == record.details.confidence_terms.sample
     assert row["warning_codes"] == "a b"
     assert not [value for value in row.values() if isinstance(value, dict | list | tuple)]
+
+
+def test_a_record_shows_twenty_fields_and_has_the_others_in_its_details() -> None:
+    assert len(GsdEstimate.model_fields) <= 20
+    assert not set(GsdEstimate.model_fields) & set(EstimateDetails.model_fields)
 
 
 def test_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
