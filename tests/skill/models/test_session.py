@@ -113,7 +113,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, list[str]]]:
 def test_every_bundled_model_of_a_verb_runs_where_its_caller_says(opened: dict[str, list[str]]) -> None:
     image = render_scene(0.12, width_px=400, height_px=320, seed=3).image
     vehanchor.measure_area(image, box=(20, 20, 80, 80), providers=["cuda", "cpu"])
-    assert len(opened) == 8, "the detector, both verifiers, the fleet, the ground, the courts, the segmenter's halves"
+    assert len(opened) == 7, "the detector, the verifier, the chips, the ground, the courts, the segmenter's halves"
     assert set(map(tuple, opened.values())) == {("CUDAExecutionProvider", "CPUExecutionProvider")}
     opened.clear()
     vehanchor.measure_distance(image, [(20, 20), (80, 80)], providers="cuda")
