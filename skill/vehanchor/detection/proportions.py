@@ -1,6 +1,6 @@
 """Proportions of an image, from its vehicles: whether its width and height have different scales.
 
-Boxes cannot tell: the detector draws a car's proportions into a stretched image, too. The verifiers can. Their chips
+Boxes cannot tell: the detector draws a car's proportions into a stretched image, too. The networks that score them can. Their chips
 are cut with the image's width reduced and enlarged by a factor of 1.4. In an image of true proportions neither suits
 cars better.
 """
@@ -73,7 +73,7 @@ def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: ChipNetw
 
     Args:
         raster: the image.
-        boxes: ``[n, 5]`` the car verifier's vehicles, as for ``stretch``.
+        boxes: ``[n, 5]`` bodies of vehicles, as for ``stretch``.
         network: scores their chips.
 
     Returns:

@@ -267,7 +267,7 @@ class ImageSearch:
     def _detect(self, prepared: PreparedTile, level: SearchLevel) -> TileDetections:
         """Detect vehicles of the level's lengths in a tile, rescored by the verifier, and other objects."""
         verifier = self._verifier
-        # The verifiers can raise the score of a weak detection.
+        # The verifier can raise the score of a weak detection.
         least = min(self._min_score, verifier.card.least_score) if verifier else self._least_score
         seen = self._detector.detect_tile(prepared, least)
         vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))

@@ -39,7 +39,7 @@ class Search:
         nms_iou: IoU, 0..1, above which the weaker of two boxes is dropped.
         search_scales: also search reduced copies of the image, for vehicles longer than the model was trained on; None
             takes the model's own choice (no, for foreign models).
-        verify: score candidates again with the model's verifiers, if it has any, and correct the boxes of few vehicles.
+        verify: score candidates again with the model's verifier and chip network, if it has any, and measure bodies.
         tile_px: tile side; None is 1024, or the model's fixed input size.
         stride_px: step between tiles; None is three quarters of the tile.
         effort: ``full`` searches every tile; ``auto`` and ``fast`` search likely tiles first, and end when more tiles
@@ -67,7 +67,7 @@ class Search:
             "model's choice."
         ),
     ] = None
-    verify: Annotated[Flag, Option("Score candidates again by the verifiers.", cli=False)] = True
+    verify: Annotated[Flag, Option("Score candidates again, and measure bodies.", cli=False)] = True
     tile_px: Annotated[
         _Count | None, Option("Side of a tile, pixels. Default: 1024, or the model's input.", metavar="PX")
     ] = None
