@@ -50,7 +50,8 @@ def schema_files(tools: Collection[str] = PUBLISHED) -> dict[str, str]:
         if tool.name not in tools:
             continue
         documents[f"{tool.name}.input.json"] = portable_schema(tool.full_parameters, dialect=True)
-        documents[f"{tool.name}.output.json"] = portable_schema(tool.record_schema, dialect=True)
+        if tool.record_schema:
+            documents[f"{tool.name}.output.json"] = portable_schema(tool.record_schema, dialect=True)
     documents["anthropic.json"] = [anthropic_definition(tool) for tool in contract]
     documents["openai.json"] = [openai_definition(tool) for tool in contract]
     return {name: json.dumps(document, indent=2, ensure_ascii=False) + "\n" for name, document in documents.items()}
@@ -77,6 +78,8 @@ def _strict(node: Any) -> Any:
         return [_strict(item) for item in node]
     if not isinstance(node, dict):
         return node
+    if node.get("type") == "object" and "properties" not in node:  # any object, which strict mode has not
+        return {"type": "string", "description": "A JSON object."}
     result = {
         key: {name: _strict(property_) for name, property_ in value.items()} if key == "properties" else _strict(value)
         for key, value in node.items()

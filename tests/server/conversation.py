@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from mcp.types import CallToolResult, ImageContent, TextContent
 
-from vehanchor_server.calls.overlay import MAX_PICTURE_BYTES
+from vehanchor_server.calls.jpeg import MAX_PICTURE_BYTES
 
 ERAS = ("auto", "legacy")  # auto finds the stateless 2026-07-28 protocol
 

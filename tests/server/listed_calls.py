@@ -19,6 +19,8 @@ def random_value(node: dict[str, Any], chance: random.Random) -> Any:
     if "enum" in node:
         return chance.choice(node["enum"])
     kind = node["type"]
+    if kind == "object" and "properties" not in node:
+        return {}
     if kind == "object":
         names = list(node["properties"])
         optional = [name for name in names if name not in node.get("required", ())]

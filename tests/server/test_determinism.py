@@ -24,13 +24,16 @@ def calls(images: Path) -> list[tuple[str, dict[str, Any]]]:
     cars, pool = by_path(images / "cars.png"), by_path(images / "pool.png")
     boxes = [{"box": {"x_min": 20.0 * i, "y_min": 300, "x_max": 20.0 * i + 90, "y_max": 432}} for i in range(16)]
     lines = [{"points": [{"x": 10 + i, "y": 10}, {"x": 400, "y": 300}]} for i in range(16)]
-    drawn = {"include_overlay": True}
+    several = [
+        ("estimate_gsd", cars),
+        ("measure_area", {**pool, "targets": boxes}),
+        ("measure_distance", {**cars, "lines": lines}),
+    ]
     return [
         ("view_image", {}),
         ("view_image", {"image": pool["image"]}),
-        ("estimate_gsd", {**cars, **drawn}),
-        ("measure_area", {**pool, **drawn, "targets": boxes}),
-        ("measure_distance", {**cars, **drawn, "lines": lines}),
+        *several,
+        *(("view_image", {"of": {"tool": tool, "arguments": asked}}) for tool, asked in several),
     ]
 
 

@@ -38,7 +38,7 @@ CALLS: list[tuple[str, str, dict[str, Any], int]] = [
     ("estimate_gsd", "empty.png", {}, ESTIMATE),
     ("estimate_gsd", "large.png", {}, ESTIMATE),
     ("measure_area", "pool.png", {"targets": [{"box": POOL_BOX}]}, AREA),
-    ("measure_area", "pool.png", {"target": {"box": POOL_BOX}}, AREA),
+    ("measure_area", "pool.png", {"targets": [{"box": POOL_BOX}]}, AREA),
     ("measure_area", "pool.png", {"targets": [{"box": SMALL_BOX}], "frame": FRAME}, AREA),
     ("measure_area", "pool.png", {"targets": [{"points": [{"x": 324, "y": 378}]}]}, AREA),
     ("measure_area", "pool.png", {"targets": [{"box": POOL_BOX}], **STATED}, AREA),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,6 +13,7 @@ from mcp.server.mcpserver.tools import Tool
 from mcp.types import CallToolResult, InputRequiredResult, ToolAnnotations
 from pydantic import Field, ValidationError
 
+from vehanchor_server.calls.reply import PictureRequest
 from vehanchor_server.errors import CallError
 from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.complaints import complaints
@@ -41,7 +43,6 @@ class StrictTool(Tool):
         description: str,
         meta: dict[str, Any] | None = None,
         answered: Sequence[str] = (),
-        required: Sequence[str] = (),
         listing: Listing | None = None,
     ) -> StrictTool:
         """Create a read-only, idempotent tool.
@@ -53,7 +54,6 @@ class StrictTool(Tool):
             description: description for planners; clients keep 2 KB of it.
             meta: the tool's ``_meta``.
             answered: fields of the record in the listed schema; other fields need full detail. Default: all fields.
-            required: arguments that only the listed schema requires.
             listing: content of the listed schema; default: all.
         """
         annotations = ToolAnnotations(
@@ -66,8 +66,6 @@ class StrictTool(Tool):
         arguments.model_rebuild(force=True)
         tool.full_parameters = portable_schema({"additionalProperties": False, **tool.parameters})
         tool.parameters = listed_schema(tool.full_parameters, listing or Listing())
-        if required:
-            tool.parameters["required"] = [*tool.parameters.get("required", ()), *required]
         if tool.fn_metadata.output_schema is not None:
             tool.record_schema = portable_schema(tool.fn_metadata.output_schema)
             tool.fn_metadata.output_schema = _answered(tool.record_schema, answered)
@@ -112,8 +110,29 @@ class StrictTool(Tool):
             record = result.structured_content if isinstance(result, CallToolResult) else None
             log_call(self.name, status, time.perf_counter() - started, record)
 
+    async def show(self, arguments: dict[str, Any], context: Context[Any, Any], picture: PictureRequest) -> Any:
+        """Run a measuring tool for ``view_image``, which shows what the call saw.
+
+        Raises:
+            CallError: the call failed.
+        """
+        try:
+            checked = self.fn_metadata.validate_arguments(_with_integers(arguments))
+        except ValidationError as error:
+            complaint = self._complaints(error, arguments)
+            raise CallError("invalid_arguments", f"of.arguments: {complaint}") from error
+        return await self.fn(**checked, ctx=context, shown=picture)
+
     def _complaints(self, error: ValidationError, arguments: dict[str, Any]) -> str:
         return complaints(error, arguments, self.full_parameters, self.parameters.get("required") or ["image"])
+
+
+def object_of_text(value: Any) -> Any:
+    """Read an object that a client sends as JSON text."""
+    try:
+        return json.loads(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
 
 
 def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
@@ -122,7 +141,7 @@ def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
         return record
     types: dict[str, Any] = {}
     for name in names:
-        field = record["properties"][name]
+        field = record["properties"][name.removeprefix("scale_")]
         kinds = [option["type"] for option in field.get("anyOf", [field])]
         types[name] = {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
     return {"type": "object", "properties": types}

@@ -1,68 +1,23 @@
-"""Encode the overlay and the page's image as JPEGs that are small enough for all hosts."""
+"""Encode pictures as JPEGs that are small enough for all hosts."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import cv2
 import numpy as np
 
-from vehanchor.pictures.scale import read_reduced
 from vehanchor_server.calls.reply import MAX_SIDE_PX
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor_server.calls.capacity import Stop
-    from vehanchor_server.calls.job import Job
-    from vehanchor_server.calls.reply import PictureRequest
 
-MAX_PICTURE_BYTES = 400_000  # hosts cap a result at about 0.75 MB: this and the page's picture, and base64 adds a third
+MAX_PICTURE_BYTES = 400_000  # hosts cap a result at about 0.75 MB, and base64 adds a third
 MAX_PAGE_BYTES = 120_000  # part of every result of a host with pages
 _QUALITIES = (85, 70, 55, 40)
-
-
-class Pictures(NamedTuple):
-    """JPEGs of one image; None if not requested.
-
-    Attributes:
-        overlay: at most ``MAX_PICTURE_BYTES``.
-        page: the plain image, at most ``MAX_PAGE_BYTES``.
-    """
-
-    overlay: bytes | None = None
-    page: bytes | None = None
-
-
-def draw_pictures(
-    raster: Raster,
-    job: Job,
-    wanted: PictureRequest,
-    draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
-    part: Window | None = None,
-) -> Pictures:
-    """Make the requested pictures.
-
-    Args:
-        raster: the image.
-        job: can stop the reading.
-        wanted: the requested pictures.
-        draw: draws the overlay, ``[h', w', 3]`` RGB, on the image, its part or a reduced copy, ``[h, w, 3]``.
-        part: the part that the overlay shows; None for all of the image.
-    """
-    if not (wanted.overlay or wanted.page):
-        return Pictures()
-    job.stop.check()
-    source = stoppable(raster, job.stop)
-    whole = read_reduced(source) if wanted.page or part is None else None
-    page = small_jpeg(whole, MAX_PAGE_BYTES) if whole is not None and wanted.page else None
-    if not wanted.overlay:
-        return Pictures(None, page)
-    seen = whole if whole is not None and part is None else read_reduced(source, part)
-    return Pictures(small_jpeg(draw(seen), side_px=wanted.long_side_px), page)
 
 
 def stoppable(raster: Raster, stop: Stop) -> Raster:
