@@ -64,8 +64,8 @@ async def test_text_and_structured_content_say_the_same(
         assert f"Warning {words}" in text
     for choice in record.get("alternatives", ()):
         x = f"x {choice['box']['x_min']} to {choice['box']['x_max']}"
-        assert x in text
-        assert choice["area_m2"] is None or f"{significant(choice['area_m2'])} m2 in {x}" in text
+        size = f"{significant(choice['area_m2'])} m2" if "area_m2" in choice else f"{choice['mask_area_px']} px"
+        assert f"{size} in {x}" in text
 
 
 async def test_pictures_have_no_structured_content_and_lists_are_text(server: MCPServer[object], images: Path) -> None:

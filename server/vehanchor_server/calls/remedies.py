@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _MOST = 2
 _REMEDIES = {
     "image": "send the original image",
-    "drop": "drop the boxes that are no cars, which view_image shows (drop)",
+    "drop": "drop boxes that are no cars, see view_image (drop)",
     "region": "give the region (region)",
     "car": "add a car that has no box (add)",
     "line": "draw a line over something named, as {} (known_lengths)",

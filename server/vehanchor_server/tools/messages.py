@@ -23,7 +23,7 @@ POLICY = (
 """The rule for planners in the description of ``estimate_gsd``."""
 
 STATUS_RULES = (
-    "status ok: use the interval, and compare its low end with what you need. low_confidence: do not act on it. "
+    "status ok: use it, but compare the interval's low end with what you need. low_confidence: do not act on it. "
     "no_scale: only pixels. Scale arguments: see estimate_gsd."
 )
 """The meaning of ``status`` in the descriptions of the measuring tools."""

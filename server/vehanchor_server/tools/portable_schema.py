@@ -93,6 +93,8 @@ class Listing(NamedTuple):
         for key, value in node.items():
             if key in _NOT_LISTED or (key == "description" and not described):
                 continue
+            if key == "additionalProperties" and not {"image", "kind"} & set(node.get("properties", ())):
+                continue  # below the arguments, only an image with fields of two kinds would be ambiguous
             if key == "properties":
                 result[key] = {
                     name: self.listed(each, described=described)

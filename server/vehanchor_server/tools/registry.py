@@ -23,13 +23,13 @@ TOOLS: tuple[Callable[[Services], StrictTool], ...] = (
     estimate_gsd_tool,
     measure_area_tool,
     measure_distance_tool,
+    view_image_tool,
 )
 
 
 def create_tools(services: Services) -> list[StrictTool]:
     """Create the models' tools; a description that several list for one argument stands in the first only."""
-    measuring = [create(services) for create in TOOLS]
-    tools = [*measuring, view_image_tool(services, measuring)]
+    tools = [create(services) for create in TOOLS]
     said: set[tuple[str, str]] = set()
     for tool in tools:
         for name, argument in tool.parameters["properties"].items():

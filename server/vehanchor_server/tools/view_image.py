@@ -8,7 +8,7 @@ work.
 # No postponed annotations here: the SDK reads the result's schema from them.
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import groupby
 from pathlib import PurePath
@@ -30,15 +30,18 @@ from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
+from vehanchor_server.tools.estimate_gsd import estimate_gsd_tool
+from vehanchor_server.tools.measure_area import measure_area_tool
+from vehanchor_server.tools.measure_distance import measure_distance_tool
 from vehanchor_server.tools.picture import part_window
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.strict_tool import StrictTool, object_of_text
 from vehanchor_server.tools.target import Box
 
 _DESCRIPTION = (
-    "Shows an image, or a part of it, with a grid of pixel coordinates. View the image before you give coordinates, "
-    "and a part of it for precise ones. With of, shows what a call of another tool saw: numbered vehicles, masks, "
-    "lines. Without both, lists the available images. It measures nothing."
+    "Shows an image, or a part of it, with a grid of pixel coordinates. View it before you give coordinates, and a "
+    "part for precise ones. With of, shows what a call of another tool saw: numbered vehicles, masks, "
+    "lines. Without both, lists the images."
 )
 _LEAST_SIDE_PX, _USUAL_SIDE_PX, _LONGEST_SIDE_PX = 256, 1024, 1568
 _MAX_ENLARGEMENT = 4.0  # a larger one shows nothing more
@@ -49,6 +52,13 @@ _LAST_PAGE = 2000
 _Part = Annotated[Box | None, Field(description="Part to show; default all.", examples=[_PART])]
 _Side = Annotated[int, Limits(_LEAST_SIDE_PX, _LONGEST_SIDE_PX, whole=True)]
 _Page = Annotated[int, Limits(1, _LAST_PAGE, whole=True), Field(description="Page of the list.")]
+
+
+_MEASURING: dict[str, Callable[[Services], StrictTool]] = {
+    "estimate_gsd": estimate_gsd_tool,
+    "measure_area": measure_area_tool,
+    "measure_distance": measure_distance_tool,
+}
 
 
 class PastCall(FrozenModel):
@@ -79,13 +89,9 @@ class PageImages(FrozenModel):
     next_page: int | None = Field(default=None, description="Number of the next page; null on the last.")
 
 
-def view_image_tool(services: Services, measuring: Sequence[StrictTool]) -> StrictTool:
-    """Create the tool for a server.
-
-    Args:
-        services: the server's parts.
-        measuring: the tools whose calls it shows.
-    """
+def view_image_tool(services: Services) -> StrictTool:
+    """Create the tool for a server; it makes the tools whose calls it shows when it needs them."""
+    made: dict[str, StrictTool] = {}
 
     async def view_image(
         ctx: Context[Any, Any],
@@ -98,7 +104,7 @@ def view_image_tool(services: Services, measuring: Sequence[StrictTool]) -> Stri
     ) -> CallToolResult:
         wanted = PictureRequest("evidence", long_side_px, _corners(part), Frame(coordinates=coordinates))
         if of is not None:
-            tool = next(tool for tool in measuring if tool.name == of.tool)
+            tool = made.get(of.tool) or made.setdefault(of.tool, _MEASURING[of.tool](services))
             named = {} if image is None else {"image": image.model_dump()}
             return await tool.show({**named, **of.arguments}, ctx, wanted)
         if image is None:

@@ -1,4 +1,4 @@
-"""Different objects among the masks that a prompt may mean."""
+"""Different objects among the masks that points may mean."""
 
 # ruff: noqa: D102 - the segmenter documents these attributes
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Window
 
 MAX_OBJECTS = 3
-_SAME_IOU = 0.7  # masks that overlap as much show the same object; research/results/notes.md has its trial
+_SAME_IOU = 0.7  # masks that overlap more show the same object; research/results/notes.md has the trial
 
 
 class Masked(Protocol):
@@ -44,14 +44,9 @@ def distinct(found: Sequence[AnyMask]) -> list[AnyMask]:
     """
     kept: list[AnyMask] = []
     for each in sorted(found, key=lambda each: (bool(each.mask.any()), each.score), reverse=True):
-        if not kept or (each.mask.any() and not any(is_same(each, other) for other in kept)):
+        if not kept or (each.mask.any() and all(_overlap(each, other) < _SAME_IOU for other in kept)):
             kept.append(each)
     return kept[:MAX_OBJECTS]
-
-
-def is_same(one: Masked, other: Masked) -> bool:
-    """Tell whether two masks that are not empty show the same object."""
-    return _overlap(one, other) >= _SAME_IOU
 
 
 def _overlap(one: Masked, other: Masked) -> float:

@@ -3,8 +3,7 @@
 The model runs on a crop around the prompt: memory does not grow with the image, and small objects get the model's full
 resolution. The crop of a box has twice its longer side, at least 256 px. Points do not show the object's size: they are
 tried in crops of 128 to 1024 px, or from twice their extent on. The mask with the best score is refined by its bounding
-box; masks of other objects are its alternatives. Points name one object if there are several masks and no alternative;
-a box does if the mask in a crop of twice the side is the same.
+box; masks of other objects are its alternatives. Points name one object if three masks or more agree.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import metadata_number, open_session
 from vehanchor.options import ImageLimits
-from vehanchor.segmentation.alternatives import distinct, is_same
+from vehanchor.segmentation.alternatives import distinct
 from vehanchor.segmentation.contracts import recognise_contract
 from vehanchor.segmentation.crop import (
     MAX_POINT_CROP_PX,
@@ -48,7 +47,7 @@ MIN_MASK_SCORE = 0.7  # default: lower predicted IoUs need a check of the outlin
 MASK_AREA_LOG_SD = 0.1  # default: standard deviation of log(mask area / true area)
 # The same for points whose masks agree, and for all others: on 155 held-out objects of train.
 _POINT_AREA_LOG_SD, _DOUBTED_POINT_AREA_LOG_SD = 0.25, 1.0
-_WIDER = 2  # side of the crop that tests a box, over its own
+_LEAST_AGREEING = 3  # masks that show the same object; research/results/notes.md has the trial
 
 
 @dataclass(frozen=True)
@@ -98,8 +97,8 @@ class Segmentation:
         mask: ``[h, w]`` bool, the pixels of ``window``; nothing outside it belongs to the object.
         window: crop of the image on which the model ran.
         score: IoU of the mask as predicted by the model, 0..1.
-        alternatives: other objects that the prompt may mean, best first.
-        is_agreed: whether several masks that fit the prompt show the same object.
+        alternatives: other objects that the points may mean, best first; none for a box.
+        is_agreed: whether the masks of the points show the same object; true for a box.
     """
 
     mask: NDArray[np.bool_]
@@ -213,19 +212,18 @@ class Segmenter(LoadedModel):
             if prompt.box is None:
                 found[first] = self._segment_points(raster, prompt, limits)
                 continue
-            view, size = self._encode(raster, prompt, crop_side(prompt), limits), (raster.width_px, raster.height_px)
-            window = crop_window(prompt, *size, _WIDER * crop_side(prompt))
-            wide = self._encode_window(raster, window) if _allowed(window, limits) else view
-            for k in range(first, len(prompts)):
-                if k == first or (k not in found and shares_window(prompts[k], view.window, *size)):
-                    found[k] = _tested(self._decode(view, prompts[k]), self._decode(wide, prompts[k]))
+            view = self._encode(raster, prompt, crop_side(prompt), limits)
+            found[first] = self._decode(view, prompt)
+            for k in range(first + 1, len(prompts)):
+                if k not in found and shares_window(prompts[k], view.window, raster.width_px, raster.height_px):
+                    found[k] = self._decode(view, prompts[k])
         return tuple(found[k] for k in range(len(prompts)))
 
     def _segment_points(self, raster: Raster, prompt: Prompt, limits: ImageLimits | None) -> Segmentation:
         """Choose among the masks of several crops, and refine the chosen one by its bounding box and the points."""
         masks = self._masks_at(raster, prompt, limits)
         chosen, *others = distinct(masks)
-        chosen = replace(chosen, alternatives=tuple(others), is_agreed=len(masks) > 1 and not others)
+        chosen = replace(chosen, alternatives=tuple(others), is_agreed=len(masks) >= _LEAST_AGREEING and not others)
         box = chosen.bounding_box
         if box is None or min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
             return chosen
@@ -258,9 +256,6 @@ class Segmenter(LoadedModel):
     ) -> _View:
         window = crop_window(prompt, raster.width_px, raster.height_px, side_px)
         _check_window(window, limits or ImageLimits())
-        return self._encode_window(raster, window)
-
-    def _encode_window(self, raster: Raster, window: Window) -> _View:
         size = window.width_px, window.height_px
         image = read_resized(raster, window, self._contract.input_size(*size))
         return _View(window, self._contract.encode(image, size))
@@ -276,13 +271,6 @@ class _View(NamedTuple):
 
     window: Window
     encoding: Encoding
-
-
-def _tested(found: Segmentation, wide: Segmentation) -> Segmentation:
-    """Compare the mask in a box with that in a wider crop; another object there is an alternative."""
-    if not found.mask.any() or not wide.mask.any() or is_same(found, wide):
-        return found
-    return replace(found, alternatives=(wide,), is_agreed=False)
 
 
 def load_segmenter(encoder_path: Path, decoder_path: Path, runtime: Runtime | None = None) -> Segmenter:

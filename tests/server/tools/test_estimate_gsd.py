@@ -63,8 +63,8 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     assert result.structured_content["gsd_m_per_px"] is None
     assert result.structured_content["confidence"] == 0
     assert text_of(result) == (
-        "No ruler was found, confidence 0: no metric scale (no car was found); add a car that has no box (add), or draw "
-        "a line over something named, as a container or court (known_lengths)."
+        "No ruler was found, confidence 0: no metric scale (no car was found); add a car that has no box (add), or "
+        "draw a line over something named, as a container or court (known_lengths)."
     )
 
 
@@ -74,8 +74,8 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCP
     assert result.structured_content is not None
     assert result.structured_content["status"] == "low_confidence"
     assert text_of(result).endswith(
-        "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the region (region), or add a "
-        "car that has no box (add)."
+        "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the region (region), or add "
+        "a car that has no box (add)."
     )
 
 
@@ -179,7 +179,7 @@ def doubtful() -> GsdEstimate:
 
 LINE = "draw a line over something named, as a parking bay or lane dash (known_lengths)"
 CAR, REGION = "add a car that has no box (add)", "give the region (region)"
-DROP = "drop the boxes that are no cars, which view_image shows (drop)"
+DROP = "drop boxes that are no cars, see view_image (drop)"
 
 
 @pytest.mark.parametrize(
