@@ -13,6 +13,7 @@ import jsonschema
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
+from pydantic import ValidationError
 
 from tests.conftest import ROOT
 from tests.environments import environment
@@ -23,7 +24,7 @@ from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
-from vehanchor_server.tools.strict_tool import StrictTool
+from vehanchor_server.tools.strict_tool import StrictTool, _with_integers
 
 OPERATORS: list[dict[str, Any]] = [
     {"roots": (ROOT,)},
@@ -47,7 +48,11 @@ def tools(**operator: Any) -> list[StrictTool]:
 
 def shape_faults(tool: StrictTool, arguments: dict[str, Any]) -> list[dict[str, Any]]:
     """Faults of the shape; of a union, no fault of the variants that were not meant."""
-    faults = tool.faults(arguments)
+    try:
+        tool.fn_metadata.validate_arguments(_with_integers(arguments))
+        return []
+    except ValidationError as error:
+        faults = [dict(each) for each in error.errors(include_url=False, include_input=False)]
     values = {fault["loc"][:-1] for fault in faults if fault["type"] in _VALUES}
     return [fault for fault in faults if fault["type"] not in _VALUES and fault["loc"][:-1] not in values]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import cv2
 import numpy as np
@@ -12,17 +12,9 @@ from vehanchor_server.calls.reply import MAX_SIDE_PX
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.raster import Raster, Window
-    from vehanchor_server.calls.capacity import Stop
-
 MAX_PICTURE_BYTES = 400_000  # hosts cap a result at about 0.75 MB, and base64 adds a third
 MAX_PAGE_BYTES = 120_000  # part of every result of a host with pages
 _QUALITIES = (85, 70, 55, 40)
-
-
-def stoppable(raster: Raster, stop: Stop) -> Raster:
-    """Wrap an image so that a stop request ends its reading."""
-    return cast("Raster", _StoppableRaster(raster, stop))
 
 
 def small_jpeg(picture: NDArray[np.uint8], max_bytes: int = MAX_PICTURE_BYTES, side_px: int = MAX_SIDE_PX) -> bytes:
@@ -43,18 +35,3 @@ def _within(picture: NDArray[np.uint8], side_px: int) -> NDArray[np.uint8]:
         return picture
     size = max(1, round(width * factor)), max(1, round(height * factor))
     return cast("NDArray[np.uint8]", cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-
-
-class _StoppableRaster:
-    """A raster whose reading a stop request ends."""
-
-    def __init__(self, raster: Raster, stop: Stop) -> None:
-        self._raster = raster
-        self._stop = stop
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._raster, name)
-
-    def read(self, window: Window | None = None) -> NDArray[np.uint8]:
-        self._stop.check()
-        return self._raster.read(window)

@@ -86,7 +86,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             asked = request_scale_input(ctx, question.given, record, words)
             if asked is not None:
                 return asked
-        told = hints((), question.given, record.image_width_px, record.image_height_px)
+        told = hints((), question.given, record)
         return answer.to_result(words, detail=detail, shown=wanted, hints=told)
 
     return StrictTool.read_only(

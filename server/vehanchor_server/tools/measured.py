@@ -37,9 +37,9 @@ async def measured(
     """
     check_coordinates(places, question.given)
     answer = await run_call(services, ctx, image, work, question)
-    first, words = answer.record, [describe(record) for record in answer.records]
+    words = [describe(record) for record in answer.records]
     if len(words) > 1:
         words = ["\n".join(f"{number}. {sentence}" for number, sentence in enumerate(words, 1))]
-    told = hints(places, question.given, first.image_width_px, first.image_height_px)
+    told = hints(places, question.given, answer.record)
     text = " ".join([*words, *warnings_of(answer.records, detail)])
     return answer.to_result(text, detail=detail, shown=question.wanted, hints=told)

@@ -36,7 +36,7 @@ def draw_picture(
 
     Args:
         raster: the image.
-        job: can stop the reading.
+        job: can stop before the reading.
         wanted: the requested picture.
         draw: draws the evidence on the image, its part or a reduced copy, ``[h, w, 3]`` RGB.
         scale: the analysis with the vehicles; None for a stated scale.
@@ -51,19 +51,18 @@ def draw_picture(
     from vehanchor.pictures.placement import Cut
     from vehanchor.pictures.scale import read_reduced
     from vehanchor.pictures.vehicle_strip import draw_vehicle_strip
-    from vehanchor_server.calls.jpeg import MAX_PAGE_BYTES, small_jpeg, stoppable
+    from vehanchor_server.calls.jpeg import MAX_PAGE_BYTES, small_jpeg
 
     if not wanted.kind:
         return None
     job.stop.check()
-    source = stoppable(raster, job.stop)
     if wanted.kind == "plain":
-        return small_jpeg(read_reduced(source), MAX_PAGE_BYTES)
+        return small_jpeg(read_reduced(raster), MAX_PAGE_BYTES)
     part = usual if wanted.part is None else part_window(raster, wanted)
     cut = None if part is None else Cut(part, wanted.long_side_px)
-    picture = draw(read_reduced(source, part), cut)
+    picture = draw(read_reduced(raster, part), cut)
     if wanted.part is None and scale is not None:
-        picture = np.concatenate([picture, draw_vehicle_strip(source, scale, picture.shape[1])])
+        picture = np.concatenate([picture, draw_vehicle_strip(raster, scale, picture.shape[1])])
     return small_jpeg(picture, side_px=wanted.long_side_px)
 
 

@@ -32,6 +32,7 @@ def create_tools(services: Services) -> list[StrictTool]:
     tools = [create(services) for create in TOOLS]
     said: set[tuple[str, str]] = set()
     for tool in tools:
+        tool.first_image = services.sources.paths.first
         for name, argument in tool.parameters["properties"].items():
             words = (name, argument.get("description", ""))
             if words in said:

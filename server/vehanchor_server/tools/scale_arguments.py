@@ -22,12 +22,14 @@ if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
 
     from vehanchor.measure.resolved_scale import ScaleInput
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
     from vehanchor_server.calls.job import Job
     from vehanchor_server.models import Models
     from vehanchor_server.services import Services
     from vehanchor_server.settings import Settings
 
 DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
+Measured: TypeAlias = "GsdEstimate | AreaMeasurement | DistanceMeasurement"
 _LARGE_PX = 1000  # longer side of images in which nobody points at the first 100 px alone
 _PER_CENT = 100
 Given: TypeAlias = "Mapping[str, Any]"
@@ -164,23 +166,28 @@ def check_coordinates(places: Iterable[tuple[float, float]], given: Given) -> No
         )
 
 
-def hints(places: Iterable[tuple[float, float]], given: Given, width_px: int, height_px: int) -> tuple[str, ...]:
-    """Return warnings about the call: coordinates of a resized copy or in per cent, a scale without tolerance.
+def hints(places: Iterable[tuple[float, float]], given: Given, record: Measured) -> list[str]:
+    """Return warnings about the call: what was made of a region or a stated scale, and doubtful coordinates.
 
     Naming the units, or a frame, silences those about coordinates.
     """
-    stated = "gsd_m_per_px" in given and "gsd_tolerance" not in given
-    said = ("The stated scale is taken as +- 10 %.",) if stated else ()
-    found, longest = _all_places(places, given), max(width_px, height_px)
+    estimate = getattr(record, "estimate", record)
+    said = []
+    if "region" in given and estimate is not None and estimate.reference_source == "region":
+        said.append(f"Region {given['region']}: cars of {estimate.reference_length_m:.2f} m.")
+    if "gsd_m_per_px" in given and "gsd_tolerance" not in given:
+        said.append("The stated scale is taken as +- 10 %.")
+    found, longest = _all_places(places, given), max(record.image_width_px, record.image_height_px)
     if not found or "frame" in given or "coordinates" in given:
         return said
-    size = f"The image has {width_px} x {height_px} px"
+    size, factor = f"The image has {record.image_width_px} x {record.image_height_px} px", MAX_SIDE_PX / longest
     if longest > _LARGE_PX and all(value <= _PER_CENT for place in found for value in place):
-        return (*said, f'{size}, all coordinates lie in 0 to 100. If they are pixels, give coordinates: "pixels".')
-    factor = MAX_SIDE_PX / longest
-    if factor >= 1 or any(x > width_px * factor or y > height_px * factor for x, y in found):
-        return said
-    return (*said, f"{size}. If you used a smaller copy, give its size as frame.")
+        said.append(f'{size}, all coordinates lie in 0 to 100. If they are pixels, give coordinates: "pixels".')
+    elif factor < 1 and all(
+        x <= record.image_width_px * factor and y <= record.image_height_px * factor for x, y in found
+    ):
+        said.append(f"{size}. If you used a smaller copy, give its size as frame.")
+    return said
 
 
 def _all_places(places: Iterable[tuple[float, float]], given: Given) -> list[tuple[float, float]]:

@@ -15,9 +15,10 @@ from pydantic import Field, ValidationError
 
 from vehanchor_server.calls.reply import PictureRequest
 from vehanchor_server.errors import CallError
+from vehanchor_server.images.argument import EXAMPLE_PATH
 from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.complaints import complaints
-from vehanchor_server.tools.portable_schema import Listing, listed_schema, portable_schema
+from vehanchor_server.tools.portable_schema import Listing, portable_schema
 
 MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120
 _EXACT = 2.0**53  # above, floats are no counts
@@ -29,10 +30,12 @@ class StrictTool(Tool):
     Attributes:
         full_parameters: complete schema of the arguments; ``parameters`` is the reduced one for models.
         record_schema: schema of the complete record; ``output_schema`` has the fields of every answer.
+        first_image: finds an image of this server for examples in errors.
     """
 
     full_parameters: dict[str, Any] = Field(default_factory=dict, exclude=True)
     record_schema: dict[str, Any] = Field(default_factory=dict, exclude=True)
+    first_image: Callable[[], str | None] | None = Field(default=None, exclude=True)
 
     @classmethod
     def read_only(
@@ -65,20 +68,12 @@ class StrictTool(Tool):
         arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments silently
         arguments.model_rebuild(force=True)
         tool.full_parameters = portable_schema({"additionalProperties": False, **tool.parameters})
-        tool.parameters = listed_schema(tool.full_parameters, listing or Listing())
+        tool.parameters = (listing or Listing()).listed(tool.full_parameters)
         if tool.fn_metadata.output_schema is not None:
             tool.record_schema = portable_schema(tool.fn_metadata.output_schema)
             tool.fn_metadata.output_schema = _answered(tool.record_schema, answered)
             tool.fn_metadata.output_model = None  # records validate short and full answers
         return tool
-
-    def faults(self, arguments: dict[str, Any]) -> list[dict[str, Any]]:
-        """Return pydantic's errors in the arguments of a call, without running it."""
-        try:
-            self.fn_metadata.arg_model.model_validate(_with_integers(arguments))
-        except ValidationError as error:
-            return [dict(each) for each in error.errors(include_url=False, include_input=False)]
-        return []
 
     async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:
         """Run the tool.
@@ -124,15 +119,9 @@ class StrictTool(Tool):
         return await self.fn(**checked, ctx=context, shown=picture)
 
     def _complaints(self, error: ValidationError, arguments: dict[str, Any]) -> str:
-        return complaints(error, arguments, self.full_parameters, self.parameters.get("required") or ["image"])
-
-
-def object_of_text(value: Any) -> Any:
-    """Read an object that a client sends as JSON text."""
-    try:
-        return json.loads(value) if isinstance(value, str) else value
-    except ValueError:
-        return value
+        words = complaints(error, arguments, self.full_parameters, self.parameters.get("required") or ["image"])
+        found = self.first_image() if self.first_image is not None else None
+        return words if found is None else words.replace(json.dumps(EXAMPLE_PATH), json.dumps(found))
 
 
 def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 from mcp.server.mcpserver import Context, Image
 from mcp.types import CallToolResult, TextContent
 from pydantic import BeforeValidator, Field
+from pydantic_core import from_json
 
 from vehanchor.options import Coordinates, Frame, Reading, declared_options
 from vehanchor.options.option import Limits
@@ -35,7 +36,7 @@ from vehanchor_server.tools.measure_area import measure_area_tool
 from vehanchor_server.tools.measure_distance import measure_distance_tool
 from vehanchor_server.tools.picture import part_window
 from vehanchor_server.tools.portable_schema import Listing
-from vehanchor_server.tools.strict_tool import StrictTool, object_of_text
+from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import Box
 
 _DESCRIPTION = (
@@ -65,7 +66,9 @@ class PastCall(FrozenModel):
     """A call of a measuring tool."""
 
     tool: Literal["estimate_gsd", "measure_area", "measure_distance"]
-    arguments: Annotated[dict[str, Any], BeforeValidator(object_of_text)]
+    arguments: Annotated[
+        dict[str, Any], BeforeValidator(lambda value: from_json(value) if isinstance(value, str) else value)
+    ]
 
 
 _Of = Annotated[PastCall | None, Field(description="Call to show, with its arguments.")]
@@ -166,7 +169,9 @@ async def _list_images(services: Services, page: int) -> tuple[list[str], int]:
     first = (page - 1) * _IMAGES_A_PAGE
 
     async def call(stop: Stop) -> tuple[list[str], int]:
-        return await services.capacity.in_thread(stop, partial(services.sources.listed, first, _IMAGES_A_PAGE, stop))
+        return await services.capacity.in_thread(
+            stop, partial(services.sources.paths.listed, first, _IMAGES_A_PAGE, stop)
+        )
 
     return await services.capacity.run(call)
 
@@ -201,16 +206,14 @@ def _view(services: Services, job: Job, source: OpenedImage, wanted: PictureRequ
 
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.pictures.grid import draw_grid
-    from vehanchor_server.calls.jpeg import small_jpeg, stoppable
+    from vehanchor_server.calls.jpeg import small_jpeg
 
     job.stop.check()
     reading = Reading(limits=services.settings.image_limits)
     with open_raster(source, limits=reading.limits) as raster:
         window = part_window(raster, wanted)
         job.stop.check()
-        picture = draw_grid(
-            stoppable(raster, job.stop), window, wanted.long_side_px, _MAX_ENLARGEMENT, wanted.kind == "evidence"
-        )
+        picture = draw_grid(raster, window, wanted.long_side_px, _MAX_ENLARGEMENT, wanted.kind == "evidence")
         jpeg = small_jpeg(picture.rgb)
         shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
         assert shown is not None
