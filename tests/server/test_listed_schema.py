@@ -49,10 +49,10 @@ def tools(**operator: Any) -> list[StrictTool]:
 def shape_faults(tool: StrictTool, arguments: dict[str, Any]) -> list[dict[str, Any]]:
     """Faults of the shape; of a union, no fault of the variants that were not meant."""
     try:
-        tool.fn_metadata.validate_arguments(_with_integers(arguments))
+        tool.fn_metadata.arg_model.model_validate(_with_integers(arguments))
         return []
     except ValidationError as error:
-        faults = [dict(each) for each in error.errors(include_url=False, include_input=False)]
+        faults: list[dict[str, Any]] = [dict(each) for each in error.errors(include_url=False, include_input=False)]
     values = {fault["loc"][:-1] for fault in faults if fault["type"] in _VALUES}
     return [fault for fault in faults if fault["type"] not in _VALUES and fault["loc"][:-1] not in values]
 

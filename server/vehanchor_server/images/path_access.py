@@ -141,7 +141,7 @@ class PathAccess:
         """Convert a path or file:// URL to a path without access to the file system."""
         if named[:8].lower().startswith(("http://", "https://")):
             raise CallError(
-                "path_not_allowed", "this is a URL, no path. Give a file's path, or kind url if it is listed."
+                "image_not_found", "this is a URL, no path. Give a file's path, or kind url if it is listed."
             )
         if named[:5].lower() == "file:":
             try:

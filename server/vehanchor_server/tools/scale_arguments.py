@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field
 from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
 from vehanchor.options.given_scale import OBJECT_HEIGHT, ObjectHeight
 from vehanchor.options.option import Option
+from vehanchor.records import GsdEstimate
 from vehanchor_server.calls.reply import MAX_SIDE_PX, Detail, PictureRequest
 from vehanchor_server.errors import CallError
 
@@ -22,14 +23,13 @@ if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
 
     from vehanchor.measure.resolved_scale import ScaleInput
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement
     from vehanchor_server.calls.job import Job
     from vehanchor_server.models import Models
     from vehanchor_server.services import Services
     from vehanchor_server.settings import Settings
 
 DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
-Measured: TypeAlias = "GsdEstimate | AreaMeasurement | DistanceMeasurement"
 _LARGE_PX = 1000  # longer side of images in which nobody points at the first 100 px alone
 _PER_CENT = 100
 Given: TypeAlias = "Mapping[str, Any]"
@@ -166,12 +166,14 @@ def check_coordinates(places: Iterable[tuple[float, float]], given: Given) -> No
         )
 
 
-def hints(places: Iterable[tuple[float, float]], given: Given, record: Measured) -> list[str]:
+def hints(
+    places: Iterable[tuple[float, float]], given: Given, record: GsdEstimate | AreaMeasurement | DistanceMeasurement
+) -> list[str]:
     """Return warnings about the call: what was made of a region or a stated scale, and doubtful coordinates.
 
     Naming the units, or a frame, silences those about coordinates.
     """
-    estimate = getattr(record, "estimate", record)
+    estimate = record if isinstance(record, GsdEstimate) else record.estimate
     said = []
     if "region" in given and estimate is not None and estimate.reference_source == "region":
         said.append(f"Region {given['region']}: cars of {estimate.reference_length_m:.2f} m.")

@@ -105,7 +105,9 @@ class StrictTool(Tool):
             record = result.structured_content if isinstance(result, CallToolResult) else None
             log_call(self.name, status, time.perf_counter() - started, record)
 
-    async def show(self, arguments: dict[str, Any], context: Context[Any, Any], picture: PictureRequest) -> Any:
+    async def show(
+        self, arguments: dict[str, Any], context: Context[Any, Any], picture: PictureRequest
+    ) -> CallToolResult:
         """Run a measuring tool for ``view_image``, which shows what the call saw.
 
         Raises:
@@ -116,7 +118,8 @@ class StrictTool(Tool):
         except ValidationError as error:
             complaint = self._complaints(error, arguments)
             raise CallError("invalid_arguments", f"of.arguments: {complaint}") from error
-        return await self.fn(**checked, ctx=context, shown=picture)
+        result: CallToolResult = await self.fn(**checked, ctx=context, shown=picture)
+        return result
 
     def _complaints(self, error: ValidationError, arguments: dict[str, Any]) -> str:
         words = complaints(error, arguments, self.full_parameters, self.parameters.get("required") or ["image"])

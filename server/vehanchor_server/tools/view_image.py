@@ -48,11 +48,10 @@ _LEAST_SIDE_PX, _USUAL_SIDE_PX, _LONGEST_SIDE_PX = 256, 1024, 1568
 _MAX_ENLARGEMENT = 4.0  # a larger one shows nothing more
 _PART = {"x_min": 200, "y_min": 100, "x_max": 600, "y_max": 400}
 _IMAGES_A_PAGE = 50
-_LAST_PAGE = 2000
 
 _Part = Annotated[Box | None, Field(description="Part to show; default all.", examples=[_PART])]
 _Side = Annotated[int, Limits(_LEAST_SIDE_PX, _LONGEST_SIDE_PX, whole=True)]
-_Page = Annotated[int, Limits(1, _LAST_PAGE, whole=True), Field(description="Page of the list.")]
+_Page = Annotated[int, Limits(1, whole=True), Field(description="Page of the list.")]
 
 
 _MEASURING: dict[str, Callable[[Services], StrictTool]] = {
@@ -62,16 +61,16 @@ _MEASURING: dict[str, Callable[[Services], StrictTool]] = {
 }
 
 
+def _read_json(value: Any) -> Any:
+    """Read arguments that a client sends as text."""
+    return from_json(value) if isinstance(value, str) else value
+
+
 class PastCall(FrozenModel):
     """A call of a measuring tool."""
 
     tool: Literal["estimate_gsd", "measure_area", "measure_distance"]
-    arguments: Annotated[
-        dict[str, Any], BeforeValidator(lambda value: from_json(value) if isinstance(value, str) else value)
-    ]
-
-
-_Of = Annotated[PastCall | None, Field(description="Call to show, with its arguments.")]
+    arguments: Annotated[dict[str, Any], BeforeValidator(_read_json)]
 
 
 class ViewedImage(FrozenModel):
@@ -99,7 +98,7 @@ def view_image_tool(services: Services) -> StrictTool:
     async def view_image(
         ctx: Context[Any, Any],
         image: ImageArgument | None = None,
-        of: _Of = None,
+        of: Annotated[PastCall | None, Field(description="Call to show, with its arguments.")] = None,
         part: _Part = None,
         coordinates: Annotated[Coordinates, declared_options()["coordinates"].option] = "pixels",
         long_side_px: _Side = _USUAL_SIDE_PX,

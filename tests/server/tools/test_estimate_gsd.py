@@ -99,6 +99,7 @@ async def test_arguments_reach_the_library(server: MCPServer[object], images: Pa
     assert f"In your 320 x 256 copy that is {expected.frame.gsd_m_per_px:.3g} m/px." in text_of(result)
     assert by_region.structured_content is not None
     assert by_region.structured_content["reference_length_m"] == pytest.approx(4.5)
+    assert "Region europe: cars of 4.50 m." in text_of(by_region)
 
 
 async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_against_the_vehicles(

@@ -133,3 +133,31 @@ async def test_a_place_that_may_be_one_of_a_copy_is_questioned(server: MCPServer
     for more in ({"lines": [far]}, {"lines": [LINE], "frame": {"width_px": 3136, "height_px": 1000}}):
         told = await asked(server, "measure_distance", image, gsd_m_per_px=0.1, gsd_basis="measured", **more)
         assert "smaller copy" not in text_of(told)
+
+
+SMALL = {"points": [{"x": 20, "y": 50}, {"x": 90, "y": 60}]}
+SHARES = {"points": [{"x": 0.1, "y": 0.2}, {"x": 0.9, "y": 0.2}]}
+MEASURED = {"gsd_m_per_px": 0.1, "gsd_basis": "measured"}
+
+
+async def test_coordinates_that_look_like_shares_or_per_cent_are_questioned_unless_named(tmp_path: Path) -> None:
+    from tests.server.conftest import paint_scene, write_image
+
+    image = write_image(tmp_path / "large.png", paint_scene(1200, 300, 0))
+    server = create_server(create_services(Settings(roots=(tmp_path.resolve(),), isolation="in-process")))
+    async with Client(server) as client:
+
+        async def told(line: Any, **more: Any) -> CallToolResult:
+            arguments = {"image": by_path(image)["image"], "lines": [line], **MEASURED, **more}
+            return await client.call_tool("measure_distance", arguments)
+
+        refused = await told(SHARES)
+        assert error_of(refused) == "invalid_prompt"
+        assert 'coordinates: "fraction"' in text_of(refused)
+        assert not (await told(SHARES, coordinates="fraction")).is_error
+        doubted = await told(SMALL)
+        assert 'all coordinates lie in 0 to 100. If they are pixels, give coordinates: "pixels".' in text_of(doubted)
+        assert "0 to 100" in str(record_of(doubted)["warnings"])
+        named = await told(SMALL, coordinates="pixels")
+    assert "0 to 100" not in text_of(named)
+    assert text_of(named).endswith("The stated scale is taken as +- 10 %.")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -136,3 +137,10 @@ async def test_long_names_are_shortened_before_they_are_told(server: MCPServer[o
         result = await client.call_tool(long, {})
     assert error_of(result) == "unknown_tool"
     assert len(text_of(result)) < 300
+
+
+async def test_the_example_of_an_error_names_a_file_of_this_server(server: MCPServer[object], images: Path) -> None:
+    async with Client(server) as client:
+        told = text_of(await client.call_tool("estimate_gsd", {}))
+        example = json.loads(told.partition("Example: ")[2])
+        assert not (await client.call_tool("estimate_gsd", example)).is_error

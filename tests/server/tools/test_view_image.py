@@ -49,7 +49,7 @@ def seen_in(result: CallToolResult) -> dict[str, Any]:
         return {"images": names, "images_total": int(first.split()[0])}
     numbers = [int(each) for each in re.findall(r"(\d+) x (\d+) px", first)[:2] for each in each]
     part = re.search(r"x (\d+) to (\d+), y (\d+) to (\d+)", first)
-    names = ("image_width_px", "image_height_px", "picture_width_px", "picture_height_px")
+    names = ["image_width_px", "image_height_px", "picture_width_px", "picture_height_px"]
     grid = int(re.findall(r"Grid lines are (\d+) image", first)[0])
     corners = dict(zip(("x_min", "x_max", "y_min", "y_max"), map(int, part.groups()), strict=True)) if part else None
     return {**dict(zip(names, numbers, strict=True)), "grid_px": grid, "part": corners}
