@@ -12,11 +12,16 @@ from pathlib import Path
 from typing import Any, get_args
 
 import cv2
+import jsonschema
 import numpy as np
 import pytest
+from mcp.types import CallToolResult
 
 from tests.conftest import ROOT
 from vehanchor.records import Reason
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+from vehanchor_server.tools.registry import create_tools
 
 SCENES = ROOT / "examples" / "scenes"
 _README = (SCENES / "README.md").read_text(encoding="utf-8")
@@ -87,6 +92,26 @@ def test_an_unclear_outline_is_no_place_to_land(decide_zone: Callable[..., Any])
     decision = decide_zone(_record(status="low_confidence"))  # of the mask: the scale is ok
     assert decision.action == "next_zone"
     assert "outline" in decision.reason
+
+
+@pytest.mark.parametrize("gsd_m_per_px", [None, 0.1])
+@pytest.mark.anyio
+async def test_the_planner_uses_listed_arguments_alone(
+    example: Callable[[str], Any], gsd_m_per_px: float | None
+) -> None:
+    planner, asked = example("planner_stdio"), []
+
+    class Recorder:
+        async def call_tool(self, name: str, arguments: dict[str, Any]) -> CallToolResult:
+            asked.append((name, arguments))
+            return CallToolResult(content=[], structured_content={"status": "no_scale", "reason": "too_few"})
+
+    ruler, craft = planner.Ruler("a ruler", gsd_m_per_px), planner.Craft(4.0, 2.0)
+    await planner.decide(Recorder(), Path("a.jpg"), [planner.Zone(1, 2, 30, 40)], [ruler], craft, "europe")
+    by_name = {tool.name: tool for tool in create_tools(create_services(Settings(roots=(ROOT,))))}
+    assert [name for name, _ in asked] == ["measure_area"]
+    for name, arguments in asked:
+        jsonschema.validate(arguments, by_name[name].parameters)
 
 
 def _planned(*arguments: str) -> tuple[dict[str, Any], str]:

@@ -180,35 +180,20 @@ def _properties(node: dict[str, Any]) -> set[str]:
     ("tool", "more"),
     [
         ("estimate_gsd", {}),
-        ("measure_area", {"targets": [{"box": POOL_BOX, "points": None}], "gsd_m_per_px": None}),
+        ("measure_area", {"targets": [{"box": POOL_BOX, "points": None}]}),
         (
             "measure_area",
-            {"targets": [{"box": None, "points": [{"x": 324, "y": 378, "label": "include"}]}], "gsd_m_per_px": None},
+            {"targets": [{"box": None, "points": [{"x": 324, "y": 378, "label": None}]}]},
         ),
     ],
 )
 async def test_what_strict_mode_makes_a_model_send_is_accepted(
     server: MCPServer[object], images: Path, files: dict[str, Any], tool: str, more: dict[str, Any]
 ) -> None:
-    left_out: dict[str, Any] = {"region": None, "reference_length_m": None, "frame": None, "metadata": None}
-    left_out |= {
-        "known_lengths": None,
-        "height_m": None,
-        "focal_35mm": None,
-        "height_basis": "assumed",
-        "height_tolerance_m": None,
-        "coordinates": "pixels",
-        "detail": "short",
-    }
-    if tool == "estimate_gsd":
-        left_out |= {"more_images": None, "same_scale": False}
-        left_out |= {"drop": None, "add": None}
-        left_out |= {"effort": None, "max_tiles": None, "max_seconds": None}
-    else:
-        left_out |= {"object_height_m": None}
-        left_out |= {"gsd_basis": "assumed", "gsd_tolerance": None, "drop": None, "add": None}
-    arguments = {**by_path(images / "pool.png"), **more, **left_out}
-    jsonschema.validate(arguments, files["openai.json"][TOOLS.index(tool)]["parameters"])
+    definition = files["openai.json"][TOOLS.index(tool)]["parameters"]
+    given = {"image": by_path(images / "pool.png")["image"], **more}
+    arguments = {**dict.fromkeys(definition["required"]), **given}
+    jsonschema.validate(arguments, definition)
     async with Client(server) as client:
         assert not (await client.call_tool(tool, arguments)).is_error
 

@@ -140,9 +140,9 @@ def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
 
 
 def _with_integers(value: Any) -> Any:
-    """Replace 3.0 by 3, which JSON Schema takes for the same; a field of type number takes both."""
+    """Replace 3.0 by 3, which JSON Schema takes for the same, and leave out what is null."""
     if isinstance(value, dict):
-        return {name: _with_integers(each) for name, each in value.items()}
+        return {name: _with_integers(each) for name, each in value.items() if each is not None}
     if isinstance(value, list):
         return [_with_integers(each) for each in value]
     return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT else value
