@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 _DIGITS = 3
-_LONG_CHARS = 100
+_LONG_CHARS = 100  # of a sentence; a choice
 
 ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
     GsdEstimate: (
