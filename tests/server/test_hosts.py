@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,9 @@ async def test_text_and_structured_content_say_the_same(
         assert "confidence 0" in text
     else:
         assert f"{significant(record[value])} m" in text
-        assert f"(95 % interval {significant(record[low])} to {significant(record[high])})" in text
+        told = re.search(r"\(95 % interval ([\d.]+) to ([\d.]+)\)", text)
+        assert told is not None
+        assert [float(end) for end in told.groups()] == pytest.approx([record[low], record[high]], rel=0.005)
         assert f"confidence {record[confidence]:.2f}" in text or f"confidence {record[confidence] + 0.005:.2f}" in text
     if record["status"] != "ok":
         assert record["advice"] in text
