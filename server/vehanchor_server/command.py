@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vehanchor.cli.collection import paused_collection
-from vehanchor_server.settings import Settings, SettingsError
+from vehanchor.cli.terminal import exit_on_error
+from vehanchor_server.settings import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
     from vehanchor_server.settings import Words
 
@@ -22,14 +23,20 @@ _VIEW_SETTINGS = ("detector", "segmenter", "calibration", "threads", "providers"
 _VIEW_DEADLINE_S = 600.0  # people see the progress and can leave
 
 
-def _parameters(command: Any, settings: Collection[str] | None = None) -> list[inspect.Parameter]:
-    """List the options of a command: its own, and those of settings; None for every setting."""
-    kinds, types = typing.get_type_hints(command, include_extras=True), typing.get_type_hints(Settings)
-    own = [each for each in inspect.signature(command).parameters.values() if each.kind is not each.VAR_KEYWORD]
-    return [
-        *(each.replace(annotation=kinds[each.name]) for each in own),
-        *(_parameter(each, types[each.name]) for each in fields(Settings) if settings is None or each.name in settings),
-    ]
+def _with_settings(names: Collection[str] | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the options of settings, in place of its ``**options``; None for every setting."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        kinds, types = typing.get_type_hints(command, include_extras=True), typing.get_type_hints(Settings)
+        own = [each for each in inspect.signature(command).parameters.values() if each.kind is not each.VAR_KEYWORD]
+        shown = [each for each in fields(Settings) if names is None or each.name in names]
+        parameters = [each.replace(annotation=kinds[each.name]) for each in own]
+        parameters += [_parameter(each, types[each.name]) for each in shown]
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined] # what Typer reads
+        command.__annotations__ = {each.name: each.annotation for each in parameters}
+        return command
+
+    return decorate
 
 
 def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
@@ -59,6 +66,7 @@ def _help(words: Words, default: Any) -> str:
     return f"{words.help.removesuffix('.')} \\[{shown}]." if shown else words.help  # a bare [ begins Rich's markup
 
 
+@_with_settings()
 def serve(
     http: Annotated[bool, typer.Option("--http", help="Serve over HTTP instead of stdio.")] = False,
     schemas: Annotated[
@@ -80,9 +88,8 @@ def serve(
     if schemas is not None or skill:
         _print_definitions(schemas, skill=skill)
         return
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
-    try:
-        settings = Settings.from_environment(**{name: value for name, value in given.items() if _is_given(value)})
+    with exit_on_error():
+        settings = Settings.from_environment(**_given(options))
         with paused_collection():
             from vehanchor_server.transport.quick_import import import_sdk
 
@@ -92,14 +99,6 @@ def serve(
             else:
                 from vehanchor_server.transport.stdio import serve_stdio as run
         run(settings)
-    except SettingsError as error:
-        typer.echo(f"error[invalid_settings]: {error}", err=True)
-        raise typer.Exit(2) from None
-
-
-_SERVE_PARAMETERS = _parameters(serve)
-serve.__signature__ = inspect.Signature(_SERVE_PARAMETERS)  # type: ignore[attr-defined] # what Typer reads,
-serve.__annotations__ = {each.name: each.annotation for each in _SERVE_PARAMETERS}
 
 
 def _print_definitions(schemas: Path | None, *, skill: bool) -> None:
@@ -114,11 +113,13 @@ def _print_definitions(schemas: Path | None, *, skill: bool) -> None:
         typer.echo(files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8"), nl=False)
 
 
-def _is_given(value: Any) -> bool:
-    """Return whether an option was given; 0 is a value."""
-    return value is not None and value is not False and value != ()
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that were given; 0 is a value."""
+    given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
+    return {name: value for name, value in given.items() if value is not None and value is not False and value != ()}
 
 
+@_with_settings(_VIEW_SETTINGS)
 def view(
     photographs: Annotated[
         Path | None,
@@ -145,40 +146,8 @@ def view(
         if browser:
             webbrowser.open(url)
 
-    try:
+    with exit_on_error():
         selected = photographs.resolve() if photographs is not None and photographs.is_file() else None
         roots = () if photographs is None else (photographs if selected is None else selected.parent,)
-        given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
-        chosen: dict[str, Any] = {name: value for name, value in given.items() if _is_given(value)}
-        settings = Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, isolation="in-process", **chosen)
-        if selected is not None:
-            _check_photograph(selected, settings)
+        settings = Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, isolation="in-process", **_given(options))
         serve_viewer(settings, selected, port, opened)
-    except SettingsError as error:
-        typer.echo(f"error[invalid_settings]: {error}", err=True)
-        raise typer.Exit(2) from None
-    except OSError as error:
-        typer.echo(f"error[port_taken]: cannot listen on port {port}: {error.strerror}; use another --port", err=True)
-        raise typer.Exit(2) from None
-
-
-def _check_photograph(path: Path, settings: Settings) -> None:
-    """Refuse a file that cannot be shown, such as a video, before a browser opens."""
-    from vehanchor.errors import VehAnchorError
-    from vehanchor.imagery.limits import read_checked_header
-
-    def read_at(offset: int, count: int) -> bytes:
-        file.seek(offset)
-        return file.read(count)
-
-    try:
-        with path.open("rb") as file:
-            read_checked_header(read_at, settings.image_limits)
-    except VehAnchorError as error:
-        typer.echo(f"error[{error.code}]: {path} cannot be shown: {error}", err=True)
-        raise typer.Exit(2) from None
-
-
-_VIEW_PARAMETERS = _parameters(view, _VIEW_SETTINGS)
-view.__signature__ = inspect.Signature(_VIEW_PARAMETERS)  # type: ignore[attr-defined]
-view.__annotations__ = {each.name: each.annotation for each in _VIEW_PARAMETERS}

@@ -14,8 +14,7 @@ from vehanchor.models.files import read_model
 from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 from vehanchor.models.zoo import (
     bundled_segmenter,
-    car_verifier_beside,
-    fleet_beside,
+    chips_beside,
     resolve_model,
     resolve_segmenter,
     verifier_beside,
@@ -85,7 +84,7 @@ class Models:
         for resolve in (lambda: (resolve_model(settings.detector),), lambda: resolve_segmenter(settings.segmenter)):
             with contextlib.suppress(VehAnchorError):  # loading will report a missing file
                 found += resolve()
-        beside = (fleet_beside, verifier_beside, car_verifier_beside)
+        beside = (verifier_beside, chips_beside)
         auxiliary = [other for path in found[:1] for find in beside if (other := find(path))]
         found += [*auxiliary, *([settings.calibration] if settings.calibration is not None else [])]
         for path in [path for path in found if path.suffix == ".onnx"]:

@@ -10,13 +10,13 @@ import math
 import os
 import typing
 from dataclasses import dataclass, field, fields
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 from urllib.parse import urlsplit
 
 from pydantic import TypeAdapter, ValidationError
 
+from vehanchor.errors import VehAnchorError
 from vehanchor.options import ImageLimits, models
 
 if TYPE_CHECKING:
@@ -33,8 +33,10 @@ _NETWORKS_BYTES = 150 << 20  # memory of the networks during a call (research/re
 _SOURCES, _WORK, _HTTP = "Image sources", "Models and limits", "HTTP"
 
 
-class SettingsError(ValueError):
+class SettingsError(VehAnchorError, ValueError):
     """A setting is invalid, or two settings contradict each other; the message has the remedy."""
+
+    code = "invalid_settings"
 
 
 class Words(NamedTuple):
@@ -272,24 +274,9 @@ def _checked_root(root: Path) -> Path:
 def _from_text(variable: str, text: str, kind: Any, separator: str) -> Any:
     """Convert a variable's text to the field's type."""
     value: Any = text
-    if separator == os.pathsep:
-        value = _split_paths(variable, text)
-    elif separator:
+    if separator:
         value = [part.strip() for part in text.split(separator) if part.strip()]
     try:
         return TypeAdapter(kind).validate_python(value)
     except ValidationError as error:
         raise SettingsError(f"{variable} is {text!r}: {error.errors()[0]['msg'].lower()}") from None
-
-
-def _split_paths(variable: str, text: str) -> list[str]:
-    """Split the paths of a variable; refuse an existing path that contains the separator."""
-    parts = text.split(os.pathsep)
-    for start, end in combinations(range(len(parts) + 1), 2):
-        joined = os.pathsep.join(parts[start:end])
-        if end - start > 1 and os.path.exists(joined):  # noqa: PTH110 - no error for a name that no path can have
-            raise SettingsError(
-                f"{variable} is {text!r}: {joined!r} exists, but {os.pathsep!r} separates paths in a variable. Use "
-                "an option of 'vehanchor serve', or rename it"
-            )
-    return [part.strip() for part in parts if part.strip()]

@@ -1,6 +1,6 @@
 """The examples with language models, as a user runs them, against a stand-in that speaks the real APIs.
 
-They run in environments of their own (``tests/environments.py``), with our server as the command on the PATH.
+They run in environments of their own (``tests/needs.py``), with our server as the command on the PATH.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from tests.conftest import ROOT
-from tests.environments import environment
 from tests.examples.stand_in import KEY, StandIn, ToolCall
+from tests.needs import environment
 
 pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]
 
@@ -151,8 +151,6 @@ def test_without_a_key_or_a_model_it_says_what_to_set(
     ("script", "way", "prefix"),
     [
         ("claude_tool_use.py", "mcp", "ANTHROPIC"),
-        ("claude_tool_use.py", "schemas", "ANTHROPIC"),
-        ("openai_tool_use.py", "agents", "OPENAI"),
         ("openai_tool_use.py", "responses", "OPENAI"),
     ],
 )

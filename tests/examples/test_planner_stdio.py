@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 import shlex
@@ -178,3 +179,22 @@ def test_each_scene_is_what_its_command_renders(command: str, name: str, tmp_pat
     assert shipped is not None
     assert rendered.shape == shipped.shape
     assert np.abs(rendered.astype(int) - shipped).mean() < 2  # encoders differ a little between versions
+
+
+EXAMPLES = ROOT / "examples"
+
+
+@pytest.fixture
+def example() -> Callable[[str], Any]:
+    """Imports an example, which is a script, as a module."""
+
+    def load(name: str) -> Any:
+        spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module  # dataclasses look their module up
+        spec.loader.exec_module(module)
+        return module
+
+    return load

@@ -29,9 +29,9 @@ from rasterio.transform import Affine
 
 from research.scenes import render_scene
 from tests import bombs
-from tests.skill.imagery import metadata_bytes as blocks
+from tests.skill.imagery import files as blocks
 from vehanchor import estimate_gsd
-from vehanchor.detection.card import FleetCard, VerifierCard, read_auxiliary_card, read_detector_card
+from vehanchor.detection.card import ChipCard, VerifierCard, read_auxiliary_card, read_detector_card
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES
@@ -108,7 +108,7 @@ def calibration(data: bytes) -> None:
 
 
 def card(data: bytes) -> None:
-    """Read the cards of a detector and of a fleet network from their metadata."""
+    """Read the cards of a detector and of its networks from their metadata."""
     try:
         stated = json.loads(data)
     except (ValueError, RecursionError):
@@ -119,7 +119,7 @@ def card(data: bytes) -> None:
     file = Path("fuzzed.onnx"), "0" * 64
     with contextlib.suppress(VehAnchorError):
         read_detector_card(*file, metadata)
-    for kind in (FleetCard, VerifierCard):
+    for kind in (ChipCard, VerifierCard):
         with contextlib.suppress(VehAnchorError):
             read_auxiliary_card(kind, *file, metadata)
 
@@ -278,13 +278,15 @@ def _cards() -> list[bytes]:
         "vehanchor.aggregation": "weighted_kde",
         "license": "Apache-2.0",
     }
-    fleet = {
+    chips = {
         "vehanchor.detector": "mine",
-        "vehanchor.fleet_lengths": json.dumps(
-            {"log_lengths": [1.4, 1.6], "length_m": [4.4, 5.2], "sd_m": 0.2, "neutral_vehicles": 8}
+        "vehanchor.weights": "1,1,0",
+        "vehanchor.least_score": "0.15",
+        "vehanchor.bodies": json.dumps(
+            {"reference_length_m": 4.3, "reference_length_sd_m": 0.3, "region_lengths_m": {"europe": 4.1}}
         ),
     }
-    return [json.dumps(each).encode() for each in (detector, fleet, detector | fleet)]
+    return [json.dumps(each).encode() for each in (detector, chips, detector | chips)]
 
 
 def _metadata() -> list[bytes]:

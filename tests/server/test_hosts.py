@@ -13,7 +13,7 @@ from mcp.types import CallToolResult
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, text_of
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 
 pytestmark = pytest.mark.anyio
 

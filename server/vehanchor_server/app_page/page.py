@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 from mcp.server.apps import Apps, ResourceCsp
 
 from vehanchor.rulers.standards import standards
-from vehanchor.scale.countries import COUNTRY_LENGTHS_M
-from vehanchor.scale.defaults import REGIONS
+from vehanchor.scale.countries import COUNTRY_LENGTHS_M, REGIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -21,7 +21,7 @@ const barred = (record) => usable(record) && !scaleOf(record)?.tilt;  // a tilte
 
 function framed(record, result, { url, drawing }) {
   const scale = scaleOf(record);
-  const outliers = scale ? scale.n_detections - scale.n_vehicles : 0;
+  const outliers = scale ? scale.details.n_detections - scale.n_vehicles : 0;
   const image = html("img", { src: url, draggable: "false" });
   const [width, height] = [record.image_width_px, record.image_height_px];
   const part = html("img", { class: "part", alt: "", hidden: true, draggable: "false" });

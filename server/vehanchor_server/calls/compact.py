@@ -24,7 +24,6 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "gsd_ci95_high_m_per_px",
         "confidence",
         "n_vehicles",
-        "by_hand",
         "reason",
         "leading_ruler",
         "image_width_px",
@@ -97,6 +96,8 @@ def _short(record: BaseModel) -> dict[str, Any]:
             value = {key: each for key, each in value.items() if key not in _OMITTED_IN_FRAME}
         if value is not None or name in _KEPT_WHEN_NULL:
             short[name] = _rounded(name, value)
+    if isinstance(record, GsdEstimate) and record.details.by_hand is not None:
+        short["by_hand"] = values["details"]["by_hand"]
     if not isinstance(record, GsdEstimate):
         short["scale_confidence"] = short.pop("confidence", None)  # 20 % of the scale is more of an area
     reason = getattr(getattr(record, "estimate", None), "reason", None)

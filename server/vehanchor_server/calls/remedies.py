@@ -39,10 +39,10 @@ def advice_on(record: BaseModel) -> str:
 
 
 def _remedies(estimate: GsdEstimate) -> list[str]:
-    codes, n = {notice.code for notice in estimate.warnings}, estimate.n_vehicles
+    codes, n = {notice.code for notice in estimate.warnings}, estimate.n_vehicles or 0
     if estimate.reason == "too_coarse" or ("stretched" in codes and estimate.reason == "disagree"):
         return ["image", "line"]
     if estimate.reason in ("not_cars", "disagree"):
         return ["drop", "line"] if n else ["line"]
-    is_fleet_open = bool(n) and estimate.reference_source in ("model", "appearance")
+    is_fleet_open = bool(n) and estimate.details.reference_source in ("model", "appearance")
     return ["region", "car", "line"] if is_fleet_open else ["car", "line"]

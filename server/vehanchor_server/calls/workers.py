@@ -320,7 +320,8 @@ class _Worker:
             except MessageError as error:
                 _logger.error("a worker sent an invalid message: %s", error)
                 raise self._ended() from error
-            except (EOFError, OSError) as error:  # a broken pipe: the process ended
+            except (EOFError, OSError) as error:  # the process ended, or sent too much
+                self.kill()  # does not change the exit code of one that ended
                 self.process.join(_ENDS_WITHIN_S)
                 stop.check()
                 _logger.warning("a worker ended during a call: exit code %s", self.process.exitcode)

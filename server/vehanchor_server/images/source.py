@@ -17,7 +17,6 @@ from vehanchor_server.images.argument import AnyImage, Base64Image, PathImage, U
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from vehanchor_server.calls.capacity import Stop
     from vehanchor_server.images.fetch import Fetcher
     from vehanchor_server.images.path_access import PathAccess
 
@@ -69,10 +68,6 @@ class ImageSources:
                 )
             found.append((image, fetched))
         return tuple(found)
-
-    def listed(self, first: int, count: int, stop: Stop) -> tuple[list[str], int]:
-        """List images by path; see ``PathAccess.listed``."""
-        return self.paths.listed(first, count, stop)
 
     @contextmanager
     def open(self, image: AnyImage, fetched: bytes | None = None) -> Iterator[OpenedImage]:

@@ -1,4 +1,4 @@
-"""PathAccess of a worker: the files that it can read and the system calls that it can make.
+"""Confinement of a worker: the files that it can read and the system calls that it can make.
 
 A compromised decoder has all rights of the worker process. On Linux the process therefore drops most rights before it
 loads a model or sees an image, and cannot regain them. It drops all capabilities. Landlock limits it to reading certain
@@ -68,26 +68,10 @@ def confine(readable: Iterable[Path]) -> Confinement:
         filter_system_calls(libc)
         seccomp = True
     except OSError as error:
-        lacks.append(f"seccomp: {error.strerror}, so that a worker can open sockets and start programs")
-    lacks += _missing_rights(landlock, seccomp=seccomp)
+        lacks.append(f"seccomp: {error.strerror}, so that a worker can open sockets, start programs and signal others")
     if lacks:
         lacks.append(f"kernel {platform.release()}")
     return Confinement(landlock, seccomp, "; ".join(lacks))
-
-
-def _missing_rights(landlock: int, *, seccomp: bool) -> list[str]:
-    """Name the rights that this version of Landlock does not handle. The filter of system calls refuses them, too."""
-    missing = [what for since, what in _RIGHTS_SINCE.items() if 0 < landlock < since]
-    return [] if seccomp or not missing else [f"Landlock {landlock}: a worker can {', '.join(missing)}"]
-
-
-_RIGHTS_SINCE = {
-    3: "empty files (truncate: Linux 6.2)",
-    4: "connect over TCP (6.7)",
-    5: "control devices (ioctl: 6.10)",
-    6: "signal other processes and use their abstract sockets (6.12)",
-}
-"""Rights by the version of Landlock that handles them. Version 1 refuses to move files between folders, too."""
 
 
 def _drop_capabilities(libc: ctypes.CDLL) -> None:

@@ -11,7 +11,7 @@ from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult, InputRequiredResult
 
 from vehanchor.records import GsdEstimate
-from vehanchor.records.digits import significant
+from vehanchor.records.text import by_hand_text, ruler_names, significant
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
@@ -27,7 +27,7 @@ from vehanchor_server.tools.flight_question import (
     check_flight_question,
     estimate_with_flight,
 )
-from vehanchor_server.tools.messages import POLICY, interval, no_scale, ruler_names, verdict, warnings_of
+from vehanchor_server.tools.messages import POLICY, interval, no_scale, verdict, warnings_of
 from vehanchor_server.tools.picture import scale_reply
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
@@ -116,7 +116,7 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: Question
     checked_detector(detector, options)
     job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
-        analysis = services.models.memory.analyse(raster, detector, options)
+        analysis = services.models.memory.analyse(detector, raster, options)
         return scale_reply(raster, analysis, asked.wanted, job)
 
 
@@ -128,8 +128,8 @@ def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
         words.append(
             f"In your {frame.width_px} x {frame.height_px} copy that is {significant(frame.gsd_m_per_px)} m/px."
         )
-    if estimate.by_hand is not None:
-        words.append(f"Vehicles corrected by hand: {estimate.by_hand.summary}.")
+    if by_hand := by_hand_text(estimate):
+        words.append(f"Vehicles corrected {by_hand}.")
     rulers = [ruler.explanation for ruler in estimate.rulers if ruler.explanation is not None and detail == "full"]
     return " ".join([*words, *rulers, *warnings_of([estimate], detail)])
 

@@ -10,7 +10,7 @@ from mcp.types import CallToolResult
 from pydantic import Field
 
 from vehanchor.records import AreaMeasurement, BoundingBox, OtherObject
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply

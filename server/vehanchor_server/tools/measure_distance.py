@@ -10,7 +10,7 @@ from pydantic import Field
 
 from vehanchor.options.option import Number
 from vehanchor.records import DistanceMeasurement
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work

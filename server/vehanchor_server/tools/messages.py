@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.records import GsdEstimate
-from vehanchor.records.advice import advice_for
-from vehanchor.records.digits import significant
+from vehanchor.records.text import advice_for, ruler_names, significant
 from vehanchor_server.calls.compact import brief
 from vehanchor_server.calls.remedies import advice_on
 
@@ -32,13 +31,6 @@ STATUS_RULES = (
 def interval(low: float | None, high: float | None) -> str:
     """Format an interval in brackets; empty without one."""
     return "" if low is None or high is None else f" (95 % interval {significant(low)} to {significant(high)})"
-
-
-def ruler_names(estimate: GsdEstimate) -> str:
-    """List the rulers that are probably right, the leading one first, without priors."""
-    vehicles = f"{estimate.n_vehicles} vehicle{'' if estimate.n_vehicles == 1 else 's'}"
-    labels = [vehicles if ruler.kind == "vehicles" else ruler.label for ruler in estimate.probable_rulers]
-    return " and ".join(labels) or vehicles
 
 
 def warnings_of(records: Sequence[GsdEstimate | AreaMeasurement | DistanceMeasurement], detail: Detail) -> list[str]:

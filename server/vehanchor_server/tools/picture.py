@@ -85,7 +85,7 @@ def part_window(raster: Raster, wanted: PictureRequest) -> Window:
         PromptError: the part is outside the image, or too small.
     """
     from vehanchor.imagery.raster import Window
-    from vehanchor.options.coordinates import CoordinateFrame
+    from vehanchor.options.reading import CoordinateFrame
 
     ends = wanted.part
     if ends is None:

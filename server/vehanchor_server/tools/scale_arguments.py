@@ -11,8 +11,8 @@ from mcp.server.apps import client_supports_apps
 from pydantic import BeforeValidator, Field
 
 from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
-from vehanchor.options.given_scale import OBJECT_HEIGHT, ObjectHeight
 from vehanchor.options.option import Option
+from vehanchor.options.rulers import OBJECT_HEIGHT, ObjectHeight
 from vehanchor.records import GsdEstimate
 from vehanchor_server.calls.reply import MAX_SIDE_PX, Detail, PictureRequest
 from vehanchor_server.errors import CallError
@@ -138,7 +138,6 @@ def resolve_source(given: Given, services: Services, job: Job) -> tuple[ScaleOpt
         CallError: a model cannot be loaded.
         VehAnchorError: the arguments contradict each other.
     """
-    from vehanchor.analysis.memory import RememberingDetector
     from vehanchor.analysis.pipeline import checked_detector
     from vehanchor.measure.resolved_scale import given_scale
 
@@ -149,7 +148,7 @@ def resolve_source(given: Given, services: Services, job: Job) -> tuple[ScaleOpt
         return options, known
     options = scale_options(given, services.settings, services.models)
     detector = checked_detector(services.models.detector(job.runtime), options)
-    return options, RememberingDetector(detector, services.models.memory)
+    return options, functools.partial(services.models.memory.analyse, detector)
 
 
 def check_coordinates(places: Iterable[tuple[float, float]], given: Given) -> None:
@@ -175,8 +174,8 @@ def hints(
     """
     estimate = record if isinstance(record, GsdEstimate) else record.estimate
     said = []
-    if "region" in given and estimate is not None and estimate.reference_source == "region":
-        said.append(f"Region {given['region']}: cars of {estimate.reference_length_m:.2f} m.")
+    if "region" in given and estimate is not None and estimate.details.reference_source == "region":
+        said.append(f"Region {given['region']}: cars of {estimate.details.reference_length_m:.2f} m.")
     if "gsd_m_per_px" in given and "gsd_tolerance" not in given:
         said.append("The stated scale is taken as +- 10 %.")
     found, longest = _all_places(places, given), max(record.image_width_px, record.image_height_px)

@@ -156,20 +156,11 @@ class OidcVerifier(TokenVerifier):
                 leeway=_LEEWAY_S,
                 options={"require": ["exp", "iss", "aud"]},
             )
-            scopes = _scopes(claims.get("scope", claims.get("scp", "")))
             expires_at = int(claims["exp"]) + _LEEWAY_S
         except (jwt.PyJWTError, ValueError, TypeError, OverflowError) as error:
             _logger.info("bearer token refused: %s", type(error).__name__)
             return None
-        subject = claims.get("sub")
-        return AccessToken(
-            token=token,
-            client_id=str(claims.get("azp") or claims.get("client_id") or subject or "unknown"),
-            scopes=scopes,
-            expires_at=expires_at,
-            subject=None if subject is None else str(subject),
-            claims=claims,
-        )
+        return AccessToken(token=token, client_id=str(claims.get("sub")), scopes=[], expires_at=expires_at)
 
     async def _key(self, kid: str | None) -> jwt.PyJWK:
         """Return the issuer's key.
@@ -207,16 +198,3 @@ class OidcVerifier(TokenVerifier):
             self._fetched_at = time.monotonic()
         except Exception as error:  # whatever the issuer sends
             _logger.error("the keys of %s cannot be fetched: %r", self._issuer, error)
-
-
-def _scopes(claim: object) -> list[str]:
-    """Return the scopes of a claim, which is a string or a list of strings.
-
-    Raises:
-        ValueError: the claim is neither.
-    """
-    if isinstance(claim, str):
-        return claim.split()
-    if isinstance(claim, list) and all(isinstance(part, str) for part in claim):
-        return claim
-    raise ValueError("scope is neither a string nor a list of strings")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from functools import partial
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -53,37 +52,34 @@ def create_app(settings: Settings) -> Starlette:
             return JSONResponse({"status": "ready"})
         return JSONResponse({"status": "loading", "error": services.failure}, status_code=503)
 
-    services.preload()
-    security = _transport_security(settings)
     app = server.streamable_http_app(
         streamable_http_path=MCP_PATH,
         stateless_http=True,
         max_request_body_size=MAX_BODY_BYTES,
-        transport_security=security,
+        transport_security=_transport_security(settings),
     )
-    app.add_middleware(
-        RequestGuard,
-        path=MCP_PATH,
-        hosts=security.allowed_hosts,
-        origins=security.allowed_origins,
-        max_large_bodies=services.capacity.max_concurrency + _SPARE_BODIES,
-    )
-    app.router.lifespan_context = partial(_closing, services, app.router.lifespan_context)
+    max_large_bodies = services.capacity.max_concurrency + _SPARE_BODIES
+    app.add_middleware(RequestGuard, path=MCP_PATH, max_large_bodies=max_large_bodies)
     app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # probes have no token
+    end_with(app, services)
     return app
 
 
-@asynccontextmanager
-async def _closing(
-    services: Services, lifespan: Callable[[Starlette], AbstractAsyncContextManager[Any]], app: Starlette
-) -> AsyncIterator[Any]:
-    """Run the application's lifespan, then stop all calls and workers."""
-    try:
-        async with lifespan(app) as state:
-            yield state
-    finally:
-        services.close()
-        services.models.end_preload()
+def end_with(app: Starlette, services: Services) -> None:
+    """Load the models when the application starts, and stop all calls and workers when it ends."""
+    lifespan = app.router.lifespan_context
+
+    @asynccontextmanager
+    async def whole(app: Starlette) -> AsyncIterator[Any]:
+        services.preload()
+        try:
+            async with lifespan(app) as state:
+                yield state
+        finally:
+            services.close()
+            services.models.end_preload()
+
+    app.router.lifespan_context = whole
 
 
 def serve_http(settings: Settings) -> None:
@@ -126,12 +122,9 @@ def _auth(settings: Settings) -> AuthSettings:
 
 def _transport_security(settings: Settings) -> TransportSecuritySettings:
     """Return the accepted Host and Origin headers, so that no web page uses the server through its visitors."""
-    own = [f"http://{name}" for name in _LOOPBACK_NAMES]
-    hosts, origins = (
-        [*_LOOPBACK_NAMES, *(f"{name}:*" for name in _LOOPBACK_NAMES)],
-        [*own, *(f"{each}:*" for each in own)],
-    )
+    hosts = [each for name in _LOOPBACK_NAMES for each in (name, f"{name}:*")]
+    origins = [f"http://{host}" for host in hosts]
     for url in map(urlsplit, settings.public_urls):
         hosts += [url.netloc] if url.port else [url.netloc, f"{url.netloc}:*"]
         origins.append(f"{url.scheme}://{url.netloc}")
-    return TransportSecuritySettings(enable_dns_rebinding_protection=True, allowed_hosts=hosts, allowed_origins=origins)
+    return TransportSecuritySettings(allowed_hosts=hosts, allowed_origins=origins)

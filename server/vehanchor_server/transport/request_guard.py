@@ -1,4 +1,4 @@
-"""Middleware: Host, Origin and body limits.
+"""Middleware: limits on bodies, and no streams without an end.
 
 The SDK reads the whole body and parses it on the event loop; pydantic then records each fault. The caller determines
 both costs. This middleware limits them by the number of large bodies in memory, and by the number of JSON separators
@@ -8,7 +8,6 @@ and brackets, which it counts as they arrive. A base64 image has none of these, 
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,15 +15,12 @@ from starlette.datastructures import Headers
 from starlette.responses import Response
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MAX_SEPARATORS = 10_000  # commas and colons; a path has up to 4,096, a call with 32 points about 250
 MAX_NESTED = 150  # opening braces and brackets; a call with 32 points has about 40, pydantic's limit is 200
 _SMALL_BYTES = 64 << 10  # a body that needs no slot; uvicorn buffers as much in any case
 _INVALID_REQUEST, _BUSY = -32600, -32000  # of JSON-RPC
-_AUTHORITY = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(:(?P<port>[0-9]{1,5}))?", re.ASCII)
 
 
 class _RefusedError(Exception):
@@ -74,18 +70,12 @@ class RequestGuard:
     Args:
         app: the application.
         path: path of the endpoint.
-        hosts: accepted Host values: ``name``, ``name:port``, or ``name:*`` for any port.
-        origins: accepted Origin values: the same after ``scheme://``.
         max_large_bodies: maximum number of bodies above 64 KiB in memory.
     """
 
-    def __init__(
-        self, app: ASGIApp, *, path: str, hosts: Sequence[str], origins: Sequence[str], max_large_bodies: int
-    ) -> None:
+    def __init__(self, app: ASGIApp, *, path: str, max_large_bodies: int) -> None:
         self._app = app
         self._path = path
-        self._hosts = frozenset(host.lower() for host in hosts)
-        self._origins = frozenset(origin.lower() for origin in origins)
         self._max_large_bodies = max_large_bodies
         self._n_large_bodies = 0
 
@@ -94,17 +84,10 @@ class RequestGuard:
         if scope["type"] != "http" or scope["path"].rstrip("/") != self._path:
             await self._app(scope, receive, send)
             return
-        headers = Headers(scope=scope)
-        if not _all_accepted(headers.getlist("host"), self._hosts, ""):
-            await Response("Invalid Host header", status_code=421)(scope, receive, send)
-            return
-        if not _all_accepted(headers.getlist("origin"), self._origins, "://"):
-            await Response("Invalid Origin header", status_code=403)(scope, receive, send)
-            return
         if scope.get("method") == "GET":  # a stream without an end, on which a stateless server has nothing to send
             await Response("POST only", status_code=405, headers={"Allow": "POST"})(scope, receive, send)
             return
-        declared = headers.get("content-length", "0")
+        declared = Headers(scope=scope).get("content-length", "0")
         await self._let_in(int(declared) if declared.isdigit() else 0, scope, receive, send)
 
     async def _let_in(self, declared: int, scope: Scope, receive: Receive, send: Send) -> None:
@@ -160,17 +143,3 @@ def _refusal(refused: _RefusedError) -> Response:
     error = {"jsonrpc": "2.0", "id": None, "error": {"code": refused.code, "message": str(refused)}}
     headers = {"Retry-After": "2"} if refused.status == 503 else None
     return Response(json.dumps(error), refused.status, headers, "application/json")
-
-
-def _all_accepted(values: Sequence[str], accepted: frozenset[str], separator: str) -> bool:
-    """Return whether every value of a header is accepted: full names, and ports of digits only."""
-    return all(_accepted(value.lower(), accepted, separator) for value in values)
-
-
-def _accepted(value: str, accepted: frozenset[str], separator: str) -> bool:
-    scheme, _, authority = value.rpartition(separator) if separator else ("", "", value)
-    found = _AUTHORITY.fullmatch(authority)
-    if found is None:
-        return False
-    name = f"{scheme}{separator}{found['name']}"
-    return value in accepted or (found["port"] is not None and f"{name}:*" in accepted)

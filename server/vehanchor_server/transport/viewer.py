@@ -7,29 +7,21 @@ Origin or Sec-Fetch-Site of another page are refused.
 from __future__ import annotations
 
 import hashlib
-import json
 import logging
 import re
 import secrets
 import signal
 import socket
 import tempfile
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-import anyio
 import anyio.to_thread
 import uvicorn
-from mcp import Client
-from mcp.client import advertise
-from mcp.server.apps import APP_MIME_TYPE, EXTENSION_ID
-from mcp.shared.exceptions import MCPError
-from starlette.applications import Starlette
-from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, StreamingResponse
+from mcp.server.transport_security import TransportSecuritySettings
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse
 from starlette.routing import Route
 
 from vehanchor.errors import VehAnchorError
@@ -37,21 +29,20 @@ from vehanchor.imagery.limits import read_checked_header
 from vehanchor_server.app import create_server
 from vehanchor_server.app_page import view_html
 from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings, SettingsError
+from vehanchor_server.transport.http import MCP_PATH, end_with
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mcp.types import CallToolResult
     from starlette.requests import Request
     from starlette.responses import Response
     from starlette.types import ASGIApp, Receive, Scope, Send
 
     from vehanchor.options import ImageLimits
-    from vehanchor_server.settings import Settings
 
 _LOOPBACK = "127.0.0.1"
 _TOKEN_BYTES = 24
-_MAX_CALL_BYTES = 64 << 10  # far above the largest valid call, with 16 boxes
 _MAX_DROPPED = 500  # photographs per session, in a temporary folder
 _MAX_CALLS = 8  # one person's: a measurement, a thumbnail, a part in full resolution, and calls that are ending
 _SHUTDOWN_S = 2
@@ -97,41 +88,23 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
         address: address of the page.
         dropped: folder for dropped photographs.
     """
-    settings = replace(settings, max_concurrency=_MAX_CALLS)
-    services = create_services(settings)
-    shows_pages = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
-
-    @asynccontextmanager
-    async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        services.preload()
-        try:
-            async with Client(create_server(services), extensions=shows_pages) as client:
-                app.state.client = client
-                yield
-        finally:
-            services.close()
-            services.models.end_preload()
+    services = create_services(replace(settings, max_concurrency=_MAX_CALLS))
 
     async def page(_: Request) -> Response:
         return HTMLResponse(view_html(), headers=_HEADERS)
-
-    async def call(request: Request) -> Response:
-        question = await _question(request)
-        if question is None:
-            return PlainTextResponse("send JSON with the name and arguments of a tool", 400)
-        lines = _lines(request.app.state.client, *question)
-        return StreamingResponse(lines, media_type="application/x-ndjson", headers=_HEADERS)
 
     async def photographs(request: Request) -> Response:
         return await _keep(request, dropped, settings.image_limits)
 
     below = f"/{address.token}"
-    routes = [
-        Route(f"{below}/", page),
-        Route(f"{below}/call", call, methods=["POST"]),
-        Route(f"{below}/photographs", photographs, methods=["POST"]),
-    ]
-    return _OwnPageOnly(Starlette(routes=routes, lifespan=lifespan), address)
+    app = create_server(services).streamable_http_app(
+        streamable_http_path=below + MCP_PATH,
+        stateless_http=True,
+        transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),  # checked below
+    )
+    app.router.routes += [Route(f"{below}/", page), Route(f"{below}/photographs", photographs, methods=["POST"])]
+    end_with(app, services)
+    return _OwnPageOnly(app, address)
 
 
 def serve_viewer(settings: Settings, photograph: Path | None, port: int, opened: Callable[[str], object]) -> None:
@@ -144,11 +117,14 @@ def serve_viewer(settings: Settings, photograph: Path | None, port: int, opened:
         opened: receives the address once the server listens.
 
     Raises:
-        OSError: the port is taken.
+        SettingsError: the port is taken.
     """
     signal.signal(signal.SIGTERM, _end)  # uvicorn raises the signal again; remove the folder first
     with tempfile.TemporaryDirectory(prefix="vehanchor-view-") as folder, socket.socket() as listening:
-        listening.bind((_LOOPBACK, port))
+        try:
+            listening.bind((_LOOPBACK, port))
+        except OSError as error:
+            raise SettingsError(f"cannot listen on port {port}: {error.strerror}; use another --port") from None
         listening.listen()
         address = Address(listening.getsockname()[1])
         dropped = Path(folder).resolve()
@@ -195,49 +171,6 @@ class _OwnPageOnly:
             and values.get(b"sec-fetch-site", [b"none"]) in ([b"none"], [b"same-origin"])
             and secrets.compare_digest(token, self._address.token.encode())
         )
-
-
-async def _question(request: Request) -> tuple[str, dict[str, Any]] | None:
-    """Read a tool's name and arguments; None for any other body."""
-    if request.headers.get("content-type") != "application/json":
-        return None
-    body = b""
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > _MAX_CALL_BYTES:
-            return None
-    try:
-        asked = json.loads(body)
-        name, arguments = asked["name"], asked["arguments"]
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return None
-    return (name, arguments) if isinstance(name, str) and isinstance(arguments, dict) else None
-
-
-async def _lines(client: Client, name: str, arguments: dict[str, Any]) -> AsyncIterator[str]:
-    """Yield the progress and then the result of a call, as JSON lines; the call ends when the client disconnects."""
-    sending, receiving = anyio.create_memory_object_stream[dict[str, Any]](100)
-
-    async def report(progress: float, total: float | None, message: str | None) -> None:
-        del total  # always 100
-        await sending.send({"progress": progress, "message": message})
-
-    async def ask() -> None:
-        try:
-            result = _on_the_wire(await client.call_tool(name, arguments, progress_callback=report))
-        except MCPError as error:
-            result = {"isError": True, "content": [{"type": "text", "text": str(error)}]}
-        await sending.send({"result": result})
-        sending.close()
-
-    async with sending, receiving, anyio.create_task_group() as tasks:  # closed also where the client disconnects
-        tasks.start_soon(ask)
-        async for line in receiving:
-            yield json.dumps(line) + "\n"
-
-
-def _on_the_wire(result: CallToolResult) -> dict[str, Any]:
-    return result.model_dump(mode="json", by_alias=True, exclude_none=True)
 
 
 async def _keep(request: Request, folder: Path, limits: ImageLimits) -> Response:

@@ -60,7 +60,7 @@ def analyse_objects(
         raster: the image.
         prompts: results of ``read_prompt``, in the caller's coordinates.
         segmenter: finds the objects.
-        scale: the known scale, or the detector that finds it.
+        scale: the known scale, or the analysis that finds it.
         options: all options of the scale estimate.
         object_height_m: height of all objects above the ground.
 

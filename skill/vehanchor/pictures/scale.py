@@ -15,8 +15,7 @@ from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
 from vehanchor.pictures.placement import Placement
-from vehanchor.records.advice import advice_for
-from vehanchor.records.digits import significant, with_interval
+from vehanchor.records.text import advice_for, by_hand_text, count, scale_text, significant
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.drawable import DrawableScale
     from vehanchor.pictures.placement import Cut
-    from vehanchor.records import GsdEstimate
 
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
 """Texts of one line, each with the colour of the swatch before it."""
@@ -241,21 +239,16 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
     write_on(picture, f"{metres:g} m", (left, bottom - thick - rim - capital // 2), capital)
 
 
-def _headline(estimate: GsdEstimate) -> str:
-    if estimate.gsd_m_per_px is None:
-        return "no scale: nothing of known size found"
-    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
-    return with_interval(estimate.gsd_m_per_px, low, high, "m/px")
-
-
 def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
     """Compose the caption: the reason against an unusable scale, scale, interval, confidence, and the legend."""
     estimate = analysis.estimate
-    n_dropped = estimate.n_detections - estimate.n_vehicles
-    legend = [(KEPT_RGB, f"{estimate.n_vehicles} vehicle{'s' * (estimate.n_vehicles != 1)}{_by_hand(estimate)}")]
+    n_found, n_kept = estimate.details.n_detections or 0, estimate.n_vehicles or 0
+    n_dropped = n_found - n_kept
+    by_hand = by_hand_text(estimate)
+    legend = [(KEPT_RGB, f"{count(n_kept, 'vehicle')}{by_hand and f' ({by_hand})'}")]
     if n_dropped:
-        legend.append((DROPPED_RGB, f"{n_dropped} outlier{'s' * (n_dropped != 1)}, dropped"))
-    scale = _headline(estimate)
+        legend.append((DROPPED_RGB, f"{count(n_dropped, 'outlier')}, dropped"))
+    scale = scale_text(estimate)
     lines: list[CaptionLine]
     advice = advice_for(estimate)
     if advice is None:
@@ -266,15 +259,11 @@ def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
             lines.append([(None, f"{scale}, confidence {estimate.confidence:.2f}")])
     if estimate.tilt is not None:
         lines.append([(None, f"at the centre: the camera was tilted by {estimate.tilt.tilt_deg:.0f} degrees")])
-    if estimate.n_detections:
+    if n_found:
         lines.append([*legend])
     if rulers := _rulers_line(analysis):
         lines.append(rulers)
     return lines
-
-
-def _by_hand(estimate: GsdEstimate) -> str:
-    return f" (by hand: {estimate.by_hand.summary})" if estimate.by_hand else ""
 
 
 def _rulers_line(analysis: DrawableScale) -> CaptionLine:
@@ -282,12 +271,11 @@ def _rulers_line(analysis: DrawableScale) -> CaptionLine:
     rulers = [ruler for ruler in analysis.estimate.rulers if ruler.sets_scale]
     if [ruler.kind for ruler in rulers] in ([], ["vehicles"]):
         return []
-    marked = {other.kind for other in analysis.others if other.marks}
+    marked = {each.kind for each in analysis.witnesses if each.marks}
     return [
         (
             MARK_RGB if ruler.kind in marked else None,
-            f"{ruler.label} {significant(ruler.gsd_m_per_px)} m/px"
-            f"{'' if ruler.is_probably_right else ', probably wrong'}",
+            f"{ruler.label} {significant(ruler.gsd_m_per_px)} m/px{'' if ruler.probably_right else ', probably wrong'}",
         )
         for ruler in rulers
     ]

@@ -105,7 +105,7 @@ async def test_vehicles_and_lines_are_drawn_where_they_are_with_the_vehicles_num
         result = await client.call_tool("estimate_gsd", asked)
     drawing, record = panel_of(result)["drawing"], result.structured_content
     assert record is not None
-    assert len(drawing["vehicles"]) == record["n_detections"] == 24
+    assert len(drawing["vehicles"]) == record["details"]["n_detections"] == 24
     lengths = [length for _, _, length, _, _, kept, *_ in drawing["vehicles"] if kept]
     assert len(lengths) == record["n_vehicles"]
     assert np.median(lengths) == pytest.approx(record["mode_length_px"], abs=1)

@@ -19,7 +19,7 @@ from tests.server.app_page.test_app_page import CAR_AXIS, SHOWS_PAGES
 from tests.server.app_page.viewing import PATIENCE_MS, Person
 from tests.server.conftest import POOL_BOX, paint_scene, write_image
 from tests.server.conversation import by_path
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.app_page import PANEL_KEY, page_html
 from vehanchor_server.services import create_services

@@ -24,8 +24,8 @@ from tests.server.calls.working import Value, answered, done
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
-from vehanchor_server.sandbox import confinement
 from vehanchor_server.sandbox.environment import KEPT, SEARCH_PATHS
+from vehanchor_server.sandbox.trace import confined_calls
 from vehanchor_server.services import Services
 
 CONFINE = """
@@ -182,14 +182,6 @@ def test_what_a_system_lacks_is_told_and_the_rest_is_done(
     assert found[1] == (seccomp and held[1])
 
 
-@pytest.mark.parametrize("version", range(1, 8))
-def test_every_right_that_a_kernel_does_not_hold_is_named(version: int) -> None:
-    words = {3: "empty files", 4: "connect over TCP", 5: "control devices", 6: "signal other processes"}
-    (missing,) = confinement._missing_rights(version, seccomp=False) or [""]
-    assert {since for since, what in words.items() if what in missing} == {each for each in words if each > version}
-    assert confinement._missing_rights(version, seccomp=True) == [], "the filter of system calls refuses them"
-
-
 @work(Value)
 def inherited(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     """The descriptors and the environment variables of a worker."""
@@ -210,3 +202,17 @@ def test_a_worker_inherits_its_socket_and_its_log_and_no_secret(running: Service
     assert sum(target.startswith("socket:") for target in opened.values()) == 1
     rest = [target for number, target in opened.items() if number > 2 and not target.startswith("socket:")]
     assert all(target.startswith(("/proc/", "anon_inode:", "pipe:")) for target in rest), rest
+
+
+def test_calls_count_from_the_filter_on_with_those_of_later_threads() -> None:
+    lines = [
+        '10 openat(AT_FDCWD, "/etc/passwd", O_RDONLY) = 3',
+        "10 seccomp(SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC, {len=1, filter=0x1}) = 0",
+        "10 clone(child_stack=0x7f, flags=CLONE_VM|CLONE_THREAD <unfinished ...>",
+        "11 futex(0x7f, FUTEX_WAIT <unfinished ...>",
+        "10 <... clone resumed>, parent_tid=[12]) = 12",
+        "12 mmap(NULL, 4096) = 0x7f0000000000",
+        "11 socket(AF_INET, SOCK_STREAM) = 4",
+        "+++ exited with 0 +++",
+    ]
+    assert confined_calls(lines) == {"clone", "mmap"}

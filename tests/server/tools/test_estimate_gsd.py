@@ -16,8 +16,8 @@ from tests.server.test_models import calibration_file
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.records import GsdEstimate, Notice
-from vehanchor.records.digits import significant
 from vehanchor.records.notices import NoticeCode
+from vehanchor.records.text import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import anyio
 import cv2
 import pytest
 from mcp import Client
@@ -16,10 +15,9 @@ from mcp.server import MCPServer
 from mcp.types import CallToolResult
 
 import vehanchor
-from tests.sam_models import EMPTY, SamFiles, write_sam
+from tests.sam_models import SamFiles, write_sam
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import ERAS, by_path, error_of, reported, text_of
-from tests.tiles import Tiles
+from tests.server.conversation import ERAS, by_path, error_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor_server import models as models_module
@@ -132,22 +130,6 @@ async def test_a_measured_scale_needs_neither_cars_nor_a_detector(settings: Sett
     assert text_of(result).endswith("The stated scale is taken as +- 10 %.")
 
 
-async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object], images: Path) -> None:
-    result = await asked(server, pool_in(images / "pool_alone.png"))
-    record = record_of(result)
-    assert (record["status"], record["area_m2"], record["confidence"]) == ("no_scale", None, 0)
-    assert text_of(result).startswith(
-        f"No area: the object covers {record['mask_area_px']} px, but no ruler was found, confidence 0: "
-        "no metric scale (no car was found); "
-    )
-
-
-async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:
-    result = await asked(server, pool_in(images / "pool_two.png"))
-    assert record_of(result)["status"] == "low_confidence"
-    assert ": do not rely on it (2 vehicles alone: too little evidence); give the region" in text_of(result)
-
-
 async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
     settings: Settings, images: Path, tmp_path: Path
 ) -> None:
@@ -156,13 +138,6 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
     assert record_of(result)["status"] == "low_confidence"
     assert "do not rely on it; look at it with view_image, and give a tighter box." in text_of(result)
     assert "Warning mask_score_low: The expected overlap with the object is 0.40, below 0.7." in text_of(result)
-
-
-async def test_an_empty_mask_is_told_as_such(settings: Settings, images: Path, tmp_path: Path) -> None:
-    server = create_server(create_services(replace(settings, segmenter=write_sam(tmp_path, masks=[EMPTY]))))
-    result = await asked(server, pool_in(images / "pool.png"))
-    assert record_of(result)["area_m2"] is None
-    assert text_of(result).startswith("No object found: no area.")
 
 
 @pytest.mark.parametrize(
@@ -192,34 +167,10 @@ async def test_a_target_of_the_wrong_form_is_told_in_one_line(
     assert "\n" not in text_of(result)
 
 
-@pytest.mark.parametrize("scale", [0, -0.1, "nan", "inf", 1001])
-async def test_a_scale_without_meaning_is_told(server: MCPServer[object], images: Path, scale: Any) -> None:
-    result = await asked(server, pool_in(images / "pool.png", gsd_m_per_px=scale))
-    assert error_of(result) == "invalid_arguments"
-    assert "gsd_m_per_px: " in text_of(result)
-
-
 async def test_without_a_target_there_is_nothing_to_measure(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, by_path(images / "pool.png"))
     assert error_of(result) == "invalid_arguments"
     assert "targets: it is required" in text_of(result)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code"),
-    [
-        ({"targets": [{"box": {**POOL_BOX, "x_max": 9999.0}}]}, "invalid_prompt"),
-        ({"targets": [{"box": {**POOL_BOX, "x_max": POOL_BOX["x_min"]}}]}, "invalid_prompt"),
-        ({"targets": [{"points": [{"x": 1, "y": 1, "label": "exclude"}]}]}, "invalid_prompt"),
-        ({"frame": {"width_px": 100, "height_px": 100}}, "frame_mismatch"),
-        ({"region": "atlantis"}, "invalid_parameter"),
-        ({"region": "europe", "reference_length_m": 4.6}, "invalid_parameter"),
-    ],
-)
-async def test_the_librarys_refusals_keep_their_code(
-    server: MCPServer[object], images: Path, arguments: dict[str, Any], code: str
-) -> None:
-    assert error_of(await asked(server, {**pool_in(images / "pool.png"), **arguments})) == code
 
 
 @pytest.mark.parametrize("named", ["paths that lead nowhere", "none, and none is bundled"])
@@ -238,55 +189,3 @@ async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
     )
     assert ("/nowhere/secret.onnx" if files else "pass both: ") in caplog.text
     assert not estimate.is_error
-
-
-@pytest.mark.parametrize(("more", "n_reports"), [({}, 5), ({"gsd_m_per_px": 0.2, **MEASURED}, 3)])
-async def test_progress_is_reported_three_to_five_times_and_rises(
-    server: MCPServer[object], images: Path, more: dict[str, Any], n_reports: int
-) -> None:
-    reports: list[float] = []
-
-    async def on_progress(progress: float, total: float | None, message: str | None) -> None:
-        assert total == 100
-        assert message
-        reports.append(progress)
-
-    async with Client(server) as client:
-        arguments = pool_in(images / "pool_large.png", **more)
-        await client.call_tool("measure_area", arguments, progress_callback=on_progress)
-        await reported(reports)
-    assert len(reports) == n_reports
-    assert reports == sorted(set(reports))
-    assert (reports[0], reports[-1]) == (0, 100)
-
-
-async def test_the_deadline_and_the_number_of_places_count_for_it_too(
-    settings: Settings, images: Path, tiles: Tiles
-) -> None:
-    services = create_services(replace(settings, deadline_s=1.0, max_concurrency=1))
-    services.models.detector()
-    services.models.segmenter()
-    codes: list[str] = []
-    async with Client(create_server(services)) as client, anyio.create_task_group() as group:
-
-        async def call(tool: str, arguments: dict[str, Any]) -> None:
-            codes.append(error_of(await client.call_tool(tool, arguments)))
-
-        with tiles.held():
-            group.start_soon(call, "measure_area", pool_in(images / "pool_large.png"))
-            await tiles.begun()
-            await call("estimate_gsd", by_path(images / "pool_large.png"))
-            (stop,) = services.capacity._stops
-            while not stop.requested:  # by the deadline: nobody else asks for it
-                await anyio.sleep(0.01)
-    assert codes == ["busy", "deadline_exceeded"]
-    assert tiles.n_begun == 1
-    assert services.capacity.running == 0
-
-
-async def test_a_file_that_is_no_image_is_told_without_a_descriptors_name(
-    server: MCPServer[object], images: Path
-) -> None:
-    result = await asked(server, pool_in(images / "notes.txt"))
-    assert error_of(result) == "image_undecodable"
-    assert "/proc" not in text_of(result)

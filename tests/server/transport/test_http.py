@@ -20,8 +20,7 @@ from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
 
 from tests.server.conftest import N_TILES_LARGE, paint_scene, write_image
-from tests.server.conversation import by_path, error_of, text_of
-from tests.server.serving import listening, serving
+from tests.server.conversation import by_path, error_of, listening, serving, text_of
 from tests.server_process import http_server
 from tests.tiles import Tiles
 from vehanchor_server.settings import Settings, SettingsError
@@ -50,7 +49,7 @@ def base(settings: Settings) -> Iterator[str]:
 def guarded(detector_path: Path) -> Iterator[str]:
     settings = Settings(
         detector=str(detector_path),
-        public_urls=("https://vehanchor.test/mcp", "https://console.test"),
+        public_urls=("https://vehanchor.test/mcp", "https://console.test", "https://agents.test:8443/mcp"),
         isolation="in-process",
     )
     with served(settings) as address:
@@ -191,11 +190,20 @@ async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> N
         assert metadata["authorization_servers"] == ["https://issuer.test"]
 
 
+@pytest.mark.promise("origins")
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
         ({"Host": "evil.test"}, 421),
         ({"Host": "127.0.0.1.evil.test"}, 421),
+        ({"Host": "localhost.evil.test:80"}, 421),
+        ({"Host": "agents.test"}, 421),
+        ({"Host": "agents.test:8443"}, 200),
+        ({"Host": "[::1]:80"}, 200),
+        ({"Origin": "https://agents.test"}, 403),
+        ({"Origin": "https://console.test:444"}, 403),
+        ({"Origin": "ftp://localhost"}, 403),
+        ({"Origin": "http://[::1]:80"}, 200),
         ({"Origin": "https://evil.test"}, 403),
         ({"Origin": "null"}, 403),
         ({"Origin": "http://localhost.evil.test"}, 403),

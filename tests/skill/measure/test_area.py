@@ -251,9 +251,6 @@ def test_prompts_are_read_in_the_frame_and_answered_in_the_image(segmenter: Segm
         measure_area(image, points=[(420, 100)], gsd_m_per_px=GSD, **options)
 
 
-# --- bad input
-
-
 # --- the record and its picture
 
 
