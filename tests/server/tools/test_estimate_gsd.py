@@ -46,7 +46,10 @@ async def test_callers_limit_the_search(server: MCPServer[object], images: Path)
         result = await client.call_tool("estimate_gsd", {**large, "max_tiles": 2, "effort": "full"})
         refused = await client.call_tool("estimate_gsd", {**large, "effort": "most"})
     assert result.structured_content is not None
-    assert (result.structured_content["tiles_searched"], result.structured_content["stopped_because"]) == (
+    assert (
+        result.structured_content["details"]["tiles_searched"],
+        result.structured_content["details"]["stopped_because"],
+    ) == (
         2,
         "max_tiles",
     )
@@ -98,7 +101,7 @@ async def test_arguments_reach_the_library(server: MCPServer[object], images: Pa
     assert expected.frame is not None
     assert f"In your 320 x 256 copy that is {expected.frame.gsd_m_per_px:.3g} m/px." in text_of(result)
     assert by_region.structured_content is not None
-    assert by_region.structured_content["reference_length_m"] == pytest.approx(4.5)
+    assert by_region.structured_content["details"]["reference_length_m"] == pytest.approx(4.5)
     assert "Region europe: cars of 4.50 m." in text_of(by_region)
 
 
@@ -123,7 +126,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPSe
         listed = {tool.name: tool.input_schema for tool in (await client.list_tools()).tools}
         plain = (await client.call_tool("estimate_gsd", photo)).structured_content
         assert plain is not None
-        n = plain["n_detections"]
+        n = plain["details"]["n_detections"]
         told = {"drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
         frame = {"width_px": plain["image_width_px"] // 2, "height_px": plain["image_height_px"] // 2}
         result = await client.call_tool("estimate_gsd", {**photo, **told, "frame": frame})
@@ -132,7 +135,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPSe
     assert "drop" in listed["estimate_gsd"]["properties"]
     assert not result.is_error, text_of(result)
     assert result.structured_content is not None
-    assert result.structured_content["by_hand"] == {"dropped": 1, "added": 1}
+    assert result.structured_content["details"]["by_hand"] == {"dropped": 1, "added": 1}
     assert result.structured_content["confidence"] <= 0.99
     assert "by hand: 1 added, 1 dropped" in text_of(result)
     assert missing.is_error
@@ -164,9 +167,9 @@ async def test_the_operators_calibration_is_the_ruler_of_callers_who_name_none(
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
         named = await client.call_tool("estimate_gsd", {**by_path(images / "cars.png"), "reference_length_m": 4.8})
     assert result.structured_content is not None
-    assert result.structured_content["reference_length_m"] == 4.31
+    assert result.structured_content["details"]["reference_length_m"] == 4.31
     assert named.structured_content is not None
-    assert named.structured_content["reference_length_m"] == 4.8
+    assert named.structured_content["details"]["reference_length_m"] == 4.8
 
 
 @pytest.fixture
@@ -198,7 +201,9 @@ DROP = "drop boxes that are no cars, see view_image (drop)"
 def test_advice_names_at_most_two_remedies_by_arguments_the_best_first(
     doubtful: GsdEstimate, changes: dict[str, Any], remedies: list[str]
 ) -> None:
-    words = describe_estimate(doubtful.model_copy(update=changes), "short")
+    details = doubtful.details.model_copy(update={"reference_source": changes.get("reference_source", "model")})
+    told = doubtful.model_copy(update={"reason": changes["reason"], "details": details})
+    words = describe_estimate(told, "short")
     assert words.endswith(f"; {', or '.join(remedies)}.")
     assert not {"height", "if it is", "guess"} & set(words.split())
 
