@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 SLOW_IMPORTS = (
     "vehanchor_server.tools.registry",
-    "vehanchor_server.calls.overlay",
+    "vehanchor_server.calls.jpeg",
     "vehanchor.engine",
     "vehanchor.pictures.area",
 )

@@ -33,24 +33,13 @@ ESTIMATE = ToolCall("estimate_gsd", {"image": _PATH})
 DISTANCE = ToolCall("measure_distance", {"image": _PATH, "lines": [_LINE]})
 MEASURE = ToolCall("measure_area", {"image": _PATH, "targets": [_BOX]})
 CALLS = [VIEW, ESTIMATE, DISTANCE, MEASURE]
-_USUAL = {
-    "coordinates": "pixels",
-    "height_basis": "assumed",
-    "gsd_basis": "assumed",
-    "include_overlay": False,
-    "overlay_side_px": 1000,
-    "detail": "short",
-    "same_scale": False,
-    "page": 1,
-    "grid": True,
-}
 
 
 def filled(call: ToolCall) -> ToolCall:
-    """The same call in strict mode, in which a model fills in every argument."""
+    """The same call in strict mode, in which a model fills in every argument, with null if it has no value."""
     tools = json.loads((ROOT / "schemas" / "openai.json").read_text(encoding="utf-8"))
     (needed,) = (tool["parameters"]["required"] for tool in tools if tool["name"] == call.name)
-    arguments = {name: call.arguments.get(name, _USUAL.get(name)) for name in needed}
+    arguments = {name: call.arguments.get(name) for name in needed}
     return ToolCall(call.name, arguments)
 
 

@@ -362,12 +362,12 @@ def messages(data: bytes) -> None:
                 assert len(message.model_dump_json()) <= HEADER.n_bytes
                 return
             reply = receive_reply(lost, message, record)
-            most = 8 * (MAX_RECORDS * RECORD.n_bytes + DRAWING.n_bytes + 2 * MAX_PICTURE_BYTES)
+            most = 8 * (MAX_RECORDS * RECORD.n_bytes + DRAWING.n_bytes + MAX_PICTURE_BYTES)
             assert len(reply.to_result("found").model_dump_json()) <= most
 
 
 def _messages() -> list[bytes]:
-    header = Replied(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
+    header = Replied(n_records=1, drawing=False, picture=True).model_dump_json().encode()
     plain = [
         Loaded(failure=None, landlock=6, seccomp=True, lacks=""),
         Progressed(percent=50, message="searched 1 of 2 tiles"),
@@ -396,15 +396,16 @@ def _arguments() -> list[bytes]:
     frame = {"width_px": 24, "height_px": 24}
     box = {"x_min": 1, "y_min": 2, "x_max": 30, "y_max": 40}
     calls: list[tuple[str, dict[str, Any]]] = [
-        ("estimate_gsd", {"image": path, "region": "europe", "include_overlay": True, "detail": "full"}),
+        ("estimate_gsd", {"image": path, "region": "europe", "metadata": False, "detail": "full"}),
         ("estimate_gsd", {"image": image, "height_m": 60, "focal_35mm": 24, "reference_length_m": 4.6}),
         ("estimate_gsd", {"image": {"kind": "url", "url": "https://a.test/b.png"}}),
         ("measure_distance", {"image": image, **known, "points": points}),
         ("measure_distance", {"image": image, **known, "points": points, "frame": frame}),
-        ("measure_area", {"image": image, **known, "target": {"box": box}}),
-        ("measure_area", {"image": path, **known, "target": {"points": points}, "coordinates": "per_mille"}),
+        ("measure_area", {"image": image, **known, "targets": [{"box": box}]}),
+        ("measure_area", {"image": path, **known, "targets": [{"points": points}], "coordinates": "per_mille"}),
         ("view_image", {"image": image, "width_px": 32}),
         ("view_image", {"image": image, "region": box}),
+        ("view_image", {"of": {"tool": "measure_area", "arguments": {"image": image, "targets": [{"box": box}]}}}),
     ]
     return [json.dumps({"tool": name, **given}).encode() for name, given in calls]
 

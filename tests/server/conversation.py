@@ -18,7 +18,7 @@ import uvicorn
 from mcp.types import CallToolResult, ImageContent, TextContent
 from starlette.types import ASGIApp
 
-from vehanchor_server.calls.overlay import MAX_PICTURE_BYTES
+from vehanchor_server.calls.jpeg import MAX_PICTURE_BYTES
 
 ERAS = ("auto", "legacy")  # auto finds the stateless 2026-07-28 protocol
 

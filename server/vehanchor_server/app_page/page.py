@@ -23,6 +23,9 @@ APP_URI = "ui://vehanchor/panel.html"
 APP_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI}}
 """The ``_meta`` of each tool whose results the page shows."""
 
+PAGE_ONLY_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI, "visibility": ["app"]}}
+"""The ``_meta`` of a tool that the page calls and models do not see."""
+
 _SHARED = (
     "elements",
     "sections",

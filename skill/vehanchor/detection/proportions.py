@@ -1,8 +1,8 @@
 """Proportions of an image, from its vehicles: whether its width and height have different scales.
 
-Boxes cannot tell: the detector draws a car's proportions into a stretched image, too. The networks that
-score them can. Their chips are cut with the image's width reduced and enlarged by a factor of 1.4. In an image of true
-proportions neither suits cars better.
+Boxes cannot tell: the detector draws a car's proportions into a stretched image, too. The networks that score them can.
+Their chips are cut with the image's width reduced and enlarged by a factor of 1.4. In an image of true proportions
+neither suits cars better.
 """
 
 from __future__ import annotations

@@ -322,9 +322,9 @@ class Rulers:
         Annotated[tuple[str, ...], BeforeValidator(_names)] | None,
         Option("Rulers to use, with commas. Default: all.", metavar="NAMES", first=True),
     ] = None
-    metadata: Annotated[Flag, Option("Use the camera's height and focal length if the file has them.", first=True)] = (
-        True
-    )
+    metadata: Annotated[
+        Flag, Option("Use the camera's height and focal length if the file has them.", first=True, tools="all")
+    ] = True
     known_lengths: Annotated[
         tuple[_Line, ...],
         Field(examples=[[{"x1": 210, "y1": 90, "x2": 880, "y2": 90, "metres": "iso_container_40ft"}]]),

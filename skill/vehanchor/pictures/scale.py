@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.drawable import DrawableScale
+    from vehanchor.pictures.placement import Cut
 
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
 """Texts of one line, each with the colour of the swatch before it."""
@@ -46,7 +47,7 @@ _JPEG_QUALITY = 92
 _ROWS_PER_READ = 1024  # rows of the image per strip
 
 
-def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale) -> NDArray[np.uint8]:
+def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale, cut: Cut | None = None) -> NDArray[np.uint8]:
     """Draw the evidence of an estimate: kept vehicles in blue, outliers crossed in orange, other rulers in green.
 
     Small images are enlarged and large ones reduced. A caption below gives scale, interval and confidence. A usable
@@ -54,15 +55,18 @@ def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale) -> NDArray[n
     unusable scale the caption begins with the reason and with advice.
 
     Args:
-        image: ``[h, w, 3]`` RGB, the analysed image or a reduced copy of it (see ``read_reduced``).
+        image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of either (see
+            ``read_reduced``).
         analysis: of that image.
+        cut: the part to show; None for all of the image.
 
     Returns:
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
     estimate = analysis.estimate
-    picture = fit_for_eyes(image)
-    place = Placement.of(picture, Window(0, 0, estimate.image_width_px, estimate.image_height_px))
+    picture = fit_for_eyes(image) if cut is None else cut.sized(image)
+    whole = Window(0, 0, estimate.image_width_px, estimate.image_height_px)
+    place = Placement.of(picture, whole if cut is None else cut.part)
     draw_vehicles(picture, analysis, place)
     draw_marks(picture, analysis.marks, place)
     picture = with_margins(picture)

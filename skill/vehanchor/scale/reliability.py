@@ -56,7 +56,7 @@ _NOT_MEASURED = 0.05
 RELIABILITY: dict[str, Reliability] = {
     "vehicles": Reliability(CAR_LOG_SD, 0.01, 1191, _PLACES),
     "vehicles, uncalibrated": Reliability(CAR_LOG_SD, _NOT_MEASURED, 0, "a choice for detectors without fitted votes"),
-    "vehicles, look-alikes": Reliability(CAR_LOG_SD, 0.5, 90, "harbours, tanks, aprons: 0 of 90 usable and wrong"),
+    "vehicles, look-alikes": Reliability(CAR_LOG_SD, 0.8, 0, "a choice: 1 of 204 fleets is taken for look-alikes"),
     "vehicles, too coarse": Reliability(0.5, 0.33, 136, "per log of coarseness; 70 photographs at 0.3 to 0.6 m/px"),
     "courts": Reliability(0.006, 0.08, 8, "1 of 8 finds in 1,006 random photographs is false; 30 known ones"),
     "parking_bays": Reliability(0.09, 0.12, 35, "5 of 35 finds are more than a fifth off"),

@@ -100,7 +100,9 @@ def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None
     try:
         found.plane(image).check()
     except TooObliqueError as error:
-        remedy = "If the metadata are wrong, leave them out: --no-metadata, or metadata=False"
+        remedy = (
+            "If the metadata are wrong, leave them out: --no-metadata, metadata=False, or metadata: false in a tool"
+        )
         raise TooObliqueError(f"by the metadata, {error}. {remedy}") from None
     return found
 

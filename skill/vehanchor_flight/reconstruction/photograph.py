@@ -241,7 +241,7 @@ def _on_ground(
     steep &= np.isfinite(np.column_stack([places, *sides])).all(axis=1) & (sides[0] > 0) & (sides[1] > 0)
     lengths, widths = sides[0][steep], sides[1][steep]
     if sight.tilted:
-        lengths = length_off_nadir(lengths, widths)
+        lengths = length_off_nadir(lengths, widths, bodies=detections.looks is not None)
     centre, nearer = sight.shot.centre, np.ones((len(lengths), 1))
     for _ in range(_DESCENTS):
         heights = local_heights(centre + nearer * (places[steep] - centre), points, sight.plane, sight.height)

@@ -252,7 +252,7 @@ COMPUTES_S = 0.5  # from the report that a model starts until it surely runs
 
 TOOLS = {
     "estimate_gsd": {},
-    "measure_area": {"target": {"box": POOL_BOX}, "gsd_m_per_px": 0.2},  # its segmenter is the slow model
+    "measure_area": {"targets": [{"box": POOL_BOX}], "gsd_m_per_px": 0.2},  # its segmenter is the slow model
 }
 
 

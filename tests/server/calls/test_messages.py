@@ -48,7 +48,7 @@ from vehanchor_server.images.argument import Base64Image, PathImage, UrlImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.target import MAX_TARGETS
 
-ONE_RECORD = Replied(n_records=1, drawing=False, overlay=False, page_picture=False)
+ONE_RECORD = Replied(n_records=1, drawing=False, picture=False)
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_a_message_arrives_as_it_was_sent(pipe: tuple[Connection, Connection], m
 
 def test_an_answer_arrives_with_its_pictures(pipe: tuple[Connection, Connection]) -> None:
     drawing = Drawing(vehicles=((1.5, 2, 3, 4, 5, 1, 1, 0),), vehicles_left_out=0, lines=())
-    reply = Reply((Value(value=1), Value(value="two")), b"\xff\xd8overlay", b"\xff\xd8page", drawing)
+    reply = Reply((Value(value=1), Value(value="two")), b"\xff\xd8picture", drawing)
     send_reply(pipe[1], reply)
     header = receive(pipe[0])
     assert isinstance(header, Replied)
@@ -123,7 +123,7 @@ def sent_over(pipe: tuple[Connection, Connection], *parts: bytes) -> Iterator[No
         b'{"kind":"progressed","percent":NaN,"message":""}',
         b'{"kind":"progressed","percent":1e999,"message":""}',
         b'{"kind":"refused","code":"__class__ x","message":""}',
-        b'{"kind":"replied","n_records":17,"drawing":false,"overlay":false,"page_picture":false}',
+        b'{"kind":"replied","n_records":17,"drawing":false,"picture":false}',
         b"[" * 3_000,
         b"[" * 60_000,
         b'{"kind":' * 3_000,
@@ -214,7 +214,7 @@ def test_a_larger_message_is_not_read(pipe: tuple[Connection, Connection]) -> No
 
 
 def test_a_picture_has_a_bound(pipe: tuple[Connection, Connection]) -> None:
-    header = ONE_RECORD.model_copy(update={"overlay": True})
+    header = ONE_RECORD.model_copy(update={"picture": True})
     picture = bytes(messages.MAX_PICTURE_BYTES + 1)
     with sent_over(pipe, b'{"value":1}', picture), pytest.raises(OSError, match="bad message length"):
         receive_reply(pipe[0], header, Value)

@@ -113,8 +113,9 @@ async def test_answers_are_those_of_one_process(
         reports.append((progress, message))
 
     for tool, arguments in (
-        ("estimate_gsd", {**by_path(images / "cars.png"), "include_overlay": True}),
-        ("measure_area", {**by_path(images / "pool.png"), "target": {"box": POOL_BOX}}),
+        ("estimate_gsd", by_path(images / "cars.png")),
+        ("view_image", {"of": {"tool": "estimate_gsd", "arguments": by_path(images / "cars.png")}}),
+        ("measure_area", {**by_path(images / "pool.png"), "targets": [{"box": POOL_BOX}]}),
         ("estimate_gsd", by_path(georeferenced)),
         ("estimate_gsd", {"image": {"kind": "base64", "data": base64.b64encode(georeferenced.read_bytes()).decode()}}),
         ("estimate_gsd", by_path(images / "notes.txt")),

@@ -63,7 +63,7 @@ def arguments_for(tool: str, image: dict[str, Any]) -> dict[str, Any]:
     if tool == "estimate_gsd":
         return {"image": image, "detail": "full"}
     box = {"x_min": 16, "y_min": 16, "x_max": 48, "y_max": 48}
-    return {"image": image, "target": {"box": box}, "gsd_m_per_px": 0.2, "detail": "full"}
+    return {"image": image, "targets": [{"box": box}], "gsd_m_per_px": 0.2, "detail": "full"}
 
 
 async def called(server: MCPServer[object], image: dict[str, Any]) -> list[CallToolResult]:

@@ -146,8 +146,8 @@ _NUMBERS: list[tuple[str, str, Any]] = [  # tool, argument, and where in it a nu
     ("view_image", "part", {**_BOX, "x_min": ...}),
     ("estimate_gsd", "frame", {"width_px": ..., "height_px": 3}),
     *[("estimate_gsd", "known_lengths", [{**_LINE, name: ...}]) for name in ("x1", "metres")],
-    ("measure_area", "target", {"box": {**_BOX, "x_min": ...}}),
-    ("measure_area", "target", {"points": [{"x": ..., "y": 3}]}),
+    ("measure_area", "targets", [{"box": {**_BOX, "x_min": ...}}]),
+    ("measure_area", "targets", [{"points": [{"x": ..., "y": 3}]}]),
     ("measure_distance", "lines", [{"points": [{"x": ..., "y": 1}, {"x": 9, "y": 9}]}]),
     *[("measure_area", "scale", {**_KNOWN, name: ...}) for name in ("gsd_m_per_px", "confidence")],
     ("measure_area", "scale", {**_KNOWN, "plane": {"tilt_deg": ..., "roll_deg": 1, "focal_length_px": 900}}),
@@ -165,13 +165,13 @@ async def test_what_is_no_number_is_not_taken_for_one_nor_what_no_call_means(ser
     absurd: list[tuple[str, str, Any]] = [
         ("estimate_gsd", "max_tiles", 10**400),
         ("estimate_gsd", "max_seconds", 1e308),
-        ("estimate_gsd", "include_overlay", 1),
+        ("estimate_gsd", "metadata", 1),
         ("estimate_gsd", "same_scale", "yes"),
         ("measure_area", "gsd_m_per_px", 1e-300),
         ("measure_area", "gsd_m_per_px", 1e9),
         *[(tool, name, _filled(place, value)) for tool, name, place in _NUMBERS for value in (True, "4.5 kg", "-")],
     ]
-    required = {"measure_area": {"target": {"box": _BOX}}}
+    required = {"measure_area": {"targets": [{"box": _BOX}]}}
     taken = []
     async with Client(server) as client:
         for tool, name, value in absurd:
@@ -225,3 +225,10 @@ async def test_long_names_are_shortened_before_they_are_told(server: MCPServer[o
         result = await client.call_tool(long, {})
     assert error_of(result) == "unknown_tool"
     assert len(text_of(result)) < 300
+
+
+async def test_the_example_of_an_error_names_a_file_of_this_server(server: MCPServer[object], images: Path) -> None:
+    async with Client(server) as client:
+        told = text_of(await client.call_tool("estimate_gsd", {}))
+        example = json.loads(told.partition("Example: ")[2])
+        assert not (await client.call_tool("estimate_gsd", example)).is_error

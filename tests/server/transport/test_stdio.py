@@ -256,9 +256,9 @@ def test_no_decoder_is_imported_after_every_tool_was_called(
         ("view_image", {}),
         ("view_image", {"image": cars}),
         ("view_image", {"image": {"kind": "path", "path": str(root / "notes.txt")}}),
-        ("estimate_gsd", {"image": cars, "include_overlay": True}),
+        ("view_image", {"of": {"tool": "estimate_gsd", "arguments": {"image": cars}}}),
         ("estimate_gsd", {"image": cars, "more_images": [pool], "detail": "full"}),
-        ("measure_area", {"image": pool, "target": box, "include_overlay": True}),
+        ("measure_area", {"image": pool, "targets": [box]}),
         ("measure_distance", {"image": cars, "lines": [{"points": [{"x": 10, "y": 10}, {"x": 90, "y": 90}]}]}),
     ]
     models = [str(detector_path), *map(str, segmenter_paths)]

@@ -13,7 +13,7 @@ from mcp.types import ImageContent
 from tests.server.app_page.test_app_page import SHOWS_PAGES
 from tests.server.conversation import by_path
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.overlay import MAX_PICTURE_BYTES
+from vehanchor_server.calls.jpeg import MAX_PICTURE_BYTES
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 
@@ -27,9 +27,11 @@ async def test_noise_is_squeezed_until_no_host_cuts_the_result(settings: Setting
         create_services(Settings(roots=(tmp_path,), detector=settings.detector, threads=1, isolation="in-process"))
     )
     async with Client(server, extensions=SHOWS_PAGES) as client:
-        result = await client.call_tool("estimate_gsd", {**by_path(tmp_path / "noise.png"), "include_overlay": True})
-    picture = result.content[1]
+        asked = by_path(tmp_path / "noise.png")
+        result = await client.call_tool("estimate_gsd", asked)
+        drawn = await client.call_tool("view_image", {"of": {"tool": "estimate_gsd", "arguments": asked}})
+    picture = drawn.content[1]
     assert isinstance(picture, ImageContent)
     assert len(base64.b64decode(picture.data)) <= MAX_PICTURE_BYTES
     assert len(json.dumps(result.meta)) < 200_000
-    assert len(result.model_dump_json()) < 750_000  # where hosts cut
+    assert len(drawn.model_dump_json()) < 750_000  # where hosts cut
