@@ -52,12 +52,12 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
     for corners in box_corners(analysis.detections.boxes):
         boxes.add_patch(Polygon(corners, fill=False, edgecolor="#FFD400", linewidth=1.2))
     boxes.set(xlim=extent[:2], ylim=extent[2:], xticks=[], yticks=[])
-    boxes.set_title(f"1. Cars as oriented boxes: {estimate.n_detections}", loc="left", fontsize=10)
+    boxes.set_title(f"1. Cars as oriented boxes: {estimate.details.n_detections}", loc="left", fontsize=10)
 
     kept, scores = analysis.detections.boxes[analysis.kept, 2], analysis.detections.scores[analysis.kept]
     grid = np.linspace(kept.min() * 0.9, kept.max() * 1.1, 400)
     lengths.hist(kept, bins=24, density=True, color="#56B4E9", alpha=0.6)
-    lengths.plot(grid, modal_density(grid, kept, scores, estimate.aggregation), color=BLUE)
+    lengths.plot(grid, modal_density(grid, kept, scores, estimate.details.aggregation), color=BLUE)
     lengths.axvline(estimate.mode_length_px, color=ORANGE)
     lengths.set(xlabel="longer side, pixels", yticks=[])
     lengths.spines[["top", "right", "left"]].set_visible(False)
@@ -66,7 +66,7 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
     vehicles = next(ruler.gsd_m_per_px for ruler in estimate.rulers if ruler.kind == "vehicles")
     lines = (
-        f"{estimate.reference_length_m:.2f} m  /  {estimate.mode_length_px:.1f} px",
+        f"{estimate.details.reference_length_m:.2f} m  /  {estimate.mode_length_px:.1f} px",
         f"= {vehicles:.3f} m/px",
         f"with the other rulers: {estimate.gsd_m_per_px:.3f}",
         f"95 %: {low:.3f} to {high:.3f}",

@@ -19,7 +19,7 @@ from vehanchor import Engine
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.boxes import box_corners
 from vehanchor.pictures.ruler_plot import plot_rulers
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -15,6 +15,7 @@ import argparse
 import asyncio
 import json
 import logging
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -24,10 +25,9 @@ from typing import Any
 
 try:
     from mcp import Client, StdioServerParameters
+    from mcp.client.stdio import stdio_client
 except ModuleNotFoundError as missing:
     sys.exit(f"this example needs the package {missing.name!r}: pip install .")
-
-ALTITUDE_ERROR = 0.10  # of the barometer's height above ground: half of its 95 % interval, relative
 
 REMEDIES = {  # by the record's reason
     "too_coarse": "fly lower",
@@ -74,19 +74,17 @@ class Zone:
 
 @dataclass(frozen=True)
 class Ruler:
-    """A source of scale: the vehicles in the image, or a measured scale with its relative error."""
+    """A source of scale: the vehicles in the image, or a measured scale, taken as +- 10 %."""
 
     name: str
     gsd_m_per_px: float | None = None
-    relative_error: float = 0.0
 
     @property
     def arguments(self) -> dict[str, Any]:
         """Arguments of ``measure_area`` for a measured scale; none for the vehicles."""
         if self.gsd_m_per_px is None:
             return {}
-        tolerance = self.relative_error * self.gsd_m_per_px
-        return {"gsd_m_per_px": self.gsd_m_per_px, "gsd_basis": "measured", "gsd_tolerance": tolerance}
+        return {"gsd_m_per_px": self.gsd_m_per_px, "gsd_basis": "measured"}
 
 
 @dataclass(frozen=True)
@@ -107,14 +105,13 @@ def decide_zone(record: dict[str, Any], ruler: Ruler, zone: Zone, craft: Craft) 
     """Decide on one zone by a record of ``measure_area``; HOLD_ALTITUDE if the ruler is not usable."""
     if record["status"] == "no_scale":
         return Decision(Action.HOLD_ALTITUDE, f"no scale from {ruler.name}", ruler.name, zone)
-    scale = record["estimate"]  # null for a measured scale
-    if scale is not None and scale["status"] != "ok":
-        why = f"{scale['reason']}; {REMEDIES[scale['reason']]}"
-        reason = f"the scale from {ruler.name} is not ok (confidence {record['confidence']:.2f}): {why}"
+    if "reason" in record:  # against the scale
+        why = f"{record['reason']}; {REMEDIES[record['reason']]}"
+        reason = f"the scale from {ruler.name} is not ok (confidence {record['scale_confidence']:.2f}): {why}"
         return Decision(Action.HOLD_ALTITUDE, reason, ruler.name, zone)
-    low = record["inscribed_diameter_ci95_low_m"]
-    if record["status"] != "ok" or low is None:
+    if record["status"] != "ok":
         return Decision(Action.NEXT_ZONE, "the zone's outline is uncertain", ruler.name, zone)
+    low = record["inscribed_diameter_ci95_low_m"]
     seen = f"a circle of at least {low:.1f} m fits by {ruler.name} (estimate {record['inscribed_diameter_m']:.1f} m)"
     center = record["inscribed_center"]
     measured = (ruler.name, zone, craft.needed_m, low, center["x_px"], center["y_px"])
@@ -139,8 +136,7 @@ async def decide(
         for zone in zones:
             arguments: dict[str, Any] = {
                 "image": {"kind": "path", "path": str(image.resolve())},
-                "target": {"box": asdict(zone)},
-                "detail": "full",
+                "targets": [{"box": asdict(zone)}],
                 **ruler.arguments,
             }
             if region is not None and ruler.gsd_m_per_px is None:
@@ -179,14 +175,15 @@ async def main() -> None:
     log.setLevel(logging.INFO)
     rulers = [Ruler("vehicles in the image")]
     if options.altitude is not None and options.focal is not None:
-        rulers.append(Ruler("barometer", options.altitude / options.focal, ALTITUDE_ERROR))
+        rulers.append(Ruler("barometer", options.altitude / options.focal))
     zones = [Zone(*corners) for corners in options.zone]
     craft = Craft(options.diameter, options.margin)
     server = StdioServerParameters(
         command=sys.executable, args=["-m", "vehanchor", "serve", "--root", str(options.image.resolve().parent)]
     )
-    async with Client(server) as client:
-        decision = await decide(client, options.image, zones, rulers, craft, options.region)
+    with Path(os.devnull).open("w") as quiet:  # the server's log is not the planner's
+        async with Client(stdio_client(server, errlog=quiet)) as client:
+            decision = await decide(client, options.image, zones, rulers, craft, options.region)
     log.info("decision: %s, because %s", decision.action, decision.reason)
     print(json.dumps({name: value for name, value in asdict(decision).items() if value is not None}))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,11 @@ from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import Ruler, View
 from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.posterior import Witness
+from vehanchor.tilt.camera_tilt import metadata_tilt
 
 
 def made_card(reference_length_m: float = 5.045, min_length_px: float = 0.0) -> DetectorCard:
@@ -66,6 +68,22 @@ def analyse_found(
     """The second half of the skill, on vehicles that a test has made up."""
     image = ImageFacts(image_width_px, image_height_px)
     return analyse_view(View(image, found, card, options or ScaleOptions(), lambda *_: resolved))
+
+
+def with_tilt(view: View) -> View:
+    """The view with the tilt of its metadata, as a search leaves it."""
+    return replace(view, tilt=metadata_tilt(view.image, view.options))
+
+
+def told(witness: Witness | None) -> Witness:
+    """The witness of a ruler that has something to say."""
+    assert witness is not None
+    return witness
+
+
+def measured(ruler: Ruler, view: View) -> Witness:
+    """Measure with a ruler that has something to say."""
+    return told(ruler.measure(view))
 
 
 def log_sd(witness: Witness) -> float:

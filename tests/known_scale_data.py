@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -74,3 +76,17 @@ def write_dota_split(folder: Path) -> Path:
     paint(images / "P0009.png", cars(20))
     (labels / "P0009.txt").write_bytes(b"gsd:0.2\n\xff\xfe\n")
     return folder
+
+
+def n_results(path: Path) -> int:
+    """The number of results in a file, of all settings."""
+    with closing(sqlite3.connect(path)) as file:
+        ((found,),) = file.execute("SELECT count(*) FROM results WHERE key <> ''")
+    return int(found)
+
+
+def forget(path: Path, n_forgotten: int) -> None:
+    """Delete results, as if the run had ended before them."""
+    with closing(sqlite3.connect(path)) as file, file:
+        query = "DELETE FROM results WHERE key IN (SELECT key FROM results WHERE key <> '' ORDER BY key DESC LIMIT ?)"
+        assert file.execute(query, (n_forgotten,)).rowcount == n_forgotten

@@ -25,9 +25,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from vehanchor.detection.appearance import CHIP_SHAPE, FleetLengths
 from vehanchor.detection.boxes import box_corners, canonical_boxes
-from vehanchor.detection.car_verifier import CHIP_LENGTH_PX, CHIP_PX, VEHICLE_TYPES
+from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -190,98 +189,73 @@ def write_detector(
     )
 
 
-def write_fleet_network(
-    detector: Path,
-    lengths: FleetLengths,
-    *,
-    outputs: tuple[str, str] = ("log_odds", "log_length"),
-    metadata: Mapping[str, str | None] | None = None,
-) -> Path:
-    """Write the network beside a detector that tells fleets apart: both answers are high for vehicles brighter than the
-    ground.
-
-    Args:
-        detector: file of the detector, which its metadata names by the stem.
-        lengths: what the answers mean.
-        outputs: names of the network's outputs.
-        metadata: entries to add or replace; None as a value removes one.
-
-    Returns:
-        The path.
-    """
-    rows, columns = CHIP_SHAPE
-    pattern = np.full((1, 1, rows, columns), -1.0)
-    pattern[:, :, rows // 2 - 3 : rows // 2 + 3, columns // 2 - 8 : columns // 2 + 8] = 1.0
-    graph = Graph()
-    weighted = graph.add("Mul", ["chips", graph.constant(pattern / np.abs(pattern).sum() * 4)])
-    graph.add("ReduceSum", [weighted, graph.constant([1, 2, 3], np.int64)], output=outputs[0], keepdims=0)
-    graph.add("Identity", [outputs[0]], output=outputs[1])
-    return save_model(
-        detector.with_name(f"{detector.stem}.fleet.onnx"),
-        graph.nodes,
-        [helper.make_tensor_value_info("chips", TensorProto.FLOAT, ["n", 1, rows, columns])],
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n"]) for name in outputs],
-        graph.constants,
-        {
-            "vehanchor.detector": detector.stem,
-            "vehanchor.fleet_lengths": json.dumps(lengths._asdict()),
-            **(metadata or {}),
-        },
-    )
+BODIES = {"reference_length_m": 4.3, "reference_length_sd_m": 0.3, "region_lengths_m": {"europe": 4.1}}
+"""Lengths of bodies in the card of ``write_chip_network``."""
 
 
-def write_car_verifier(
+def write_chip_network(
     detector: Path,
     *,
-    outputs: Sequence[str] = ("logit", "types", "box", "log_length_m"),
+    without: str = "",
     gain: float = 1.0,
-    correction: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+    edges: Sequence[float] = (-0.5, 0.5, -0.2, 0.2),
+    length_m: float = 4.3,
+    brightness: float = 0.0,
     metadata: Mapping[str, str | None] | None = None,
 ) -> Path:
-    """Write the linear network beside a detector that verifies its candidates.
+    """Write the linear network beside a detector that looks at its candidates.
 
     Args:
         detector: file of the detector, which its metadata names by the stem.
-        outputs: names of the network's outputs, at most the four.
+        without: name of an output that is missing.
         gain: logit of a white chip; a black one has 0.
-        correction: correction of each box; a red square of 8 px on black adds its place to the first two numbers.
+        edges: of each body, in candidate lengths; a red square of 8 px on black moves them to its place.
+        length_m: of each car by its looks.
+        brightness: addition to the log of this length for a white chip.
         metadata: entries to add or replace; None as a value removes one.
 
     Returns:
         The path.
     """
-    at = (np.arange(CHIP_PX) + 0.5 - CHIP_PX / 2) / CHIP_LENGTH_PX / 8**2
-    sizes = 1, len(VEHICLE_TYPES), len(correction), 1
-    weight, box = np.zeros((3, CHIP_PX, CHIP_PX, sum(sizes))), 1 + len(VEHICLE_TYPES)
-    weight[..., 0] = gain / (3 * CHIP_PX**2)
-    weight[0, :, :, 1] = 1.0  # the first type, where there is red
-    weight[0, :, :, box], weight[0, :, :, box + 1] = at[None, :], at[:, None]
-    offset = np.zeros(sum(sizes))
-    offset[box : box + len(correction)] = correction
+    sizes = {"logit": 1, "kinds": 10, "edges": 4, "edge_log_sd": 4, "turn": 1, "log_metres": 2, "metres_log_sd": 2}
+    first = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
+    rows, columns = ((np.arange(side) + 0.5 - side / 2) / CHIP_LENGTH_PX / 8**2 for side in (CHIP_ROWS, CHIP_COLUMNS))
+    weight, offset = np.zeros((3, CHIP_ROWS, CHIP_COLUMNS, sum(sizes.values()))), np.zeros(sum(sizes.values()))
+    weight[..., 0] = gain / weight[..., 0].size
+    weight[0, :, :, first["edges"] : first["edges"] + 2] = columns[None, :, None]
+    weight[0, :, :, first["edges"] + 2 : first["edges"] + 4] = rows[:, None, None]
+    weight[..., first["log_metres"] : first["log_metres"] + 2] = brightness / weight[..., 0].size
+    offset[first["edges"] : first["edges"] + 4] = edges
+    offset[first["edge_log_sd"] : first["edge_log_sd"] + 4] = np.log(0.02)
+    offset[first["log_metres"] : first["log_metres"] + 2] = np.log([length_m, length_m * (edges[3] - edges[2])])
+    offset[first["metres_log_sd"] :] = np.log(0.07)
     graph = Graph()
     flat = graph.add("Flatten", ["chips"])
-    answers = [flat, graph.constant(weight.reshape(-1, sum(sizes))), graph.constant(offset)]
-    parts = ["logits", "types", "box", "lengths"]
-    joined = graph.add("Gemm", answers)
-    graph.nodes.append(helper.make_node("Split", [joined, graph.constant(sizes, np.int64)], parts, axis=1))
-    for name, part in (("logit", "logits"), ("log_length_m", "lengths")):
-        graph.add("Squeeze", [part, graph.constant([1], np.int64)], output=name)
-    shapes: dict[str, list[str | int | None]] = {
-        "logit": ["n"],
-        "types": ["n", len(VEHICLE_TYPES)],
-        "box": ["n", len(correction)],
-        "log_length_m": ["n"],
-    }
+    joined = graph.add("Gemm", [flat, graph.constant(weight.reshape(-1, len(offset))), graph.constant(offset)])
+    parts = [f"{name}_part" for name in sizes]
+    graph.nodes.append(
+        helper.make_node("Split", [joined, graph.constant(list(sizes.values()), np.int64)], parts, axis=1)
+    )
+    for (name, size), part in zip(sizes.items(), parts, strict=True):
+        if size == 1:
+            graph.add("Squeeze", [part, graph.constant([1], np.int64)], output=name)
+        else:
+            graph.add("Identity", [part], output=name)
     return save_model(
-        detector.with_name(f"{detector.stem}.car-verifier.onnx"),
+        detector.with_name(f"{detector.stem}.chips.onnx"),
         graph.nodes,
-        [helper.make_tensor_value_info("chips", TensorProto.FLOAT, ["n", 3, CHIP_PX, CHIP_PX])],
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shapes[name]) for name in outputs],
+        [helper.make_tensor_value_info("chips", TensorProto.FLOAT, ["n", 3, CHIP_ROWS, CHIP_COLUMNS])],
+        [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n"] if size == 1 else ["n", size])
+            for name, size in sizes.items()
+            if name != without
+        ],
         graph.constants,
         {
             "vehanchor.detector": detector.stem,
             "vehanchor.weights": "1,1,0",
             "vehanchor.least_score": "0.15",
+            "vehanchor.bodies": json.dumps(BODIES),
             **(metadata or {}),
         },
     )

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import os
 import shutil
-from collections.abc import Iterable
+import subprocess
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -42,3 +46,28 @@ def _missing(name: str, advice: str) -> BaseException:
     if not os.environ.get("CI") or name in os.environ.get("VEHANCHOR_CI_WITHOUT", "").split():
         return pytest.skip.Exception(f"no {name} here; {advice}")
     return pytest.fail.Exception(f"CI runs this, and there is no {name}: {advice}, or say VEHANCHOR_CI_WITHOUT={name}")
+
+
+_FOLDER = Path(__file__).parent.parent / ".venv-environments"
+
+
+def environment(*requirements: Path, packages: Sequence[str] = ()) -> Path:
+    """The Python of an environment that holds what the files and ``packages`` ask for.
+
+    Args:
+        requirements: requirements files.
+        packages: further requirements, such as ``mcp<2``.
+    """
+    texts = [path.read_text(encoding="utf-8") for path in requirements]
+    asked = "\n".join([sys.version, *texts, *packages])
+    folder = _FOLDER / hashlib.sha256(asked.encode()).hexdigest()[:16]
+    python = folder / "bin" / "python"
+    complete = folder / "complete"
+    if not complete.exists():
+        shutil.rmtree(folder, ignore_errors=True)
+        uv = [sys.executable, "-m", "uv", "--quiet"]
+        subprocess.run([*uv, "venv", "--python", sys.executable, str(folder)], check=True)
+        files = [part for path in requirements for part in ("--requirement", str(path))]
+        subprocess.run([*uv, "pip", "install", "--python", str(python), *files, *packages], check=True)
+        complete.touch()
+    return python

@@ -59,7 +59,7 @@ def middle_box(image: Path) -> tuple[float, float, float, float]:
 
 def target(box: tuple[float, float, float, float]) -> dict[str, Any]:
     """The argument of ``measure_area`` that names a box."""
-    return {"target": {"box": dict(zip(("x_min", "y_min", "x_max", "y_max"), box, strict=True))}}
+    return {"targets": [{"box": dict(zip(("x_min", "y_min", "x_max", "y_max"), box, strict=True))}]}
 
 
 def _write(path: Path, image: np.ndarray) -> None:

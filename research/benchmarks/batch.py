@@ -1,8 +1,7 @@
 """Compare Ray with local workers: ``python -m research.benchmarks.batch``. Prints Markdown; ``--record`` keeps it.
 
 Ray runs on simulated nodes of one CPU each (its own cluster utility: all of them processes of this machine), beside as
-many local workers, by the rows from the first to the last. Then a node of the largest cluster is killed after a third
-of the rows, and those lost and doubled are counted.
+many local workers, by the rows from the first to the last; rows lost and doubled are counted.
 """
 
 from __future__ import annotations
@@ -10,19 +9,18 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple
 
 import cv2
 
 from research.results.record import add_record_option, recording
-from research.scenes import Layout, render_scene
+from research.scenes import render_scene
 from vehanchor.batch import run_batch
 from vehanchor.batch.run import BatchEngine
 from vehanchor.models.runtime import Runtime
@@ -31,10 +29,10 @@ SIDE_PX = 1024
 N_SCENES = 4  # rendered; the rest are further names of the same files
 
 
-def write_images(folder: Path, n_images: int, side_px: int, layout: Layout) -> None:
+def write_images(folder: Path, n_images: int, side_px: int) -> None:
     """Write images of one size."""
     for seed in range(min(N_SCENES, n_images)):
-        scene = render_scene(0.15, width_px=side_px, height_px=side_px, seed=seed, layout=layout)
+        scene = render_scene(0.15, width_px=side_px, height_px=side_px, seed=seed, layout="parking")
         cv2.imwrite(str(folder / f"{seed:05}.jpg"), scene.image[:, :, ::-1])
     for number in range(N_SCENES, n_images):
         os.link(folder / f"{number % N_SCENES:05}.jpg", folder / f"{number:05}.jpg")
@@ -55,30 +53,29 @@ class Run(NamedTuple):
 
 
 @contextmanager
-def simulated_cluster(n_nodes: int) -> Iterator[tuple[Any, list[Any]]]:
+def simulated_cluster(n_nodes: int) -> Iterator[None]:
     """A head that computes nothing and nodes of one CPU each, this process connected to it."""
     import ray
     from ray.cluster_utils import Cluster
 
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
-    nodes = [cluster.add_node(num_cpus=1) for _ in range(n_nodes)]
+    for _ in range(n_nodes):
+        cluster.add_node(num_cpus=1)
     cluster.wait_for_nodes()
     ray.init(cluster.address, log_to_driver=False, logging_level="CRITICAL")
     try:
-        yield cluster, nodes
+        yield
     finally:
         ray.shutdown()
         cluster.shutdown()
 
 
-def run_rows(folder: Path, engine: BatchEngine, workers: int, doomed: tuple[Any, Any] | None = None) -> Run:
-    """Run the folder's images; ``doomed`` is a cluster and the node of it that is killed after a third of the rows."""
+def run_rows(folder: Path, engine: BatchEngine, workers: int) -> Run:
+    """Run the folder's images."""
     seen: list[float] = []
 
-    def tell(done: int, total: int) -> None:
+    def tell(_done: int, _total: int) -> None:
         seen.append(time.perf_counter())
-        if doomed and done == total // 3:
-            doomed[0].remove_node(doomed[1], allow_graceful=False)
 
     with tempfile.TemporaryDirectory() as output:
         table = Path(output) / "table.jsonl"
@@ -103,9 +100,6 @@ def compare_nodes(folder: Path, sizes: list[int]) -> None:
             f"| {n_nodes} | {local.rate:.2f}/s | {ray.rate:.2f}/s | {share:.2f} | {ray.n_lost}, {ray.n_doubled} |",
             flush=True,
         )
-    with simulated_cluster(max(sizes)) as (cluster, nodes):
-        killed = run_rows(folder, "ray", max(sizes), (cluster, nodes[0]))
-    print(f"| {max(sizes)}, one killed | | {killed.rate:.2f}/s | | {killed.n_lost}, {killed.n_doubled} |")
 
 
 def main() -> None:
@@ -113,14 +107,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--images", type=int, default=80)
     parser.add_argument("--side", type=int, default=SIDE_PX, help="of the images, pixels")
-    parser.add_argument("--layout", choices=get_args(Layout), default="parking", help="of the rendered scenes")
     parser.add_argument("--nodes", type=int, nargs="+", default=[1, 2, 4], help="nodes of each simulated cluster")
     options = add_record_option(parser).parse_args()
-    print(
-        f"{platform.machine()}, {os.cpu_count()} CPUs, {options.images} images of {options.side} x {options.side} px\n"
-    )
     with tempfile.TemporaryDirectory() as folder, recording("speed", ["ray"], options.record):
-        write_images(Path(folder), options.images, options.side, options.layout)
+        write_images(Path(folder), options.images, options.side)
         compare_nodes(Path(folder), options.nodes)
 
 

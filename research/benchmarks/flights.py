@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import hashlib
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -23,14 +21,12 @@ import numpy as np
 
 from research.results.record import add_record_option, recording
 from vehanchor.engine import Engine
-from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor_flight.components import single_component
 from vehanchor_flight.estimate import conclude, search_flight
-from vehanchor_flight.features import find_features
 from vehanchor_flight.inputs import InputPhotograph
-from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
+from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, of_photographs
 from vehanchor_flight.record import Failure, conclude_flight
 from vehanchor_flight.records import FlightEstimate
 
@@ -80,30 +76,14 @@ def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uin
 
 
 def searched_photographs(
-    taken: Sequence[InputPhotograph], detector: Detector, *, featured: bool = False, cache: Path | None = None
+    taken: Sequence[InputPhotograph], detector: Detector, *, featured: bool = False
 ) -> list[Photograph]:
-    """Search photographs, each only once: a folder keeps the detections by model and pixels."""
-    members = []
-    for name, image, _ in taken:
-        pixels = np.ascontiguousarray(image)
-        known = None
-        if cache is not None:
-            key = hashlib.sha256(detector.card.sha256.encode() + repr(pixels.shape).encode() + pixels.tobytes())
-            cache.mkdir(parents=True, exist_ok=True)
-            known = cache / f"{key.hexdigest()[:24]}.json"
-        if known is None or not known.exists():
-            (seen,) = search_flight([InputPhotograph(name, pixels)], detector, ScaleOptions())
-            if isinstance(seen, Failure):
-                raise seen.error
-            stored = StoredPhotograph.of(seen.view, seen.analysis)
-            if known is not None:
-                known.write_text(json.dumps(photograph_codec().dump(stored)))
-        else:
-            stored = photograph_codec().load(json.loads(known.read_text()))
-        with open_raster(pixels) as raster:
-            features = find_features(raster) if featured else None
-        members.append(Photograph.of(name, stored, detector.card, ScaleOptions(), features))
-    return members
+    """Search photographs; the first that cannot be used ends the benchmark."""
+    found = search_flight(taken, detector, ScaleOptions(), featured=featured)
+    for each in found:
+        if isinstance(each, Failure):
+            raise each.error
+    return [each for each in found if isinstance(each, Photograph)]
 
 
 def pooled_flight(photographs: Sequence[Photograph], detector: Detector) -> FlightEstimate:
@@ -112,7 +92,7 @@ def pooled_flight(photographs: Sequence[Photograph], detector: Detector) -> Flig
     return conclude_flight(photographs, [component], detector.card, same_scale=True)
 
 
-def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
+def pooled(data: Path, split: str, flights: int) -> None:
     """Print a table."""
     detector = Engine(runtime=Runtime(threads=1)).detector
     print("| set | region | error of each flight of 24 | median | inside the interval | high over low |")
@@ -125,7 +105,7 @@ def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
             rng = np.random.default_rng([seed, 20261121])
             chosen = rng.choice(len(files), min(_PHOTOGRAPHS, len(files)), replace=False)
             taken = [InputPhotograph(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1]) for k in chosen]
-            photographs = searched_photographs(taken, detector, cache=cache)
+            photographs = searched_photographs(taken, detector)
             rows["unknown"].append(pooled_flight(photographs, detector))
             if _REGIONS[name] in detector.card.region_lengths_m:
                 given = ScaleOptions.of({"region": _REGIONS[name]})
@@ -194,59 +174,40 @@ def cut_flight(
     return photographs, np.array(scales)
 
 
-def matched(data: Path, flights: int, cache: Path | None) -> None:
+def matched(data: Path, flights: int) -> None:
     """Print a table: so many flights over each world."""
     detector = Engine(runtime=Runtime(threads=1)).detector
-    print("| world | in components | median | 95th percentile | ratios alone, median | inside the interval | dropped |")
-    print("|---|---|---|---|---|---|---|")
+    print("| world | in components | median | 95th percentile | inside the interval | dropped |")
+    print("|---|---|---|---|---|---|")
     every: list[float] = []
     inside = total = 0
-    whole: list[bool] = []  # components that hold all of their photographs' scales
     mosaics = list(worlds(data).items())
     for number, seed, (name, world) in ((k, seed, each) for k, each in enumerate(mosaics) for seed in range(flights)):
         rng = np.random.default_rng([number, seed, 20261121] if seed else [number, 20261121])
         images, factors = cut_flight(world, rng, _PHOTOGRAPHS)
         taken = [InputPhotograph(str(place), image) for place, image in enumerate(images)]
-        photographs = searched_photographs(taken, detector, featured=True, cache=cache)
+        photographs = searched_photographs(taken, detector, featured=True)
         photographs = [each if place % 3 == 0 else without_vehicles(each) for place, each in enumerate(photographs)]
         record = conclude(photographs, detector.card, same_scale=False)
-        errors, relative, held = [], [], 0
-        main = [each for each in record.photographs if each.component == 0]
-        offset = np.median(
-            [math.log((each.gsd_m_per_px or math.nan) / (0.2 * factors[int(each.photograph)])) for each in main]
-        )
+        errors, held = [], 0
         for each in record.photographs:
             if each.gsd_m_per_px is None or each.gsd_ci95_low_m_per_px is None or each.gsd_ci95_high_m_per_px is None:
                 continue
             truth = 0.2 * factors[int(each.photograph)]
             errors.append(abs(each.gsd_m_per_px / truth - 1))
             held += each.gsd_ci95_low_m_per_px <= truth <= each.gsd_ci95_high_m_per_px
-            if each.component == 0:
-                relative.append(abs(math.log(each.gsd_m_per_px / truth) - offset))
         every += errors
         inside, total = inside + held, total + len(errors)
-        whole += _components_held(record, 0.2 * factors)
         sizes = ", ".join(str(component.n_photographs) for component in record.components)
         dropped = sum(link.dropped is not None for link in record.links)
         print(
             f"| {name} | {sizes} | {100 * np.median(errors):.1f} % | {100 * np.percentile(errors, 95):.1f} % | "
-            f"{100 * np.median(relative):.1f} % | {held} of {len(errors)} | {dropped} of {len(record.links)} |",
+            f"{held} of {len(errors)} | {dropped} of {len(record.links)} |",
             flush=True,
         )
     print(
-        f"| all | | {100 * np.median(every):.1f} % | {100 * np.percentile(every, 95):.1f} % | | {inside} of {total} | |"
+        f"| all | | {100 * np.median(every):.1f} % | {100 * np.percentile(every, 95):.1f} % | {inside} of {total} | |"
     )
-    print(f"\ncomponents whose reference's interval holds its scale: {sum(whole)} of {len(whole)}")
-
-
-def _components_held(record: FlightEstimate, truth: NDArray[np.float64]) -> list[bool]:
-    """For each component with a scale: whether its interval contains the true scale."""
-    held = []
-    for component in record.components:
-        low, high = component.pooled.gsd_ci95_low_m_per_px, component.pooled.gsd_ci95_high_m_per_px
-        if low is not None and high is not None:
-            held.append(low <= float(truth[int(component.reference)]) <= high)
-    return held
 
 
 def without_vehicles(photograph: Photograph) -> Photograph:
@@ -257,10 +218,10 @@ def without_vehicles(photograph: Photograph) -> Photograph:
         boxes=seen.boxes[:0],
         scores=seen.scores[:0],
         scales=None if seen.scales is None else seen.scales[:0],
-        fleet=None if seen.fleet is None else seen.fleet.take(np.zeros(len(seen.fleet.log_odds), bool)),
+        looks=None if seen.looks is None else seen.looks.take(np.zeros(len(seen.looks), bool)),
         classes=None if seen.classes is None else seen.classes[:0],
     )
-    again = StoredPhotograph(photograph.view.image, bare, 1.0, photograph.analysis.others)
+    again = StoredPhotograph(photograph.view.image, bare, 1.0, of_photographs(photograph.analysis.witnesses))
     return Photograph.of(photograph.name, again, photograph.view.card, photograph.view.options, photograph.features)
 
 
@@ -271,13 +232,12 @@ def main() -> None:
     parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
     parser.add_argument("--split", default="val")
     parser.add_argument("--flights", type=int, help="a set (pooled: 4), over each world (matched, 1)")
-    parser.add_argument("--cache", type=Path, help="folder that keeps what was found in each image")
     arguments = add_record_option(parser).parse_args()
     with recording("flights", [arguments.what], arguments.record):
         if arguments.what == "pooled":
-            pooled(arguments.data, arguments.split, arguments.flights or _FLIGHTS, arguments.cache)
+            pooled(arguments.data, arguments.split, arguments.flights or _FLIGHTS)
         else:
-            matched(arguments.data, arguments.flights or 1, arguments.cache)
+            matched(arguments.data, arguments.flights or 1)
 
 
 if __name__ == "__main__":

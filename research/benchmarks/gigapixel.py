@@ -3,8 +3,7 @@
 ``python -m research.benchmarks.gigapixel make|search``. Prints Markdown; ``--record`` keeps it.
 
 A mosaic is laid out of images of known scale, towns with fields between them, every pixel of a town at exactly 0.2 m.
-``search`` runs one mosaic with one effort in this process and tells tiles, seconds, memory and the scale; with
-``--threads 1`` also how much of the processor's time the networks have, by file: the rest is what the pipeline adds.
+``search`` runs one mosaic with one effort in this process and tells tiles, seconds, memory and the scale.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from __future__ import annotations
 import argparse
 import csv
 import resource
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +19,6 @@ import cv2
 import numpy as np
 import rasterio
 
-from research.benchmarks.speed import networks_seconds
 from research.results.record import add_record_option, header, recording
 from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.detection.detector import load_detector
@@ -74,7 +71,7 @@ def _cell(pictures: list[NDArray[Any]], rng: np.random.Generator) -> NDArray[Any
     return image[:, ::-1] if rng.integers(2) else image
 
 
-def make(data: Path, out: Path, side: int, share: float, town: str, seed: int, overviews: bool) -> None:
+def make(data: Path, out: Path, side: int, share: float, town: str, seed: int) -> None:
     """Write a mosaic as a tiled TIFF, row of cells by row of cells."""
     rng = np.random.default_rng(seed)
     towns, fields = pictures(data, town, SETS[town]), pictures(data, "empty", "table.csv")
@@ -88,29 +85,23 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int, o
                 cell = _cell(towns if where[row, column] else fields, rng)
                 window = ((row * CELL_PX, (row + 1) * CELL_PX), (column * CELL_PX, (column + 1) * CELL_PX))
                 file.write(np.ascontiguousarray(cell[:, :, ::-1].transpose(2, 0, 1)), window=window)
-    if overviews:
-        with rasterio.open(out, "r+") as file:
-            file.build_overviews([2, 4, 8, 16], rasterio.enums.Resampling.average)
 
 
-def search(image: Path, effort: str, threads: int | None, model: str | None) -> str:
+def search(image: Path, effort: str, threads: int | None) -> str:
     """One line of a table for one image and effort."""
-    detector = load_detector(resolve_model(model), Runtime(threads=threads))
+    detector = load_detector(resolve_model(), Runtime(threads=threads))
     options = ScaleOptions.of({"effort": effort})
     started, cpu = time.perf_counter(), time.process_time()
-    with networks_seconds(time.thread_time) as networks, open_raster(image, limits=options.reading.limits) as raster:
-        found = analyse_raster(raster, detector, options).estimate
+    with open_raster(image, limits=options.reading.limits) as raster:
+        found = analyse_raster(detector, raster, options).estimate
     seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    line = (
-        f"| {effort} | {image.stem} | {found.tiles_searched} | {found.tiles_total} | {found.stopped_because} | "
+    details = found.details
+    return (
+        f"| {effort} | {image.stem} | {details.tiles_searched} | {details.tiles_total} | {details.stopped_because} | "
         f"{seconds:.0f} | {cpu:.0f} | {found.gsd_m_per_px or 0:.4f} | {found.gsd_ci95_low_m_per_px or 0:.3f} to "
         f"{found.gsd_ci95_high_m_per_px or 0:.3f} | {found.status} | {found.n_vehicles} | {peak:.0f} |"
     )
-    if threads == 1:
-        parts = ", ".join(f"{name} {spent:.1f}" for name, spent in networks.items())
-        print(f"CPU time over the networks': {cpu / sum(networks.values()):.3f} ({parts})\n", file=sys.stderr)
-    return line
 
 
 def main() -> None:
@@ -124,23 +115,21 @@ def main() -> None:
     making.add_argument("--towns", type=float, default=0.2, help="share of the area")
     making.add_argument("--set", dest="town", choices=sorted(SETS), default="cannes")
     making.add_argument("--seed", type=int, default=0)
-    making.add_argument("--overviews", action="store_true")
     searching = commands.add_parser("search")
     searching.add_argument("images", type=Path, nargs="+")
     searching.add_argument("--effort", choices=["full", "auto", "fast"], nargs="+", default=["auto"])
     searching.add_argument("--threads", type=int)
-    searching.add_argument("--detector")
     add_record_option(searching)
     chosen = parser.parse_args()
     if chosen.command == "make":
-        make(chosen.data, chosen.out, chosen.side, chosen.towns, chosen.town, chosen.seed, chosen.overviews)
+        make(chosen.data, chosen.out, chosen.side, chosen.towns, chosen.town, chosen.seed)
         return
     with recording("speed", ["large"], chosen.record):
         columns = ("effort", "image", "tiles", "of", "ended", "wall s", "CPU s", "GSD", "interval", "status")
         print(header(*columns, "vehicles", "peak MiB"))
         for image in chosen.images:
             for effort in chosen.effort:
-                print(search(image, effort, chosen.threads, chosen.detector), flush=True)
+                print(search(image, effort, chosen.threads), flush=True)
 
 
 if __name__ == "__main__":

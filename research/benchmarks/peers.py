@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import shutil
 import statistics
 import subprocess
@@ -28,7 +27,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import onnxruntime
 
 from research.results.record import add_record_option, header, recording
 from research.scenes import render_scene
@@ -173,9 +171,6 @@ def main() -> None:
             print(json.dumps({name: value for name, value in found.items() if name != "tool"}), flush=True)
         return
     python = make_environment(options.environment)
-    print(
-        f"{platform.machine()}, {os.cpu_count()} CPUs, onnxruntime {onnxruntime.__version__}, {', '.join(_PACKAGES)}\n"
-    )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         model, images, tiles = write_work(folder)

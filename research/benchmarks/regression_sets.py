@@ -5,15 +5,13 @@ Prints Markdown; ``--record`` keeps it. ``--part`` chooses:
 * ``people``: precision and recall on upright boxes drawn by people. A hit has its centre inside the label grown by a
   tenth and a length between 0.6 of the label's longer side and 1.25 of its diagonal; each label is hit once, and a
   second hit is a false box. Boxes on labelled lorries count as false, too. "Corrected by eye" adds cars that nobody had
-  labelled and leaves doubtful things out (``car_verifier/looked_at.csv``);
+  labelled and leaves doubtful things out (``training/chips/looked_at.csv``);
 * ``clutter``: false boxes a megapixel where there are no cars, or where the cars are known;
 * ``mistakes``: confidence of 0.5 and more on an image of known scale with an error above 20 %, or without cars.
 
 ``--held-out`` measures ``people`` on the held-out tenth of *train* instead of *val*: thresholds are chosen there.
-``--labelled cannes`` measures it on the *val* labels of a set of ``vehicles/``, which a model made: what is ignored
-there is neither hit nor false.
-``--thresholds`` prints a row for each of several scores instead of the model's own alone. A detector without its second
-look is a copy of its file in another folder.
+``--thresholds`` prints a row for each of several scores instead of the model's own alone. A detector without its
+verifier and its chip network is a copy of its file in another folder.
 """
 
 from __future__ import annotations
@@ -24,12 +22,10 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import cv2
 import numpy as np
 
 from research.results.record import add_record_option, recording
-from research.training import car_verifier
-from research.training.detector.distractors import KINDS, draw_distractors
+from research.training import chips
 from research.training.detector.places import Place, is_held_out, looked_at, places
 from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
@@ -49,12 +45,10 @@ if TYPE_CHECKING:
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _LEAST_SCORE = 0.15
 _THRESHOLDS = (0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
-_LOOKED_AT = Path(car_verifier.__file__).with_name("looked_at.csv")
+_LOOKED_AT = Path(chips.__file__).with_name("looked_at.csv")
 _SAME_PLACE = 0.35  # of a length
 _HIGH_ERROR = 0.2
 _NEARCAR_LENGTH_M = 3.0  # of a car that is there, a box is not false
-_RENDERED_SIDE_PX = 512
-_RENDERED_SIZES = (0.6, 1.0, 1.8)
 _PARTS = ("people", "clutter", "mistakes")
 
 
@@ -149,22 +143,6 @@ def people_images(data: Path, held_out: bool) -> Iterator[tuple[str, Path, Path]
                 yield f"{row['set']}, val", path, data / "upright" / "labels" / f"{path.stem}.txt"
 
 
-def labelled_images(data: Path, name: str, detector: Detector) -> Iterator[Sighted]:
-    """The val images of a set of ``vehicles/`` with its labels; boxes on ignored places are left out."""
-    with (data / "vehicles" / "index.csv").open(newline="") as handle:
-        rows = [row for row in csv.DictReader(handle) if (row["set"], row["split"]) == (name, "val")]
-    for row in rows:
-        path = data / "vehicles" / row["file"]
-        labels = read_labels(data / "vehicles" / "labels" / f"{path.stem}.txt")
-        found = sighted(path, detector)
-        ignored = labels.of_class("ignore").astype(np.float32)
-        spared = [any(cv2.pointPolygonTest(each, (x, y), False) >= 0 for each in ignored) for x, y, *_ in found.boxes]
-        free = (hit_labels(found.boxes, labels.of_class("small-vehicle")) >= 0) | ~np.array(spared, bool)
-        yield found._replace(
-            boxes=found.boxes[free], scores=found.scores[free], labels=labels.of_class("small-vehicle")
-        )
-
-
 def with_known_cars(place: Place, detector: Detector) -> Sighted:
     """Search an unlabelled place; cars known from contact sheets are excused."""
     cars = [(x, y) for x, y, kind in looked_at().get(place.path.name, []) if kind in ("car", "ignore")]
@@ -187,22 +165,6 @@ def clutter_sets(data: Path, detector: Detector) -> Iterator[tuple[str, list[Sig
     trained = {place.path for place in all_places}
     fields = [p for p in sorted((data / "flights" / "seneca").iterdir()) if p.suffix == ".jpg" and p not in trained]
     yield "fields (seneca, photographs not in train)", [sighted(path, detector) for path in fields]
-    for name in KINDS:
-        yield f"rendered {name}, on empty val", [sighted(image, detector) for image in rendered(name, empty[:8])]
-
-
-def rendered(kind: str, grounds: list[Path]) -> Iterator[NDArray[np.uint8]]:
-    """Striped or gridded things drawn over ground without cars; the same every time."""
-    rng = np.random.default_rng(20261121)
-    for path in grounds:
-        ground = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if ground is None:
-            raise FileNotFoundError(path)
-        ground = cv2.resize(ground, (_RENDERED_SIDE_PX, _RENDERED_SIDE_PX), interpolation=cv2.INTER_CUBIC)
-        drawn, _ = draw_distractors(rng, np.ascontiguousarray(ground[:, :, ::-1]).astype(np.uint8), kind)
-        for size in _RENDERED_SIZES:
-            way = cv2.INTER_AREA if size < 1 else cv2.INTER_CUBIC
-            yield np.asarray(cv2.resize(drawn, None, fx=size, fy=size, interpolation=way), np.uint8)
 
 
 def corrected(found: Sighted, file: str) -> Sighted:
@@ -296,16 +258,14 @@ def main() -> None:
     parser.add_argument("--detector")
     parser.add_argument("--part", choices=_PARTS, action="append")
     parser.add_argument("--held-out", action="store_true")
-    parser.add_argument("--labelled", action="append", default=[], metavar="SET")
     parser.add_argument("--thresholds", action="store_true")
     options = add_record_option(parser).parse_args()
     detector = Detector(resolve_model(options.detector))
     thresholds = list(_THRESHOLDS) if options.thresholds else [detector.card.min_score]
     print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`\n")
-    labelled = {f"{name}, val": [*labelled_images(DATA, name, detector)] for name in options.labelled}
     for part in options.part or _PARTS:
         if part == "people":
-            key, lines = "places", people_report(labelled or people_sets(DATA, detector, options.held_out), thresholds)
+            key, lines = "places", people_report(people_sets(DATA, detector, options.held_out), thresholds)
         elif part == "clutter":
             key, lines = "clutter", clutter_report(DATA, detector, thresholds)
         else:

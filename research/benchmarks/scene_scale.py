@@ -36,7 +36,6 @@ _LEAST_CARS = 2  # of an oriented set
 _LEVEL_RATIO = 1.9  # of an upright box's sides, from which on its car stands level in it
 _BORDER_PX = 3
 _NEAR = np.log(1.5)
-_FINE_M_PER_PX = 0.05
 
 
 class Told(NamedTuple):
@@ -115,7 +114,6 @@ def main() -> None:
             by_set.setdefault(name, []).append(told)
     every = [each for told in by_set.values() for each in told]
     by_set["all"] = every
-    by_set[f"all finer than {_FINE_M_PER_PX} m/px"] = [each for each in every if each.gsd_m_per_px < _FINE_M_PER_PX]
     with recording("scale", ["unseen_ground"], options.record):
         print("| set | images | m/px by cars | median log error | within 1.5 | 95 % interval holds | its high to low |")
         print("|---|---|---|---|---|---|---|")

@@ -1,7 +1,7 @@
 """Measure a segmenter on real masks: ``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
 
 Every object of at least 15 px a side is prompted by its bounding box, each side moved by up to 5 % of the box (fixed
-seed). Beside it, on the same prompts: GrabCut, the filled box and the inscribed ellipse. Prints Markdown; ``--record``
+seed). Beside it, on the same prompts: GrabCut. Prints Markdown; ``--record``
 keeps it.
 """
 
@@ -59,14 +59,6 @@ def filled_box(target: Target) -> tuple[NDArray[np.bool_], float]:
     return whole, 1.0
 
 
-def inscribed_ellipse(target: Target) -> tuple[NDArray[np.bool_], float]:
-    """The ellipse that touches the box's four sides."""
-    x1, y1, x2, y2 = target.box
-    rows, cols = np.mgrid[: target.mask.shape[0], : target.mask.shape[1]] + 0.5
-    inside = (2 * cols - x1 - x2) ** 2 / (x2 - x1) ** 2 + (2 * rows - y1 - y2) ** 2 / (y2 - y1) ** 2 <= 1
-    return inside, 1.0
-
-
 def grabcut(target: Target) -> tuple[NDArray[np.bool_], float]:
     """OpenCV's GrabCut started from the box, in a crop of twice the box."""
     height, width = target.mask.shape
@@ -92,13 +84,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--split", default="val")
     parser.add_argument("--segmenter", nargs=2, metavar=("ENCODER", "DECODER"))
-    parser.add_argument("--no-baselines", action="store_true")
+    parser.add_argument("--no-baseline", action="store_true")
     options = add_record_option(parser).parse_args()
     files = tuple(options.segmenter) if options.segmenter else None
     segmenter = Segmenter(*resolve_segmenter(files))
     methods = {segmenter.card.name: segmenter_method(segmenter)}
-    if not options.no_baselines:
-        methods |= {"GrabCut": grabcut, "filled box": filled_box, "inscribed ellipse": inscribed_ellipse}
+    if not options.no_baseline:
+        methods["GrabCut"] = grabcut
     by_method: dict[str, list[Trial]] = {name: [] for name in methods}
     for target in read_targets(DATA / "segments", options.split):
         for name, method in methods.items():

@@ -41,17 +41,13 @@ async def overhead(n_calls: int, threads: int) -> None:
     with tempfile.TemporaryDirectory() as directory:
         image = write_images(Path(directory).resolve())[0]
         by_path = {"image": {"kind": "path", "path": str(image)}, "detail": "full"}
-        box, known = middle_box(image), estimate_gsd(image, detector=detector).scale
-        assert known is not None
+        box = middle_box(image)
+        stated: dict[str, Any] = {"gsd_m_per_px": 0.15, "gsd_basis": "measured"}
         questions: dict[str, tuple[Callable[[], BaseModel], dict[str, Any]]] = {
             "estimate_gsd": (lambda: estimate_gsd(image, detector=detector), by_path),
             "measure_area": (
-                lambda: measure_area(image, box=box, gsd_m_per_px=0.15, segmenter=segmenter),
-                {**by_path, **target(box), "gsd_m_per_px": 0.15},
-            ),
-            "measure_area, its scale given back": (
-                lambda: measure_area(image, box=box, scale=known, segmenter=segmenter),
-                {**by_path, **target(box), "scale": known.model_dump(mode="json", exclude_none=True)},
+                lambda: measure_area(image, box=box, segmenter=segmenter, **stated),
+                {**by_path, **target(box), **stated},
             ),
         }
         server = StdioServerParameters(
@@ -60,8 +56,7 @@ async def overhead(n_calls: int, threads: int) -> None:
             env=dict(os.environ),  # variables of a linear algebra library change last digits
         )
         async with Client(server, read_timeout_seconds=120) as client:
-            for words, (ask_library, arguments) in questions.items():
-                tool, _, manner = words.partition(",")
+            for tool, (ask_library, arguments) in questions.items():
                 measured = "area_m2" if tool == "measure_area" else "gsd_m_per_px"
                 library, called = [], []
                 for i in range(n_calls + 3):
@@ -78,7 +73,7 @@ async def overhead(n_calls: int, threads: int) -> None:
                 differences = [b - a for a, b in zip(library, called, strict=True)]
                 medians = [statistics.median(each) for each in (library, called, differences)]
                 shown = " | ".join(f"{median:.1f}" for median in medians)
-                print(f"| `{tool}`{manner} | {n_calls} | {shown} |", flush=True)
+                print(f"| `{tool}` | {n_calls} | {shown} |", flush=True)
 
 
 async def first_list(n_starts: int) -> None:

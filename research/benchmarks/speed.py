@@ -26,7 +26,6 @@ from research.scenes import render_scene
 from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import search_levels
-from vehanchor.detection.nms import oriented_nms
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid
 from vehanchor.models.zoo import resolve_model
@@ -151,22 +150,6 @@ def peak_memory() -> str:
     return f"| peak memory, 4096 x 4096 PNG, MiB | {kib / 1024:.0f} |"
 
 
-def nms_time() -> str:
-    """Oriented NMS of 50,000 boxes at the density of a full car park."""
-    rng = np.random.default_rng(0)
-    n = 50_000
-    boxes = np.column_stack(
-        [rng.uniform(0, 6700, (n, 2)), rng.normal(30, 3, n), rng.normal(12, 1, n), rng.uniform(0, np.pi, n)]
-    )
-    scores = rng.uniform(0.1, 1, n)
-    times = []
-    for _ in range(3):
-        started = time.perf_counter()
-        kept = oriented_nms(boxes, scores)
-        times.append(time.perf_counter() - started)
-    return f"| oriented NMS of 50,000 boxes, {len(kept)} kept, s | {statistics.median(times):.2f} |"
-
-
 def command_time(*command: str) -> float:
     """Median wall time of five runs of the interpreter, s."""
     times = []
@@ -177,15 +160,6 @@ def command_time(*command: str) -> float:
     return statistics.median(times)
 
 
-def start_up() -> list[str]:
-    """Import and help times, the bare interpreter's taken off for the import."""
-    interpreter = command_time("-c", "pass")
-    return [
-        f"| import vehanchor, s | {command_time('-c', 'import vehanchor') - interpreter:.2f} |",
-        f"| vehanchor --help, s | {command_time('-m', 'vehanchor', '--help'):.2f} |",
-    ]
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -194,7 +168,7 @@ def main() -> None:
     options = add_record_option(parser).parse_args()
     with recording("speed", ["pipeline_all"], options.record, rounds=options.rounds):
         print("| quantity | value |\n|---|---|")
-        for line in [*pipeline(options.rounds, options.detector), peak_memory(), nms_time(), *start_up()]:
+        for line in [*pipeline(options.rounds, options.detector), peak_memory()]:
             print(line, flush=True)
 
 

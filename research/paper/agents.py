@@ -7,16 +7,20 @@ the facts. A model acts by an interval, by yes or no, or by a direction with an 
 
 from __future__ import annotations
 
-import math
+import base64
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
+import cv2
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from research.paper.asked_model import SYSTEM, encoded_picture, read_answer
 from research.paper.conversation import converse
 from research.paper.question_set import Answered, Direction, TaskKind, checked_file, image_size
 from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.pictures.scale import read_reduced
+from vehanchor_evaluation.known_scale import DATASET_LIMITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -26,12 +30,20 @@ if TYPE_CHECKING:
     from research.paper.tools import ToolCaller
     from research.paper.vlm_api import ModelApi
 
+_SYSTEM = (
+    "You answer questions about overhead images. If there is no answer that one could act on, say so instead of "
+    "guessing."
+)
 _MAX_TURNS = 10
+_MAX_SIDE_PX, _JPEG_QUALITY = 1568, 90
 _LAST_LINES: dict[TaskKind, str] = {
     "distance": "ANSWER=<low> to <high>, the 95 % interval in metres",
     "fit": "ANSWER=yes or ANSWER=no",
     "direction": "ANSWER=<degrees> deg, <low> to <high>: degrees clockwise from the top, 95 % interval in metres",
 }
+_ANSWER = re.compile(r"\bANSWER[ *_`]*=[ *_`]*([^\r\n]*)", re.IGNORECASE)
+_NUMBER = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
+_INTERVAL = re.compile(_NUMBER + r"\s*(?:m2|m\^2|m\u00b2|m)?\s*(?:to|-|\u2013|\.\.)\s*" + _NUMBER)
 _BEARING = re.compile(r"\bANSWER[ *_`]*=[ *_`]*(\d+(?:\.\d+)?) *(?:degrees|deg|\u00b0)[ ,;:]+([^\r\n]*)", re.IGNORECASE)
 
 
@@ -73,7 +85,7 @@ def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCall
     try:
         for task, path in asked:
             image = checked_file(task.question, path)
-            told = converse(api, SYSTEM, _words(task, image), encoded_picture(image), tools, max_turns=_MAX_TURNS)
+            told = converse(api, _SYSTEM, _words(task, image), _encoded_picture(image), tools, max_turns=_MAX_TURNS)
             calls, tokens = calls + len(told.called), tokens + told.tokens
             answers.append(_answered(task, image, told.text))
     except (ApiRefusedError, BudgetSpentError, RequestFailedError) as error:
@@ -100,12 +112,7 @@ def agent_score(
 
 
 def _answered(task: Task, image: Path, text: str) -> Answered:
-    size = image_size(image)
-    reply = read_reply(task.kind, text)
-    interval = reply.interval if isinstance(reply, Direction) else reply
-    middle = math.sqrt(interval[0] * interval[1]) if isinstance(interval, tuple) else None
-    ratio = None if middle is None else middle / task.truth_m(*size)
-    return Answered(task, task.deed(reply, *size), "unknown" if reply is None else "answered", ratio)
+    return Answered(task, task.deed(read_reply(task.kind, text), *image_size(image)))
 
 
 def read_reply(kind: TaskKind, text: str) -> Reply:
@@ -116,6 +123,16 @@ def read_reply(kind: TaskKind, text: str) -> Reply:
         return Direction(float(bearings[-1][0]), interval) if isinstance(interval, tuple) else None
     answer = read_answer(text)
     return answer if isinstance(answer, bool) == (kind == "fit") else None
+
+
+def read_answer(reply: str) -> tuple[float, float] | bool | None:
+    """Parse the last ``ANSWER=`` of a reply: an interval, yes or no; None for anything else, such as "unknown"."""
+    lines = _ANSWER.findall(reply)
+    text = lines[-1].strip(" .*_`\"'").lower().replace(",", "") if lines else ""
+    if text in ("yes", "no"):
+        return text == "yes"
+    found = _INTERVAL.match(text)
+    return None if found is None else (float(found[1]), float(found[2]))
 
 
 def _words(task: Task, image: Path) -> str:
@@ -141,3 +158,16 @@ def _words(task: Task, image: Path) -> str:
             f"End with a last line {_LAST_LINES[task.kind]}, or ANSWER=unknown.",
         ]
     )
+
+
+def _encoded_picture(image: Path) -> str:
+    """Encode an image as base64 JPEG, reduced to the size that models see."""
+    with open_raster(image, limits=DATASET_LIMITS) as raster:
+        seen = read_reduced(raster)
+    factor = min(1.0, _MAX_SIDE_PX / max(seen.shape[:2]))
+    if factor < 1:
+        size = max(1, round(seen.shape[1] * factor)), max(1, round(seen.shape[0] * factor))
+        seen = np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(seen[:, :, ::-1]), quality)
+    return base64.b64encode(encoded.tobytes()).decode()

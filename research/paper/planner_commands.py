@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from research.paper.agents import AgentScore, agent_score, ask_agent
-from research.paper.asked_model import ask_model
 from research.paper.question_set import TASKS, ask_set, picture_of, question_set, task_of
 from research.paper.questions import ask_blindly, ask_with_tools, questions_of_photographs, score
-from research.paper.service import PlannerRequest, exit_if_stopped, plain_command
+from research.paper.service import PlannerRequest, RecordOption, exit_if_stopped, plain_command
 from research.paper.tools import open_tools
 from research.results.record import header, recording
 from vehanchor_evaluation.survey import survey_known_scale
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class QuestionsRequest(PlannerRequest):
+class QuestionsRequest:
     """Options of the command, one per field."""
 
     table: Annotated[
@@ -36,28 +35,20 @@ class QuestionsRequest(PlannerRequest):
     limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of questions.")] = 40
     set_name: Annotated[str | None, typer.Option("--set", metavar="NAME", help="Only this set of the table.")] = None
     split: Annotated[str | None, typer.Option(metavar="NAME", help="Only this split of the table, e.g. val.")] = None
+    record: RecordOption = None
 
 
 @plain_command(QuestionsRequest)
 def questions(request: QuestionsRequest) -> None:
-    """Compare a scripted planner with tools and one that guesses the scale: how far, does it fit.
-
-    With --provider and --model, a real model also answers, with and without tools. Its key comes from the environment.
-    """
-    request.check_model()
+    """Compare a scripted planner with tools and one that guesses the scale: how far, does it fit."""
     data = survey_known_scale(table=request.table, set_name=request.set_name, split=request.split)
-    asked, api = questions_of_photographs(data.images, request.limit), request.model_api()
-    stopped = None
+    asked = questions_of_photographs(data.images, request.limit)
     with open_tools(sorted({question.image.resolve().parent for question in asked})) as tools:
         outcomes = {
             "a script with the tools": ask_with_tools(asked, tools),
             "the same, which asks a person for one measured stretch": ask_with_tools(asked, tools, with_person=True),
             "a script that takes a pixel for 0.15 m": ask_blindly(asked),
         }
-        if api is not None:
-            outcomes[f"{request.model} with tools"], stopped = ask_model(asked, api, tools)
-            outcomes[f"{request.model} without tools"], also_stopped = ask_model(asked, api)
-            stopped = stopped or also_stopped
     with recording("agents", ["photographs"], request.record):
         costs = ("calls a right answer", "tokens a right answer")
         print(header("planner", "questions", "right", "wrong", "no answer", *costs))
@@ -65,7 +56,6 @@ def questions(request: QuestionsRequest) -> None:
             print(_line(score(name, each)))
     for name, each in outcomes.items():
         _print_wrong(name, each)
-    exit_if_stopped(stopped)
 
 
 def _line(row: PlannerScore) -> str:

@@ -161,12 +161,10 @@ def task_of(question: SetQuestion, kind: TaskKind) -> Task:
 
 @dataclass(frozen=True)
 class Answered:
-    """Result of a task: what the planner did, the tool's status, and the ratio of its distance to the truth."""
+    """Result of a task: what the planner did."""
 
     task: Task
     deed: Deed
-    status: str
-    ratio: float | None
 
 
 def question_set() -> tuple[SetQuestion, ...]:
@@ -240,9 +238,8 @@ def _ask(tasks: Sequence[Task], tools: ToolCaller, path: Path, *, catalogue: boo
 
 def _answered(task: Task, record: dict[str, Any]) -> Answered:
     """Decide as the script does, and judge it."""
-    status = record.get("status") or "error"
-    if status != "ok":
-        return Answered(task, task.deed(None, 1, 1), status, None)
+    if record.get("status") != "ok":
+        return Answered(task, task.deed(None, 1, 1))
     size = record["image_width_px"], record["image_height_px"]
     low, high = record["distance_ci95_low_m"], record["distance_ci95_high_m"]
     reply: Reply = (low, high)
@@ -251,7 +248,7 @@ def _answered(task: Task, record: dict[str, Any]) -> Answered:
     elif task.kind == "fit":
         needed = task.needed_m(*size)
         reply = True if low >= needed else False if high < needed else None
-    return Answered(task, task.deed(reply, *size), status, record["distance_m"] / task.truth_m(*size))
+    return Answered(task, task.deed(reply, *size))
 
 
 def image_size(path: Path) -> tuple[int, int]:

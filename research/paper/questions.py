@@ -1,8 +1,7 @@
 """Planner questions about photographs of known scale (how far, does it fit), answered with and without tools.
 
-The planner is a script, so the results depend only on the tools' answers and their cost; ``asked_model`` uses a real
-model. If a scale is not usable, the planner can ask a person, who has measured one line on the ground. Without tools it
-assumes a usual pixel size.
+The planner is a script, so the results depend only on the tools' answers and their cost. If a scale is not usable, the
+planner can ask a person, who has measured one line on the ground. Without tools it assumes a usual pixel size.
 """
 
 from __future__ import annotations
@@ -70,7 +69,7 @@ class Outcome:
         question: the question.
         verdict: "no answer" if the result is not usable, or if the interval leaves "does it fit" open.
         calls: number of tool calls.
-        tokens: tokens sent to and read from tools; for a model, the service's count.
+        tokens: tokens sent to and read from tools.
     """
 
     question: Question
@@ -135,62 +134,49 @@ def _distances(image: Path, size_px: tuple[int, int], gsd: float, *, both_fits: 
 
 @dataclass
 class _Dialogue:
-    """Dialogue of the planner with the tools; it reuses each image's scale.
+    """Dialogue of the planner with the tools.
 
     Attributes:
         tools: the tools.
         with_person: whether the planner asks a person if a scale is not usable.
-        scales: scales by image.
+        measured: lines that the person has measured, arguments of the tools, by image.
     """
 
     tools: ToolCaller
     with_person: bool = False
-    scales: dict[Path, Any] = field(default_factory=dict)
+    measured: dict[Path, dict[str, Any]] = field(default_factory=dict)
 
     def ask(self, question: Question) -> Outcome:
-        outcome, record = self._measure(question)
-        if not self.with_person or outcome.verdict != "no answer" or record.get("status") in (None, "ok"):
+        outcome, status = self._measure(question)
+        if not self.with_person or question.image in self.measured or status in ("ok", None):
             return outcome
-        asked = self._measure_stretch(question)
-        again, _ = self._measure(question)
-        dialogue = (outcome, asked, again)
-        return replace(again, calls=sum(each.calls for each in dialogue), tokens=sum(each.tokens for each in dialogue))
-
-    def _measure_stretch(self, question: Question) -> Outcome:
-        """Give the tool the line that a person measured; the new scale replaces the earlier one."""
         (x1, y1), (x2, y2) = STRETCH
         line = {"x1": x1, "y1": y1, "x2": x2, "y2": y2, "metres": question.stretch_m, "basis": "measured"}
-        arguments = {**_image_arguments(question), "known_lengths": [line]}
-        _, tokens = self._call(question, "estimate_gsd", arguments)
-        return Outcome(question, "no answer", calls=1, tokens=tokens)
+        self.measured[question.image] = line
+        again, _ = self._measure(question)
+        return replace(again, calls=outcome.calls + again.calls, tokens=outcome.tokens + again.tokens)
 
-    def _call(self, question: Question, tool: str, arguments: dict[str, Any]) -> tuple[dict[str, Any], float]:
-        """Call a tool; return its record, empty for an error, and the tokens sent and read."""
-        answer, is_error = self.tools.call(tool, arguments)
-        record: dict[str, Any] = {} if is_error else json.loads(answer.splitlines()[-1])
-        if record.get("scale") is not None:
-            self.scales[question.image] = record["scale"]
-        return record, (len(json.dumps(arguments)) + len(answer)) / CHARACTERS_A_TOKEN
-
-    def _measure(self, question: Question) -> tuple[Outcome, dict[str, Any]]:
+    def _measure(self, question: Question) -> tuple[Outcome, str | None]:
+        """Measure the line of a question; return the outcome and the status, None for an error."""
         (x1, y1), (x2, y2) = question.places
-        arguments = _image_arguments(question)
-        arguments["lines"] = [{"points": [{"x": x1, "y": y1}, {"x": x2, "y": y2}]}]
-        if question.image in self.scales:
-            arguments["scale"] = self.scales[question.image]
-        record, tokens = self._call(question, "measure_distance", arguments)
+        arguments: dict[str, Any] = {
+            "image": {"kind": "path", "path": str(question.image.resolve())},
+            "coordinates": "fraction",
+            "lines": [{"points": [{"x": x1, "y": y1}, {"x": x2, "y": y2}]}],
+        }
+        if question.image in self.measured:
+            arguments["known_lengths"] = [self.measured[question.image]]
+        answer, is_error = self.tools.call("measure_distance", arguments)
+        record: dict[str, Any] = {} if is_error else json.loads(answer.splitlines()[-1])
         verdict: Verdict = "no answer"
         if record.get("status") == "ok":
             verdict = _interval_verdict(question, record["distance_ci95_low_m"], record["distance_ci95_high_m"])
-        return Outcome(question, verdict, 1, tokens), record
-
-
-def _image_arguments(question: Question) -> dict[str, Any]:
-    return {"image": {"kind": "path", "path": str(question.image.resolve())}, "coordinates": "fraction"}
+        tokens = (len(json.dumps(arguments)) + len(answer)) / CHARACTERS_A_TOKEN
+        return Outcome(question, verdict, 1, tokens), record.get("status")
 
 
 def ask_with_tools(questions: Iterable[Question], tools: ToolCaller, *, with_person: bool = False) -> list[Outcome]:
-    """Answer questions with tools, reusing each image's scale; a result that is not ok counts as no answer.
+    """Answer questions with tools; a result that is not ok counts as no answer.
 
     Args:
         questions: questions in order.
@@ -210,20 +196,6 @@ def ask_blindly(questions: Iterable[Question]) -> list[Outcome]:
         value, spread = math.hypot(across, down) * USUAL_GSD_M, 1 + USUAL_ERROR
         outcomes.append(Outcome(question, _interval_verdict(question, value / spread, value * spread)))
     return outcomes
-
-
-def judge_answer(question: Question, answer: tuple[float, float] | bool | None) -> Verdict:
-    """Compare an answer with the truth.
-
-    Args:
-        question: the question.
-        answer: an interval, or yes or no for "does it fit"; None for no answer.
-    """
-    if not isinstance(answer, bool):
-        return "no answer" if answer is None else _interval_verdict(question, *answer)
-    if question.kind != "fit":
-        return "no answer"
-    return "right" if answer == bool(question.truth) else "wrong"
 
 
 def _interval_verdict(question: Question, low: float, high: float) -> Verdict:

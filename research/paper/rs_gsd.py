@@ -12,7 +12,6 @@ from __future__ import annotations
 import csv
 import os
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -84,7 +83,6 @@ def build_benchmark(
     entries: int | None = DEFAULT_ENTRIES,
     seed: int = 0,
     categories: Sequence[str] = CATEGORIES,
-    workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Built:
     """Choose objects and write the benchmark.
@@ -98,7 +96,6 @@ def build_benchmark(
         entries: number of entries; None for every object.
         seed: seed of the random choice.
         categories: categories to choose from.
-        workers: images read in parallel.
         progress: called with (images read, total).
 
     Raises:
@@ -110,15 +107,15 @@ def build_benchmark(
     images, issues = _annotated_images(folders)
     found: dict[str, list[_Candidate]] = {category: [] for category in categories}
     n_small, known = 0, set[str]()
-    with ThreadPoolExecutor(workers) as pool:
-        for done, reading in enumerate(pool.map(lambda image: _read_candidates(image, categories), images), start=1):
-            n_small += reading.n_small
-            known |= reading.categories
-            issues += reading.issues
-            for candidate in reading.candidates:
-                found[candidate.category].append(candidate)
-            if progress is not None:
-                progress(done, len(images))
+    for done, image in enumerate(images, start=1):
+        reading = _read_candidates(image, categories)
+        n_small += reading.n_small
+        known |= reading.categories
+        issues += reading.issues
+        for candidate in reading.candidates:
+            found[candidate.category].append(candidate)
+        if progress is not None:
+            progress(done, len(images))
     available = {category: len(found[category]) for category in sorted(found)}
     chosen = _choose(found, quotas(available, entries), seed)
     if not chosen:

@@ -12,9 +12,8 @@ from research.paper.rs_gsd import CATEGORIES, DEFAULT_ENTRIES, build_benchmark
 from research.paper.service import plain_command
 from vehanchor.cli.terminal import tile_progress
 from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.commands.sources import WorkersOption, print_issues
+from vehanchor_evaluation.commands.sources import print_issues
 from vehanchor_evaluation.report import write_issues
-from vehanchor_evaluation.search import default_workers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +30,6 @@ class RsGsdRequest:
     category: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Category to choose from; repeatable. Default: eight.")
     ] = None
-    workers: WorkersOption = None
 
 
 @plain_command(RsGsdRequest)
@@ -46,7 +44,6 @@ def rs_gsd(request: RsGsdRequest) -> None:
             entries=request.entries or None,
             seed=request.seed,
             categories=tuple(request.category or CATEGORIES),
-            workers=request.workers or default_workers(),
             progress=step(0, "reading masks"),
         )
     if built.issues:

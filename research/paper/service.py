@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import typer
 
-from research.paper.vlm_api import Budget, open_api, reply_journal
+from research.paper.vlm_api import Budget, Provider, open_api, reply_journal
 from vehanchor.cli.terminal import exit_on_error
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.commands.request import fields_of, with_signature
@@ -24,6 +23,9 @@ Request = TypeVar("Request")
 
 STOPPED = 3  # exit status of a run that ended early; its results are written or printed
 _LIMITS = "Limits and service"
+RecordOption: TypeAlias = Annotated[
+    str | None, typer.Option(metavar="SUFFIX", help="Write the table into research/results; '' for no suffix.")
+]
 MODEL_PANEL = "A real model"
 
 
@@ -47,14 +49,6 @@ def plain_command(request: type[Request]) -> Callable[[Callable[[Request], None]
     return decorate
 
 
-class ProviderName(StrEnum):
-    """API of the model."""
-
-    anthropic = "anthropic"
-    openai = "openai"
-    openai_compatible = "openai-compatible"
-
-
 @dataclass(frozen=True, kw_only=True)
 class ServiceRequest:
     """Options for the service and the limits of a run, one per field."""
@@ -62,15 +56,6 @@ class ServiceRequest:
     base_url: Annotated[
         str | None,
         typer.Option(metavar="URL", help="Address of the service. Default: the provider's.", rich_help_panel=_LIMITS),
-    ] = None
-    key_variable: Annotated[
-        str | None,
-        typer.Option(
-            "--api-key-env",
-            metavar="NAME",
-            help="Environment variable of the key. Default: ANTHROPIC_API_KEY or OPENAI_API_KEY.",
-            rich_help_panel=_LIMITS,
-        ),
     ] = None
     max_requests: Annotated[
         int | None,
@@ -82,10 +67,6 @@ class ServiceRequest:
             min=1, metavar="N", help="Maximum number of input and output tokens in this run.", rich_help_panel=_LIMITS
         ),
     ] = None
-    requests_per_minute: Annotated[
-        float | None,
-        typer.Option(min=0.001, metavar="N", help="Maximum number of requests per minute.", rich_help_panel=_LIMITS),
-    ] = None
     max_output_tokens: Annotated[
         int, typer.Option(min=16, metavar="N", help="Maximum number of tokens of one reply.", rich_help_panel=_LIMITS)
     ] = 4096
@@ -96,7 +77,7 @@ class ServiceRequest:
         int, typer.Option(min=0, metavar="N", help="Attempts after the first.", rich_help_panel=_LIMITS)
     ] = 6
 
-    def open_api(self, provider: ProviderName, model: str, out: Path | None) -> ModelApi:
+    def open_api(self, provider: Provider, model: str, out: Path | None) -> ModelApi:
         """Connect to the model with these limits.
 
         Args:
@@ -109,12 +90,11 @@ class ServiceRequest:
             InvalidParameterError: the environment has no key, or the address of a compatible service is missing.
         """
         return open_api(
-            provider.value,
+            provider,
             model,
             reply_journal(out),
-            Budget(self.max_requests, self.max_tokens, self.requests_per_minute),
+            Budget(self.max_requests, self.max_tokens),
             base_url=self.base_url,
-            key_variable=self.key_variable,
             max_output_tokens=self.max_output_tokens,
             timeout_s=self.timeout,
             max_retries=self.retries,
@@ -126,7 +106,7 @@ class PlannerRequest(ServiceRequest):
     """Options for a real model beside the scripted planner, one per field."""
 
     provider: Annotated[
-        ProviderName | None,
+        Provider | None,
         typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...", rich_help_panel=MODEL_PANEL),
     ] = None
     model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.", rich_help_panel=MODEL_PANEL)] = ""
@@ -138,9 +118,7 @@ class PlannerRequest(ServiceRequest):
             rich_help_panel=MODEL_PANEL,
         ),
     ] = None
-    record: Annotated[
-        str | None, typer.Option(metavar="SUFFIX", help="Write the table into research/results; '' for no suffix.")
-    ] = None
+    record: RecordOption = None
 
     def check_model(self) -> None:
         """Check, before the work, that provider and model are both given or both missing.

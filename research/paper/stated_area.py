@@ -5,28 +5,19 @@ from __future__ import annotations
 import re
 from typing import Literal, NamedTuple
 
-Problem = Literal["no_area_line", "no_number", "ambiguous_number", "unknown_unit"]
+Problem = Literal["no_area_line", "no_number", "unknown_unit"]
 
 _LINE = re.compile(r"\bAREA[ *_`]*=([^\r\n]*)", re.IGNORECASE)
-_NUMBER = re.compile(
-    r"(?P<sign>[-+\u2212]?)"
-    r"(?P<digits>\d(?:[\d.,'\u2019_]|[ \u00a0\u2009\u202f](?=\d{3}(?!\d)))*|\.\d+)"
-    r"(?:\s*(?:[eE]|[x\u00d7*\u00b7]\s*10\s*(?:\^|\*\*))\s*[({]?(?P<exponent>[-+\u2212]?\d+)[)}]?)?"
+_MARKUP = re.compile(r"[*_`$]|\\(?:boxed|text|mathrm)|[{}]")
+_STATED = re.compile(
+    r"\s*(?:about|approximately|approx\.?|~|\u2248)?\s*"
+    r"(?P<number>\d{1,3}(?:,\d{3})+(?:\.\d+)?|\d+(?:\.\d+)?(?:e[+-]?\d{1,2})?)(?![\d.,])"
+    r"\s*(?P<unit>[^(\u00b1]*)",
+    re.IGNORECASE,
 )
-_BEFORE = re.compile(
-    r"(?:approximately|approx\.?|about|around|circa|ca\.?|roughly|[~\u2248\u223c<(\[$*_`\"'\s])*", re.IGNORECASE
+_SQUARE_METRES = re.compile(
+    r"m\^?2|m\u00b2|sq\.? ?m|(?:sq\.?|square) met(?:er|re)s?|met(?:er|re)s? squared", re.IGNORECASE
 )
-_SUPERSCRIPTS = str.maketrans({"\u00b2": "2", "\u00b3": "3", **{c: str(d) for d, c in enumerate("\u2070\u00b9")}})
-_M2 = {
-    1.0: r"|m\^?2|m\*\*2|sq\.? ?m|sqm|(?:sq\.?|square) ?met(?:er|re)s?|met(?:er|re)s? ?(?:squared|\^?2)",
-    1e6: r"km\^?2|sq\.? ?km|(?:sq\.?|square) ?kilomet(?:er|re)s?",
-    1e4: r"ha|hectares?",
-    1e-4: r"cm\^?2|sq\.? ?cm|square ?centimet(?:er|re)s?",
-    0.09290304: r"ft\^?2|sq\.? ?ft|sqft|(?:sq\.?|square) ?(?:feet|foot)",
-    0.83612736: r"yd\^?2|sq\.? ?yd|square ?yards?",
-    4046.8564224: r"acres?|ac",
-}
-_UNITS = [(re.compile(pattern, re.IGNORECASE), factor) for factor, pattern in _M2.items()]
 
 
 class StatedArea(NamedTuple):
@@ -39,11 +30,8 @@ class StatedArea(NamedTuple):
 def read_area(reply: str) -> StatedArea:
     """Parse the last ``AREA=`` of a reply.
 
-    Numbers may have thousands separators (comma, point, apostrophe, underscore or space between groups of three) and
-    exponents (``1.2e3``, ``1.2 x 10^3``). If a number has commas and points, the last of them is the decimal separator.
-    A single comma before three digits separates thousands. A number without a unit is in square metres; km2, ha, cm2,
-    ft2, yd2 and acres are converted. Other units (pixels, for example), ranges and negative numbers are refused. Words
-    before the number and brackets after it are ignored.
+    The question asks for a number of square metres. Commas may separate thousands, square metres may be named, and
+    brackets or a tolerance may follow. Ranges, products and other units are refused.
 
     Args:
         reply: the model's full reply.
@@ -54,58 +42,10 @@ def read_area(reply: str) -> StatedArea:
     lines = _LINE.findall(reply)
     if not lines:
         return StatedArea(None, "no_area_line")
-    text = _plain(lines[-1])
-    start = _BEFORE.match(text)
-    found = _NUMBER.match(text, start.end() if start else 0)
-    if found is None or found["sign"] in ("-", "\u2212"):
+    found = _STATED.match(_MARKUP.sub("", lines[-1]))
+    if found is None:
         return StatedArea(None, "no_number")
-    value = _value(found["digits"].rstrip(".,"))
-    rest = re.split(r"\u00b1|\+/?-|[(\[]", text[found.end() :])[0].strip(" .,;:*_`\"'>)]$\t")
-    if value is None or re.search(r"\d", re.sub(r"\^?2\b", "", rest)):
-        return StatedArea(None, "ambiguous_number")
-    factor = next((factor for unit, factor in _UNITS if unit.fullmatch(rest)), None)
-    if factor is None:
+    unit = found["unit"].strip(" .,;:\t")
+    if unit and not _SQUARE_METRES.fullmatch(unit):
         return StatedArea(None, "unknown_unit")
-    exponent = int((found["exponent"] or "0").replace("\u2212", "-"))
-    if abs(exponent) > 30:
-        return StatedArea(None, "ambiguous_number")
-    return StatedArea(value * 10.0**exponent * factor)
-
-
-def _plain(text: str) -> str:
-    """Replace LaTeX and superscripts by plain text."""
-    text = re.sub(r"\\times|\\cdot", "x", text)
-    text = re.sub(r"\\(?:text|mathrm|mathbf|boxed|approx|sim|[,;:! ])|[{}$]", " ", text)
-    text = re.sub(r"10([\u2070\u00b9\u00b2\u00b3\u2074-\u2079]+)", lambda m: "10^" + _digits(m[1]), text)
-    text = re.sub(r"\s*\^\s*", "^", text.translate(_SUPERSCRIPTS))
-    return re.sub(r"[ \t]+", " ", text).strip()
-
-
-def _digits(superscripts: str) -> str:
-    return "".join(str("\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079".index(c)) for c in superscripts)
-
-
-def _value(digits: str) -> float | None:
-    """Parse digits and separators; None if they are ambiguous."""
-    text = re.sub(r"['\u2019_ \u00a0\u2009\u202f]", "", digits)
-    points, commas = text.count("."), text.count(",")
-    if points and commas:
-        decimal = max(".", ",", key=text.rfind)
-        grouped = "," if decimal == "." else "."
-        if text.count(decimal) > 1 or not re.fullmatch(
-            rf"\d{{1,3}}(?:{re.escape(grouped)}\d{{3}})+", text[: text.rfind(decimal)]
-        ):
-            return None
-        text = text.replace(grouped, "").replace(decimal, ".")
-    elif commas or points > 1:
-        separator = "," if commas else "."
-        if re.fullmatch(rf"\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+", text):
-            text = text.replace(separator, "")
-        elif commas == 1:
-            text = text.replace(",", ".")
-        else:
-            return None
-    try:
-        return float(text)
-    except ValueError:
-        return None
+    return StatedArea(float(found["number"].replace(",", "")))

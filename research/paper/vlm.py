@@ -8,9 +8,7 @@ refusal or a reply without a number counts as an error of 100 %, as does a pipel
 from __future__ import annotations
 
 import base64
-from contextlib import closing
 from dataclasses import dataclass
-from threading import Event
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -20,7 +18,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from research.paper.conversation import converse
 from research.paper.stated_area import read_area
 from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError
-from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.scale import read_reduced
@@ -29,7 +26,6 @@ from vehanchor_evaluation.known_scale import FileIssue
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from concurrent.futures import Future
 
     from numpy.typing import NDArray
 
@@ -84,8 +80,7 @@ class VlmTrial(BaseModel):
     true_area_m2: float
     stated_area_m2: float | None
     problem: str | None = Field(
-        description="Why the area is missing: refused, too_many_turns, no_area_line, no_number, ambiguous_number, "
-        "unknown_unit."
+        description="Why the area is missing: refused, too_many_turns, no_area_line, no_number, unknown_unit."
     )
     last_line: str = Field(description="Last line of the reply.")
     turns: int = Field(description="Replies; 1 without tools.")
@@ -150,7 +145,6 @@ def run_vlm_trials(
     query: Query,
     *,
     tools: ToolCaller | None = None,
-    workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> VlmRun:
     """Ask about every entry.
@@ -163,64 +157,28 @@ def run_vlm_trials(
         api: the model.
         query: form of the question.
         tools: tools for an agent.
-        workers: parallel requests.
         progress: called with (entries done, total).
     """
-    round_ = _Collector(api, query, tools)
-    with closing(finished_in_threads(workers, round_.work, entries)) as answers:
-        for done, (entry, answer) in enumerate(answers, start=1):
-            round_.take(entry, answer)
-            if progress is not None and not round_.stopped:
-                progress(done, len(entries))
-    return VlmRun(
-        [round_.trials[entry.name] for entry in entries if entry.name in round_.trials], round_.issues, round_.stopped
-    )
-
-
-class _Collector:
-    """Collector of answers, which decides when the run ends."""
-
-    def __init__(self, api: ModelApi, query: Query, tools: ToolCaller | None) -> None:
-        self._ask_with = api, query, tools
-        self._ended = Event()  # stops threads from starting another entry before the main thread knows of the end
-        self._failures = 0
-        self.trials: dict[str, VlmTrial] = {}
-        self.issues: list[FileIssue] = []
-        self.stopped: str | None = None
-
-    def work(self, entry: AreaEntry) -> VlmTrial | None:
-        """Ask about an entry; None after the end of the run."""
-        if self._ended.is_set():
-            return None
+    trials: list[VlmTrial] = []
+    issues: list[FileIssue] = []
+    failures = 0
+    for done, entry in enumerate(entries, start=1):
         try:
-            return _ask(entry, *self._ask_with)
-        except (BudgetSpentError, ApiRefusedError):
-            self._ended.set()
-            raise
-
-    def take(self, entry: AreaEntry, answer: Future[VlmTrial | None]) -> None:
-        """Keep an answer, even one in flight when the run ended, or record why it is missing."""
-        try:
-            trial = answer.result()
+            trials.append(_ask(entry, api, query, tools))
         except (BudgetSpentError, ApiRefusedError) as error:
-            self._stop(str(error))
+            return VlmRun(trials, issues, str(error))
         except RequestFailedError as error:
-            if self.stopped:
-                return
-            self.issues.append(FileIssue(entry.image, "request_failed", f"{entry.name}: {error}"))
-            self._failures += 1
-            if self._failures >= _FAILURES_IN_A_ROW:
-                self._stop(f"{self._failures} requests in a row failed, the last: {error}")
+            issues.append(FileIssue(entry.image, "request_failed", f"{entry.name}: {error}"))
+            failures += 1
+            if failures >= _FAILURES_IN_A_ROW:
+                return VlmRun(trials, issues, f"{failures} requests in a row failed, the last: {error}")
         except VehAnchorError as error:
-            self.issues.append(FileIssue(entry.image, error.code, f"{entry.name}: {error}"))
+            issues.append(FileIssue(entry.image, error.code, f"{entry.name}: {error}"))
         else:
-            self._failures = 0
-            if trial is not None:
-                self.trials[entry.name] = trial
-
-    def _stop(self, reason: str) -> None:
-        self.stopped = self.stopped or reason
-        self._ended.set()
+            failures = 0
+        if progress is not None:
+            progress(done, len(entries))
+    return VlmRun(trials, issues, None)
 
 
 def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None) -> VlmTrial:

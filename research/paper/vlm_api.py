@@ -10,10 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import threading
-import time
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 from urllib.parse import urlsplit
 
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
     from research.paper.tools import ToolCaller
 
 Provider: TypeAlias = Literal["anthropic", "openai", "openai-compatible"]
-PROVIDERS: tuple[Provider, ...] = ("anthropic", "openai", "openai-compatible")
 _KEY_VARIABLES = {"anthropic": "ANTHROPIC_API_KEY", "openai": "OPENAI_API_KEY", "openai-compatible": "OPENAI_API_KEY"}
 _NO_KEY = "none"  # for compatible servers without keys: the client requires one
 _REFUSALS = (401, 403, 404)  # the key or the model is wrong: other requests would fail, too
@@ -85,45 +82,31 @@ class Reply:
 
 @dataclass
 class Budget:
-    """Limits on cost and rate of a run; stored replies are free.
+    """Limits on the cost of a run; stored replies are free.
 
     Attributes:
         max_requests: maximum number of requests; None for no limit.
-        max_tokens: maximum number of input and output tokens; requests in flight at the limit still complete.
-        requests_per_minute: rate of evenly spaced requests; None for no limit.
+        max_tokens: maximum number of input and output tokens.
+        requests: number of requests so far.
+        tokens: number of tokens so far.
     """
 
     max_requests: int | None = None
     max_tokens: int | None = None
-    requests_per_minute: float | None = None
     requests: int = 0
     tokens: int = 0
-    _next_start: float = 0.0
-    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def begin(self) -> None:
-        """Take one request from the budget and wait for its turn.
+        """Take one request from the budget.
 
         Raises:
             BudgetSpentError: the budget is spent.
         """
-        with self._lock:
-            if self.max_requests is not None and self.requests >= self.max_requests:
-                raise BudgetSpentError(f"{self.requests} requests made, the limit of --max-requests")
-            if self.max_tokens is not None and self.tokens >= self.max_tokens:
-                raise BudgetSpentError(f"{self.tokens} tokens used, the limit of --max-tokens is {self.max_tokens}")
-            self.requests += 1
-            now = time.monotonic()
-            start = max(now, self._next_start)
-            if self.requests_per_minute is not None:
-                self._next_start = start + 60.0 / self.requests_per_minute
-        if start > now:
-            time.sleep(start - now)
-
-    def spend(self, tokens: int) -> None:
-        """Count the tokens of a request."""
-        with self._lock:
-            self.tokens += tokens
+        if self.max_requests is not None and self.requests >= self.max_requests:
+            raise BudgetSpentError(f"{self.requests} requests made, the limit of --max-requests")
+        if self.max_tokens is not None and self.tokens >= self.max_tokens:
+            raise BudgetSpentError(f"{self.tokens} tokens used, the limit of --max-tokens is {self.max_tokens}")
+        self.requests += 1
 
 
 def reply_journal(folder: Path | None) -> Journal[dict[str, Any]]:
@@ -150,7 +133,7 @@ class ModelApi(ABC):
         provider: provider of the model.
         model: the provider's name of the model.
         base_url: address of the service.
-        budget: limits, shared by all threads.
+        budget: limits on cost.
     """
 
     def __init__(
@@ -182,7 +165,7 @@ class ModelApi(ABC):
             self.budget.begin()
             response = self._send(payload)
             reply = self._parse(response)
-            self.budget.spend(reply.input_tokens + reply.output_tokens)
+            self.budget.tokens += reply.input_tokens + reply.output_tokens
             self._replies.add(key, response)
             return reply
         return self._parse(response)
@@ -346,7 +329,6 @@ def open_api(
     budget: Budget,
     *,
     base_url: str | None = None,
-    key_variable: str | None = None,
     max_output_tokens: int = 4096,
     timeout_s: float = 120.0,
     max_retries: int = 6,
@@ -357,9 +339,8 @@ def open_api(
         provider: ``anthropic``, ``openai`` or ``openai-compatible``.
         model: the provider's name of the model.
         replies: stored replies, see ``reply_journal``.
-        budget: limits on cost and rate.
+        budget: limits on cost.
         base_url: address of the service; None for the provider's own, required for a compatible one.
-        key_variable: environment variable with the key; None for the provider's usual one.
         max_output_tokens: maximum number of tokens of one reply.
         timeout_s: time limit of one attempt.
         max_retries: attempts after the first.
@@ -369,7 +350,7 @@ def open_api(
         InvalidParameterError: the environment has no key, or the address of a compatible service is missing.
     """
     _check_address(provider, base_url)
-    key = _key(provider, key_variable)
+    key = _key(provider)
     options = {"api_key": key, "base_url": base_url, "timeout": timeout_s, "max_retries": max_retries}
     kind: type[AnthropicApi | OpenAiApi] = AnthropicApi if provider == "anthropic" else OpenAiApi
     client, api_error = _client(provider, options)
@@ -386,12 +367,10 @@ def _check_address(provider: Provider, base_url: str | None) -> None:
         )
 
 
-def _key(provider: Provider, key_variable: str | None) -> str:
+def _key(provider: Provider) -> str:
     """Read the user's key from the environment."""
-    variable = key_variable or _KEY_VARIABLES[provider]
-    key = os.environ.get(variable)
-    if not key and provider == "openai-compatible" and key_variable is None:
-        return _NO_KEY
+    variable = _KEY_VARIABLES[provider]
+    key = os.environ.get(variable) or (_NO_KEY if provider == "openai-compatible" else "")
     if not key:
         raise InvalidParameterError(f"no key in the environment: set {variable} to your key for {provider}")
     return key

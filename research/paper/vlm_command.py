@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from research.paper.service import ProviderName, ServiceRequest, exit_if_stopped, plain_command
+from research.paper.service import ServiceRequest, exit_if_stopped, plain_command
 from research.paper.tools import open_tools
 from research.paper.vlm import Query, run_vlm_trials
+from research.paper.vlm_api import Provider
 from research.paper.vlm_report import report_stem, vlm_report
 from vehanchor.cli.terminal import tile_progress
 from vehanchor_evaluation.area_report import area_markdown, write_area_report
@@ -32,7 +33,7 @@ class VlmRequest(ServiceRequest):
     """Options of the command, one per field."""
 
     segments: Annotated[Path, typer.Option(metavar="DIR", help="A folder as for 'vehanchor evaluate area'.")]
-    provider: Annotated[ProviderName, typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...")]
+    provider: Annotated[Provider, typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...")]
     model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.")]
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of results and replies; a run resumes there.")]
     hint: Annotated[bool, typer.Option("--hint", help="Give the model the length of cars, as in the paper.")] = False
@@ -42,7 +43,6 @@ class VlmRequest(ServiceRequest):
     limit: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Ask only about the first N entries; categories alternate.")
     ] = None
-    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Requests in parallel.")] = 1
     max_side: Annotated[int, typer.Option(min=64, metavar="PX", help="Longest side of the image in the prompt.")] = 1568
     max_turns: Annotated[
         int, typer.Option(min=1, metavar="N", help="Maximum number of replies of --agent for one entry.")
@@ -76,7 +76,7 @@ def vlm(request: VlmRequest) -> None:
         tools = stack.enter_context(request.tools(entries)) if request.agent else None
         step = stack.enter_context(tile_progress(1, lines_on_terminal=False))
         progress = step(0, f"{len(entries)} questions")
-        run = run_vlm_trials(entries, api, query, tools=tools, workers=request.workers, progress=progress)
+        run = run_vlm_trials(entries, api, query, tools=tools, progress=progress)
     print_issues(run.issues)
     report = vlm_report(data, api, query, run, len(entries))
     write_area_report(request.out, report_stem(query), report, run.trials, run.issues)

@@ -57,14 +57,15 @@ def _settings(query: Query) -> list[str]:
 
 def _replies(trials: Sequence[VlmTrial]) -> list[str]:
     """Describe the model's replies, one sentence each."""
-    if not trials:
-        return []
     problems = Counter(trial.problem for trial in trials if trial.problem)
-    counts = ", ".join(f"{count} {problem}" for problem, count in sorted(problems.items())) or "none"
-    read, written = sum(trial.input_tokens for trial in trials), sum(trial.output_tokens for trial in trials)
     calls = Counter(call for trial in trials for call in trial.tool_calls.split())
-    facts = [f"without an area: {counts}", f"tokens of all replies: {read} in, {written} out"]
-    if calls:
-        called = ", ".join(f"{count} {tool}" for tool, count in sorted(calls.items()))
-        facts.append(f"tool calls: {called}; {sum(trial.turns for trial in trials)} turns")
-    return facts
+    read, written = sum(trial.input_tokens for trial in trials), sum(trial.output_tokens for trial in trials)
+    return [
+        f"without an area: {_counts(problems)}",
+        f"tokens of all replies: {read} in, {written} out",
+        f"tool calls: {_counts(calls)}; {sum(trial.turns for trial in trials)} turns",
+    ]
+
+
+def _counts(counter: Counter[str]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in sorted(counter.items())) or "none"

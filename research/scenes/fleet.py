@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from research.scenes.loads import LOADS
 from research.scenes.truth import FleetKind, VehicleKind
 
 # (mean length in m, standard deviation, share, bodies) before scaling to the requested mean. Mixture: mean 4.544 m,
@@ -32,8 +31,6 @@ _FLEETS: dict[FleetKind, tuple[tuple[float, float, float, tuple[str, ...]], ...]
     "passenger": _CLASSES,
     "mixed": _MIXED_CLASSES,
 }
-_OPEN_BEDS = ("kei truck", "single cab", "crew cab", "flatbed")
-_RACK_SHARE = 0.12  # of the closed vehicles of a mixed fleet
 _MAX_DEVIATION = 2.5
 
 _WIDTH_PER_LENGTH = 0.40
@@ -115,18 +112,7 @@ class Fleet:
         typical = _WIDTH_FOLLOWS_LENGTH * length + (1 - _WIDTH_FOLLOWS_LENGTH) * self.mean_length_m
         spread = 1 + _WIDTH_SD * _bounded(rng)
         body = bodies[rng.integers(len(bodies))]
-        if self.kind == "mixed":
-            body = self._loaded(body)
         return VehicleModel("small-vehicle", body, length, _WIDTH_PER_LENGTH * typical * spread, self._paint(body))
-
-    def _loaded(self, body: str) -> str:
-        """Add a load to every open bed and to some roofs."""
-        rng = self._rng
-        if body in _OPEN_BEDS:
-            return f"{body}:{LOADS[rng.integers(len(LOADS) - 1)]} {rng.integers(8)}"
-        if rng.random() < _RACK_SHARE:
-            return f"{body}:rack {rng.integers(8)}"
-        return body
 
     def large(self, *bodies: str) -> VehicleModel:
         """Draw a truck, bus, articulated lorry or caravan, or one of the named bodies."""
@@ -138,7 +124,6 @@ class Fleet:
 
     def _paint(self, body: str) -> tuple[int, int, int]:
         rng = self._rng
-        body = body.partition(":")[0]
         index = int(np.searchsorted(_PAINT_CUMULATIVE, rng.random()))
         if (body in ("van", "caravan") and rng.random() < 0.75) or (
             body in ("truck", "semitrailer") and rng.random() < 0.5

@@ -145,7 +145,7 @@ class Painter:
         for box in boxes:
             tile.fill(shadow, swept(box.points, self.sun.shadow(box.height)), 255)
         for vehicle in vehicles:
-            height = VEHICLE_SHADOW_HEIGHT_M.get(vehicle.model.body.partition(":")[0], 1.15)
+            height = VEHICLE_SHADOW_HEIGHT_M.get(vehicle.model.body, 1.15)
             outline = vehicle_outline(vehicle)
             tile.fill(shadow, swept(outline, self.sun.shadow(height)), 255)
         _darken(tile.rgb, shadow)

@@ -52,7 +52,7 @@ def render_scene(
             None keeps them all.
         mean_vehicle_length_m: mean length of the fleet, 2 to 8.
         layout: ``urban``, ``parking``, ``countryside``, ``sports``; None: one of the first three.
-        fleet_kind: ``passenger``, or ``mixed``: also kei cars, pickups with loads, work vehicles and roof racks.
+        fleet_kind: ``passenger``, or ``mixed``: also kei cars, minivans and work vehicles.
 
     Returns:
         The image and its ground truth.

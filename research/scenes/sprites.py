@@ -14,8 +14,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from research.scenes.loads import add_load
-
 CROWN_SPAN = 1.25
 VEHICLE_PAD = 0.03  # transparent margin on every side of a vehicle's sprite, as a share of the length
 
@@ -91,7 +89,7 @@ def vehicle_sprite(body: str, length: float, width: float, px_per_m: float, ligh
     """Draw a vehicle that points to +x.
 
     Args:
-        body: a body of the fleet; after a colon its load (``crew cab:crates 3``; see ``loads``).
+        body: a body of the fleet.
         length: in metres; the outline touches exactly +-length / 2.
         width: in metres; the outline touches exactly +-width / 2.
         px_per_m: resolution.
@@ -107,14 +105,8 @@ def vehicle_sprite(body: str, length: float, width: float, px_per_m: float, ligh
     u = ((np.arange(columns, dtype=np.float32) + 0.5) / columns - 0.5) * np.float32(length + 2 * pad)
     v = ((np.arange(rows, dtype=np.float32) + 0.5) / rows - 0.5) * np.float32(width + 2 * pad)
     grid_u, grid_v = cast("tuple[_F, _F]", np.meshgrid(u, v))
-    body, _, load = body.partition(":")
     if body in _CARS:
-        car = _CARS[body]
-        drawn = _car(car, body, grid_u, grid_v, length, width, px, light)
-        if load:
-            span = (car.bed_front, 0.965) if car.bed else (car.roof_front + 0.03, car.roof_rear - 0.03)
-            add_load(drawn, load, (length / 2 - grid_u) / length, grid_v / (width / 2), span)
-        return drawn
+        return _car(_CARS[body], body, grid_u, grid_v, length, width, px, light)
     return _heavy(body, grid_u, grid_v, length, width, px, light)
 
 

@@ -16,7 +16,6 @@ from vehanchor.errors import InvalidParameterError
 
 VehicleKind = Literal["small-vehicle", "large-vehicle"]
 FleetKind = Literal["passenger", "mixed"]
-Load = Literal["empty", "crates", "tarpaulin", "planks", "rack"]
 Layout = Literal["urban", "parking", "countryside", "sports"]
 Category = Literal["swimming-pool", "building", "sports-court", "field", "parking-lot"]
 CourtKind = Literal["tennis", "basketball_fiba", "basketball_nba", "basketball_ncaa"]
@@ -44,7 +43,7 @@ class SceneVehicle:
     difficult: bool = False
     """Whether the image's edge cuts it, or a tree hides more than 40 % of it."""
     body: str = field(default="", repr=False)
-    """Body; after a colon its load. Empty if unknown."""
+    """Body; empty if unknown."""
 
     def corners(self) -> NDArray[np.float64]:
         """Compute the corners [4,2] in pixels: front left, front right, rear right, rear left."""

@@ -17,12 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-METHODS = {
-    "minmax": CalibrationMethod.MinMax,
-    "percentile": CalibrationMethod.Percentile,
-    "entropy": CalibrationMethod.Entropy,
-}
-
 
 class _Reader(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime has no types
     def __init__(self, name: str, batches: Sequence[NDArray[Any]]) -> None:
@@ -38,12 +32,10 @@ def write_eight_bits(
     batches: Sequence[NDArray[Any]],
     nodes: Callable[[onnx.ModelProto], Sequence[str]],
     metadata: Mapping[str, str],
-    *,
-    method: str = "percentile",
-    percentile: float = 99.999,
-    narrow: bool = False,
 ) -> None:
-    """Write a network with weights and activations of eight bits.
+    """Write a network with activations of eight bits and weights of seven.
+
+    Sums of two products then fit 16 bits, in which x86 processors without dot products of bytes add them.
 
     Args:
         model: the float32 file, of one input.
@@ -51,10 +43,6 @@ def write_eight_bits(
         batches: inputs, all of one shape, to take the activations' ranges from.
         nodes: names of the nodes of a graph that get eight bits.
         metadata: what it says in the place of or beside the float32 file's.
-        method: minmax, percentile or entropy: what of the activations' range is kept.
-        percentile: of the activations that is kept, for that method.
-        narrow: weights of seven bits: sums of two products then fit 16 bits, in which x86 processors without dot
-            products of bytes add them.
     """
     with tempfile.TemporaryDirectory() as folder:
         prepared = Path(folder) / "prepared.onnx"
@@ -66,11 +54,10 @@ def write_eight_bits(
             _Reader(graph.graph.input[0].name, batches),
             quant_format=QuantFormat.QDQ,
             per_channel=True,
-            reduce_range=narrow,
+            reduce_range=True,
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,
             nodes_to_quantize=list(nodes(graph)),
-            calibrate_method=METHODS[method],
-            extra_options={"CalibPercentile": percentile} if method == "percentile" else {},
+            calibrate_method=CalibrationMethod.MinMax,
         )
     write_metadata(out, {**{entry.key: entry.value for entry in onnx.load(model).metadata_props}, **metadata})

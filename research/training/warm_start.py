@@ -32,9 +32,9 @@ def load_exported(network: nn.Module, path: Path, *inputs: object) -> None:
     """
     graph = onnx.load(path).graph
     values = {item.name: torch.tensor(numpy_helper.to_array(item)) for item in graph.initializer}
-    for node in graph.node:  # weights that are equal are kept once
-        if node.op_type == "Identity" and node.input[0] in values:
-            values[node.output[0]] = values[node.input[0]]
+    for node in graph.node:  # weights that are equal are kept once; half precision is cast
+        if node.op_type in ("Identity", "Cast") and node.input[0] in values:
+            values[node.output[0]] = values[node.input[0]].float()
     learnt = [node for node in graph.node if node.op_type in ("Conv", "Gemm") and node.input[1] in values]
     stored = [[values[name] for name in node.input[1:]] for node in learnt]  # a fixed blur is no initializer
     order: list[nn.Conv2d | nn.Linear] = []  # as the export traced them

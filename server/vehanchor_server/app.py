@@ -9,18 +9,21 @@ from importlib.resources import files
 from typing import Any
 
 from mcp.server import MCPServer
+from mcp.server.apps import client_supports_apps
 from mcp.server.auth.provider import TokenVerifier
 from mcp.server.auth.settings import AuthSettings
 from mcp.server.caching import CacheableMethod, CacheHint
+from mcp.server.context import ServerRequestContext
 from mcp.server.mcpserver import Context
-from mcp.types import CallToolResult, Icon, InputRequiredResult
+from mcp.types import CallToolResult, Icon, InputRequiredResult, ListToolsResult, PaginatedRequestParams
 
-from vehanchor_server.app_page import app_extension
+from vehanchor_server.app_page import PAGE_ONLY_META, app_extension
 from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.services import Services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
+from vehanchor_server.tools.view_image import page_image_tool
 
 _FIXED: tuple[CacheableMethod, ...] = ("tools/list", "resources/list", "resources/read")
 _LIST_TTL_MS = 3_600_000  # lists change only with the server's version
@@ -44,7 +47,7 @@ def create_server(
         instructions=_instructions(tools, services.settings),
         version=version("vehanchor"),
         icons=[_icon()],
-        tools=list(tools),
+        tools=[*tools, page_image_tool(services)],
         extensions=[app_extension()],
         cache_hints=dict.fromkeys(_FIXED, CacheHint(ttl_ms=_LIST_TTL_MS, scope="public")),
         subscriptions=False,
@@ -61,7 +64,16 @@ def _icon() -> Icon:
 
 
 class _Server(MCPServer[object]):
-    """The SDK's server, with a limit on the length of an unknown tool's name in its error."""
+    """The SDK's server, with short errors for unknown tools; only clients with pages see the tool of the page."""
+
+    async def _handle_list_tools(
+        self, ctx: ServerRequestContext[Any, Any], params: PaginatedRequestParams | None
+    ) -> ListToolsResult:
+        """List the tools that the client can use."""
+        listed = await super()._handle_list_tools(ctx, params)
+        if not client_supports_apps(ctx):
+            listed.tools = [tool for tool in listed.tools if tool.meta != PAGE_ONLY_META]
+        return listed
 
     async def call_tool(
         self, name: str, arguments: dict[str, Any], context: Context[object, Any] | None = None
@@ -71,9 +83,10 @@ class _Server(MCPServer[object]):
         Raises:
             CallError: the call failed, or there is no such tool.
         """
-        known = [tool.name for tool in self._tool_manager.list_tools()]
+        known = {tool.name: tool.meta != PAGE_ONLY_META for tool in self._tool_manager.list_tools()}
         if name not in known:
-            raise CallError("unknown_tool", f"there is no tool {shortened(name)!r}. Tools: {', '.join(known)}.")
+            names = ", ".join(each for each, is_listed in known.items() if is_listed)
+            raise CallError("unknown_tool", f"there is no tool {shortened(name)!r}. Tools: {names}.")
         return await super().call_tool(name, arguments, context)
 
 

@@ -7,7 +7,6 @@ import importlib
 import logging
 import os
 import threading
-from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 from vehanchor.errors import VehAnchorError
@@ -15,8 +14,7 @@ from vehanchor.models.files import read_model
 from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 from vehanchor.models.zoo import (
     bundled_segmenter,
-    car_verifier_beside,
-    fleet_beside,
+    chips_beside,
     resolve_model,
     resolve_segmenter,
     verifier_beside,
@@ -38,7 +36,7 @@ T = TypeVar("T")
 
 SLOW_IMPORTS = (
     "vehanchor_server.tools.registry",
-    "vehanchor_server.calls.overlay",
+    "vehanchor_server.calls.jpeg",
     "vehanchor.engine",
     "vehanchor.pictures.area",
 )
@@ -59,8 +57,10 @@ class Models:
         self._lock = threading.Lock()
         self._preloading: threading.Timer | None = None
         self._made: Engine | None = None
+        self._memory: AnalysisMemory | None = None
         self._calibration: Calibration | None = None
-        self._failures: dict[str, str | None] = {}  # None for a model that is loaded
+        self._loaded: set[str] = set()
+        self._failures: dict[str, str] = {}
         self._required = ["detector"]
         if settings.calibration is not None:
             self._required.append("calibration")
@@ -70,12 +70,12 @@ class Models:
     @property
     def ready(self) -> bool:
         """Whether a call can start at once."""
-        return all(self._failures.get(name, "not loaded") is None for name in self._required)
+        return self._loaded.issuperset(self._required)
 
     @property
     def failure(self) -> str | None:
         """Error code of the last failed load, or None."""
-        return next((code for name in self._required if (code := self._failures.get(name))), None)
+        return next((self._failures[name] for name in self._required if name in self._failures), None)
 
     def files(self) -> tuple[Path, ...]:
         """List all existing files that loading reads."""
@@ -84,7 +84,7 @@ class Models:
         for resolve in (lambda: (resolve_model(settings.detector),), lambda: resolve_segmenter(settings.segmenter)):
             with contextlib.suppress(VehAnchorError):  # loading will report a missing file
                 found += resolve()
-        beside = (fleet_beside, verifier_beside, car_verifier_beside)
+        beside = (verifier_beside, chips_beside)
         auxiliary = [other for path in found[:1] for find in beside if (other := find(path))]
         found += [*auxiliary, *([settings.calibration] if settings.calibration is not None else [])]
         for path in [path for path in found if path.suffix == ".onnx"]:
@@ -139,12 +139,14 @@ class Models:
         for module in SLOW_IMPORTS:
             importlib.import_module(module)
 
-    @cached_property
+    @property
     def memory(self) -> AnalysisMemory:
         """Memory of the analyses of this process."""
         from vehanchor.analysis.memory import AnalysisMemory
 
-        return AnalysisMemory()
+        with self._lock:
+            self._memory = self._memory or AnalysisMemory()
+            return self._memory
 
     @property
     def _engine(self) -> Engine:
@@ -175,7 +177,8 @@ class Models:
                 "model_unavailable",
                 f"this server's {name} cannot be loaded ({error.code}). Its operator must check --{name}.",
             ) from error
-        self._failures[name] = None
+        self._failures.pop(name, None)
+        self._loaded.add(name)
         return model
 
     def _read_calibration(self) -> Calibration:

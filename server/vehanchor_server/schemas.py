@@ -50,7 +50,8 @@ def schema_files(tools: Collection[str] = PUBLISHED) -> dict[str, str]:
         if tool.name not in tools:
             continue
         documents[f"{tool.name}.input.json"] = portable_schema(tool.full_parameters, dialect=True)
-        documents[f"{tool.name}.output.json"] = portable_schema(tool.record_schema, dialect=True)
+        if tool.record_schema:
+            documents[f"{tool.name}.output.json"] = portable_schema(tool.record_schema, dialect=True)
     documents["anthropic.json"] = [anthropic_definition(tool) for tool in contract]
     documents["openai.json"] = [openai_definition(tool) for tool in contract]
     return {name: json.dumps(document, indent=2, ensure_ascii=False) + "\n" for name, document in documents.items()}
@@ -62,26 +63,30 @@ def anthropic_definition(tool: StrictTool) -> dict[str, Any]:
 
 
 def openai_definition(tool: StrictTool) -> dict[str, Any]:
-    """Return the tool's definition for OpenAI's Responses API in strict mode: all arguments required, some nullable."""
+    """Return the tool's definition for OpenAI's Responses API in strict mode: all listed arguments, some nullable."""
     return {
         "type": "function",
         "name": tool.name,
         "description": tool.description,
-        "parameters": _strict(tool.full_parameters),
+        "parameters": _strict(tool.parameters),
         "strict": True,
     }
 
 
 def _strict(node: Any) -> Any:
+    """Close every object and require all its fields; null stands for one that is left out."""
     if isinstance(node, list):
         return [_strict(item) for item in node]
     if not isinstance(node, dict):
         return node
-    result = {
-        key: {name: _strict(property_) for name, property_ in value.items()} if key == "properties" else _strict(value)
-        for key, value in node.items()
-        if key not in _NOT_IN_STRICT_MODE
-    }
-    if "properties" in result:
-        result["required"] = list(result["properties"])
+    if node.get("type") == "object" and "properties" not in node:  # any object, which strict mode has not
+        return {"type": "string", "description": "A JSON object."}
+    result = {key: _strict(value) for key, value in node.items() if key not in _NOT_IN_STRICT_MODE}
+    if "properties" in node:
+        required, fields = node.get("required", ()), node["properties"]
+        whole = {name: _strict(field) for name, field in fields.items()}
+        result["properties"] = {
+            name: field if name in required else {"anyOf": [field, {"type": "null"}]} for name, field in whole.items()
+        }
+        result |= {"required": list(fields), "additionalProperties": False}
     return result

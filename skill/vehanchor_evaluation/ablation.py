@@ -135,8 +135,8 @@ def _with(_: ScaleAnalysis, options: ScaleOptions, **changes: Any) -> ScaleOptio
 
 
 def _with_length(analysis: ScaleAnalysis, options: ScaleOptions, factor: float) -> ScaleOptions:
-    length = analysis.estimate.reference_length_m * factor
-    return replace(options, reference=Reference(length))
+    length_m = analysis.estimate.details.reference_length_m
+    return options if length_m is None else replace(options, reference=Reference(length_m * factor))
 
 
 def _repeat(
@@ -160,7 +160,7 @@ def _splits(trials: Sequence[ScaleTrial]) -> Iterator[tuple[str, str, list[Scale
         (f"N >= {_MANY_VEHICLES}", _MANY_VEHICLES, None),
     ]
     for name, low, high in counts:
-        yield "vehicles", name, [t for t in trials if _within(t.analysis.estimate.n_detections, low, high)]
+        yield "vehicles", name, [t for t in trials if _within(t.analysis.estimate.details.n_detections or 0, low, high)]
     names = ("< 0.3 m/px", "0.3 to 0.5 m/px", "0.5 to 0.7 m/px", "> 0.7 m/px")
     for name, low_gsd, high_gsd in zip(names, _GSD_EDGES[:-1], _GSD_EDGES[1:], strict=True):
         yield "true scale", name, [t for t in trials if low_gsd <= t.image.gsd_m_per_px < high_gsd]

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.scale.defaults import USABLE_CHANCE
@@ -26,6 +25,7 @@ from vehanchor.segmentation.prompt import Prompt
 from vehanchor.storage.journal import Journal, Key, Source
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
+from vehanchor_evaluation.pool import finished
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -117,7 +117,7 @@ def segment_entries(
     groups = [list(group) for _, group in itertools.groupby(missing, key=_image)]
     issues: list[FileIssue] = []
     done = len(entries) - len(missing)
-    with closing(finished_in_threads(workers, partial(_segment_image, segmenter), groups)) as results:
+    with closing(finished(workers, partial(_segment_image, segmenter), groups)) as results:
         for group, future in results:
             trials, found_issues = future.result()
             for trial in trials:
@@ -205,7 +205,7 @@ def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTr
         true_mask_area_px=entry.mask_area_px,
         gsd_m_per_px=gsd,
         confidence=scale.confidence,
-        n_vehicles=scale.n_vehicles,
+        n_vehicles=scale.n_vehicles or 0,
         end_to_end_m2=None if gsd is None or not n_px else n_px * gsd**2,
         true_scale_m2=n_px * entry.gsd_m_per_px**2 if n_px else None,
         true_mask_m2=None if gsd is None else entry.mask_area_px * gsd**2,

@@ -81,7 +81,8 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
 
 def _guard_gsd(trials: Sequence[ScaleTrial]) -> float:
     """Get the predicted GSD above which the resolution guard applies: 0.3 m/px, or less if the detector needs it."""
-    limits = [t.analysis.estimate.reference_length_m / t.analysis.guard_length_px for t in trials]
+    vehicles = [trial.analysis.vehicles for trial in trials]
+    limits = [each.reference.length_m / each.guard_length_px for each in vehicles if each is not None]
     return float(np.median(limits)) if limits else GUARD_GSD_M_PER_PX
 
 
@@ -299,7 +300,7 @@ def sheet_cell(trial: ScaleTrial) -> SheetCell:
         (
             f"error {100 * trial.signed_error:+.1f} %",
             f"{estimate.gsd_m_per_px:.3g} m/px, true {trial.image.gsd_m_per_px:.3g}",
-            f"{estimate.n_vehicles} vehicles, confidence {estimate.confidence:.2f}",
+            f"{estimate.n_vehicles or 0} vehicles, confidence {estimate.confidence:.2f}",
             trial.image.path.name[-48:].encode("ascii", "replace").decode(),
         ),
     )

@@ -312,7 +312,7 @@ def report_scale(benchmark: ScaleBenchmark) -> ScaleReport:
         data=benchmark.data.source,
         detector=benchmark.detector.name,
         detector_sha256=benchmark.detector.sha256,
-        reference_length_m=tuple(sorted({trial.analysis.estimate.reference_length_m for trial in benchmark.trials})),
+        reference_length_m=_reference_lengths(benchmark.trials),
         label_reference_length_m=kde_mode(np.concatenate(labelled)) if labelled else None,
         rows=tuple(_rows(benchmark)),
         skipped=_reasons(benchmark.issues, skipped=True),
@@ -351,8 +351,13 @@ def _reasons(issues: Iterable[FileIssue], *, skipped: bool) -> dict[str, int]:
     return dict(sorted(Counter(issue.reason for issue in issues if issue.skipped == skipped).items()))
 
 
+def _reference_lengths(trials: Iterable[ScaleTrial]) -> tuple[float, ...]:
+    lengths = (trial.analysis.estimate.details.reference_length_m for trial in trials)
+    return tuple(sorted({length for length in lengths if length is not None}))
+
+
 def _guarded(trials: Iterable[ScaleTrial]) -> int:
-    return sum(trial.analysis.estimate.resolution_guard for trial in trials)
+    return sum(bool(trial.analysis.estimate.details.resolution_guard) for trial in trials)
 
 
 def _low_confidence(trials: Iterable[ScaleTrial]) -> int:

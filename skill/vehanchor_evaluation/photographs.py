@@ -50,9 +50,7 @@ def survey_photographs(
     Raises:
         InvalidParameterError: a path does not exist, or the options exclude all these rulers.
     """
-    rulers = tuple(
-        each.kind for each in active_rulers(options.rulers) if each.sets_scale and each.independent_of_vehicles
-    )
+    rulers = tuple(each.kind for each in active_rulers(options.rulers) if each.sets_scale and not each.measured_last)
     if not rulers:
         raise InvalidParameterError("photographs need a ruler other than vehicles: drop --rulers and --metadata")
     without_vehicles = replace(
@@ -66,7 +64,7 @@ def survey_photographs(
     for file in files:
         try:
             with open_raster(file, bands=without_vehicles.reading.bands, limits=DATASET_LIMITS) as raster:
-                record = analyse_raster(raster, detector, with_lines_of(without_vehicles, lines, file)).estimate
+                record = analyse_raster(detector, raster, with_lines_of(without_vehicles, lines, file)).estimate
         except VehAnchorError as error:
             issues.append(FileIssue(file, error.code, str(error)))
             continue

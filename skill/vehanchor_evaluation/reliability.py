@@ -138,7 +138,7 @@ def report_reliability(data: str, detector: str, trials: Iterable[ScaleTrial]) -
         chances=tuple(_chance_rows(known)),
         whole=group_row("all", tried),
         by_vehicles=tuple(
-            group_row(name, [trial for trial in tried if low <= trial.analysis.estimate.n_vehicles < high])
+            group_row(name, [trial for trial in tried if low <= (trial.analysis.estimate.n_vehicles or 0) < high])
             for name, low, high in _ranges(_CARS, "{:g} to {:g}", least=1)
         ),
         by_resolution=tuple(

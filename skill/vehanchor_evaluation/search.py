@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from vehanchor.analysis.pipeline import analyse_view, search_raster
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.analysis.stored import stored_classes
-from vehanchor.batch.pool import finished_in_threads
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import InvalidParameterError, VehAnchorError
@@ -24,12 +23,14 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
 from vehanchor.rulers.registry import needs_search
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import select
-from vehanchor.rulers.view import View
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.storage.codec import Codec
 from vehanchor.storage.journal import Journal, Source
+from vehanchor.tilt.camera_tilt import metadata_tilt
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
+from vehanchor_evaluation.pool import finished
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -73,7 +74,10 @@ class SearchedImage:
         share = self.resolved.get(options.lengths.alpha) if self.resolved else 1.0
         if share is None:
             raise InvalidParameterError(f"searched without alpha {options.lengths.alpha}: search with these options")
-        return analyse_view(View(self.image, self.detections, card, options, lambda *_: share, prior=self.prior))
+        tilt = metadata_tilt(self.image, options)
+        return analyse_view(
+            View(self.image, self.detections, card, options, lambda *_: share, prior=self.prior, tilt=tilt)
+        )
 
 
 DetectionLog: TypeAlias = Journal[SearchedImage]
@@ -163,7 +167,7 @@ def search_images(
     issues: dict[Path, FileIssue] = {}
     tell(len(files) - len(missing), len(files))
     work = partial(_search, detector=detector, options=options, alphas=alphas)
-    with closing(finished_in_threads(workers, work, missing)) as results:
+    with closing(finished(workers, work, missing)) as results:
         for done, (file, future) in enumerate(results, start=len(files) - len(missing) + 1):
             found = future.result()
             if isinstance(found, FileIssue):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.records.advice import Advice, advice_for
+from vehanchor.records.text import Advice, advice_for
 
 if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate
@@ -27,11 +27,10 @@ def component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:
     return _sentence(advice)
 
 
-def carried_advice(n_between: int, *, maybe_tilted: bool) -> str:
+def carried_advice(*, maybe_tilted: bool) -> str:
     """Give the advice for a photograph whose scale comes from another one, with too wide an interval.
 
     Args:
-        n_between: photographs between it and the nearest ruler.
         maybe_tilted: whether the ratios of the scales may be those of a tilted camera.
     """
     if maybe_tilted:
@@ -41,10 +40,9 @@ def carried_advice(n_between: int, *, maybe_tilted: bool) -> str:
                 "give photographs with the camera's angle in their metadata, or taken straight down",
             )
         )
-    distance = f"{n_between} photographs away" if n_between > 1 else "in another photograph"
     return _sentence(
         Advice(
-            f"the nearest ruler is {distance}, and the overlaps in between widen the interval",
+            "its rulers are in other photographs, and the overlaps in between widen the interval",
             "add photographs between them, or give the height",
         )
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,7 +24,6 @@ class Component:
         log_scales: ``[n]`` natural logs of their metres per pixel, up to a constant.
         log_sds: ``[n]`` standard deviations of the log ratio of each scale to the reference's.
         reference: index, among the members, of the photograph in whose pixels the evidence is pooled.
-        ties: ``[n, n]`` sparse matrix, standard deviation of the log ratio of each link; None for one common scale.
         extra: evidence of rulers that only a flight has, in the reference's pixels.
         maybe_tilted: whether the ratios of its scales may be those of a tilted camera at one height.
     """
@@ -33,7 +32,6 @@ class Component:
     log_scales: NDArray[np.float64]
     log_sds: NDArray[np.float64]
     reference: int
-    ties: Any = None
     extra: tuple[Witness, ...] = ()
     maybe_tilted: bool = False
 
@@ -44,34 +42,6 @@ class Component:
     def offsets(self) -> NDArray[np.float64]:
         """``[n]`` logs of each member's metres per pixel over the reference's."""
         return np.asarray(self.log_scales - self.log_scales[self.reference])
-
-    def paths(self, sources: Sequence[int]) -> list[tuple[int, tuple[int, ...]] | None]:
-        """Find the path of least uncertainty from each member to its nearest source.
-
-        Args:
-            sources: indices among the members.
-
-        Returns:
-            For each member its source and the members in between, in order; None without a path.
-        """
-        if self.ties is None:
-            return [(place if place in set(sources) else sources[0], ()) for place in range(len(self))]
-        from scipy.sparse.csgraph import dijkstra
-
-        _, before, origins = dijkstra(
-            self.ties, directed=False, indices=list(sources), min_only=True, return_predecessors=True
-        )
-        ways: list[tuple[int, tuple[int, ...]] | None] = []
-        for place in range(len(self)):
-            if origins[place] < 0:
-                ways.append(None)
-                continue
-            between, at = [], int(before[place])
-            while at >= 0 and at != origins[place]:
-                between.append(at)
-                at = int(before[at])
-            ways.append((int(origins[place]), tuple(between)))
-        return ways
 
 
 def single_component(members: Sequence[int], reference: int) -> Component:

@@ -37,31 +37,21 @@ def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
 def without_copies(found: Sequence[Photograph | Failure]) -> list[Photograph | Failure]:
     """Keep the largest of several sizes of a photograph; the others become failures that name it."""
     kept = list(found)
-    photographs = [place for place, each in enumerate(found) if isinstance(each, Photograph)]
-    photographs.sort(key=lambda place: -_size(found[place])[0])
+    photographs = [(place, each) for place, each in enumerate(found) if isinstance(each, Photograph)]
     largest: list[Photograph] = []
-    for place in photographs:
-        each = found[place]
-        assert isinstance(each, Photograph)
+    for place, each in sorted(photographs, key=lambda one: -one[1].view.image.width_px):
         original = next((other for other in largest if _is_copy(each, other)), None)
         if original is None:
             largest.append(each)
         else:
-            kept[place] = Failure(
-                each.name, ImageError(f"it is a smaller copy of {original.name!r}, which counts once")
-            )
+            error = ImageError(f"it is a smaller copy of {original.name!r}, which counts once")
+            kept[place] = Failure(each.name, error)
     return kept
 
 
-def _size(photograph: Photograph | Failure) -> tuple[int, int]:
-    assert isinstance(photograph, Photograph)
-    return photograph.view.image.width_px, photograph.view.image.height_px
-
-
 def _is_copy(small: Photograph, large: Photograph) -> bool:
-    (width, height), (large_width, large_height) = _size(small), _size(large)
-    if width == large_width or abs(width * large_height / (height * large_width) - 1) > _SAME_SHAPE:
-        return False
-    if small.reduced is None or large.reduced is None:
+    one, other = small.view.image, large.view.image
+    shape = one.width_px * other.height_px / (one.height_px * other.width_px)
+    if one.width_px == other.width_px or abs(shape - 1) > _SAME_SHAPE or small.reduced is None or large.reduced is None:
         return False
     return float(np.abs(small.reduced.astype(float) - large.reduced).mean()) <= _MOST_DIFFERENT

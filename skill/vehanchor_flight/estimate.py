@@ -146,7 +146,6 @@ def open_journal(
     options: ScaleOptions,
     lines: KnownLengthTable,
     *,
-    anew: bool = False,
     model_sha256: str = "",
 ) -> Journal[StoredPhotograph]:
     """Open the journal of a flight or of a reconstruction's photographs.
@@ -156,7 +155,6 @@ def open_journal(
         detector: finds the vehicles.
         options: of the method.
         lines: lines of known length by photograph.
-        anew: discard its results.
         model_sha256: checksum of the reconstruction; empty for a flight.
 
     Raises:
@@ -173,4 +171,4 @@ def open_journal(
     settings = {"vehanchor": version("vehanchor"), "networks_sha256": networks, "flight": 1, **choices}
     remedy = "move the file away, or name another"
     codec = photograph_codec()
-    return Journal(path, settings, dump=codec.dump, load=codec.load, sole=True, anew=anew, remedy=remedy)
+    return Journal(path, settings, dump=codec.dump, load=codec.load, sole=True, remedy=remedy)

@@ -78,13 +78,11 @@ class Subgraph:
         members: ``[m]`` indices, ascending.
         log_scales: ``[m]`` natural logs of metres per pixel; without evidence up to a constant.
         covariance: ``[m, m]`` covariance of the log scales.
-        ties: ``[m, m]`` sparse, standard deviations of the links in use.
     """
 
     members: NDArray[np.intp]
     log_scales: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    ties: Any
 
     def sds_from(self, reference: int) -> NDArray[np.float64]:
         """Compute ``[m]`` standard deviations of the members' log scales relative to the reference."""
@@ -229,7 +227,7 @@ def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem
         members = np.flatnonzero(labels == label)
         m = len(members)
         covariance = np.asarray(np.linalg.inv(problem.information(members, sds))[:m, :m], dtype=np.float64)
-        found.append(Subgraph(members, problem.scales[members], covariance, ties[members][:, members]))
+        found.append(Subgraph(members, problem.scales[members], covariance))
     return tuple(sorted(found, key=lambda each: (-len(each.members), int(each.members[0]))))
 
 

@@ -115,10 +115,7 @@ def _matches(
     """Match the candidate pairs, on the ground plane of tilted photographs."""
     pairs = candidate_pairs(features, places)
     above = [_rectified(photograph, own) for photograph, own in zip(photographs, features, strict=True)]
-    matched = (
-        _Overlap(first, second, found) for first, second in pairs if (found := match(above[first], above[second]))
-    )
-    return list(matched)
+    return [_Overlap(first, second, found) for first, second in pairs if (found := match(above[first], above[second]))]
 
 
 def _rectified(photograph: Photograph, features: Features) -> Features:
@@ -206,7 +203,6 @@ def _component(
         subgraph.log_scales,
         np.hypot(subgraph.sds_from(reference), by_tilt),
         reference,
-        subgraph.ties,
         positions_witness(extra),
         bool(by_tilt.any()),
     )

@@ -11,11 +11,12 @@ from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.stored import stored_classes
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
-from vehanchor.rulers.view import View
+from vehanchor.rulers.registry import ruler_class
+from vehanchor.rulers.ruler import View
 from vehanchor.storage.codec import Codec
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -36,7 +37,7 @@ class StoredPhotograph:
         image: facts of the image.
         detections: result of the search, in pixels of the image.
         resolved: share of the pixels' resolution at which there is detail around its vehicles.
-        others: evidence of the rulers beside vehicles, with the tilt; None if they have not measured.
+        others: witnesses of the rulers that measure each photograph, with the tilt; None if they have not measured.
         prior: the scene-scale prior; None without one.
         tilt: of the camera; None at nadir.
         reduced: the image in a few grey levels, ``[32, 32]``; None if it was not kept.
@@ -53,7 +54,8 @@ class StoredPhotograph:
     @classmethod
     def of(cls, view: View, analysis: ScaleAnalysis) -> StoredPhotograph:
         """Take the intermediate results of an analysis."""
-        return cls(view.image, view.detections, analysis.resolved, analysis.others, view.prior, view.tilt)
+        others = of_photographs(analysis.witnesses)
+        return cls(view.image, view.detections, analysis.resolved, others, view.prior, view.tilt)
 
 
 def photograph_codec() -> Codec:
@@ -82,7 +84,8 @@ class Photograph:
     @property
     def measured(self) -> Detections:
         """Its detections, rectified in a tilted view."""
-        return self.view.detections if self.analysis.in_image is None else self.analysis.vehicles.fleet.detections
+        vehicles = self.analysis.vehicles
+        return self.view.detections if vehicles is None else vehicles.fleet.detections
 
     @classmethod
     def of(
@@ -103,9 +106,14 @@ class Photograph:
             prior=kept.prior,
             tilt=kept.tilt,
         )
-        return cls(name, view, analyse_view(view, kept.others or ()), features, kept.reduced)
+        return cls(name, view, analyse_view(view, kept.others), features, kept.reduced)
 
 
 def chief_member(members: Sequence[Photograph]) -> int:
     """Find the index of the photograph with the most vehicles; the first of equals."""
-    return int(np.argmax([member.analysis.estimate.n_vehicles for member in members]))
+    return int(np.argmax([member.analysis.estimate.n_vehicles or 0 for member in members]))
+
+
+def of_photographs(witnesses: Iterable[Witness]) -> tuple[Witness, ...]:
+    """Select the witnesses of rulers that measure each photograph, not the boxes of all together."""
+    return tuple(each for each in witnesses if ruler_class(each.kind).pooling_gain is not None)

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from vehanchor.analysis.pipeline import conclude
-from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.detections import Detections, Objects
+from vehanchor.detection.detections import Detections, Looks, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
-from vehanchor.rulers.view import View
 from vehanchor.scale.density import quantile, shifted
 from vehanchor.scale.posterior import Lack, Remark, Witness
 from vehanchor.tilt.camera_tilt import known_plane, with_scale
+from vehanchor_flight.photograph import of_photographs
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -50,7 +50,7 @@ class _PooledPrior(SceneScalePrior):
 
     @cached_property
     def density(self) -> NDArray[np.float64]:
-        """Probabilities on ``vehanchor.scale.fusion.GRID``."""
+        """Probabilities on ``vehanchor.scale.density.GRID``."""
         return self.pooled
 
 
@@ -84,7 +84,7 @@ def pool(
         prior=_pooled_prior([member.view for member in members], offsets),
         expected=None if chief.tilt is None else expected_scale(others),
     )
-    pooled = conclude(view, *measure_all(view, others))
+    pooled = conclude(view, measure_all(view, others))
     own = members[reference].analysis.estimate
     if own.tilt is None:
         return pooled
@@ -94,7 +94,7 @@ def pool(
 
 
 def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> Detections:
-    """Pool boxes in the order of ``Detections``: boxes with a known appearance first, then by score.
+    """Pool boxes in the order of ``Detections``: boxes with looks first, then by score.
 
     Args:
         detections: of the photographs.
@@ -105,7 +105,7 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     """
     factors = np.exp(np.asarray(offsets, dtype=np.float64))
     scores = np.concatenate([each.scores for each in detections])
-    looked = [0 if each.fleet is None else len(each.fleet.log_odds) for each in detections]
+    looked = [0 if each.looks is None else len(each.looks) for each in detections]
     known = np.concatenate([np.arange(len(each.boxes)) < n for each, n in zip(detections, looked, strict=True)])
     order = np.lexsort((-scores, ~known))
     boxes = np.concatenate(
@@ -116,8 +116,8 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         (np.ones(len(each.boxes)) if each.scales is None else each.scales) / k
         for each, k in zip(detections, factors, strict=True)
     ]
-    fleets = [each.fleet for each in detections if each.fleet is not None]
-    place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among boxes with a known appearance
+    looks = [each.looks for each in detections if each.looks is not None]
+    place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among boxes with looks
     named = all(each.classes is not None for each in detections)
     classes = np.concatenate(
         [each.classes for each in detections if each.classes is not None] or [np.zeros(0, np.intp)]
@@ -129,12 +129,11 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         sum(each.n_tiles for each in detections),
         sum(each.n_capped_tiles for each in detections),
         np.concatenate(scales)[order] if scaled else None,
-        FleetAppearance(*(np.concatenate(part)[place] for part in zip(*fleets, strict=True))) if fleets else None,
+        Looks.joined(looks).take(place) if looks else None,
         classes[order] if named else None,
         Objects.joined(),
         n_tiles_total=sum(each.n_tiles_total or each.n_tiles for each in detections),
         n_skipped=sum(each.n_skipped for each in detections),
-        verified=all(each.verified for each in detections),
         stopped_because=next(ends, None),
         stretch=_pooled_stretch(detections),
     )
@@ -167,7 +166,7 @@ def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> N
 
 def _resolved(members: Sequence[Photograph]) -> float:
     """Compute the median share of resolution with detail, weighted by the photographs' numbers of vehicles."""
-    counts = np.array([member.analysis.estimate.n_vehicles for member in members], dtype=np.float64)
+    counts = np.array([member.analysis.estimate.n_vehicles or 0 for member in members], dtype=np.float64)
     if not counts.any():
         return 1.0
     values = np.array([member.analysis.resolved for member in members])
@@ -190,14 +189,15 @@ def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneS
 
 
 def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Witness]:
-    """Pool the witnesses of each other ruler over the photographs."""
-    kinds = dict.fromkeys(other.kind for member in members for other in member.analysis.others)
+    """Pool the witnesses of each ruler that measures each photograph."""
+    others = [of_photographs(member.analysis.witnesses) for member in members]
+    kinds = dict.fromkeys(other.kind for own in others for other in own)
     pooled = []
     for kind in kinds:
         found = [
             (other, float(offset))
-            for member, offset in zip(members, offsets, strict=True)
-            for other in member.analysis.others
+            for own, offset in zip(others, offsets, strict=True)
+            for other in own
             if other.kind == kind
         ]
         pooled.append(_pooled_witness(kind, found))
@@ -214,7 +214,9 @@ def _pooled_witness(kind: str, found: Sequence[tuple[Witness, float]]) -> Witnes
     if len(heard) == 1:
         return replace(_moved(*heard[0]), notices=notices)
     densities = [shifted(other.right, offset) for other, offset in heard if other.right is not None]
-    right = combined_density(densities, ruler_class(kind).pooling_gain)
+    gain = ruler_class(kind).pooling_gain
+    assert gain is not None
+    right = combined_density(densities, gain)
     return replace(
         first,
         gsd_m_per_px=quantile(right, 0.5),

@@ -18,6 +18,7 @@ from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import Z95
 from vehanchor.tilt.camera_tilt import known_plane
 from vehanchor_flight.advice import carried_advice, component_advice
+from vehanchor_flight.photograph import of_photographs
 from vehanchor_flight.pooling import pool
 from vehanchor_flight.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler
 from vehanchor_flight.sorties import number_sorties
@@ -110,7 +111,7 @@ def conclude_flight(
         gsd_ci95_low_m_per_px=whole.gsd_ci95_low_m_per_px if whole else None,
         gsd_ci95_high_m_per_px=whole.gsd_ci95_high_m_per_px if whole else None,
         confidence=min(each.confidence for each in ordered if each.confidence is not None),
-        n_vehicles=sum(each.pooled.n_vehicles for each in pooled_components),
+        n_vehicles=sum(each.pooled.n_vehicles or 0 for each in pooled_components),
         photographs=ordered,
         components=tuple(pooled_components),
         links=tuple(links),
@@ -168,8 +169,7 @@ def _photograph(
             confidence = _carried_chance(confidence, math.log(high / low), up + down)
         if status == "ok" and confidence < USABLE_CHANCE:
             status, reason = "low_confidence", "imprecise"
-            n_between = len(rulers[0].through) + 1 if rulers else 1
-            advice = carried_advice(n_between, maybe_tilted=component.maybe_tilted)
+            advice = carried_advice(maybe_tilted=component.maybe_tilted)
     return FlightPhotograph(
         photograph=photograph.name,
         status=status,
@@ -226,7 +226,7 @@ def _status(photographs: Sequence[FlightPhotograph]) -> Status:
 def _supporting_rulers(
     members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis
 ) -> list[tuple[FlightRuler, ...]]:
-    """List each member's supporting rulers, by weight: of the nearest member with rulers, then of the strongest."""
+    """List each member's supporting rulers: its own, then those of the strongest member."""
     measured = _supports(members, component, pooled)
     of_flight = [each for each in component.extra if each.found]
     common = [
@@ -236,30 +236,22 @@ def _supporting_rulers(
     if not supports:
         return [()] * len(members)
     chances = {ruler.kind: ruler.p_right for ruler in pooled.estimate.rulers}
-    by_member: dict[int, list[_Support]] = {}
-    for support in sorted(supports, key=lambda each: (-chances.get(each.ruler, 0.0), -each.strength)):
-        by_member.setdefault(support.member, []).append(support)
-    nearest = component.paths(sorted(by_member))
+    supports.sort(key=lambda each: (-chances.get(each.ruler, 0.0), -each.strength))
     strongest = max(measured or common, key=lambda each: each.strength).member
-    to_strongest = component.paths([strongest])
     named = []
     for place in range(len(members)):
-        chosen: dict[tuple[str, int], FlightRuler] = {}
-        for way in (nearest[place], to_strongest[place]):
-            if way is None:
-                continue
-            for support in by_member[way[0]]:
-                through = tuple(members[each].name for each in way[1])
-                supporting = FlightRuler(ruler=support.ruler, photograph=members[way[0]].name, through=through)
-                chosen.setdefault((support.ruler, way[0]), supporting)
-        named.append(tuple(chosen.values())[:_MOST_RULERS])
+        own = [each for each in supports if each.member == place]
+        others = [each for each in supports if each.member == strongest != place]
+        chosen = [FlightRuler(ruler=each.ruler, photograph=members[each.member].name) for each in own + others]
+        named.append(tuple(chosen[:_MOST_RULERS]))
     return named
 
 
 def _supports(members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis) -> list[_Support]:
     """List the rulers that support the component's scale, with the photograph of each."""
     supports = []
-    lengths = pooled.vehicles.fleet.lengths
+    vehicles = pooled.vehicles
+    lengths = np.zeros(0) if vehicles is None else vehicles.fleet.lengths
     for place, member in enumerate(members):
         detections = member.measured
         own = detections.boxes[:, 2] * math.exp(component.offsets[place])
@@ -271,7 +263,7 @@ def _supports(members: Sequence[Photograph], component: Component, pooled: Scale
             supports.append(_Support(Vehicles.kind, place, strength))
         supports += [
             _Support(other.kind, place, 1.0 - other.chance_wrong)
-            for other in member.analysis.others
+            for other in of_photographs(member.analysis.witnesses)
             if other.found and other.sets_scale
         ]
     return supports

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime, timedelta
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -26,18 +27,17 @@ def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
     Returns:
         The number of each photograph's sortie, from 0 on, in the order of the photographs.
     """
-    cameras: dict[tuple[str, str], list[tuple[datetime, int]]] = {}
+    places = []
     for place, image in enumerate(images):
         camera = image.camera
         kind = ("", "") if camera is None else (camera.make, camera.model)
-        cameras.setdefault(kind, []).append((_taken_at(image) or datetime.min, place))
-    found: dict[int, tuple[int, int]] = {}
-    for number, times in enumerate(cameras.values()):
-        sortie, last = 0, datetime.min
-        for taken, place in sorted(times):
-            sortie += last > datetime.min and taken - last > _PAUSE
-            last, found[place] = taken, (number, sortie)
-    numbers: dict[tuple[int, int], int] = {}
+        places.append((kind, _taken_at(image) or datetime.min, place))
+    places.sort()
+    found, sortie = {places[0][2]: 0} if places else {}, 0
+    for (kind_before, before, _), (kind, taken, place) in pairwise(places):
+        sortie += kind != kind_before or (before > datetime.min and taken - before > _PAUSE)
+        found[place] = sortie
+    numbers: dict[int, int] = {}
     return [numbers.setdefault(found[place], len(numbers)) for place in range(len(images))]
 
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.engine import Engine
-from vehanchor.errors import InvalidParameterError
 from vehanchor.rulers.known_length_table import lines_in
 from vehanchor_flight.estimate import check_options, conclude, open_journal, search_flight
 from vehanchor_flight.inputs import check_many, named
@@ -62,7 +61,8 @@ def estimate_flight(
         VehAnchorError: as ``vehanchor.estimate_gsd``.
     """
     check_many(images)  # before a model is loaded
-    lines = {} if known_lengths_table is None else lines_in(known_lengths_table, _paths(images))
+    paths = [each for each in images if isinstance(each, str | os.PathLike)] if isinstance(images, Sequence) else []
+    lines = lines_in(known_lengths_table, paths)
     called, chosen = (engine or Engine()).for_call(options, keywords)
     check_options(chosen)
     detector = checked_detector(called.detector, chosen)
@@ -157,15 +157,3 @@ def live_scales(
     name = str(source) if isinstance(source, int) else os.fspath(source)
     frames = open_frames(name, chosen.reading, every_s=every_s, idle_s=idle_s, tell=tell)
     return map(LiveEstimator(called.detector, chosen, hold_s=hold_s).estimate, frames)
-
-
-def _paths(images: Iterable[object]) -> list[str | os.PathLike[str]]:
-    """Check that photographs with lines of known length are given as paths.
-
-    Raises:
-        InvalidParameterError: they are not.
-    """
-    paths = [each for each in images if isinstance(each, str | os.PathLike)] if isinstance(images, Sequence) else []
-    if not isinstance(images, Sequence) or len(paths) < len(images):
-        raise InvalidParameterError("a table of known lengths names files: give the photographs as paths")
-    return paths

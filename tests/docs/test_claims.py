@@ -19,7 +19,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS
-from tests.packaging.dockerfile import read_dockerfile
+from tests.packaging.container import read_dockerfile
 from vehanchor.engine import Engine
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Search
 from vehanchor.records import AreaMeasurement, GsdEstimate
@@ -83,13 +83,11 @@ def _found(name: str) -> bool:
 
 def test_how_much_longer_cars_are_in_north_america_is_said_once_and_as_the_model_has_it() -> None:
     card = Engine().detector.card
-    assert card.fleet_lengths is not None
-    shortest, longest = card.fleet_lengths.length_m
-    america = card.region_lengths_m["north_america"]
-    elsewhere = math.sqrt(card.region_lengths_m["europe"] * card.region_lengths_m["south_america"])
+    assert card.bodies is not None
+    lengths = card.bodies.region_lengths_m
+    america, elsewhere = lengths["north_america"], math.sqrt(lengths["europe"] * lengths["south_america"])
     page = (ROOT / "docs/concepts.md").read_text(encoding="utf-8")
-    assert f"boxes of North American cars come out {america / elsewhere - 1:.0%}".replace("%", " %") in page
-    assert f"between {shortest:g} and {longest:g} m" in page
+    assert f"North American cars come out {america / elsewhere - 1:.0%} longer".replace("%", " %") in page
     others = [path for path in DOCUMENTS if path.name != "concepts.md"]
     pattern = r"(?:[Cc]ars|[Ff]leets)[^.|]* by about \d+ ?%|[Aa]merican? [^.|]*\d+ ?% longer"
     assert not [path for path in others if re.search(pattern, path.read_text("utf-8"))]
@@ -102,3 +100,25 @@ def test_the_container_reports_nothing_to_others() -> None:
     told = subprocess.run([sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "1"
     assert read_dockerfile(ROOT / "Dockerfile")[-1].environment["ORT_DISABLE_TELEMETRY"] == "1"
+
+
+_TEXT = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+MAX_WORDS = 600
+
+
+def test_each_promise_has_a_test_that_names_it_and_no_test_names_another() -> None:
+    promised = re.findall(r"^- \*\*([a-z-]+)\*\*: ", _TEXT.partition("## Promises")[2], flags=re.MULTILINE)
+    texts = [file.read_text(encoding="utf-8") for file in (ROOT / "tests").rglob("test_*.py")]
+    kept = {name for text in texts for name in re.findall(r"mark\.promise\(\"([a-z-]+)\"\)", text)}
+    assert sorted(promised) == sorted(kept)
+
+
+def test_every_line_of_the_promises_is_one() -> None:
+    section = _TEXT.partition("## Promises")[2].partition("## Limits")[0]
+    lines = re.findall(r"^- .*", section, flags=re.MULTILINE)
+    assert all(re.match(r"- \*\*[a-z-]+\*\*: ", line) for line in lines)
+    assert len(lines) > 25
+
+
+def test_the_notes_are_short_enough_to_be_read() -> None:
+    assert len(_TEXT.split()) <= MAX_WORDS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -11,10 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from mcp import Client, StdioServerParameters
+from PIL import Image
 
 import vehanchor
-from tests.analyses import made_card
-from tests.docs.track_package import install_track, track_code, write_track, write_track_detector
+from tests.analyses import made_card, with_tilt
+from tests.conftest import ROOT
+from tests.docs.documents import blocks
+from tests.models import blank_image, paint_vehicles, write_detector
 from tests.server.conversation import by_path, text_of
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.scale import ScaleAnalysis
@@ -27,7 +31,7 @@ from vehanchor.records import GsdEstimate
 from vehanchor.records.flat import flat_row
 from vehanchor.records.ruler_kinds import RULERS
 from vehanchor.rulers.registry import ruler_class
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor_flight.verbs import estimate_flight
 
@@ -58,7 +62,7 @@ def _analysed(
     found = Detections(np.zeros((0, 5)), np.zeros(0), others=seen)
     card = made_card().model_copy(update={"class_names": {0: "small-vehicle", 1: name}})
     facts = ImageFacts(1000, 800, camera=camera)
-    return analyse_view(View(facts, found, card, ScaleOptions.of(options), lambda *_: 1.0))
+    return analyse_view(with_tilt(View(facts, found, card, ScaleOptions.of(options), lambda *_: 1.0)))
 
 
 @pytest.mark.usefixtures("track")
@@ -107,9 +111,10 @@ def test_a_ruler_that_cannot_use_the_plane_gives_no_evidence_on_a_tilted_photogr
     monkeypatch.setattr(track, "uses_plane", False)
     record = _analysed(camera=TILTED).estimate
     assert (record.status, record.gsd_m_per_px, record.rulers) == ("no_scale", None, ())
-    (warning,) = (each for each in record.warnings if each.code == "ruler_needs_nadir")
+    (warning,) = (each for each in record.warnings if "running track" in each.message)
+    assert warning.code == "camera_tilted"
     assert warning.message.startswith("The camera was tilted by 40 degrees: the ruler running track is left out")
-    assert not any(each.code == "ruler_needs_nadir" for each in _analysed(300.0, camera=TILTED).estimate.warnings)
+    assert not any("running track" in each.message for each in _analysed(300.0, camera=TILTED).estimate.warnings)
 
 
 @pytest.fixture
@@ -129,7 +134,7 @@ def test_the_verb_searches_for_it_and_the_record_its_table_and_its_schema_name_i
     detector: Path, photograph: Path
 ) -> None:
     record = vehanchor.estimate_gsd(photograph, detector=str(detector), rulers=("track",))
-    assert (record.leading_ruler, record.n_vehicles, record.tiles_searched) == ("track", 0, 1)
+    assert (record.leading_ruler, record.n_vehicles, record.details.tiles_searched) == ("track", None, 1)
     assert record.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
     assert flat_row(record)["ruler_track_gsd_m_per_px"] == record.rulers[0].gsd_m_per_px
     assert "track" in GsdEstimate.model_json_schema()["$defs"]["RulerScale"]["properties"]["kind"]["enum"]
@@ -153,6 +158,7 @@ def test_a_flight_pools_it_and_its_error_as_the_class_says(detector: Path, photo
     assert widths[0] / widths[1] == pytest.approx(2**0.25, rel=0.05)  # two photographs count as 2 ** 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_server_and_its_workers_measure_with_the_ruler_of_an_installed_package(
     detector: Path, photograph: Path, tmp_path: Path
@@ -167,3 +173,41 @@ async def test_a_server_and_its_workers_measure_with_the_ruler_of_an_installed_p
     assert "running track" in [ruler.label for ruler in record.rulers]
     assert record.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
     assert "running track" in text_of(result)
+
+
+SHAPE = 92.52 / 176.91
+TRACK_PX = 200.0
+
+
+def track_code() -> str:
+    """The module of the how-to."""
+    (text,) = (block.text for block in blocks(ROOT / "docs/how-to/add-a-ruler.md") if "class Track" in block.text)
+    return text
+
+
+def install_track(folder: Path) -> dict[str, str]:
+    """Install the package in a folder; the environment of a process that finds it there."""
+    (entry,) = (
+        block.text for block in blocks(ROOT / "docs/how-to/add-a-ruler.md") if '"vehanchor.rulers"' in block.text
+    )
+    assert entry.splitlines() == ['[project.entry-points."vehanchor.rulers"]', 'track = "tracks:Track"']
+    facts = folder / "tracks-1.0.dist-info"
+    facts.mkdir(parents=True)
+    (folder / "tracks.py").write_text(track_code(), encoding="utf-8")
+    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: tracks\nVersion: 1.0\n", encoding="utf-8")
+    (facts / "entry_points.txt").write_text("[vehanchor.rulers]\ntrack = tracks:Track\n", encoding="utf-8")
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *filter(None, sys.path)])}
+
+
+def write_track_detector(path: Path) -> Path:
+    """A detector that knows running tracks."""
+    return write_detector(path, names={0: "small-vehicle", 1: "ground-track-field"})
+
+
+def write_track(path: Path) -> Path:
+    """A photograph of a running track, 200 px long, and of no car."""
+    image = blank_image(400, 400)
+    paint_vehicles(image, np.array([[200, 200, TRACK_PX, TRACK_PX * SHAPE, 0.0]]), classes=[1])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(image).save(path)
+    return path

@@ -1,6 +1,6 @@
 """The examples with language models, as a user runs them, against a stand-in that speaks the real APIs.
 
-They run in environments of their own (``tests/environments.py``), with our server as the command on the PATH.
+They run in environments of their own (``tests/needs.py``), with our server as the command on the PATH.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from tests.conftest import ROOT
-from tests.environments import environment
 from tests.examples.stand_in import KEY, StandIn, ToolCall
+from tests.needs import environment
 
 pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]
 
@@ -33,24 +33,13 @@ ESTIMATE = ToolCall("estimate_gsd", {"image": _PATH})
 DISTANCE = ToolCall("measure_distance", {"image": _PATH, "lines": [_LINE]})
 MEASURE = ToolCall("measure_area", {"image": _PATH, "targets": [_BOX]})
 CALLS = [VIEW, ESTIMATE, DISTANCE, MEASURE]
-_USUAL = {
-    "coordinates": "pixels",
-    "height_basis": "assumed",
-    "gsd_basis": "assumed",
-    "include_overlay": False,
-    "overlay_side_px": 1000,
-    "detail": "short",
-    "same_scale": False,
-    "page": 1,
-    "grid": True,
-}
 
 
 def filled(call: ToolCall) -> ToolCall:
-    """The same call in strict mode, in which a model fills in every argument."""
+    """The same call in strict mode, in which a model fills in every argument, with null if it has no value."""
     tools = json.loads((ROOT / "schemas" / "openai.json").read_text(encoding="utf-8"))
     (needed,) = (tool["parameters"]["required"] for tool in tools if tool["name"] == call.name)
-    arguments = {name: call.arguments.get(name, _USUAL.get(name)) for name in needed}
+    arguments = {name: call.arguments.get(name) for name in needed}
     return ToolCall(call.name, arguments)
 
 
@@ -162,8 +151,6 @@ def test_without_a_key_or_a_model_it_says_what_to_set(
     ("script", "way", "prefix"),
     [
         ("claude_tool_use.py", "mcp", "ANTHROPIC"),
-        ("claude_tool_use.py", "schemas", "ANTHROPIC"),
-        ("openai_tool_use.py", "agents", "OPENAI"),
         ("openai_tool_use.py", "responses", "OPENAI"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 import shlex
@@ -12,11 +13,16 @@ from pathlib import Path
 from typing import Any, get_args
 
 import cv2
+import jsonschema
 import numpy as np
 import pytest
+from mcp.types import CallToolResult
 
 from tests.conftest import ROOT
 from vehanchor.records import Reason
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+from vehanchor_server.tools.registry import create_tools
 
 SCENES = ROOT / "examples" / "scenes"
 _README = (SCENES / "README.md").read_text(encoding="utf-8")
@@ -27,11 +33,10 @@ _RENDERINGS = re.findall(r"^\$ python -m research\.scenes ((\w+\.jpg) .*)$", _RE
 def _record(**changes: Any) -> dict[str, Any]:
     record = {
         "status": "ok",
-        "confidence": 0.95,
+        "scale_confidence": 0.95,
         "inscribed_diameter_m": 10.0,
         "inscribed_diameter_ci95_low_m": 8.5,
         "inscribed_center": {"x_px": 40.5, "y_px": 30.5},
-        "estimate": {"status": "ok", "reason": None},
     }
     return record | changes
 
@@ -61,19 +66,16 @@ def test_an_estimate_that_fits_is_not_enough(decide_zone: Callable[..., Any]) ->
     assert decision.reason.startswith("too small: a circle of at least 7.9 m")
 
 
-def test_a_measured_scale_is_stated_with_its_tolerance(
-    example: Callable[[str], Any], decide_zone: Callable[..., Any]
-) -> None:
-    ruler = example("planner_stdio").Ruler("barometer", 0.5, 0.1)
-    assert ruler.arguments == {"gsd_m_per_px": 0.5, "gsd_basis": "measured", "gsd_tolerance": pytest.approx(0.05)}
-    assert decide_zone(_record(estimate=None)).action == "land"
+def test_a_measured_scale_is_stated_as_such(example: Callable[[str], Any]) -> None:
+    ruler = example("planner_stdio").Ruler("barometer", 0.5)
+    assert ruler.arguments == {"gsd_m_per_px": 0.5, "gsd_basis": "measured"}
 
 
 @pytest.mark.parametrize("reason", get_args(Reason))
 def test_on_a_scale_that_is_not_ok_it_holds_whatever_the_size_and_says_what_helps(
     decide_zone: Callable[..., Any], reason: str
 ) -> None:
-    record = _record(status="low_confidence", confidence=0.89, estimate={"status": "low_confidence", "reason": reason})
+    record = _record(status="low_confidence", scale_confidence=0.89, reason=reason)
     decision = decide_zone(record | {"inscribed_diameter_ci95_low_m": 100.0})
     assert decision.action == "hold_altitude"
     assert "confidence 0.89" in decision.reason
@@ -82,7 +84,7 @@ def test_on_a_scale_that_is_not_ok_it_holds_whatever_the_size_and_says_what_help
 
 
 def test_without_a_ruler_it_holds(decide_zone: Callable[..., Any]) -> None:
-    decision = decide_zone(_record(status="no_scale", confidence=0.0, inscribed_diameter_ci95_low_m=None))
+    decision = decide_zone(_record(status="no_scale", scale_confidence=0.0))
     assert decision.action == "hold_altitude"
     assert decision.reason == "no scale from the ruler"
 
@@ -91,6 +93,26 @@ def test_an_unclear_outline_is_no_place_to_land(decide_zone: Callable[..., Any])
     decision = decide_zone(_record(status="low_confidence"))  # of the mask: the scale is ok
     assert decision.action == "next_zone"
     assert "outline" in decision.reason
+
+
+@pytest.mark.parametrize("gsd_m_per_px", [None, 0.1])
+@pytest.mark.anyio
+async def test_the_planner_uses_listed_arguments_alone(
+    example: Callable[[str], Any], gsd_m_per_px: float | None
+) -> None:
+    planner, asked = example("planner_stdio"), []
+
+    class Recorder:
+        async def call_tool(self, name: str, arguments: dict[str, Any]) -> CallToolResult:
+            asked.append((name, arguments))
+            return CallToolResult(content=[], structured_content={"status": "no_scale", "reason": "too_few"})
+
+    ruler, craft = planner.Ruler("a ruler", gsd_m_per_px), planner.Craft(4.0, 2.0)
+    await planner.decide(Recorder(), Path("a.jpg"), [planner.Zone(1, 2, 30, 40)], [ruler], craft, "europe")
+    by_name = {tool.name: tool for tool in create_tools(create_services(Settings(roots=(ROOT,))))}
+    assert [name for name, _ in asked] == ["measure_area"]
+    for name, arguments in asked:
+        jsonschema.validate(arguments, by_name[name].parameters)
 
 
 def _planned(*arguments: str) -> tuple[dict[str, Any], str]:
@@ -112,6 +134,7 @@ def test_the_shipped_scenes_get_the_decisions_of_their_readme(image: str, zone: 
     decision, log = _planned(image, "--zone", *zone.split())
     assert decision["action"] == action, decision["reason"]
     assert f"planner: decision: {action}, because {decision['reason']}" in log
+    assert all(line.startswith("planner: ") for line in log.splitlines()), "the server's log is not the planner's"
     if action == "land":
         assert decision["diameter_low_m"] >= decision["needed_m"] == 8.0
     if image == "no_cars.jpg":  # what the detector takes for cars there, if anything, is never to be trusted
@@ -156,3 +179,22 @@ def test_each_scene_is_what_its_command_renders(command: str, name: str, tmp_pat
     assert shipped is not None
     assert rendered.shape == shipped.shape
     assert np.abs(rendered.astype(int) - shipped).mean() < 2  # encoders differ a little between versions
+
+
+EXAMPLES = ROOT / "examples"
+
+
+@pytest.fixture
+def example() -> Callable[[str], Any]:
+    """Imports an example, which is a script, as a module."""
+
+    def load(name: str) -> Any:
+        spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module  # dataclasses look their module up
+        spec.loader.exec_module(module)
+        return module
+
+    return load

@@ -42,7 +42,7 @@ def test_the_algorithms_give_the_commands_scale_and_layers_that_qgis_reads(tmp_p
     assert seen["algorithms"] == ["vehanchor:localmetres", "vehanchor:scale"]
     assert seen["scale"]["GSD"] == pytest.approx(estimate.gsd_m_per_px)
     assert (seen["scale"]["STATUS"], seen["scale"]["CONFIDENCE"]) == ("ok", pytest.approx(estimate.confidence))
-    assert seen["boxes"] == [True, estimate.n_detections]
+    assert seen["boxes"] == [True, estimate.details.n_detections]
     with rasterio.open(seen["raster"]["RASTER"]) as raster:
         assert raster.transform.a == pytest.approx(estimate.gsd_m_per_px)
         assert (raster.width, raster.height) == (estimate.image_width_px, estimate.image_height_px)

@@ -8,9 +8,9 @@ The model's part is a script, and says so; everything that a tool answers is mea
 from __future__ import annotations
 
 from tests.conftest import ROOT
-from tests.environments import environment
 from tests.examples.stand_in import StandIn
 from tests.examples.test_agents import CALLS, EXAMPLES, QUESTION, STRICT, run_example, variables
+from tests.needs import environment
 
 _ANSWER = "(the scripted model repeats what the tool said) {result}"
 _HEAD = (

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.models import blank_image, paint_vehicles
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -56,3 +60,21 @@ def sighting_of(lengths: NDArray[np.float64]) -> Detections:
     """Vehicles of these lengths."""
     boxes = np.column_stack([lengths, lengths, lengths, lengths / 2, np.zeros(len(lengths))])
     return Detections(boxes, np.full(len(boxes), 0.8))
+
+
+def car_park(lengths: Sequence[float]) -> NDArray[np.uint8]:
+    """RGB with a vehicle of each length."""
+    image = blank_image(480, 360)
+    boxes = [[40 + 70 * (k % 6), 50 + 60 * (k // 6), length, 12, 0.4] for k, length in enumerate(lengths)]
+    paint_vehicles(image, np.reshape(boxes, (-1, 5)))
+    return image
+
+
+def write_flight(folder: Path, fleets: Sequence[Sequence[float]]) -> list[str]:
+    """A photograph for each of some fleets, ``0.png``, ``1.png`` and so on; their paths."""
+    paths = []
+    for number, lengths in enumerate(fleets):
+        path = folder / f"{number}.png"
+        cv2.imwrite(str(path), car_park(lengths)[:, :, ::-1])
+        paths.append(str(path))
+    return paths

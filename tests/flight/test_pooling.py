@@ -7,16 +7,20 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import made_card
-from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.detections import NOT_SEARCHED, Detections
+from tests.flight.ground import facts_at, sighting_of
+from vehanchor.detection.detections import NOT_SEARCHED, Detections, Looks
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.records import Notice
-from vehanchor.rulers.point import no_evidence, point_witness, prior_witness
+from vehanchor.rulers.ruler import point_witness, prior_witness, unusable
 from vehanchor.scale.density import credible_interval, lognormal
 from vehanchor.scale.reliability import Shared
+from vehanchor_flight.components import single_component
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.pooling import _pooled_witness, combined_density, pool, pooled_detections
+from vehanchor_flight.record import conclude_flight
+from vehanchor_flight.records import FlightEstimate
+from vehanchor_flight.sorties import number_sorties
 
 
 def _photograph(lengths: NDArray[np.float64], name: str = "one", resolved: float = 1.0) -> Photograph:
@@ -31,9 +35,11 @@ _FLEET = 30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3)
 def test_the_boxes_of_all_photographs_make_one_mode() -> None:
     parts = [_photograph(_FLEET[k::3]) for k in range(3)]
     together = pool(parts, np.zeros(3), 0).estimate
-    assert [part.analysis.estimate.aggregation for part in parts] == ["median"] * 3  # three vehicles are too few
+    assert [part.analysis.estimate.details.aggregation for part in parts] == [
+        "median"
+    ] * 3  # three vehicles are too few
     assert together.n_vehicles == 9
-    assert together.aggregation == "kde"
+    assert together.details.aggregation == "kde"
     assert together.mode_length_px == pytest.approx(_photograph(_FLEET).analysis.estimate.mode_length_px)
     assert together.confidence > max(part.analysis.estimate.confidence for part in parts)
 
@@ -66,15 +72,17 @@ def test_looks_at_vehicles_stay_with_their_boxes() -> None:
     first = Detections(
         np.full((3, 5), 1.0),
         np.array([0.9, 0.5, 0.3]),
-        fleet=FleetAppearance(np.array([9.0, 5.0]), np.array([1.9, 1.5])),
+        looks=Looks(np.array([1.9, 1.5]), np.array([0.1, 0.2]), np.array([9.0, 5.0])),
     )
     second = Detections(
-        np.full((2, 5), 2.0), np.array([0.8, 0.4]), fleet=FleetAppearance(np.array([8.0, 4.0]), np.array([1.8, 1.4]))
+        np.full((2, 5), 2.0),
+        np.array([0.8, 0.4]),
+        looks=Looks(np.array([1.8, 1.4]), np.array([0.3, 0.4]), np.array([8.0, 4.0])),
     )
     both = pooled_detections([first, second], np.zeros(2))
-    assert both.fleet is not None
-    assert list(both.fleet.log_odds) == [9.0, 8.0, 5.0, 4.0]
-    assert list(both.fleet.log_lengths) == [1.9, 1.8, 1.5, 1.4]
+    assert both.looks is not None
+    assert list(both.looks.logits) == [9.0, 8.0, 5.0, 4.0]
+    assert list(both.looks.log_lengths) == [1.9, 1.8, 1.5, 1.4]
     assert list(both.scores) == [0.9, 0.8, 0.5, 0.4, 0.3]
     assert list(both.boxes[:, 0]) == [1, 2, 1, 2, 1]
 
@@ -99,7 +107,7 @@ def test_a_witness_of_the_flight_is_heard() -> None:
     photographs = [_photograph(_FLEET), _photograph(_FLEET)]
     extra = point_witness("positions", 0.17, 0.05, 0.05, "{}", n=3)
     pooled = pool(photographs, np.zeros(2), 0, [extra])
-    assert [other for other in pooled.others if other.found] == [extra]
+    assert pooled.witnesses[1:] == (extra,)
     assert [ruler.kind for ruler in pooled.estimate.rulers] == ["vehicles", "positions"]
 
 
@@ -139,10 +147,51 @@ def test_two_stretched_photographs_are_as_doubtful_together_as_alone() -> None:
 def test_one_ruler_that_speaks_leaves_the_others_notices_in() -> None:
     told = Notice(code="camera_unusable", message="a crop")
     spoke = point_witness("camera", 0.1, 0.1, 0.05, "{}")
-    pooled = _pooled_witness("camera", [(spoke, 0.0), (no_evidence("camera", told), 0.0)])
+    pooled = _pooled_witness("camera", [(spoke, 0.0), (unusable("camera", told), 0.0)])
     assert (pooled.gsd_m_per_px, pooled.notices) == (0.1, (told,))
 
 
 def test_the_detail_is_that_of_the_photographs_with_the_vehicles() -> None:
     sharp, blurred = _photograph(_FLEET, resolved=1.0), _photograph(_FLEET[:1], resolved=0.2)
     assert pool([blurred, sharp], np.zeros(2), 1).resolved == 1.0
+
+
+FLEET = 30.0 * (1 + 0.05 * np.linspace(-1, 1, 9) ** 3)
+
+
+def _taken(time: str, model: str = "FC3170") -> ImageFacts:
+    facts = facts_at(0.0, 0.0)
+    assert facts.camera is not None
+    return facts._replace(camera=replace(facts.camera, model=model, taken_at=time))
+
+
+@pytest.mark.parametrize(
+    ("facts", "numbers"),
+    [
+        ([_taken("2025:10:05 16:40:31"), _taken("2025:10:05 16:59:31"), _taken("2025:10:05 17:10:00")], [0, 0, 0]),
+        ([_taken("2025:10:05 16:40:31"), _taken("2025:10:05 17:40:31"), _taken("2025:10:05 16:41:00")], [0, 1, 0]),
+        ([_taken("2025:10:05 16:40:31"), _taken("2025:10:05 16:40:31", "FC220")], [0, 1]),
+        ([_taken(""), _taken("2025:10:05 16:40:31"), _taken("yesterday")], [0, 0, 0]),
+        ([ImageFacts(9, 9), ImageFacts(9, 9)], [0, 0]),
+    ],
+)
+def test_a_pause_or_another_camera_begins_a_sortie(facts: list[ImageFacts], numbers: list[int]) -> None:
+    assert number_sorties(facts) == numbers
+
+
+def _same_scale(*facts: ImageFacts) -> FlightEstimate:
+    card = made_card(5.0)
+    photographs = [
+        Photograph.of(str(number), StoredPhotograph(each, sighting_of(FLEET), 1.0), card, ScaleOptions())
+        for number, each in enumerate(facts)
+    ]
+    return conclude_flight(photographs, [single_component(range(len(facts)), 0)], card, same_scale=True)
+
+
+def test_one_scale_for_two_sorties_is_warned_of() -> None:
+    two = _same_scale(_taken("2025:10:05 16:40:31"), _taken("2025:10:05 18:40:31"))
+    assert [each.sortie for each in two.photographs] == [0, 1]
+    (warning,) = (each for each in two.warnings if each.code == "several_sorties")
+    assert "2 sorties of 1 and 1 photographs" in warning.message
+    one = _same_scale(_taken("2025:10:05 16:40:31"), _taken("2025:10:05 16:40:33"))
+    assert "several_sorties" not in {each.code for each in one.warnings}

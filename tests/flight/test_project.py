@@ -12,7 +12,7 @@ from vehanchor.detection.detections import Detections
 from vehanchor.errors import ImageNotFoundError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
-from vehanchor.tilt.camera_tilt import CameraTilt
+from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor_flight.components import single_component
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.project import estimate_in_flight
@@ -24,7 +24,8 @@ NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
 
 
 def _photograph(name: str, image: ImageFacts, found: Detections) -> Photograph:
-    return Photograph.of(name, StoredPhotograph(image, found, 1.0), made_card(CAR_M), ScaleOptions())
+    kept = StoredPhotograph(image, found, 1.0, tilt=metadata_tilt(image, ScaleOptions()))
+    return Photograph.of(name, kept, made_card(CAR_M), ScaleOptions())
 
 
 def _flight(*photographs: Photograph | Failure) -> FlightEstimate:
@@ -67,7 +68,7 @@ def test_what_is_carried_too_far_to_be_used_says_why() -> None:
     assert (far.status, far.reason) == ("low_confidence", "imprecise")
     assert flight.photographs[0].advice is None
     assert flight.photographs[1].advice == (
-        "The nearest ruler is in another photograph, and the overlaps in between widen the interval: "
+        "Its rulers are in other photographs, and the overlaps in between widen the interval: "
         "add photographs between them, or give the height."
     )
 

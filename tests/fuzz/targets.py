@@ -29,9 +29,9 @@ from rasterio.transform import Affine
 
 from research.scenes import render_scene
 from tests import bombs
-from tests.skill.imagery import metadata_bytes as blocks
+from tests.skill.imagery import files as blocks
 from vehanchor import estimate_gsd
-from vehanchor.detection.card import FleetCard, VerifierCard, read_auxiliary_card, read_detector_card
+from vehanchor.detection.card import ChipCard, VerifierCard, read_auxiliary_card, read_detector_card
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES
@@ -108,7 +108,7 @@ def calibration(data: bytes) -> None:
 
 
 def card(data: bytes) -> None:
-    """Read the cards of a detector and of a fleet network from their metadata."""
+    """Read the cards of a detector and of its networks from their metadata."""
     try:
         stated = json.loads(data)
     except (ValueError, RecursionError):
@@ -119,7 +119,7 @@ def card(data: bytes) -> None:
     file = Path("fuzzed.onnx"), "0" * 64
     with contextlib.suppress(VehAnchorError):
         read_detector_card(*file, metadata)
-    for kind in (FleetCard, VerifierCard):
+    for kind in (ChipCard, VerifierCard):
         with contextlib.suppress(VehAnchorError):
             read_auxiliary_card(kind, *file, metadata)
 
@@ -278,13 +278,15 @@ def _cards() -> list[bytes]:
         "vehanchor.aggregation": "weighted_kde",
         "license": "Apache-2.0",
     }
-    fleet = {
+    chips = {
         "vehanchor.detector": "mine",
-        "vehanchor.fleet_lengths": json.dumps(
-            {"log_lengths": [1.4, 1.6], "length_m": [4.4, 5.2], "sd_m": 0.2, "neutral_vehicles": 8}
+        "vehanchor.weights": "1,1,0",
+        "vehanchor.least_score": "0.15",
+        "vehanchor.bodies": json.dumps(
+            {"reference_length_m": 4.3, "reference_length_sd_m": 0.3, "region_lengths_m": {"europe": 4.1}}
         ),
     }
-    return [json.dumps(each).encode() for each in (detector, fleet, detector | fleet)]
+    return [json.dumps(each).encode() for each in (detector, chips, detector | chips)]
 
 
 def _metadata() -> list[bytes]:
@@ -360,12 +362,12 @@ def messages(data: bytes) -> None:
                 assert len(message.model_dump_json()) <= HEADER.n_bytes
                 return
             reply = receive_reply(lost, message, record)
-            most = 8 * (MAX_RECORDS * RECORD.n_bytes + DRAWING.n_bytes + 2 * MAX_PICTURE_BYTES)
+            most = 8 * (MAX_RECORDS * RECORD.n_bytes + DRAWING.n_bytes + MAX_PICTURE_BYTES)
             assert len(reply.to_result("found").model_dump_json()) <= most
 
 
 def _messages() -> list[bytes]:
-    header = Replied(n_records=1, drawing=False, overlay=True, page_picture=False).model_dump_json().encode()
+    header = Replied(n_records=1, drawing=False, picture=True).model_dump_json().encode()
     plain = [
         Loaded(failure=None, landlock=6, seccomp=True, lacks=""),
         Progressed(percent=50, message="searched 1 of 2 tiles"),
@@ -394,15 +396,16 @@ def _arguments() -> list[bytes]:
     frame = {"width_px": 24, "height_px": 24}
     box = {"x_min": 1, "y_min": 2, "x_max": 30, "y_max": 40}
     calls: list[tuple[str, dict[str, Any]]] = [
-        ("estimate_gsd", {"image": path, "region": "europe", "include_overlay": True, "detail": "full"}),
+        ("estimate_gsd", {"image": path, "region": "europe", "metadata": False, "detail": "full"}),
         ("estimate_gsd", {"image": image, "height_m": 60, "focal_35mm": 24, "reference_length_m": 4.6}),
         ("estimate_gsd", {"image": {"kind": "url", "url": "https://a.test/b.png"}}),
         ("measure_distance", {"image": image, **known, "points": points}),
         ("measure_distance", {"image": image, **known, "points": points, "frame": frame}),
-        ("measure_area", {"image": image, **known, "target": {"box": box}}),
-        ("measure_area", {"image": path, **known, "target": {"points": points}, "coordinates": "per_mille"}),
+        ("measure_area", {"image": image, **known, "targets": [{"box": box}]}),
+        ("measure_area", {"image": path, **known, "targets": [{"points": points}], "coordinates": "per_mille"}),
         ("view_image", {"image": image, "width_px": 32}),
         ("view_image", {"image": image, "region": box}),
+        ("view_image", {"of": {"tool": "measure_area", "arguments": {"image": image, "targets": [{"box": box}]}}}),
     ]
     return [json.dumps({"tool": name, **given}).encode() for name, given in calls]
 

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from tests.conftest import ROOT
-from tests.packaging.dockerfile import read_dockerfile
+from tests.packaging.container import read_dockerfile
 from vehanchor import __version__
 from vehanchor_server.settings import Settings
 

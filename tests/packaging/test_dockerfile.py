@@ -23,8 +23,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.needs import needed_program
-from tests.packaging.dockerfile import read_dockerfile
-from tests.packaging.server_calls import free_port, stdio_answers, tools_over_http, wait_until_ready
+from tests.packaging.container import free_port, read_dockerfile, stdio_answers, tools_over_http, wait_until_ready
 
 pytestmark = pytest.mark.timeout(900)  # installing 500 MB takes what the disk takes
 

@@ -25,7 +25,7 @@ from mcp import Client, MCPError
 
 from tests.conftest import ROOT
 from tests.needs import needed_program
-from tests.packaging.server_calls import free_port
+from tests.packaging.container import free_port
 from tests.server.transport.test_http import discover
 from tests.server_process import http_server, write_images
 from vehanchor import estimate_gsd

@@ -12,6 +12,7 @@ from mcp.server import MCPServer
 
 from tests.models import paint_vehicles, write_detector
 from tests.sam_models import SamFiles, write_sam
+from tests.server.calls.working import TESTS, ready
 from tests.server.conversation import ERAS
 from tests.tiles import Tiles, watched_tiles
 from vehanchor_server.app import create_server
@@ -135,6 +136,16 @@ def services(settings: Settings) -> Services:
 @pytest.fixture(scope="session")
 def server(services: Services) -> MCPServer[object]:
     return create_server(services)
+
+
+@pytest.fixture(scope="module")
+def running(detector_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
+    """A server whose worker is confined."""
+    root = tmp_path_factory.mktemp("root")
+    settings = Settings(roots=(root, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
+    services = ready(create_services(settings))
+    yield services
+    services.close()
 
 
 @pytest.fixture(autouse=True)

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import anyio
 import cv2
 import numpy as np
+import uvicorn
 from mcp.types import CallToolResult, ImageContent, TextContent
+from starlette.types import ASGIApp
 
-from vehanchor_server.calls.overlay import MAX_PICTURE_BYTES
+from vehanchor_server.calls.jpeg import MAX_PICTURE_BYTES
 
 ERAS = ("auto", "legacy")  # auto finds the stateless 2026-07-28 protocol
 
@@ -50,3 +56,26 @@ async def reported(reports: Sequence[float]) -> None:
     with anyio.move_on_after(60):
         while not reports or reports[-1] < 100:
             await anyio.sleep(0.01)
+
+
+@contextlib.contextmanager
+def listening() -> Iterator[socket.socket]:
+    """A socket on a free port of 127.0.0.1."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        yield free
+
+
+@contextlib.contextmanager
+def serving(app: ASGIApp, listener: socket.socket) -> Iterator[None]:
+    """Serve an application until the block ends."""
+    server = uvicorn.Server(uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=2))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+    thread.start()
+    while not server.started and thread.is_alive():
+        time.sleep(0.01)
+    try:
+        yield
+    finally:
+        server.should_exit = True
+        thread.join(10)

@@ -1,6 +1,7 @@
 """Agents' frameworks call the tools of a real server, each in an environment of its own, over pipes and over HTTP.
 
-No model is needed: the driver in ``frameworks/`` does what the framework does once a model has chosen a tool.
+No model is needed: the driver in ``frameworks/`` does what the framework does once a model has chosen a tool. With a
+model, three frameworks are in ``tests/examples/test_agents.py``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 import pytest
 
 import vehanchor
-from tests.environments import environment
+from tests.needs import environment
 from tests.sam_models import SamFiles
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path
@@ -32,7 +33,7 @@ _FOLDER = Path(__file__).parent / "frameworks"
 
 def driven(framework: str, packages: tuple[str, ...], asked: dict[str, Any]) -> dict[str, Any]:
     """What the framework's driver saw, by transport."""
-    python = environment(_FOLDER / f"{framework}.txt", packages=packages)
+    python = environment(packages=packages)
     done = subprocess.run(
         [python, _FOLDER / f"drive_{framework}.py"],
         input=json.dumps(asked),
@@ -49,10 +50,9 @@ def driven(framework: str, packages: tuple[str, ...], asked: dict[str, Any]) -> 
 @pytest.mark.parametrize(
     ("framework", "packages"),
     [
-        pytest.param("openai_agents", (), id="openai-agents"),
-        pytest.param("openai_agents", ("mcp<2",), id="openai-agents on mcp 1"),
-        pytest.param("pydantic_ai", (), id="pydantic-ai"),
-        pytest.param("fastmcp", (), id="fastmcp"),
+        pytest.param("openai_agents", ("openai-agents==0.24.0",), id="openai-agents"),
+        pytest.param("openai_agents", ("openai-agents==0.24.0", "mcp<2"), id="openai-agents on mcp 1"),
+        pytest.param("fastmcp", ("fastmcp==4.1.2",), id="fastmcp"),
     ],
 )
 def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(

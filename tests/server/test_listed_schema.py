@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -13,17 +14,17 @@ import jsonschema
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
+from pydantic import ValidationError
 
 from tests.conftest import ROOT
-from tests.environments import environment
+from tests.needs import environment
 from tests.server.conversation import text_of
-from tests.server.listed_calls import documented_calls, random_value
-from tests.server.test_tokens import LISTED, tokens_listed
+from tests.server.test_app import LISTED, tokens_listed
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
-from vehanchor_server.tools.strict_tool import StrictTool
+from vehanchor_server.tools.strict_tool import StrictTool, _with_integers
 
 OPERATORS: list[dict[str, Any]] = [
     {"roots": (ROOT,)},
@@ -47,7 +48,11 @@ def tools(**operator: Any) -> list[StrictTool]:
 
 def shape_faults(tool: StrictTool, arguments: dict[str, Any]) -> list[dict[str, Any]]:
     """Faults of the shape; of a union, no fault of the variants that were not meant."""
-    faults = tool.faults(arguments)
+    try:
+        tool.fn_metadata.arg_model.model_validate(_with_integers(arguments))
+        return []
+    except ValidationError as error:
+        faults: list[dict[str, Any]] = [dict(each) for each in error.errors(include_url=False, include_input=False)]
     values = {fault["loc"][:-1] for fault in faults if fault["type"] in _VALUES}
     return [fault for fault in faults if fault["type"] not in _VALUES and fault["loc"][:-1] not in values]
 
@@ -86,10 +91,8 @@ def test_every_call_of_the_documentation_has_the_listed_shape() -> None:
     assert {name for name, _ in calls} == set(by_name)
     for name, arguments in calls:
         given = {key: value for key, value in arguments.items() if value is not None}
-        listed = {key: given[key] for key in by_name[name].parameters["properties"] if key in given}
-        jsonschema.validate(listed, by_name[name].parameters)
-        for call in (listed, arguments):
-            assert not shape_faults(by_name[name], call), (name, call)
+        jsonschema.validate(given, by_name[name].parameters)
+        assert not shape_faults(by_name[name], arguments), (name, arguments)
 
 
 @pytest.mark.parametrize("operator", OPERATORS[:3], ids=["path", "path and url", "url"])
@@ -159,3 +162,50 @@ def in_json_schema(node: Any) -> Any:
     if isinstance(named.get("type"), str):
         named["type"] = named["type"].lower()
     return {name: int(value) if name.startswith(("min", "max")) else value for name, value in named.items()}
+
+
+_TEXTS = ["car_park.jpg", "FR", "iso_container_20ft", "0.13 0.12 0.15 0.8 aa bb"]
+
+
+def random_value(node: dict[str, Any], chance: random.Random) -> Any:
+    """A value that the schema allows; nothing beside the schema is known."""
+    if "anyOf" in node:
+        return random_value(chance.choice(node["anyOf"]), chance)
+    if "enum" in node:
+        return chance.choice(node["enum"])
+    kind = node["type"]
+    if kind == "object" and "properties" not in node:
+        return {}
+    if kind == "object":
+        names = list(node["properties"])
+        optional = [name for name in names if name not in node.get("required", ())]
+        n_most = min(node.get("maxProperties", len(names)) - len(names) + len(optional), len(optional))
+        chosen = chance.sample(optional, chance.randint(min(node.get("minProperties", 0), n_most), n_most))
+        return {
+            name: random_value(node["properties"][name], chance)
+            for name in names
+            if name in chosen or name not in optional
+        }
+    if kind == "array":
+        n_least = node.get("minItems", 0)
+        n_items = chance.randint(n_least, min(node.get("maxItems", n_least + 3), n_least + 3))
+        return [random_value(node["items"], chance) for _ in range(n_items)]
+    if kind == "number":
+        return chance.choice([chance.randint(1, 900), round(chance.uniform(0.1, 900), 2)])
+    if kind == "integer":
+        return chance.choice([chance.randint(256, 1024), 512.0])  # JSON Schema takes 512.0 for an integer
+    return {"string": chance.choice(_TEXTS), "boolean": chance.random() < 0.5}[kind]
+
+
+def documented_calls() -> list[tuple[str, dict[str, Any]]]:
+    """The tools and arguments of all calls in the documentation and the examples' transcripts."""
+    found: list[tuple[str, dict[str, Any]]] = []
+    for path in [*ROOT.glob("docs/**/*.md"), ROOT / "README.md", ROOT / "server/vehanchor_server/SKILL.md"]:
+        for block in re.findall(r"```json\n(.*?)\n```", path.read_text(encoding="utf-8"), re.DOTALL):
+            call = json.loads(block)
+            if isinstance(call, dict) and "tool" in call:
+                found.append((call["tool"], call["arguments"]))
+    for path in ROOT.glob("docs/transcripts/*.txt"):
+        for tool, arguments in re.findall(r"^calls (\w+) (\{.*\})$", path.read_text(encoding="utf-8"), re.MULTILINE):
+            found.append((tool, json.loads(arguments)))
+    return found

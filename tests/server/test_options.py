@@ -15,8 +15,8 @@ from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.errors import InvalidParameterError
 from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.options import ScaleOptions, declared_options
-from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT
 from vehanchor.options.option import Limits
+from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT
 from vehanchor.rulers.registry import rulers_help
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings

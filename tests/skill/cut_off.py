@@ -6,6 +6,7 @@ Prints a line of JSON: how many ends there were of each sort, and what was found
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 from collections import Counter
@@ -17,7 +18,6 @@ import cv2
 import numpy as np
 import pyarrow.parquet
 
-from tests.faults import REFUSED, WRITTEN, limited
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import write_table
 from vehanchor.pictures.scale import write_picture
@@ -104,6 +104,36 @@ def _kept(folder: Path, ends: Counter[str]) -> Iterable[str]:
 
 def _named(end: int) -> str:
     return {WRITTEN: "written", REFUSED: "refused", -signal.SIGXFSZ: "killed"}.get(end, str(end))
+
+
+WRITTEN, REFUSED = 0, 1
+
+
+def limited(work: Callable[[], object], n_bytes: int | None, *, killed: bool) -> int:
+    """How work ends in a copy of this process, which should have one thread: 0, 1 for any exception, or minus a signal.
+
+    Args:
+        work: writes files.
+        n_bytes: to which each may grow; None does not limit them.
+        killed: end the process there, instead of refusing to write.
+    """
+    import resource
+
+    child = os.fork()
+    if child == 0:
+        try:
+            signal.signal(signal.SIGXFSZ, signal.SIG_DFL if killed else signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            if n_bytes is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, n_bytes))
+            work()
+            status = WRITTEN
+        except Exception as error:
+            sys.stderr.write(f"{type(error).__name__}: {error}\n")
+            status = REFUSED
+        sys.stderr.flush()
+        os._exit(status)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from vehanchor.errors import InvalidParameterError, MissingExtraError
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.measured import MEASURED_RGB
 from vehanchor.records import KnownPlane, Notice, Reason, SceneScaleEstimate
-from vehanchor.records.advice import ADVICE, advice_for
+from vehanchor.records.text import ADVICE, advice_for
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +183,7 @@ def test_a_distance_is_drawn_where_it_lies_as_by_the_command(
     words[words.index(out)] = photograph
     refused = CliRunner().invoke(app, list(map(str, words)))
     assert refused.exit_code == 2
-    assert "is the image itself" in refused.stderr
+    assert "is one of the images" in refused.stderr
 
 
 def test_a_size_whose_scale_is_not_to_be_used_or_holds_in_one_place_has_no_bar(
@@ -243,16 +243,11 @@ def test_an_enlarged_scene_is_asked_for_its_original(engine: vehanchor.Engine) -
     assert advice_for(found) == ("the image is enlarged or blurred", "send the original image")
 
 
-def _scene(low: float, high: float) -> SceneScaleEstimate:
-    return SceneScaleEstimate(gsd_m_per_px=(low * high) ** 0.5, gsd_ci95_low_m_per_px=low, gsd_ci95_high_m_per_px=high)
-
-
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
         ({"reason": "too_coarse", "n_vehicles": 0}, "no car was found, and the scene looks too coarse for cars"),
         ({"reason": "too_few", "n_vehicles": 1}, "1 vehicle alone: too little evidence"),
-        ({"reason": "disagree", "scene_scale": _scene(0.3, 0.5)}, "by the scene the scale is about 0.39 m/px"),
         (
             {"reason": "disagree", "warnings": (Notice(code="stretched", message="It is stretched."),)},
             "the image is stretched in one direction",
@@ -266,6 +261,14 @@ def test_one_reason_has_the_advice_of_what_was_seen(
     assert advice is not None
     assert advice.why.startswith(why)
     assert "fly lower" not in advice.helps
+
+
+def test_a_scene_that_contradicts_the_cars_is_named(estimate: vehanchor.GsdEstimate) -> None:
+    scene = SceneScaleEstimate(gsd_m_per_px=0.39, gsd_ci95_low_m_per_px=0.3, gsd_ci95_high_m_per_px=0.5)
+    details = estimate.details.model_copy(update={"scene_scale": scene})
+    advice = advice_for(estimate.model_copy(update={"reason": "disagree", "details": details}))
+    assert advice is not None
+    assert advice.why.startswith("by the scene the scale is about 0.39 m/px")
 
 
 def test_rulers_that_contradict_each_other_are_named(engine: vehanchor.Engine) -> None:

@@ -29,6 +29,7 @@ from vehanchor.segmentation.segmenter import Segmenter
 
 BOX = (300.0, 150.0, 371.0, 190.0)
 PATH = [(10.0, 20.0), (310.0, 420.0)]
+ALONE: dict[str, Any] = {"rulers": ("vehicles",)}  # quicker: no other network looks at the image
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def segmenter(files: Path) -> tuple[Path, Path]:
 
 @pytest.fixture
 def engine(files: Path, segmenter: tuple[Path, Path]) -> Engine:
-    return Engine(files / "m.onnx", segmenter)
+    return Engine(files / "m.onnx", segmenter, options=ScaleOptions.of(ALONE))
 
 
 def _place() -> np.ndarray:
@@ -96,7 +97,7 @@ def test_a_known_scale_needs_no_detector(tmp_path: Path, segmenter: tuple[Path, 
 
 
 def test_many_threads_share_one_engine(tmp_path: Path, opened: list[type]) -> None:
-    engine = Engine(write_detector(tmp_path / "shared.onnx"), classes=["small vehicle"])
+    engine = Engine(write_detector(tmp_path / "shared.onnx"), options=ScaleOptions.of(ALONE), classes=["small vehicle"])
     together = threading.Barrier(4)
 
     def estimate(_: int) -> str:
@@ -127,11 +128,11 @@ def test_a_cancellation_ends_the_call_that_it_belongs_to_and_no_other(engine: En
 def test_a_verb_gives_what_its_method_gives(engine: Engine, files: Path, segmenter: tuple[Path, Path]) -> None:
     image, detector = _place(), files / "m.onnx"
     estimate = engine.estimate(image)
-    assert estimate == vehanchor.estimate_gsd(image, detector=detector, threads=1)
-    assert [estimate, estimate] == vehanchor.estimate_gsd([image, image], detector=detector)
-    area = vehanchor.measure_area(image, box=BOX, detector=detector, segmenter=segmenter)
+    assert estimate == vehanchor.estimate_gsd(image, detector=detector, threads=1, **ALONE)
+    assert [estimate, estimate] == vehanchor.estimate_gsd([image, image], detector=detector, **ALONE)
+    area = vehanchor.measure_area(image, box=BOX, detector=detector, segmenter=segmenter, **ALONE)
     assert engine.measure_area(image, box=BOX) == area == engine.analyse_area(image, box=BOX).measurement
-    distance = vehanchor.measure_distance(image, PATH, detector=detector)
+    distance = vehanchor.measure_distance(image, PATH, detector=detector, **ALONE)
     assert engine.measure_distance(image, PATH) == distance == engine.analyse_distance(image, PATH).measurement
 
 
@@ -152,11 +153,12 @@ def test_a_bad_image_of_a_list_is_named_and_the_others_are_kept(engine: Engine, 
 
 def test_keywords_change_single_fields_of_the_engines_options(files: Path) -> None:
     image = _place()
-    chosen = Engine(files / "m.onnx", options=ScaleOptions.of({"reference_length_m": 4.0, "alpha": None}))
-    assert chosen.estimate(image).reference_length_m == 4.0
-    assert chosen.estimate(image, frame=(400, 300)).reference_length_m == 4.0
-    assert chosen.estimate(image, reference_length_m=5.0).reference_length_m == 5.0
-    assert chosen.estimate(image, ScaleOptions()) == Engine(files / "m.onnx").estimate(image)
+    chosen = Engine(files / "m.onnx", options=ScaleOptions.of({"reference_length_m": 4.0, "alpha": None, **ALONE}))
+    assert chosen.estimate(image).details.reference_length_m == 4.0
+    assert chosen.estimate(image, frame=(400, 300)).details.reference_length_m == 4.0
+    assert chosen.estimate(image, reference_length_m=5.0).details.reference_length_m == 5.0
+    alone = ScaleOptions.of(ALONE)
+    assert chosen.estimate(image, alone) == Engine(files / "m.onnx").estimate(image, alone)
     with pytest.raises(InvalidParameterError, match="there is no option 'regoin'"):
         chosen.estimate(image, regoin="europe")
 
@@ -189,7 +191,7 @@ def test_load_leaves_no_model_for_the_first_estimate_to_open(monkeypatch: pytest
     engine = Engine(runtime=Runtime(threads=5))  # of no other test: the process has none of these models yet
     engine.load()
     n_opened = len(opened)
-    assert n_opened >= 4, "detector, fleet appearance, verifier, scene-scale prior; courts, unless a test had them"
+    assert n_opened >= 4, "detector, chip network, verifier, scene-scale prior; courts, unless a test had them"
     assert engine.estimate(_place()).model == engine.detector.card.name
     assert len(opened) == n_opened
 
@@ -197,8 +199,6 @@ def test_load_leaves_no_model_for_the_first_estimate_to_open(monkeypatch: pytest
 def test_load_fails_before_the_work(tmp_path: Path) -> None:
     with pytest.raises(VehAnchorError):
         Engine(tmp_path / "nowhere.onnx").load()
-    with pytest.raises(ModelNotFoundError, match="int8"):
-        Engine("vehicles-none", runtime=Runtime(precision="int8")).load()
 
 
 @pytest.mark.parametrize("threads", [0, -1, 257, 1.5, True, "two", float("nan"), float("inf")])

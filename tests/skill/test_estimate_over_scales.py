@@ -15,8 +15,7 @@ from research.scenes import Scene, render_scene
 from tests.analyses import analyse_found
 from tests.yards import YARDS, Yard, paint_yard
 from vehanchor import estimate_gsd
-from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.detector import Detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
@@ -82,7 +81,7 @@ def test_a_level_with_little_evidence_neither_moves_nor_lowers_the_answer(search
     assert beside.mode_length_px == pytest.approx(alone.mode_length_px)
     assert beside.n_vehicles == 40
     assert beside.confidence == pytest.approx(alone.confidence)
-    assert beside.working_scale == 1.0
+    assert beside.details.working_scale == 1.0
     assert beside.warnings == ()
 
 
@@ -95,27 +94,27 @@ def test_two_levels_that_disagree_are_not_averaged_and_never_sure(searching: Det
 
 
 @pytest.mark.parametrize(
-    ("n", "mean", "spread", "of_lengths", "doubt"),
+    ("n", "logit", "of_looks", "of_lengths", "doubt"),
     [
-        (30, 0.0, 1.2, 0.07, None),
-        (30, 0.5, 0.5, 0.055, "look_alikes"),
-        (30, 0.5, 0.5, 0.08, None),  # equal things have equal lengths
-        (30, 0.5, 1.2, 0.055, None),
-        (12, 0.5, 0.5, 0.055, None),
-        (30, -3.6, 1.2, 0.07, "look_alikes"),
-        (12, -3.6, 1.2, 0.07, None),
-        (30, 3.6, 1.2, 0.07, None),
+        (30, 3.5, 0.07, 0.07, None),
+        (30, 3.5, 0.03, 0.03, "look_alikes"),
+        (30, 3.5, 0.03, 0.07, None),  # equal things have equal lengths
+        (30, 3.5, 0.07, 0.03, None),  # and equal looks
+        (12, 3.5, 0.03, 0.03, None),
+        (30, 1.5, 0.07, 0.07, "look_alikes"),
+        (12, 1.5, 0.07, 0.07, None),
     ],
 )
 def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
-    searching: Detector, n: int, mean: float, spread: float, of_lengths: float, doubt: str | None
+    searching: Detector, n: int, logit: float, of_looks: float, of_lengths: float, doubt: str | None
 ) -> None:
-    odds = mean + spread * np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
+    normal = np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
     lengths = np.array(_fleet(40.0, n, of_lengths))
-    boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.2, lengths * 0])
+    boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.6, lengths * 0])
+    looks = Looks(np.log(4.4) + of_looks * normal, np.full(n, 0.07), np.full(n, logit))
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:
-        found = Detections(boxes, np.full(n, 0.9), scales=scales, fleet=FleetAppearance(odds, np.zeros(n)))
+        found = Detections(boxes, np.full(n, 0.9), scales=scales, looks=looks)
         return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
 
     searched = estimate(np.ones(n))
@@ -126,13 +125,13 @@ def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
 
 def test_scores_and_not_numbers_alone_decide_which_level_dominates(searching: Detector) -> None:
     e = _analysis(searching, [(30.0, 30, 0.4, 1.0), (190.0, 20, 0.9, 0.25)])
-    assert e.working_scale == 0.25
+    assert e.details.working_scale == 0.25
     assert e.mode_length_px == pytest.approx(190.0, rel=0.02)
 
 
 def test_a_fleet_at_the_border_of_two_levels_is_one_fleet(searching: Detector) -> None:
     e = _analysis(searching, [(55.0, 20, 0.8, 1.0), (60.0, 18, 0.8, 0.5)])
-    assert (e.status, e.n_vehicles, e.working_scale) == ("ok", 38, 1.0)
+    assert (e.status, e.n_vehicles, e.details.working_scale) == ("ok", 38, 1.0)
     assert 54 < e.mode_length_px < 61
 
 
@@ -170,7 +169,7 @@ def close_view() -> Scene:
 def test_cars_longer_than_any_in_training_give_the_scale(bundled: Detector, close_view: Scene) -> None:
     e = estimate_gsd(close_view.image, detector=bundled, search_scales=True, reference_length_m=4.6)
     assert e.gsd_m_per_px == pytest.approx(0.04, rel=0.10)
-    assert e.working_scale in (0.25, 0.5)
+    assert e.details.working_scale in (0.25, 0.5)
     assert e.status == "ok"
     alone = estimate_gsd(
         close_view.image, detector=bundled, search_scales=False, rulers=("vehicles",), reference_length_m=4.6

@@ -1,4 +1,7 @@
-"""The house rules: who may import whom and how deep, what can be taken away, and how long things may be."""
+"""The house rules: who may import whom and how deep, what can be taken away, and how long things may be.
+
+Product and laboratory stay apart: what a user installs imports no research.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
+from itertools import product
 from pathlib import Path
 
 import hypothesis
@@ -16,6 +20,7 @@ from tests.conftest import ROOT
 
 MODULE_LINES, FUNCTION_LINES = 450, 60
 ROOT_MODULES, ARROWS, FLOORS = 3, 112, 13  # of vehanchor, at most: a new import between packages needs a reason
+LABORATORY = ("benchmarks", "paper", "results", "training")  # scenes are for tests, too
 FOLDERS = (ROOT / "skill", ROOT / "server")
 COMMANDS = (
     "vehanchor.cli",
@@ -50,25 +55,27 @@ MODULES = _modules()
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 
 
+RESEARCH = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted((ROOT / "research").rglob("*.py"))}
+
+
 def _below(name: str, package: str) -> bool:
     return name == package or name.startswith(f"{package}.")
 
 
-def _imported(name: str) -> set[str]:
+def _imported(tree: ast.Module) -> set[str]:
     """What a module imports anywhere: at its top, for types only, or inside a function."""
     found = set()
-    for node in ast.walk(TREES[name]):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{name}: a relative import"
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
             source = node.module or ""
             inside = {f"{source}.{alias.name}" for alias in node.names}
             found |= {each if each in MODULES else source for each in inside}
     return found
 
 
-IMPORTS = {name: _imported(name) for name in MODULES}
+IMPORTS = {name: _imported(tree) for name, tree in TREES.items()}
 
 
 def _room(name: str) -> str:
@@ -88,6 +95,13 @@ def _rooms() -> dict[str, set[str]]:
 
 def _functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
     return (node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
+
+
+def test_no_import_is_relative() -> None:
+    nodes = (
+        (name, node) for name, tree in TREES.items() for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)
+    )
+    assert not [name for name, node in nodes if node.level]
 
 
 def test_no_import_comes_back_to_where_it_began() -> None:
@@ -141,15 +155,29 @@ def test_only_commands_import_the_command_line() -> None:
     assert not found
 
 
+@pytest.mark.parametrize(
+    ("folder", "laboratory"),
+    [
+        *product(("skill", "server", "examples"), ("research",)),
+        *product(("docs", ".ci", "tests"), (f"research.{each}" for each in LABORATORY)),
+        ("research/training", "research.benchmarks"),
+    ],
+)
+def test_the_product_imports_no_research_and_its_tests_only_scenes(folder: str, laboratory: str) -> None:
+    paths = [path for path in (ROOT / folder).rglob("*.py") if ROOT / "tests/research" not in path.parents]
+    found = {path: _imported(ast.parse(path.read_text(encoding="utf-8"))) for path in paths}
+    assert not [path for path, imported in found.items() if any(_below(each, laboratory) for each in imported)]
+
+
 def test_no_module_is_too_long_to_be_read_at_once() -> None:
-    lengths = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in MODULES.items()}
-    assert not {name: lines for name, lines in lengths.items() if lines > MODULE_LINES}
+    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in (*MODULES.values(), *RESEARCH)}
+    assert not {path: lines for path, lines in lengths.items() if lines > MODULE_LINES}
 
 
 def test_every_function_fits_a_screen() -> None:
     lengths = {
         f"{name}.{function.name}": (function.end_lineno or 0) - function.lineno + 1
-        for name, tree in TREES.items()
+        for name, tree in [*TREES.items(), *RESEARCH.items()]
         for function in _functions(tree)
     }
     assert not {name: lines for name, lines in lengths.items() if lines > FUNCTION_LINES}

@@ -26,7 +26,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.rulers.given_height import GivenHeight
-from vehanchor.rulers.point import assumed, point_witness, prior_witness
+from vehanchor.rulers.ruler import assumed, point_witness, prior_witness
 from vehanchor.scale.density import flat, lognormal
 from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import Shared

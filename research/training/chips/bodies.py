@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from research.training.car_verifier.store import STORED_LENGTH_PX, read_store
-from research.training.chips.chip_network import ChipAnswers, ChipNetwork
 from research.training.chips.kinds import CARS
 from research.training.chips.readings import READ_LENGTH_PX, load
+from research.training.chips.store import STORED_LENGTH_PX, read_store
 from research.training.chips.stream import Bodies, cut
+from vehanchor.detection.chips import ChipAnswers, ChipNetwork
 from vehanchor.models.runtime import Runtime
 from vehanchor.storage.atomic import whole_file
 

@@ -1,8 +1,9 @@
-"""Car or not beside today's networks: ``python -m research.training.chips.cars CHIPS.onnx R``.
+"""Car or not beside detector and verifier: ``python -m research.training.chips.cars CHIPS.onnx R``.
 
-``R`` has the stores ``held_out`` (``research.training.car_verifier.mine``) and ``people`` (``people.py``). Logits are
+``R`` has the stores ``held_out`` (``mine.py``) and ``people`` (``people.py``). Logits are
 joined by logistic regression, fitted on one half of the held-out files for the other, and on all for ``people``.
-``--write`` writes the weights of the search and the chip network into the file.
+``--write`` writes the weights of the search and the chip network into the file, fitted on both stores in equal parts;
+what these do for a set of ``people`` is measured with weights that the set did not choose.
 """
 
 from __future__ import annotations
@@ -16,29 +17,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from research.training.car_verifier.store import STORED_LENGTH_PX, Rows, read_store
-from research.training.car_verifier.stream import Move
-from research.training.car_verifier.stream import cut as car_verifier_chip
-from research.training.chips.chip_network import ChipNetwork
 from research.training.chips.export import write_weights
+from research.training.chips.store import STORED_LENGTH_PX, Rows, read_store
 from research.training.chips.stream import cut
-from vehanchor.detection.car_verifier import CarVerifier
+from research.training.logistic import area, logistic, weight_of_sets
+from vehanchor.detection.chips import ChipNetwork
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import car_verifier_beside, resolve_model
 
 _LEAST_SCORE = 0.15  # of the detector
 _SHIPPED = ("search", "chips")
-_STILL = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
 _JOINED = {
     "detector": ("detector",),
     "search (detector and verifier)": ("search",),
-    "search and car verifier": ("search", "car verifier"),
     "detector and chips, one view": ("detector", "chips, one view"),
     "detector and chips": ("detector", "chips"),
     "search and chips, one view": ("search", "chips, one view"),
     "search and chips": ("search", "chips"),
     "chips": ("chips",),
-    "car verifier": ("car verifier",),
 }
 
 
@@ -48,6 +43,10 @@ class Judged(NamedTuple):
     rows: Rows
     car: NDArray[np.bool_]
     logits: dict[str, NDArray[np.float64]]
+
+    def take(self, which: NDArray[np.bool_]) -> Judged:
+        """Select candidates by a mask."""
+        return Judged(self.rows.take(which), self.car[which], {k: each[which] for k, each in self.logits.items()})
 
 
 def _logit(scores: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -60,59 +59,47 @@ def judged(folder: Path, network: ChipNetwork) -> Judged:
     chips, rows = read_store(folder)
     chosen = np.flatnonzero(rows.score >= _LEAST_SCORE)
     rows = rows.take(chosen)
-    path = car_verifier_beside(resolve_model())
-    assert path is not None
-    ours = np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in chosen])
-    theirs = np.stack([car_verifier_chip(np.asarray(chips[k]), _STILL) for k in chosen])
+    cuts = np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in chosen])
     return Judged(
         rows,
         rows.car == 1,
         {
             "detector": _logit(rows.score),
             "search": _logit(rows.combined),
-            "car verifier": CarVerifier(path).verify(theirs).logit,
-            "chips": network.answers(ours).logit,
-            "chips, one view": network.answers(ours, views=1).logit,
+            "chips": network.answers(cuts).logit,
+            "chips, one view": network.answers(cuts, views=1).logit,
         },
     )
-
-
-def logistic(design: NDArray[np.float64], car: NDArray[np.bool_], weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights of the columns of ``design [n, k]``."""
-    theta = np.zeros(design.shape[1])
-    for _ in range(30):
-        chance = 1 / (1 + np.exp(-np.clip(design @ theta, -30, 30)))
-        curve = (design * (weight * chance * (1 - chance))[:, None]).T @ design + 1e-6 * np.eye(len(theta))
-        theta = theta - np.linalg.solve(curve, design.T @ (weight * (chance - car)) + 1e-6 * theta)
-    return theta
 
 
 def _design(cases: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
     return np.column_stack([*(cases.logits[name] for name in names), np.ones(len(cases.car))])
 
 
-def fitted(known: Judged, names: tuple[str, ...], some: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
-    """Weights of the logits and a bias; each set counts by the root of its number."""
-    chosen = np.ones(len(known.car), bool) if some is None else some
-    _, number, counts = np.unique(known.rows.sets, return_inverse=True, return_counts=True)
-    weight = (1 / np.sqrt(counts))[number][chosen]
-    return logistic(_design(known, names)[chosen], known.car[chosen], weight / weight.sum())
+def fitted(names: tuple[str, ...], *parts: Judged) -> NDArray[np.float64]:
+    """Weights of the logits and a bias; parts count alike, and in a part each set by the root of its number."""
+    designs = np.concatenate([_design(part, names) for part in parts])
+    weights = np.concatenate([weight_of_sets(part.rows.sets) for part in parts])
+    return logistic(designs, np.concatenate([part.car for part in parts]), weights)
 
 
 def joined(known: Judged, asked: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
     """Log odds of a car for ``asked``, from weights fitted on ``known``, or on its other half."""
     design = _design(asked, names)
     if known is not asked:
-        return np.asarray(design @ fitted(known, names))
+        return np.asarray(design @ fitted(names, known))
     half = np.array([zlib.crc32(file.encode()) % 2 for file in known.rows.files])
-    sides = [design @ fitted(known, names, half != side) for side in (0, 1)]
+    sides = [design @ fitted(names, known.take(half != side)) for side in (0, 1)]
     return np.where(half == 0, *sides)
 
 
-def area(hits: NDArray[np.float64], false: NDArray[np.float64]) -> float:
-    """Area under the ROC curve."""
-    rank = np.argsort(np.argsort(np.concatenate([hits, false]), kind="stable"), kind="stable")
-    return float((rank[: len(hits)].mean() - (len(hits) - 1) / 2) / len(false))
+def left_out(known: Judged, asked: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Log odds of a car for ``asked``, each set by weights that ``known`` and the other sets chose."""
+    odds = np.zeros(len(asked.car))
+    for name in np.unique(asked.rows.sets):
+        here = asked.rows.sets == name
+        odds[here] = _design(asked.take(here), names) @ fitted(names, known, asked.take(~here))
+    return odds
 
 
 def line(odds: NDArray[np.float64], car: NDArray[np.bool_]) -> str:
@@ -152,8 +139,9 @@ def main() -> None:
     people = judged(options.folder / "people", network)
     print(f"people: {people.car.sum()} cars, {(~people.car).sum()} others")
     print("\n".join(report(known, people)), flush=True)
+    print(f"{' and '.join(_SHIPPED)}, each set left out: {line(left_out(known, people, _SHIPPED), people.car)}")
     if options.write:
-        search, chips, bias = fitted(known, _SHIPPED)
+        search, chips, bias = fitted(_SHIPPED, known, people)
         write_weights(options.network, (float(search), float(chips), float(bias)))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from research.training.chips.chip_network import KINDS
+from vehanchor.detection.chips import KINDS
 
 CARS = KINDS[:7]
 GROUPS = ("small", "car", "pickup", "van", "large", "other")
@@ -25,8 +25,3 @@ def kind_index(read: str) -> int:
     """Index of a kind as the readings name it, or -1 for one that an eye could not tell."""
     name = _READ.get(read, read)
     return KINDS.index(name) if name in KINDS else UNKNOWN
-
-
-def group_of(kind: int) -> str:
-    """Return the group of a kind's index."""
-    return GROUPS[GROUP_OF_KIND[kind]]

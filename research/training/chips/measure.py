@@ -12,17 +12,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from research.training.chips.chip_network import KINDS, ChipAnswers, ChipNetwork
+from research.results.record import add_record_option, header, recording
 from research.training.chips.kinds import BODY_M, CARS, GROUP_OF_KIND, GROUPS, UNKNOWN
 from research.training.chips.readings import READ_LENGTH_PX, Read, load
 from research.training.chips.stream import cut
+from vehanchor.detection.chips import KINDS, ChipAnswers, ChipNetwork, looks
 from vehanchor.models.runtime import Runtime
 
 _N_GROUPS = 4  # of cars
 _BOX_M = 4.6  # about a detector's box
-_WITHIN_KIND = np.array([[0.075**2, 0.6 * 0.075 * 0.04], [0.6 * 0.075 * 0.04, 0.04**2]])  # of log length and width
-_LEAST_LOG_SD = np.array([0.02, 0.03])
-_LOOKS_LOG_SD = np.array([0.10, 0.05])
+_FAR_PX = 10_000  # the border of an image that cuts no car
 
 
 def sizes(edges: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -35,61 +34,39 @@ def robust(values: NDArray[np.float64]) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
+def log_scale(read: Read, said: ChipAnswers) -> NDArray[np.float64]:
+    """Log of metres per pixel from each car alone, as the search has it."""
+    width_px = np.nan_to_num(read.width_px, nan=1.0)
+    middle = np.full(len(width_px), _FAR_PX / 2)
+    boxes = np.column_stack([middle, middle, read.length_px, width_px, np.zeros(len(middle))])
+    return looks(boxes, said, (_FAR_PX, _FAR_PX)).log_lengths - np.log(said.sizes[:, 0] * read.length_px)
+
+
 def edge_report(read: Read, said: ChipAnswers) -> Iterator[str]:
-    """Length and width against the eye, of the network and of the detector's box."""
+    """Length and width against the eye, of the detector's box and of the network."""
     whole = np.isfinite(read.edges).all(axis=1)
     eye, ours = (np.log(sizes(each[whole])) for each in (read.edges, said.edges))
     box = np.stack([np.zeros(whole.sum()), np.log(read.width_px[whole] / read.length_px[whole])], axis=1)
-    for name, seen in (("chips", ours), ("detector", box)):
-        for k, what in enumerate(("length", "width")):
-            off = 100 * (seen[:, k] - eye[:, k])
-            spread = f"sd {off.std(ddof=1):.1f} %, robust {robust(off):.1f} %"
-            yield f"{name} {what}: n {len(off)}, bias {np.median(off):+.1f} %, {spread}"
-        ratio, wanted = seen[:, 1] - seen[:, 0], eye[:, 1] - eye[:, 0]
-        yield f"{name} width over length: correlation {np.corrcoef(ratio, wanted)[0, 1]:.2f}"
+    yield header("size", "n", "detector: bias", "detector: sd", "bias", "sd", "robust sd")
+    for k, what in enumerate(("length", "width")):
+        cells = [part for seen in (box, ours) for part in _errors(seen[:, k] - eye[:, k])]
+        yield f"| {what} | {len(eye)} | {' | '.join((*cells, _percent(robust(ours[:, k] - eye[:, k]))))} |"
     known = np.isfinite(read.edges)
     off = ((said.edges - read.edges) / said.edge_sd)[known]
-    yield f"edges: error over stated sd: robust {robust(off):.2f}, rms {np.sqrt(np.mean(off**2)):.2f}"
+    yield f"\nError of an edge over its stated spread: robust {robust(off):.2f}, rms {np.sqrt(np.mean(off**2)):.2f}"
 
 
 def kind_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     """Agreement of kinds with the eye, in four groups of cars."""
     cars = (read.kind != UNKNOWN) & (read.kind < len(CARS))
-    best = said.kinds[:, : len(CARS)].argmax(axis=1)
     groups = np.stack([said.kinds[:, k == GROUP_OF_KIND].sum(axis=1) for k in range(_N_GROUPS)], axis=1).argmax(axis=1)
-    for name in (*np.unique(read.place), "all"):
-        chosen = cars & ((read.place == name) | (name == "all"))
-        if chosen.any():
-            truth = GROUP_OF_KIND[read.kind[chosen]]
-            same, grouped = np.mean(best[chosen] == read.kind[chosen]), np.mean(groups[chosen] == truth)
-            most = np.bincount(truth).max() / chosen.sum()
-            yield f"kinds {name}: n {chosen.sum()}, same {same:.2f}, group {grouped:.2f}, commonest {most:.2f}"
+    truth = GROUP_OF_KIND[read.kind[cars]]
+    same, most = np.mean(groups[cars] == truth), np.bincount(truth).max() / len(truth)
+    yield f"kinds: n {len(truth)}, group {same:.2f}, commonest {most:.2f}"
     table = np.zeros((_N_GROUPS, _N_GROUPS), int)
-    np.add.at(table, (GROUP_OF_KIND[read.kind[cars]], groups[cars]), 1)
+    np.add.at(table, (truth, groups[cars]), 1)
     for name, row in zip(GROUPS, table.tolist(), strict=False):
         yield f"read {name}: said {dict(zip(GROUPS, row, strict=False))}"
-
-
-def log_scale(said: ChipAnswers, length_px: NDArray[np.float64], use: list[int], *, looks: bool) -> NDArray[np.float64]:
-    """Log of metres per pixel from each car alone.
-
-    Args:
-        said: of the network.
-        length_px: of the candidates.
-        use: 0 for the length, 1 for the width, or both.
-        looks: whether the metres by looks narrow the kinds' sizes.
-    """
-    seen = np.log(said.sizes * length_px[:, None])
-    chance = said.kinds[:, : len(CARS)] / said.kinds[:, : len(CARS)].sum(axis=1, keepdims=True)
-    middle = chance @ np.log([BODY_M[kind] for kind in CARS])
-    if looks:
-        table, by_looks = 1 / np.diag(_WITHIN_KIND), 1 / _LOOKS_LOG_SD**2
-        middle = (middle * table + said.log_metres * by_looks) / (table + by_looks)
-    out = np.zeros(len(seen))
-    for k, noise in enumerate(np.hypot(said.log_size_sd, _LEAST_LOG_SD) ** 2):
-        inner = np.linalg.inv((_WITHIN_KIND + np.diag(noise))[np.ix_(use, use)])
-        out[k] = inner.sum(axis=0) @ (middle[k] - seen[k])[use] / inner.sum()
-    return out
 
 
 def scale_report(read: Read, said: ChipAnswers) -> Iterator[str]:
@@ -97,46 +74,46 @@ def scale_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     eye, ours = (np.log(sizes(each) * read.length_px[:, None]) for each in (read.edges, said.edges))
     body = np.log([BODY_M.get(KINDS[max(kind, 0)], (np.nan, np.nan)) for kind in read.kind])
     ways = {
-        "detector's length": -np.log(read.length_px),
-        "length": -ours[:, 0],
-        "width": -ours[:, 1],
-        "length and kind": log_scale(said, read.length_px, [0], looks=False),
-        "width and kind": log_scale(said, read.length_px, [1], looks=False),
-        "length, width and kind": log_scale(said, read.length_px, [0, 1], looks=False),
+        "detector's length": np.log(_BOX_M / read.length_px),
+        "length alone": -ours[:, 0],
         "looks over length": said.log_metres[:, 0] - ours[:, 0],
-        "looks over detector's length": said.log_metres[:, 0] - np.log(read.length_px),
         "looks over width": said.log_metres[:, 1] - ours[:, 1],
-        "length, width, kind and looks": log_scale(said, read.length_px, [0, 1], looks=True),
+        "looks, as the search": log_scale(read, said),
         "eye's length": -eye[:, 0],
         "eye's length and kind": body[:, 0] - eye[:, 0],
-        "eye's width and kind": body[:, 1] - eye[:, 1],
     }
     chosen = np.isfinite(read.edges).all(axis=1) & np.isfinite(body[:, 0]) & np.isfinite(read.gsd)
+    yield header("scale of one car after its place", "n", "sd", "robust sd")
     for name, way in ways.items():
-        off, bias = [], []
+        off = []
         for place in np.unique(read.place[chosen]):
             here = chosen & (read.place == place)
-            errors = 100 * (way[here] - np.log(read.gsd[here]))
+            errors = way[here] - np.log(read.gsd[here])
             off.append(errors - np.median(errors))
-            bias.append(f"{place} {np.median(errors):+.1f} %")
         joined = np.concatenate(off)
-        sd = np.sqrt(np.sum(joined**2) / (len(joined) - len(off)))
-        text = "" if np.abs(np.median(way[chosen] - np.log(read.gsd[chosen]))) > 1 else f", bias {', '.join(bias)}"
-        yield f"one car's scale by {name}: n {len(joined)}, sd {sd:.1f} %, robust {robust(joined):.1f} %{text}"
+        sd = float(np.sqrt(np.sum(joined**2) / (len(joined) - len(off))))
+        yield f"| {name} | {len(joined)} | {_percent(sd)} | {_percent(robust(joined))} |"
 
 
 def place_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     """Bias and spread of one car's scale by place, of all cars of a known scale, and of the detector's length alone."""
-    ours = log_scale(said, read.length_px, [0, 1], looks=True)
-    box = -np.log(read.length_px) + np.log(_BOX_M)
     cars = (read.kind != UNKNOWN) & (read.kind < len(CARS)) & np.isfinite(read.gsd)
+    yield header("place", "cars", "GSD", "detector: bias", "detector: sd", "bias", "sd")
     for place in np.unique(read.place[cars]):
         here = cars & (read.place == place)
-        text = []
-        for name, way in (("chips", ours), ("detector", box)):
-            off = 100 * (way[here] - np.log(read.gsd[here]))
-            text.append(f"{name} bias {np.median(off):+.1f} %, sd {off.std():.1f} %, robust {robust(off):.1f} %")
-        yield f"{place}, {here.sum()} cars of {np.median(read.length_px[here]):.0f} px: {'; '.join(text)}"
+        truth = np.log(read.gsd[here])
+        ways = (np.log(_BOX_M / read.length_px[here]), log_scale(read, said)[here])
+        cells = [part for way in ways for part in _errors(way - truth)]
+        yield f"| {place} | {here.sum()} | {np.exp(np.median(truth)):.2f} m | {' | '.join(cells)} |"
+
+
+def _errors(logs: NDArray[np.float64]) -> tuple[str, str]:
+    """Median and standard deviation of errors."""
+    return _percent(float(np.median(logs)), "+"), _percent(float(logs.std(ddof=1)))
+
+
+def _percent(share: float, sign: str = "") -> str:
+    return f"{100 * share:{sign}.1f} %"
 
 
 def main() -> None:
@@ -146,13 +123,15 @@ def main() -> None:
     parser.add_argument("readings", type=Path)
     parser.add_argument("--places", default="", help="whose readings are looked at, comma between")
     parser.add_argument("--views", type=int, default=4)
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     read = load(options.readings)
     read = read.take(np.isin(read.place, options.places.split(",")) if options.places else read.check)
     chips = np.stack([cut(chip, READ_LENGTH_PX) for chip in read.chips])
     said = ChipNetwork(options.network, runtime=Runtime(threads=1)).answers(chips, views=options.views)
-    for report in (edge_report, kind_report, scale_report, place_report):
-        print("\n".join(report(read, said)), flush=True)
+    print("\n".join(kind_report(read, said)), flush=True)
+    with recording("scale", ["bodies", "one_car", "looks"], options.record):
+        for report in (edge_report, scale_report, place_report):
+            print("\n".join([*report(read, said), ""]), flush=True)
 
 
 if __name__ == "__main__":

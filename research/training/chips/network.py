@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from research.training.car_verifier.network import CarVerifierNet
-from research.training.chips.chip_network import KINDS
 from research.training.detector.network import VehicleNet
-from research.training.warm_start import load_exported
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from vehanchor.detection.chips import KINDS
 
 _KEPT = {
     0: (8, 4, 20, 3, 13),
@@ -91,22 +86,3 @@ class ChipNet(nn.Module):
             0.1 * what[:, n : n + 2] + what.new_tensor(_MIDDLE_LOG_M),
             what[:, n + 2 : n + 4].clamp(-2, 2) - 2.5,
         )
-
-
-def begin_with_car_verifier(network: ChipNet, verifier: Path, chips: Tensor) -> None:
-    """Put the encoder of an exported car verifier into ``network``.
-
-    Args:
-        network: a new network.
-        verifier: ONNX file of ``research.training.car_verifier``.
-        chips: ``[n, 3, 96, 96]`` float in 0..1, for the statistics of the normalisations.
-    """
-    whole = CarVerifierNet()
-    load_exported(whole, verifier, chips)
-    mine = network.state_dict()
-    kept = {
-        name: value
-        for name, value in whole.state_dict().items()
-        if name.startswith(("stem", "stages")) and name in mine
-    }
-    network.load_state_dict({**mine, **kept})

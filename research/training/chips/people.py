@@ -17,12 +17,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from research.training.car_verifier.mine import LOOKED_AT
-from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, ChipStore, Rows
+from research.training.chips.mine import LOOKED_AT
+from research.training.chips.store import STORED_LENGTH_PX, STORED_PX, ChipStore, Rows
 from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.detections import Objects
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
-from vehanchor.detection.verifier import Verifier, Weights, surroundings
+from vehanchor.detection.verifier import surroundings
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
@@ -31,7 +32,6 @@ from vehanchor_evaluation.dota import read_labels
 
 _FITS, _MISSES = 0.5, 0.15
 _LEAST_SCORE = 0.15  # of the detector
-_BATCH = 256
 _EDGE = 0.6  # of a candidate's length
 _NEAR = 0.5
 
@@ -107,16 +107,6 @@ def judged(boxes: NDArray[np.float64], drawn: Drawn, size: tuple[int, int]) -> N
     return truth
 
 
-def verified(
-    pixels: NDArray[np.uint8], boxes: NDArray[np.float64], scores: NDArray[np.float64], by: Verifier
-) -> NDArray[np.float64]:
-    """Scores of the detector and the verifier together."""
-    parts = [np.zeros(0)]
-    for start in range(0, len(boxes), _BATCH):
-        parts.append(by.logits(surroundings(pixels, boxes[start : start + _BATCH])))
-    return Weights(*by.card.weights).score(scores, np.concatenate(parts))
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -125,7 +115,7 @@ def main() -> None:
     options = parser.parse_args()
     cv2.setNumThreads(1)
     detector = Detector(resolve_model(), runtime=Runtime(threads=1))
-    verifier, detector.verifier, detector.car_verifier = detector.verifier, None, None
+    verifier, detector.verifier, detector.chips = detector.verifier, None, None
     assert verifier is not None
     store = ChipStore()
     for drawn in photographs(options.data):
@@ -138,17 +128,13 @@ def main() -> None:
         boxes, scores = seen.boxes, seen.scores
         if not len(boxes):
             continue
-        combined = verified(pixels, boxes, scores, verifier)
+        combined = verifier.scored(pixels, Objects(boxes, scores, np.zeros(len(boxes), np.intp))).scores
         truth = judged(boxes, drawn, (pixels.shape[1], pixels.shape[0]))
         counted = truth >= 0
         boxes, scores, combined, truth = boxes[counted], scores[counted], combined[counted], truth[counted]
-        count = len(boxes)
-        unknown = np.full(count, np.nan, np.float32)
-        rows = Rows(
-            truth, np.full(count, -1, np.int8), np.full((count, 5), np.nan, np.float32), np.zeros(count, np.float32),
-            unknown, boxes[:, 2].astype(np.float32), scores.astype(np.float32), combined.astype(np.float32),
-            np.full(count, drawn.set), np.full(count, drawn.path.name),
-        )  # fmt: skip
+        rows = Rows.unlabelled(boxes[:, 2], drawn.set, drawn.path.name)._replace(
+            car=truth, score=scores.astype(np.float32), combined=combined.astype(np.float32)
+        )
         store.add(surroundings(pixels, boxes, STORED_PX, STORED_LENGTH_PX), rows)
         print(drawn.path.name, len(drawn.cars), int((truth == 1).sum()), int((truth == 0).sum()), flush=True)
     rows = store.save(options.run / "people")

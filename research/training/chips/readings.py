@@ -1,7 +1,7 @@
-"""Chips of cars that were read by eye: ``python -m research.training.chips.readings SHEETS/candidates.csv OUT.npz``.
+"""Chips of cars that were read by eye: ``python -m research.training.chips.readings OUT.npz``.
 
-``SHEETS/candidates.csv`` gives the boxes of the kinds' readings (``research.training.readings.candidates``). Each car
-is stored 60 px long, with 200 px of surroundings, as fine as its image allows.
+Each car of ``research/training/readings`` is stored 60 px long, with 200 px of surroundings, as fine as its image
+allows.
 """
 
 from __future__ import annotations
@@ -16,15 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from research.training.chips.kinds import kind_index
-from research.training.readings.candidates import read_candidates
+from research.training.chips.mine import GSD_M_PER_PX
 from vehanchor.detection.verifier import surroundings
 from vehanchor.storage.atomic import whole_file
 
 READ_PX, READ_LENGTH_PX = 200, 60.0
 _TABLES = Path(__file__).parents[1] / "readings"
 _EDGES = ("end1_px", "end2_px", "side1_px", "side2_px")
-_GSD_OF_SET = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "estonia": 0.20, "garfield": 0.047}
-_SAME_PX = 0.06
+_GSD_OF_SET = {**GSD_M_PER_PX, "estonia": 0.20, "garfield": 0.047}
 
 
 class Read(NamedTuple):
@@ -77,12 +76,9 @@ def _rows(name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(handle))
 
 
-def collect(candidates: Path, data: Path) -> Read:
+def collect(data: Path) -> Read:
     """Cut the chips of both tables; a car of the table of ends is left out of that of kinds."""
     known = scales(data)
-    boxes_of: dict[str, list[NDArray[np.float64]]] = {}
-    for each in read_candidates(candidates):
-        boxes_of.setdefault(each.file, []).append(each.box)
     parts = []
     measured: dict[str, list[NDArray[np.float64]]] = {}
     for row in _rows("ends_and_sides.csv"):
@@ -92,10 +88,9 @@ def collect(candidates: Path, data: Path) -> Read:
         measured.setdefault(row["file"], []).append(box)
         parts.append((row, box, edges, box[3]))
     for row in _rows("kinds.csv"):
-        at = np.array([float(row["x"]), float(row["y"])])
-        near = [box for box in boxes_of[row["file"]] if np.abs(box[:2] - at).max() < _SAME_PX]
-        box = min(near, key=lambda box: abs(box[2] - float(row["length_px"])))
-        seen = [other for other in measured.get(row["file"], []) if np.hypot(*(other[:2] - at)) < 0.3 * box[2]]
+        x, y, length, angle = (float(row[name]) for name in ("x", "y", "length_px", "angle"))
+        box = np.array([x, y, length, 0.45 * length, angle])
+        seen = [other for other in measured.get(row["file"], []) if np.hypot(*(other[:2] - (x, y))) < 0.3 * length]
         if not seen:
             parts.append((row, box, [np.nan] * 4, np.nan))
     images: dict[str, NDArray[np.uint8]] = {}
@@ -129,11 +124,10 @@ def collect(candidates: Path, data: Path) -> Read:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("candidates", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     options = parser.parse_args()
-    read = collect(options.candidates, options.data)
+    read = collect(options.data)
     with whole_file(options.out) as partial, partial.open("wb") as handle:
         np.savez(handle, **read._asdict())
     whole = np.isfinite(read.edges).all(axis=1)

@@ -12,14 +12,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from research.training.car_verifier.store import STORED_LENGTH_PX, Rows, read_store
-from research.training.car_verifier.stream import Move, draw_move
-from research.training.chips.chip_network import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS, KINDS
 from research.training.chips.kinds import BODY_M, CARS, UNKNOWN
 from research.training.chips.readings import READ_LENGTH_PX, Read
+from research.training.chips.store import STORED_LENGTH_PX, Rows, read_store
 from research.training.detector.data import photometric
 from research.training.detector.shade import shaded
+from research.training.logistic import weight_of_sets
+from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS, KINDS
 
+_SHIFT, _SCALE, _TURN = 0.06, 0.08, 0.07  # standard deviations: lengths, log, radians
+_MOST = 2.2  # standard deviations; a car's box still fits there
 _COARSE_SHARE, _COARSEST_PX = 0.45, 10.0
 _CANDIDATE = np.array([[CHIP_COLUMNS / 2, CHIP_ROWS / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]])
 _SHARES = (0.68, 0.18, 0.14)  # of candidates, of readings of ends and sides, of readings of kinds alone
@@ -32,7 +34,6 @@ _LONGEST_SMALL_M = 3.9  # of a two-box car; at an unknown scale readings call al
 _MEASURED_BY_EYE = ("mashiki", "fuji", "bergamo", "garfield")
 _TABLE_WEIGHT = 0.2  # of the size of a kind where the scale is unknown
 NOT_A_CAR = -2  # some kind that is no car
-STILL = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
 
 
 class Batch(NamedTuple):
@@ -59,6 +60,30 @@ class Batch(NamedTuple):
     edge_weight: Tensor
     log_metres: Tensor
     metres_weight: Tensor
+
+
+class Move(NamedTuple):
+    """How a chip is cut from a stored one: ``stored = shift + scale * rotation(turn) @ (flip * chip)``, in lengths."""
+
+    shift: NDArray[np.float64]
+    scale: float
+    turn: float
+    flip: NDArray[np.float64]
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """``[2, 2]`` from the chip to the stored chip."""
+        cos, sin = np.cos(self.turn), np.sin(self.turn)
+        return np.asarray(self.scale * np.array([[cos, -sin], [sin, cos]]) * self.flip[None])
+
+
+STILL = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
+
+
+def draw_move(rng: np.random.Generator) -> Move:
+    """A candidate a little off, mirrored at random."""
+    shift, scale, turn = (np.clip(rng.normal(0, 1, n), -_MOST, _MOST) for n in (2, 1, 1))
+    return Move(_SHIFT * shift, float(np.exp(_SCALE * scale[0])), float(_TURN * turn[0]), rng.choice((-1.0, 1.0), 2))
 
 
 def cut(stored: NDArray[np.uint8], length_px: float, move: Move = STILL) -> NDArray[np.uint8]:
@@ -150,7 +175,7 @@ def target_of_row(rows: Rows, bodies: Bodies, k: int) -> Target:
     edges, turn, weight = np.full(4, np.nan), 0.0, 0.0
     metres, metres_weight = (np.nan, np.nan), (0.0, 0.0)
     length = float(rows.log_length_m[k])
-    if rendered and rows.box_weight[k] > 0:
+    if rendered and np.isfinite(rows.box[k]).all():
         edges, turn, weight = edges_of_box(rows.box[k]), float(rows.box[k][4]), _RENDERED_WEIGHT
         metres = (length, length + float(rows.box[k][3] - rows.box[k][2]))
         metres_weight = (_RENDERED_WEIGHT / 3, _RENDERED_WEIGHT / 3)
@@ -192,7 +217,7 @@ class ChipStream:
     """Examples of stores and readings; the k-th is a function of the seed, of k and of the sources.
 
     Args:
-        stores: folders of ``research.training.car_verifier.store.ChipStore``.
+        stores: folders of ``research.training.chips.store.ChipStore``.
         read: readings to learn from.
         bodies: of these readings.
         seed: of the draws.
@@ -219,9 +244,7 @@ class ChipStream:
     @staticmethod
     def _weighed(chosen: NDArray[np.intp], names: NDArray[np.str_]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Indices, and cumulated odds by the root of the number of each name."""
-        _, number, counts = np.unique(names[chosen], return_inverse=True, return_counts=True)
-        odds = np.cumsum((1 / np.sqrt(counts))[number])
-        return chosen, odds / odds[-1]
+        return chosen, np.cumsum(weight_of_sets(names[chosen]))
 
     def __getitem__(self, index: int) -> Batch:
         """The example of an index."""

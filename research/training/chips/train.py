@@ -15,14 +15,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy, log_softmax, smooth_l1_loss
 
-from research.training.car_verifier.store import read_store
 from research.training.chips.export import export
 from research.training.chips.kinds import CARS, GROUP_OF_KIND, GROUPS
-from research.training.chips.network import Answers, ChipNet, begin_with_car_verifier
+from research.training.chips.network import Answers, ChipNet
 from research.training.chips.readings import load
 from research.training.chips.stream import NOT_A_CAR, Batch, Bodies, ChipStream
 from research.training.loop import Recipe, Schedule, load_average, train
-from vehanchor.models.zoo import car_verifier_beside, resolve_model
+from research.training.warm_start import load_exported
+from vehanchor.models.zoo import chips_beside, resolve_model
 
 _RATE, _BATCH = 1.2e-3, 64
 _SMOOTHING = 0.02  # labels are wrong now and then
@@ -110,7 +110,8 @@ def main() -> None:
     parser.add_argument("--held", type=float, default=0.3, help="share of the steps before the rate falls")
     parser.add_argument("--rate", type=float, default=_RATE)
     parser.add_argument("--without", default="", help="places whose readings are left out, comma between")
-    parser.add_argument("--begin", type=Path, help="run whose weights are the first ones; else the car verifier's")
+    parser.add_argument("--begin", type=Path, help="run whose weights are the first ones; else the bundled file's")
+    parser.add_argument("--fresh", action="store_true", help="begin from noise, as --without should")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.manual_seed(options.seed)
@@ -121,15 +122,11 @@ def main() -> None:
     bodies = Bodies(*(each[learned] for each in bodies))
     stream = ChipStream(options.stores, read.take(learned), bodies, options.seed)
     network = ChipNet()
+    bundled = chips_beside(resolve_model())
     if options.begin:
         load_average(network, options.begin)
-    else:
-        chips, _ = read_store(options.stores[0])
-        some = np.stack([chips[k][24:120, 24:120] for k in range(0, len(chips), len(chips) // 256)])
-        planes = torch.from_numpy(np.ascontiguousarray(some.transpose(0, 3, 1, 2))).float().div(255.0)
-        bundled = car_verifier_beside(resolve_model())
-        assert bundled is not None
-        begin_with_car_verifier(network, bundled, planes)
+    elif bundled and not options.fresh:
+        load_exported(network, bundled, torch.stack([stream[k].chip for k in range(256)]).float().div(255.0))
     schedule = Schedule(options.steps, options.rate, warm_up=100, held=options.held)
     recipe = Recipe(schedule, _BATCH, average=0.995, bfloat16=True, checkpoint_every=100, log_every=50)
     trained = train(network, stream, losses, recipe, options.run)

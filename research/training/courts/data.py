@@ -78,7 +78,7 @@ def load_real(data: Path) -> list[Picture]:
 
 
 def load_rendered(folder: Path) -> list[Picture]:
-    """Scenes that ``render_scenes.py`` has written."""
+    """Scenes of ``render_scenes courts``."""
     out = []
     for facts in sorted(folder.glob("*.json")):
         told = json.loads(facts.read_text())

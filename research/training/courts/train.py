@@ -69,7 +69,7 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
-    parser.add_argument("scenes", type=Path, help="folder of rendered scenes, see render_scenes.py")
+    parser.add_argument("scenes", type=Path, help="folder of `render_scenes courts`")
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--steps", type=int, default=3000)

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from research.training.detector.network import STRIDE_PX, VehicleNet
+from research.training.loop import load_average
 from research.training.onnx_file import LICENCE, write_metadata, write_onnx
 
 
@@ -69,14 +70,6 @@ class UltralyticsLayout(nn.Module):
         return torch.cat([x, y, sides, score, angle], dim=1).flatten(2)
 
 
-def load_network(run: Path) -> VehicleNet:
-    """The exponential moving average of a training run, in evaluation mode."""
-    network = VehicleNet()
-    state = torch.load(run / "checkpoint.pt", map_location="cpu", weights_only=True)
-    network.load_state_dict(state["averaged"])
-    return network.eval()
-
-
 def export(run: Path, out: Path, calibration: dict[str, object]) -> None:
     """Write a run as one ONNX file.
 
@@ -85,9 +78,11 @@ def export(run: Path, out: Path, calibration: dict[str, object]) -> None:
         out: the file.
         calibration: of ``calibrate.py``; becomes metadata, its ``length_correction`` part of the graph.
     """
+    network = VehicleNet()
+    load_average(network, run)
     correction = cast("Sequence[tuple[float, float]]", calibration.get("length_correction", ()))
     write_onnx(
-        UltralyticsLayout(load_network(run), correction),
+        UltralyticsLayout(network, correction),
         (torch.zeros(1, 3, 256, 256),),
         out,
         ["images"],

@@ -17,14 +17,13 @@ import numpy as np
 import onnx
 
 from research.training.detector.data import is_dev
-from research.training.eight_bits import METHODS, write_eight_bits
+from research.training.eight_bits import write_eight_bits
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-NAME = "vehicles-int8"
 _CROP_PX = 256
 _QUANTISED = ("Conv", "Add", "Relu", "Resize")
 _HEADS = ("heat_head", "shape_head")
@@ -65,14 +64,9 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--crops", type=int, default=96)
-    parser.add_argument("--method", choices=sorted(METHODS), default="minmax")
-    parser.add_argument("--percentile", type=float, default=99.999)
-    parser.add_argument("--wide", action="store_true", help="weights of eight bits instead of seven")
     chosen = parser.parse_args()
     batches = list(crops(chosen.data / "vehicles", chosen.crops))
-    names = {"vehanchor.name": NAME, "vehanchor.quantised_from": "vehicles"}
-    how = {"method": chosen.method, "percentile": chosen.percentile, "narrow": not chosen.wide}
-    write_eight_bits(chosen.model, chosen.out, batches, quantised_nodes, names, **how)
+    write_eight_bits(chosen.model, chosen.out, batches, quantised_nodes, {})
     print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")
 
 

@@ -35,7 +35,7 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--scenes", type=Path, help="folder of rendered scenes (see render_scenes.py)")
+    parser.add_argument("--scenes", type=Path, help="folder of `render_scenes detector`")
     parser.add_argument("--run", type=Path, default=Path("runs/detector"))
     parser.add_argument("--steps", type=int, default=7000)
     parser.add_argument("--batch", type=int, default=12)

@@ -25,7 +25,7 @@ from research.training.detector.data import is_dev
 from research.training.detector.places import is_held_out, places
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import car_verifier_beside, fleet_beside, resolve_model, verifier_beside
+from vehanchor.models.zoo import chips_beside, resolve_model, verifier_beside
 from vehanchor.options import ScaleOptions
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.dota import SMALL_VEHICLE, read_labels
@@ -209,7 +209,7 @@ def copied(detector: Path, folder: Path) -> Path:
     copy = folder / detector.name
     if not copy.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        beside = {"fleet": fleet_beside, "verifier": verifier_beside, "car-verifier": car_verifier_beside}
+        beside = {"verifier": verifier_beside, "chips": chips_beside}
         for kind, find in beside.items():
             found = find(detector)
             if found is not None:

@@ -111,9 +111,10 @@ def fit_votes(boxes: Boxes) -> Votes:
 
 def outcome(analysis: ScaleAnalysis, true_gsd_m_per_px: float) -> Outcome:
     """Decide on the scale by vehicles and priors alone, and compare it with the truth."""
-    n = analysis.vehicles.n
-    priors = [each for each in analysis.others if not each.sets_scale]
-    found = answer([analysis.vehicles, *priors])
+    vehicles = analysis.vehicles
+    assert vehicles is not None
+    n = vehicles.n
+    found = answer([vehicles, *(each for each in analysis.witnesses if not each.sets_scale)])
     if found is None:
         return Outcome(n, False, math.nan, False)
     error = abs(found.gsd_m_per_px / true_gsd_m_per_px - 1)

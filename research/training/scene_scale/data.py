@@ -19,6 +19,7 @@ import torch
 
 from research.training.detector.data import is_dev, photometric
 from research.training.scene_scale.bins import soft_target
+from vehanchor_evaluation.dota import read_labels
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -93,7 +94,7 @@ def load_images(data: Path, *, held_out: bool = False, without: Collection[str] 
 
 
 def load_scenes(folder: Path) -> list[ScaledImage]:
-    """Load rendered scenes (``research.training.detector.render_scenes``): images with DOTA text beside them."""
+    """Load rendered scenes (``render_scenes detector``): images with DOTA text beside them."""
     out = []
     for path in sorted(folder.glob("*.jpg")):
         gsd = float(path.with_suffix(".txt").read_text().split()[0].removeprefix("gsd:"))
@@ -154,22 +155,12 @@ def _cars_as_rulers(data: Path) -> list[Source]:
         stem = Path(row["file"]).stem
         if row["set"] != "jekhor" or row["split"] != "train" or _CHECK_ONLY.search(stem):
             continue
-        lengths = _car_lengths_px(data / "vehicles" / "labels" / f"{stem}.txt")
+        corners = read_labels(data / "vehicles" / "labels" / f"{stem}.txt", []).of_class("small-vehicle")
+        lengths = np.linalg.norm(np.diff(corners[:, :3], axis=1), axis=2).max(axis=1)
         if len(lengths) >= _LEAST_CARS:
             kind = "minsk" if "DJI" in stem else "munich"
             path = (data / "vehicles" / row["file"]).resolve()
             out.append(Source(path, kind, _CAR_M / float(np.median(lengths)), _CAR_SPREAD, held_out=False))
-    return out
-
-
-def _car_lengths_px(labels: Path) -> list[float]:
-    """Lengths of the small vehicles of a DOTA text, px."""
-    out = []
-    for line in labels.read_text().splitlines():
-        words = line.split()
-        if len(words) > 8 and words[8] == "small-vehicle":
-            corners = np.array(words[:8], float).reshape(4, 2)
-            out.append(float(np.linalg.norm(np.diff(corners[:3], axis=0), axis=1).max()))
     return out
 
 

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from research.training.loop import load_average
 from research.training.onnx_file import LICENCE, write_metadata, write_onnx
 from research.training.segmenter.network import EMBEDDING_CHANNELS, STRIDE_PX, Prompt, Segmenter
 
@@ -78,20 +79,13 @@ class DecoderGraph(nn.Module):
         return masks, found.iou, logits
 
 
-def load_network(run: Path) -> Segmenter:
-    """The exponential moving average of a training run, in evaluation mode."""
-    network = Segmenter()
-    state = torch.load(run / "checkpoint.pt", map_location="cpu", weights_only=True)
-    network.load_state_dict(state["averaged"])
-    return network.eval()
-
-
 def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Path, Path]:
     """Export a run; ``calibration`` (see ``calibrate.py``) becomes ``vehanchor.*`` metadata of both files.
 
     Its ``mask_offset`` and ``mask_smoothing`` enter the graph as well.
     """
-    network = load_network(run)
+    network = Segmenter()
+    load_average(network, run)
     encoder, decoder = folder / "segmenter-encoder.onnx", folder / "segmenter-decoder.onnx"
     cells = INPUT_PX // STRIDE_PX
     write_onnx(

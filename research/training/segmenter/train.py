@@ -35,9 +35,7 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data/segments"))
-    parser.add_argument(
-        "--scenes", type=Path, help="folder of rendered scenes (research/training/detector/render_scenes.py)"
-    )
+    parser.add_argument("--scenes", type=Path, help="folder of `render_scenes detector`")
     parser.add_argument("--run", type=Path, default=Path("runs/segmenter"))
     parser.add_argument("--steps", type=int, required=True)
     parser.add_argument("--seed", type=int, default=0)

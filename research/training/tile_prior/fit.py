@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy.stats import rankdata
 
+from research.training.logistic import area, logistic
 from vehanchor.detection.tile_prior import FLAT, gradient
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _TABLES = ("table.csv", "upright.csv")
 _UNLABELLED = "estonia_port"
 _FINE_M = 0.16  # sets finer than this are shown at half their resolution, too
-_STEPS, _RATE, _SHRINKAGE = 3000, 0.5, 1e-3
+_RIDGE = 1e-3  # of the slope for a standard deviation of the log gradient
 
 
 def read_images(data: Path, split: str) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -50,17 +50,8 @@ def fit(logs: NDArray[np.float64], cars: NDArray[np.bool_]) -> tuple[float, floa
     """Fit intercept and slope of the log odds."""
     mean, spread = logs.mean(), logs.std()
     design = np.column_stack([(logs - mean) / spread, np.ones(len(logs))])
-    weights = np.zeros(2)
-    for _ in range(_STEPS):
-        slope = design.T @ (1 / (1 + np.exp(-design @ weights)) - cars) / len(logs)
-        weights -= _RATE * (slope + _SHRINKAGE * weights)
-    return float(weights[1] - weights[0] * mean / spread), float(weights[0] / spread)
-
-
-def area_under_curve(logs: NDArray[np.float64], cars: NDArray[np.bool_]) -> float:
-    """Share of the pairs of an image with and one without cars that the gradient tells apart."""
-    n = int(cars.sum())
-    return float((rankdata(logs)[cars].sum() - n * (n + 1) / 2) / (n * (len(cars) - n)))
+    slope, constant = logistic(design, cars, np.full(len(logs), 1 / len(logs)), _RIDGE)
+    return float(constant - slope * mean / spread), float(slope / spread)
 
 
 def main() -> None:
@@ -71,7 +62,8 @@ def main() -> None:
     train, val = read_images(data, "train"), read_images(data, "val")
     at_one, per_log = fit(*train)
     print(f"_ODDS_AT_ONE, _ODDS_PER_LOG = {at_one:.2f}, {per_log:.3f}")
-    print(f"area under the curve: train {area_under_curve(*train):.3f}, val {area_under_curve(*val):.3f}")
+    areas = [area(logs[cars], logs[~cars]) for logs, cars in (train, val)]
+    print(f"area under the curve: train {areas[0]:.3f}, val {areas[1]:.3f}")
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from research.training.detector.data import TrainImage, photometric
 from research.training.detector.shade import shaded
+from research.training.logistic import weight_of_sets
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.verifier import CHIP_LENGTH_PX, CHIP_PX, surroundings
@@ -135,12 +136,9 @@ class ChipStream:
         """Weigh the candidates."""
         self._weight = []
         for car in (False, True):
-            weight = np.zeros(len(self.candidates.car))
-            for name in np.unique(self.candidates.sets):
-                chosen = (self.candidates.sets == name) & (self.candidates.car == car)
-                if chosen.any():
-                    weight[chosen] = 1 / np.sqrt(chosen.sum())
-            self._weight.append(np.cumsum(weight / weight.sum()))
+            chosen, weight = self.candidates.car == car, np.zeros(len(self.candidates.car))
+            weight[chosen] = weight_of_sets(self.candidates.sets[chosen])
+            self._weight.append(np.cumsum(weight))
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
         """A chip ``[3, 48, 48]`` uint8 and whether it is a car, 0 or 1."""

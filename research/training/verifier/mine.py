@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("model", type=Path)
     parser.add_argument("run", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--scenes", type=Path, help="folder of rendered scenes (render_scenes.py)")
+    parser.add_argument("--scenes", type=Path, help="folder of `render_scenes detector`")
     parser.add_argument("--without", default="", help="sets to leave out, comma between")
     options = parser.parse_args()
     detector = Detector(options.model, runtime=Runtime(threads=1))

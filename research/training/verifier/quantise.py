@@ -37,7 +37,7 @@ def main() -> None:
     some = np.sort(rng.choice(len(found.car), min(_CHIPS, len(found.car)) // _BATCH * _BATCH, replace=False))
     chips = np.ascontiguousarray(middle(found.chips)[some].transpose(0, 3, 1, 2)).astype(np.float32) / 255
     batches = [chips[start : start + _BATCH] for start in range(0, len(chips), _BATCH)]
-    write_eight_bits(chosen.model, chosen.out, batches, quantised_nodes, {}, method="minmax", narrow=True)
+    write_eight_bits(chosen.model, chosen.out, batches, quantised_nodes, {})
     print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
+from research.training.logistic import area
 from research.training.loop import Recipe, Schedule, train
 from research.training.onnx_file import write_onnx
 from research.training.verifier.data import ChipStream, load, middle
@@ -58,11 +59,9 @@ def report(car: NDArray[np.bool_], sets: NDArray[np.str_], scores: NDArray[np.fl
         chosen = np.ones(len(sets), bool) if name == "all" else sets == name
         hits, false = scores[chosen & car], scores[chosen & ~car]
         if len(hits) > 5 and len(false):
-            area = np.mean(hits[:, None] > false[None, :])
             left = np.mean(false > np.percentile(hits, 5))
-            lines.append(
-                f"{name:13s} {len(hits):5d} hits {len(false):5d} false, AUC {area:.3f}, left at 95 %: {left:.3f}"
-            )
+            counts = f"{name:13s} {len(hits):5d} hits {len(false):5d} false"
+            lines.append(f"{counts}, AUC {area(hits, false):.3f}, left at 95 %: {left:.3f}")
         elif len(false):
             lines.append(f"{name:13s} {len(false):5d} false, median {np.median(false):+.2f}")
     return lines

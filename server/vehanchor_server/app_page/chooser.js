@@ -51,7 +51,7 @@ function listMatching() {
 
 // List all photographs, the pages after the first while the page is already in use.
 async function listPages(page = 1) {
-  const { structuredContent: listed } = await request("tools/call", { name: "view_image", arguments: { page } });
+  const { structuredContent: listed } = await request("tools/call", { name: "page_image", arguments: { page } });
   for (const path of listed.images) listPhotograph(path);
   const rest = listed.next_page && listPages(listed.next_page).catch(() => { allListed = undefined; });
   allListed = rest || undefined;

@@ -36,11 +36,11 @@ const sizeOf = (record) => {
 // The arguments that give a measurement the scale of this result: the server remembers its search.
 const SCALE_ARGUMENTS = [
   "image", "coordinates", "frame", "known_lengths", "region", "reference_length_m", "height_m", "height_basis", "height_tolerance_m",
-  "focal_35mm", "gsd_m_per_px", "gsd_basis", "gsd_tolerance", "drop", "add",
+  "focal_35mm", "metadata", "gsd_m_per_px", "gsd_basis", "gsd_tolerance", "drop", "add",
 ];
 
 async function measureBetween(kind, ends, record, given = call.arguments) {
-  const asked = Object.fromEntries(SCALE_ARGUMENTS.filter((name) => given[name]).map((name) => [name, given[name]]));
+  const asked = Object.fromEntries(SCALE_ARGUMENTS.filter((name) => given[name] !== undefined).map((name) => [name, given[name]]));
   const { x1, y1, x2, y2 } = lineOf(record, ends);
   const target = { box: { x_min: Math.min(x1, x2), y_min: Math.min(y1, y2), x_max: Math.max(x1, x2), y_max: Math.max(y1, y2) } };
   const line = { points: [{ x: x1, y: y1 }, { x: x2, y: y2 }] };

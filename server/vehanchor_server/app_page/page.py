@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 from mcp.server.apps import Apps, ResourceCsp
 
 from vehanchor.rulers.standards import standards
-from vehanchor.scale.countries import COUNTRY_LENGTHS_M
-from vehanchor.scale.defaults import REGIONS
+from vehanchor.scale.countries import COUNTRY_LENGTHS_M, REGIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,6 +22,9 @@ if TYPE_CHECKING:
 APP_URI = "ui://vehanchor/panel.html"
 APP_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI}}
 """The ``_meta`` of each tool whose results the page shows."""
+
+PAGE_ONLY_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI, "visibility": ["app"]}}
+"""The ``_meta`` of a tool that the page calls and models do not see."""
 
 _SHARED = (
     "elements",

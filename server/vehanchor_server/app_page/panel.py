@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import FailFast
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
-from vehanchor.records.advice import advice_for
+from vehanchor.records.text import advice_for, by_hand_text
 from vehanchor_server.frozen import FrozenModel
 
 if TYPE_CHECKING:
@@ -96,8 +96,9 @@ def _sentence_for_people(record: BaseModel) -> str | None:
         words = f"measured from {', '.join(ruler.label for ruler in estimate.probable_rulers)}"
     else:
         words = f"{advice.why}; {advice.helps}"
-    by_hand = "" if estimate.by_hand is None else f" Vehicles corrected by hand: {estimate.by_hand.summary}."
-    return f"{words[0].upper()}{words[1:]}.{by_hand}"
+    by_hand = by_hand_text(estimate)
+    corrected = f" Vehicles corrected {by_hand}." if by_hand else ""
+    return f"{words[0].upper()}{words[1:]}.{corrected}"
 
 
 def drawing_of(analysis: ScaleAnalysis) -> Drawing:

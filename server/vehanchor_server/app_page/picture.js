@@ -8,7 +8,7 @@ function pictureSection(record, result) {
   return source?.plain ? section("Picture", "picture", ...framed(record, result, source)) : undefined;
 }
 
-// The plain image, over which the page draws; otherwise the picture for models.
+// The plain image, over which the page draws; of the page's own tool, the picture beside its data.
 function pictureOf(result) {
   const { picture_jpeg: jpeg, drawing } = result._meta?.[PANEL_KEY] ?? {};
   if (jpeg) return { url: `data:image/jpeg;base64,${jpeg}`, plain: true, drawing };
@@ -21,7 +21,7 @@ const barred = (record) => usable(record) && !scaleOf(record)?.tilt;  // a tilte
 
 function framed(record, result, { url, drawing }) {
   const scale = scaleOf(record);
-  const outliers = scale ? scale.n_detections - scale.n_vehicles : 0;
+  const outliers = scale ? scale.details.n_detections - scale.n_vehicles : 0;
   const image = html("img", { src: url, draggable: "false" });
   const [width, height] = [record.image_width_px, record.image_height_px];
   const part = html("img", { class: "part", alt: "", hidden: true, draggable: "false" });
@@ -80,8 +80,8 @@ function sharpener(record, image, part) {
     timer = setTimeout(async () => {
       const seen = Object.fromEntries(Object.entries(view.seen()).map(([side, at]) => [side, Math.round(at)]));
       if (Math.min(seen.x_max - seen.x_min, seen.y_max - seen.y_min) < 16) return; // the server's minimum
-      const asked = { image: call.arguments.image, part: seen, long_side_px: PART_SIDE_PX, grid: false };
-      const sent = await request("tools/call", { name: "view_image", arguments: asked }).catch(() => undefined);
+      const asked = { image: call.arguments.image, part: seen, long_side_px: PART_SIDE_PX };
+      const sent = await request("tools/call", { name: "page_image", arguments: asked }).catch(() => undefined);
       const source = sent && !sent.isError ? pictureOf(sent) : undefined; // without one, keep the picture
       if (!source || !part.isConnected) return;
       const share = (value, of) => `${(100 * value) / of}%`;

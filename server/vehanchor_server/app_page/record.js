@@ -15,9 +15,10 @@ function detailsSection(record) {
   if (frame?.gsd_m_per_px) add("In the caller's frame", `${number(frame.gsd_m_per_px)} m/px at ${frame.width_px} × ${frame.height_px} px`);
   if (scale) {
     if (scale.mode_length_px !== null) add("Modal length of the vehicles", `${number(scale.mode_length_px)} px`);
-    add("Their length on the ground", `${number(scale.reference_length_m)} m, ${ORIGINS[scale.reference_source]}`);
+    const { reference_length_m: length, reference_source: source, model_sha256: sha256 } = scale.details;
+    if (length !== null) add("Their length on the ground", `${number(length)} m, ${ORIGINS[source]}`);
     if (scale.georeference_gsd_m_per_px !== null) add("Georeference of the file", `${number(scale.georeference_gsd_m_per_px)} m/px, not used`);
-    add("Detector", `${scale.model} (${scale.model_sha256.slice(0, 12)})`);
+    add("Detector", `${scale.model} (${sha256.slice(0, 12)})`);
   }
   const list = html("dl", { class: "record" }, ...rows.flatMap(([name, value]) => [html("dt", {}, name), html("dd", {}, value)]));
   return html("details", {}, html("summary", {}, "Details"), list);

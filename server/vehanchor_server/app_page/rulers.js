@@ -8,7 +8,7 @@ function rulersSection(scale) {
     const lead = ruler.kind === scale.leading_ruler ? ", leading" : "";
     const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "m/px");
     return html(
-      "li", { class: ruler.p_right >= 0.5 ? "agrees" : "disagrees" },
+      "li", { class: ruler.probably_right ? "agrees" : "disagrees" },
       html("span", { class: "name" }, name),
       html("span", { class: "number" }, `${number(ruler.gsd_m_per_px)} m/px`),
       html("span", { class: "note" }, bounds),

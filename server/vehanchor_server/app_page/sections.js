@@ -28,10 +28,12 @@ function extentReading(record) {
 }
 
 function vehicleReading(scale) {
-  const dropped = scale.n_detections - scale.n_vehicles;
+  const { n_detections: found } = scale.details;
+  if (found === null) return undefined;
+  const dropped = found - scale.n_vehicles;
   return reading(
     "Vehicles measured", whole(scale.n_vehicles), "",
-    dropped ? `of ${whole(scale.n_detections)} detected; ${counted(dropped, "outlier")}` : scale.n_detections ? "all detected vehicles" : "none detected",
+    dropped ? `of ${whole(found)} detected; ${counted(dropped, "outlier")}` : found ? "all detected vehicles" : "none detected",
   );
 }
 

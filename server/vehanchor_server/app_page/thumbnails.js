@@ -16,8 +16,8 @@ const seen = new IntersectionObserver((entries) => {
 
 // Undefined for a photograph that cannot be read.
 async function fetchPicture(path, side) {
-  const asked = { image: imageAt(path), long_side_px: side, grid: false };
-  const result = await answer({ name: "view_image", arguments: asked }).catch(() => undefined);
+  const asked = { image: imageAt(path), long_side_px: side };
+  const result = await answer({ name: "page_image", arguments: asked }).catch(() => undefined);
   return result && !result.isError ? pictureOf(result)?.url : undefined;
 }
 

@@ -6,19 +6,15 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, OtherObject
-from vehanchor.records.advice import advice_for
-from vehanchor.scale.defaults import USABLE_CHANCE
+from vehanchor_server.calls.remedies import advice_on
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pydantic import BaseModel
 
-ADVICE_ON_MASK = "give a tight box around the object"
-ADVICE_ON_STATED = "leave out gsd_m_per_px, or draw a line over something of known size (known_lengths)"
-"""Advice for a stated scale that is not usable."""
-
 _DIGITS = 3
+_LONG_CHARS = 100  # of a sentence; a choice
 
 ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
     GsdEstimate: (
@@ -28,8 +24,6 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "gsd_ci95_high_m_per_px",
         "confidence",
         "n_vehicles",
-        "by_hand",
-        "mode_length_px",
         "reason",
         "leading_ruler",
         "image_width_px",
@@ -43,10 +37,8 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "area_ci95_high_m2",
         "confidence",
         "gsd_m_per_px",
-        "scale_source",
         "length_m",
         "width_m",
-        "perimeter_m",
         "inscribed_diameter_m",
         "inscribed_diameter_ci95_low_m",
         "inscribed_center",
@@ -59,47 +51,36 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "distance_m",
         "distance_ci95_low_m",
         "distance_ci95_high_m",
-        "distance_ci95_high_m",
         "confidence",
         "gsd_m_per_px",
-        "scale_source",
     ),
 }
 """The fields of each record in a short record, unless null."""
 
+_ONLY_IF_OK = ("length_m", "width_m", "inscribed_diameter_m", "inscribed_diameter_ci95_low_m", "inscribed_center")
 _KEPT_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m")  # null means "no scale"
 _OMITTED_IN_FRAME = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
 
 
-def short_record(records: Sequence[BaseModel]) -> dict[str, Any]:
-    """Return one record, or several below ``measurements``, with their common advice and warnings.
-
-    Advice and the first sentences of warnings are for hosts that show models the structured content alone.
+def short_record(records: Sequence[BaseModel], hints: Sequence[str] = ()) -> dict[str, Any]:
+    """Return one record, or several below ``measurements``, with their common advice and warnings in words.
 
     Args:
         records: records of one image.
+        hints: warnings about the call.
     """
     parts = [_short(record) for record in records]
     whole: dict[str, Any] = parts[0] if len(parts) == 1 else {"measurements": parts}
-    advice = [each for each in map(_advice, records) if each]
-    notices = [notice for record in records for notice in getattr(record, "warnings", ())]
-    words = [f"{notice.code}: {notice.message.partition('. ')[0].rstrip('.')}" for notice in notices]
-    for name, found in (("advice", "; ".join(dict.fromkeys(advice))), ("warnings", list(dict.fromkeys(words)))):
-        if found:
-            whole[name] = found
-    return whole
+    advice = "; ".join(dict.fromkeys(filter(None, map(advice_on, records))))
+    notices = dict.fromkeys(notice for record in records for notice in getattr(record, "warnings", ()))
+    warnings = [*(f"{notice.code}: {brief(notice.message)}" for notice in notices), *hints]
+    return whole | ({"advice": advice} if advice else {}) | ({"warnings": warnings} if warnings else {})
 
 
-def _advice(record: BaseModel) -> str:
-    """Say what would make a record usable; empty for a usable one."""
-    if getattr(record, "status", "ok") == "ok":
-        return ""
-    advice = advice_for(_estimate(record))
-    if advice is not None:
-        return advice.helps
-    if isinstance(record, AreaMeasurement) and (record.confidence is None or record.confidence >= USABLE_CHANCE):
-        return ADVICE_ON_MASK
-    return ADVICE_ON_STATED
+def brief(message: str) -> str:
+    """Return the first sentence of a message; of a long one, the clause that states the fact."""
+    sentence = message.partition(". ")[0].rstrip(".")
+    return (sentence if len(sentence) <= _LONG_CHARS else sentence.partition(": ")[0]) + "."
 
 
 def _short(record: BaseModel) -> dict[str, Any]:
@@ -108,11 +89,17 @@ def _short(record: BaseModel) -> dict[str, Any]:
         return values
     short: dict[str, Any] = {}
     for name in ANSWERED[type(record)]:
+        if name in _ONLY_IF_OK and values["status"] != "ok":
+            continue
         value = values[name]
         if isinstance(value, dict) and name == "frame":
             value = {key: each for key, each in value.items() if key not in _OMITTED_IN_FRAME}
         if value is not None or name in _KEPT_WHEN_NULL:
             short[name] = _rounded(name, value)
+    if isinstance(record, GsdEstimate) and record.details.by_hand is not None:
+        short["by_hand"] = values["details"]["by_hand"]
+    if not isinstance(record, GsdEstimate):
+        short["scale_confidence"] = short.pop("confidence", None)  # 20 % of the scale is more of an area
     reason = getattr(getattr(record, "estimate", None), "reason", None)
     if reason is not None:
         short["reason"] = reason
@@ -128,13 +115,12 @@ def _choice(area: AreaMeasurement, other: OtherObject) -> dict[str, Any]:
     box, frame = other.bounding_box, area.frame
     if frame is not None:
         box = box.scaled(frame.width_px / area.image_width_px, frame.height_px / area.image_height_px)
-    corners = [round(side) for side in (box.x1_px, box.y1_px, box.x2_px, box.y2_px)]
-    return {"area_m2": _rounded("area_m2", other.area_m2), "box": corners}
-
-
-def _estimate(record: BaseModel) -> GsdEstimate | None:
-    """Return the estimate behind a record, if any."""
-    return record if isinstance(record, GsdEstimate) else getattr(record, "estimate", None)
+    sides = {"x_min": box.x1_px, "y_min": box.y1_px, "x_max": box.x2_px, "y_max": box.y2_px}
+    size = {"mask_area_px": other.mask_area_px} if other.area_m2 is None else {"area_m2": other.area_m2}
+    return {
+        **{name: _rounded(name, value) for name, value in size.items()},
+        "box": {k: round(v) for k, v in sides.items()},
+    }
 
 
 def _rounded(name: str, value: Any) -> Any:

@@ -1,7 +1,7 @@
 """Messages between the server and its workers.
 
 An image can compromise the worker that decodes it, so its messages are data: JSON that pydantic models validate, and
-pictures as raw bytes. Size and number of separators are checked before parsing, because an error for each of 200,000
+a picture as raw bytes. Size and number of separators are checked before parsing, because an error for each of 200,000
 empty objects takes gigabytes. A task goes the other way, pickled, because workers trust the server.
 """
 
@@ -82,13 +82,12 @@ class Failed(FrozenModel):
 
 
 class Replied(FrozenModel):
-    """The work is done; records, drawing and pictures follow."""
+    """The work is done; records, drawing and picture follow."""
 
     kind: Literal["replied"] = "replied"
     n_records: int = Field(ge=1, le=MAX_RECORDS)
     drawing: bool
-    overlay: bool
-    page_picture: bool
+    picture: bool
 
 
 WorkerMessage: TypeAlias = Loaded | Progressed | Refused | Failed | Replied
@@ -102,16 +101,11 @@ def send(connection: Connection, message: BaseModel) -> None:
 
 def send_reply(connection: Connection, reply: Reply[BaseModel]) -> None:
     """Send the reply of a call."""
-    pictures = [picture for picture in (reply.overlay, reply.page_picture) if picture is not None]
-    header = Replied(
-        n_records=len(reply.records),
-        drawing=reply.drawing is not None,
-        overlay=reply.overlay is not None,
-        page_picture=reply.page_picture is not None,
-    )
+    picture = reply.picture
+    header = Replied(n_records=len(reply.records), drawing=reply.drawing is not None, picture=picture is not None)
     for part in (header, *reply.records, *([reply.drawing] if reply.drawing else [])):
         send(connection, part)
-    for picture in pictures:
+    if picture is not None:
         connection.send_bytes(picture)
 
 
@@ -142,8 +136,7 @@ def receive_reply(connection: Connection, header: Replied, record: type[BaseMode
     return Reply(
         records=tuple(_parsed(connection, RECORD, record.model_validate_json) for _ in range(header.n_records)),
         drawing=_parsed(connection, DRAWING, Drawing.model_validate_json) if header.drawing else None,
-        overlay=connection.recv_bytes(MAX_PICTURE_BYTES) if header.overlay else None,
-        page_picture=connection.recv_bytes(MAX_PICTURE_BYTES) if header.page_picture else None,
+        picture=connection.recv_bytes(MAX_PICTURE_BYTES) if header.picture else None,
     )
 
 

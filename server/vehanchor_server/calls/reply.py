@@ -1,4 +1,4 @@
-"""Reply to a call: one or more records with their explanations."""
+"""Reply to a call: one or more records with their picture."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from mcp.server.mcpserver import Image
 from mcp.types import CallToolResult, TextContent
 from pydantic import BaseModel
 
+from vehanchor.options import Frame
 from vehanchor_server.app_page import panel_meta
 from vehanchor_server.calls.compact import short_record
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from vehanchor_server.app_page.panel import Drawing
 
 Record = TypeVar("Record", bound=BaseModel, covariant=True)
@@ -24,33 +27,33 @@ Detail: TypeAlias = Literal["short", "full"]
 
 
 class PictureRequest(NamedTuple):
-    """Pictures that a call should make.
+    """Picture that a call should make.
 
     Attributes:
-        overlay: whether the caller requested the overlay.
-        page: whether the host's page needs the image.
-        long_side_px: longer side of the overlay, at most.
+        kind: none; ``plain``, the image for a page; or ``evidence``, what the call saw, for ``view_image``.
+        long_side_px: longer side of the evidence, at most.
+        part: corners of the part that the evidence shows, in the units of ``frame``; None for the usual view.
+        frame: coordinate system of the part.
     """
 
-    overlay: bool
-    page: bool
+    kind: Literal["", "plain", "evidence"] = ""
     long_side_px: int = MAX_SIDE_PX
+    part: tuple[tuple[float, float], tuple[float, float]] | None = None
+    frame: Frame = Frame()
 
 
 @dataclass(frozen=True)
 class Reply(Generic[Record]):
-    """Records with pictures and page data.
+    """Records with a picture and page data.
 
     Attributes:
         records: the results, one per line or target.
-        overlay: the overlay as JPEG, if requested.
-        page_picture: the image as JPEG, if the host shows a page.
+        picture: the requested picture as JPEG.
         drawing: shapes that the page draws over the image.
     """
 
     records: tuple[Record, ...]
-    overlay: bytes | None = None
-    page_picture: bytes | None = None
+    picture: bytes | None = None
     drawing: Drawing | None = None
 
     @property
@@ -58,27 +61,27 @@ class Reply(Generic[Record]):
         """The first record."""
         return self.records[0]
 
-    def to_result(self, sentence: str, *, detail: Detail = "full", paged: bool = False) -> CallToolResult:
-        """Convert to a tool result: text for models, structured content for programs, pictures and page data.
+    def to_result(
+        self, sentence: str, *, detail: Detail = "full", shown: PictureRequest | None = None, hints: Sequence[str] = ()
+    ) -> CallToolResult:
+        """Convert to a tool result: text and structured content that say the same, and page data.
 
         Args:
             sentence: the records in words.
             detail: extent of the records.
-            paged: whether the host shows a page, which needs the whole record.
+            shown: the requested picture; the evidence follows the text, without structured content.
+            hints: warnings about the call beside those of the records.
         """
-        short = None if detail == "full" else short_record(self.records)
-        content: list[Any] = [TextContent(type="text", text=sentence)]
-        if self.overlay is not None:
-            content.append(Image(data=self.overlay, format="jpeg").to_image_content())
+        content: list[Any] = [TextContent(type="text", text=" ".join([sentence, *hints]))]
+        kind = "" if shown is None else shown.kind
+        if kind == "evidence":
+            assert self.picture is not None
+            return CallToolResult(content=[*content, Image(data=self.picture, format="jpeg").to_image_content()])
         whole = [record.model_dump(mode="json") for record in self.records]
         full = whole[0] if len(whole) == 1 else {"measurements": whole}
-        return CallToolResult(
-            content=content,
-            structured_content=full if short is None else short,
-            _meta=panel_meta(
-                self.page_picture,
-                self.drawing,
-                whole[0] if paged and detail == "short" else None,
-                self.record if paged else None,
-            ),
-        )
+        short = None if detail == "full" else short_record(self.records, hints)
+        if kind:
+            page = panel_meta(self.picture, self.drawing, None if short is None else whole[0], self.record)
+        else:
+            page = panel_meta()
+        return CallToolResult(content=content, structured_content=full if short is None else short, _meta=page)

@@ -10,6 +10,7 @@ from vehanchor_server.frozen import FrozenModel
 
 MAX_PATH_CHARS = 4096  # Linux's PATH_MAX
 MAX_URL_CHARS = 2048
+EXAMPLE_PATH = "car_park.jpg"
 
 
 class PathImage(FrozenModel):
@@ -40,7 +41,7 @@ ImageArgument = Annotated[
     Field(
         discriminator="kind",
         description="The uncropped image; path: absolute, or below the root.",
-        examples=[{"kind": "path", "path": "car_park.jpg"}],
+        examples=[{"kind": "path", "path": EXAMPLE_PATH}],
     ),
 ]
 """The ``image`` of every tool; ``kind`` has no default, so that the schema requires it."""

@@ -17,19 +17,20 @@ import stat
 import sys
 from collections import deque
 from contextlib import contextmanager, suppress
+from difflib import get_close_matches
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 from unicodedata import normalize
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
+from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.images.argument import MAX_PATH_CHARS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-    from vehanchor_server.calls.capacity import Stop
 
 _NOFOLLOW = getattr(os, "O_NOFOLLOW", 0)
 _CLOEXEC = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
@@ -41,6 +42,7 @@ _DIRECTORY_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_DIRECTORY
 _MAX_LINKS = 40  # the limit of Linux
 _MAX_NAMED = 4  # roots in an error
 _MAX_LISTED = 100_000  # visited names per list of images
+_MAX_COMPARED = 5000  # names beside one that is not found
 
 
 class PathAccess:
@@ -114,7 +116,7 @@ class PathAccess:
             try:
                 return self._opened(root, below)
             except (FileNotFoundError, NotADirectoryError):
-                missing = _no_image(str(path))
+                missing = _no_image(str(path), self._nearest(path.name))
             except CallError as error:
                 if error.code != "image_not_found":
                     raise
@@ -124,8 +126,23 @@ class PathAccess:
         assert missing is not None
         raise missing
 
+    def first(self) -> str | None:
+        """Return the first image, below its root, for an example; None without one."""
+        found = ((root, next(_images_below(root, Stop()), None)) for root in self.roots)
+        return next((path.relative_to(root).as_posix() for root, path in found if path is not None), None)
+
+    def _nearest(self, name: str) -> list[str]:
+        """Return the images below the roots with the nearest names."""
+        below = (path.relative_to(root).as_posix() for root in self.roots for path in _images_below(root, Stop()))
+        names = {path.rpartition("/")[2].lower(): path for path in islice(below, _MAX_COMPARED)}
+        return [shortened(names[each]) for each in get_close_matches(name.lower(), names, n=_MAX_NAMED)]
+
     def _local_path(self, named: str) -> Path:
         """Convert a path or file:// URL to a path without access to the file system."""
+        if named[:8].lower().startswith(("http://", "https://")):
+            raise CallError(
+                "image_not_found", "this is a URL, no path. Give a file's path, or kind url if it is listed."
+            )
         if named[:5].lower() == "file:":
             try:
                 parts = urlsplit(named)
@@ -206,7 +223,10 @@ class PathAccess:
                     return _regular(_open_part(part, _FILE_FLAGS, walked[-1]), part)
                 else:
                     break
-            raise _no_image(str(root.joinpath(*below)))
+            named = shortened(str(root.joinpath(*below)))
+            if not pending and stat.S_ISDIR(os.fstat(walked[-1]).st_mode):
+                raise CallError("image_not_found", f"{named!r} is a folder. Name a file in it; view_image lists them.")
+            raise _no_image(named)
         finally:
             for directory in walked:
                 os.close(directory)
@@ -250,8 +270,9 @@ def _images_below(root: Path, stop: Stop) -> Iterator[Path]:
                         yield path
 
 
-def _no_image(named: str) -> CallError:
-    return CallError("image_not_found", f"there is no regular file at {shortened(named)!r}. Check the path.")
+def _no_image(named: str, nearest: Sequence[str] = ()) -> CallError:
+    remedy = f"The nearest names are {', '.join(nearest)}." if nearest else "Check the path."
+    return CallError("image_not_found", f"there is no regular file at {shortened(named)!r}. {remedy}")
 
 
 def _nfc(path: Path) -> Path:

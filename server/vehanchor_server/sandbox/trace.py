@@ -51,8 +51,9 @@ async def _call_all_tools(folder: Path) -> None:
                 box = {"x_min": 10, "y_min": 10, "x_max": 60, "y_max": 60}
                 line = {"points": [{"x": 10, "y": 10}, {"x": 60, "y": 60}]}
                 await client.call_tool("view_image", image)
-                await client.call_tool("estimate_gsd", {**image, "include_overlay": True})
-                await client.call_tool("measure_area", {**image, "targets": [{"box": box}], "include_overlay": True})
+                await client.call_tool("view_image", {"of": {"tool": "estimate_gsd", "arguments": image}})
+                asked = {**image, "targets": [{"box": box}]}
+                await client.call_tool("view_image", {"of": {"tool": "measure_area", "arguments": asked}})
                 await client.call_tool("measure_distance", {**image, "lines": [line]})
     finally:
         services.close()

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from vehanchor.errors import KnownLengthError
 from vehanchor.options import Basis, KnownLength
 from vehanchor.options.rulers import FocalLength, Height
-from vehanchor.scale.defaults import REGIONS
+from vehanchor.scale.countries import REGIONS
 from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _form(given: Given, estimate: GsdEstimate) -> dict[str, Any]:
     """Return the JSON Schema of the missing values that would help for this image."""
     form = render_elicitation_schema(_ScaleInput)
     fields: dict[str, Any] = form["properties"]
-    if "region" in given or "reference_length_m" in given or estimate.n_vehicles == 0:
+    if "region" in given or "reference_length_m" in given or not estimate.n_vehicles:
         del fields["region"]
     if "height_m" in given:
         del fields["height_m"], fields["height_basis"]

@@ -5,52 +5,41 @@ The call imports the library, because importing OpenCV and ONNX Runtime would de
 
 # No postponed annotations here: the SDK reads the result's schema from them.
 
-from dataclasses import dataclass
 from typing import Annotated, Any
 
-from mcp.server.apps import client_supports_apps
 from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult, InputRequiredResult
-from pydantic import Field
 
 from vehanchor.records import GsdEstimate
-from vehanchor.records.advice import CHECK_VEHICLES
+from vehanchor.records.text import by_hand_text, ruler_names, significant
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Detail, PictureRequest, Reply
 from vehanchor_server.calls.task import work
-from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.elicitation import request_scale_input, with_user_input
 from vehanchor_server.tools.flight_question import (
-    FlightQuestion,
     MoreImagesArgument,
     SameScaleArgument,
     check_flight_question,
     estimate_with_flight,
 )
-from vehanchor_server.tools.messages import (
-    POLICY,
-    interval,
-    no_scale_message,
-    rounded,
-    ruler_explanations,
-    ruler_names,
-    unusable_scale,
-    warnings,
-)
+from vehanchor_server.tools.messages import POLICY, interval, no_scale, verdict, warnings_of
+from vehanchor_server.tools.picture import scale_reply
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
     UNLISTED_ARGUMENTS,
     DetailArgument,
     Given,
+    Question,
+    check_coordinates,
+    hints,
     scale_options,
     with_options,
 )
-from vehanchor_server.tools.scale_reply import scale_reply
 from vehanchor_server.tools.strict_tool import StrictTool
 
 _KNOWN = (
@@ -70,16 +59,6 @@ _DESCRIPTION = (
     f"0.3 m/px or finer, or another ruler. {POLICY} Names for known_lengths: {', '.join(_KNOWN)}."
 )
 
-_CHECK = "look at include_overlay, then drop the boxes that are no cars"
-
-
-@dataclass(frozen=True)
-class _Question:
-    """Scale arguments of a call and the requested pictures."""
-
-    scale: Given
-    wanted: PictureRequest
-
 
 def estimate_gsd_tool(services: Services) -> StrictTool:
     """Create the tool for a server."""
@@ -89,25 +68,26 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         image: ImageArgument,
         ctx: Context[Any, Any],
         given: Given,
-        include_overlay: Annotated[Flag, Field(description="Also return a picture; boxes numbered.")] = False,
+        wanted: PictureRequest,
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
     ) -> Annotated[CallToolResult, GsdEstimate] | InputRequiredResult:
-        question, paged = with_user_input(ctx, given), client_supports_apps(ctx)
-        wanted = PictureRequest(include_overlay, paged)
+        question = Question(with_user_input(ctx, given), wanted, same_scale)
+        check_coordinates((), question.given)
         if more_images:
-            check_flight_question(question)
-            asked_flight = FlightQuestion(question, wanted, same_scale)
-            answer = await run_call(services, ctx, image, estimate_with_flight, asked_flight, more_images)
+            check_flight_question(question.given)
+            answer = await run_call(services, ctx, image, estimate_with_flight, question, more_images)
         else:
-            answer = await run_call(services, ctx, image, _estimate, _Question(question, wanted))
-        words = describe_estimate(answer.record, detail, CHECK_VEHICLES if more_images else _CHECK)
-        if not (more_images or services.settings.never_ask):
-            asked = request_scale_input(ctx, question, answer.record, words)
+            answer = await run_call(services, ctx, image, _estimate, question)
+        record = answer.record
+        words = describe_estimate(record, detail)
+        if not (more_images or services.settings.never_ask or wanted.kind == "evidence"):
+            asked = request_scale_input(ctx, question.given, record, words)
             if asked is not None:
                 return asked
-        return answer.to_result(words, detail=detail, paged=paged)
+        told = hints((), question.given, record)
+        return answer.to_result(words, detail=detail, shown=wanted, hints=told)
 
     return StrictTool.read_only(
         estimate_gsd,
@@ -120,7 +100,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
 
 
 @work(GsdEstimate)
-def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Question) -> Reply[GsdEstimate]:
+def _estimate(services: Services, job: Job, source: OpenedImage, asked: Question[bool]) -> Reply[GsdEstimate]:
     """Search the image and estimate its scale, in a worker process or thread.
 
     Raises:
@@ -132,37 +112,31 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
     from vehanchor.imagery.sources.opening import open_raster
 
     detector = services.models.detector(job.runtime)
-    options = scale_options(asked.scale, services.settings, services.models)
+    options = scale_options(asked.given, services.settings, services.models)
     checked_detector(detector, options)
     job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
-        analysis = services.models.memory.analyse(raster, detector, options)
+        analysis = services.models.memory.analyse(detector, raster, options)
         return scale_reply(raster, analysis, asked.wanted, job)
 
 
-def describe_estimate(estimate: GsdEstimate, detail: Detail = "full", check: str = _CHECK) -> str:
-    """Describe the scale and its status in one sentence, and each warning in another.
-
-    Args:
-        estimate: the record.
-        detail: extent of the warnings.
-        check: how the caller checks the vehicles.
-    """
-    words = [_scale_in_words(estimate, check)]
+def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
+    """Describe the scale and its status in one sentence, and each warning in another; with full detail, each ruler."""
+    words = [_scale_in_words(estimate)]
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
-        words.append(f"In your {frame.width_px} x {frame.height_px} copy that is {rounded(frame.gsd_m_per_px)} m/px.")
-    if estimate.by_hand is not None:
-        words.append(f"Vehicles corrected by hand: {estimate.by_hand.summary}.")
-    return " ".join([*words, *ruler_explanations(estimate), *warnings(estimate.warnings, detail)])
+        words.append(
+            f"In your {frame.width_px} x {frame.height_px} copy that is {significant(frame.gsd_m_per_px)} m/px."
+        )
+    if by_hand := by_hand_text(estimate):
+        words.append(f"Vehicles corrected {by_hand}.")
+    rulers = [ruler.explanation for ruler in estimate.rulers if ruler.explanation is not None and detail == "full"]
+    return " ".join([*words, *rulers, *warnings_of([estimate], detail)])
 
 
-def _scale_in_words(estimate: GsdEstimate, check: str) -> str:
+def _scale_in_words(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
-        return f"{no_scale_message(estimate).capitalize()}."
-    scale = f"{rounded(estimate.gsd_m_per_px)} m/px"
+        return no_scale(estimate).capitalize()
+    scale = f"{significant(estimate.gsd_m_per_px)} m/px"
     scale += interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
-    scale += f", confidence {estimate.confidence:.2f} from {ruler_names(estimate)}: "
-    if estimate.status == "ok":
-        return scale + "safe to use."
-    return scale + unusable_scale(estimate, check)
+    return f"{scale}, confidence {estimate.confidence:.2f} from {ruler_names(estimate)}: {verdict(estimate)}"

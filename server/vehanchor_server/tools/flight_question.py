@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -12,14 +12,13 @@ from pydantic import Field
 
 from vehanchor.options import Frame
 from vehanchor.records import GsdEstimate
-from vehanchor_server.calls.reply import PictureRequest
 from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
-from vehanchor_server.tools.scale_arguments import Given, scale_options
-from vehanchor_server.tools.scale_reply import scale_reply
+from vehanchor_server.tools.picture import scale_reply
+from vehanchor_server.tools.scale_arguments import Given, Question, scale_options
 
 if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
@@ -54,21 +53,12 @@ def check_flight_question(given: Given) -> None:
         raise CallError("invalid_arguments", f"{single} belongs to a single image. Omit more_images or {single}.")
 
 
-@dataclass(frozen=True)
-class FlightQuestion:
-    """Scale arguments of a call with more images."""
-
-    scale: Given
-    wanted: PictureRequest
-    same_scale: bool
-
-
 @work(GsdEstimate)
 def estimate_with_flight(
     services: Services,
     job: Job,
     source: OpenedImage,
-    question: FlightQuestion,
+    question: Question[bool],
     more: Sequence[tuple[AnyImage, bytes | None]],
 ) -> Reply[GsdEstimate]:
     """Estimate the scale of an image with the evidence of others, in a worker process or thread.
@@ -84,7 +74,7 @@ def estimate_with_flight(
 
     progress = partial(_report_photograph, job, 1 + len(more))
     detector = services.models.detector(replace(job.runtime, progress=progress))
-    asked = scale_options(question.scale, services.settings, services.models)
+    asked = scale_options(question.given, services.settings, services.models)
     options = replace(asked, frame=Frame())
     checked_detector(detector, options)
     job.stop.check()
@@ -92,13 +82,12 @@ def estimate_with_flight(
         job.stop.check()
     opened: list[OpenedImage] = []
     images = _open_each(services, source, more, opened)
-    photographs = search_flight(images, detector, options, featured=not question.same_scale)
+    photographs = search_flight(images, detector, options, featured=not question.subject)
     members = [_require_readable(found, each) for found, each in zip(photographs, opened, strict=True)]
     _refuse_duplicates(members)
-    flight = conclude(photographs, detector.card, same_scale=question.same_scale)
+    flight = conclude(photographs, detector.card, same_scale=question.subject)
     analysis = replace(members[0].analysis, estimate=_estimate_of_image(flight, asked))
-    is_drawn = question.wanted.overlay or question.wanted.page
-    with open_raster(source, limits=asked.reading.limits) if is_drawn else nullcontext() as raster:
+    with open_raster(source, limits=asked.reading.limits) if question.wanted.kind else nullcontext() as raster:
         return scale_reply(raster, analysis, question.wanted, job)
 
 

@@ -2,7 +2,6 @@
 
 # No postponed annotations here: the SDK reads the result's schema from them.
 
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 from mcp.server.mcpserver import Context
@@ -11,33 +10,23 @@ from pydantic import Field
 
 from vehanchor.options.option import Number
 from vehanchor.records import DistanceMeasurement
-from vehanchor_server.calls.call import run_call
+from vehanchor.records.text import significant
 from vehanchor_server.calls.job import Job
-from vehanchor_server.calls.reply import Detail, PictureRequest, Reply
+from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.messages import (
-    STATUS_RULES,
-    interval,
-    no_scale_message,
-    numbered,
-    rounded,
-    scale_origin,
-    unusable_scale,
-    warnings_of,
-)
+from vehanchor_server.tools.measured import measured
+from vehanchor_server.tools.messages import STATUS_RULES, interval, no_scale, scale_origin, verdict
+from vehanchor_server.tools.picture import draw_picture
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
-    OVERLAY_SIDE_PX,
     UNLISTED_ARGUMENTS,
     DetailArgument,
     Given,
-    OverlayArgument,
-    OverlaySideArgument,
-    copy_hint,
+    Question,
     resolve_source,
     with_options,
 )
@@ -66,19 +55,10 @@ class Line(FrozenModel):
     points: tuple[Place, ...] = Field(min_length=2, max_length=MAX_POINTS)
 
 
-@dataclass(frozen=True)
-class _Question:
-    """Lines and scale arguments of a call, and the requested picture."""
-
-    lines: tuple[Line, ...]
-    scale: Given
-    wanted: PictureRequest
-
-
 def measure_distance_tool(services: Services) -> StrictTool:
     """Create the tool for a server."""
 
-    @with_options("measure")
+    @with_options("measure", paged=False)
     async def measure_distance(
         image: ImageArgument,
         lines: Annotated[
@@ -89,32 +69,26 @@ def measure_distance_tool(services: Services) -> StrictTool:
         ],
         ctx: Context[Any, Any],
         given: Given,
-        include_overlay: OverlayArgument = False,
-        overlay_side_px: OverlaySideArgument = OVERLAY_SIDE_PX,
+        wanted: PictureRequest,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
-        asked = _Question(lines, given, PictureRequest(include_overlay, False, overlay_side_px))
-        answer = await run_call(services, ctx, image, _measure, asked)
-        first = answer.record
-        places = ((point.x, point.y) for line in lines for point in line.points)
-        words = [
-            numbered([_distance_in_words(record) for record in answer.records]),
-            *warnings_of(answer.records, detail),
-            *copy_hint(places, given, first.image_width_px, first.image_height_px),
-        ]
-        return answer.to_result(" ".join(words), detail=detail)
+        places = [(point.x, point.y) for line in lines for point in line.points]
+        question = Question(given, wanted, lines)
+        return await measured(services, ctx, image, _measure, question, places, _distance_in_words, detail)
 
     return StrictTool.read_only(
         measure_distance,
         title="Measure distances in an aerial image",
         description=_DESCRIPTION,
-        answered=("status", "distance_m", "confidence"),
+        answered=("status", "distance_m", "scale_confidence"),
         listing=Listing(UNLISTED_ARGUMENTS, services.settings.image_kinds),
     )
 
 
 @work(DistanceMeasurement)
-def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Reply[DistanceMeasurement]:
+def _measure(
+    services: Services, job: Job, source: OpenedImage, asked: Question[tuple[Line, ...]]
+) -> Reply[DistanceMeasurement]:
     """Measure the lines, in a worker process or thread.
 
     Raises:
@@ -125,38 +99,27 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.distance import analyse_paths, read_path
     from vehanchor.pictures.distance import cut_to_lines, draw_distance
-    from vehanchor_server.calls.overlay import draw_pictures
 
-    paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
-    known = resolve_source(question.scale, services, job)
-    options = known.options
+    paths = [read_path([(point.x, point.y) for point in line.points]) for line in asked.subject]
+    options, scale = resolve_source(asked.given, services, job)
+    height = asked.given.get("object_height_m")
     job.stop.check()
     with open_raster(source, limits=options.reading.limits) as raster:
-        found = analyse_paths(
-            raster,
-            paths,
-            known.scale,
-            options,
-            object_height_m=known.object_height_m,
-        )
+        found = analyse_paths(raster, paths, scale, options, object_height_m=height)
         measured = tuple(each.measurement for each in found)
-        cut = cut_to_lines(measured, question.wanted.long_side_px)
-        overlay = draw_pictures(
-            raster, job, question.wanted, lambda seen: draw_distance(seen, *found, cut=cut), cut.part
-        ).overlay
-    return Reply(measured, overlay)
-
-
-def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> str:
-    """Describe the distance and its status in one sentence, and each warning in another."""
-    return " ".join([_distance_in_words(record), *warnings_of([record], detail)])
+        picture = draw_picture(
+            raster,
+            job,
+            asked.wanted,
+            lambda seen, cut: draw_distance(seen, *found, cut=cut),
+            scale=found[0].scale,
+            usual=cut_to_lines(measured).part,
+        )
+    return Reply(measured, picture)
 
 
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
-        return f"No distance: the line is {record.length_px:.0f} px long, but {no_scale_message(record.estimate)}."
-    text = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
-    text += f"; {scale_origin(record)}: "
-    if record.status == "ok":
-        return text + "safe to use."
-    return text + unusable_scale(record.estimate)
+        return f"No distance: the line is {record.length_px:.0f} px long, but {no_scale(record)}"
+    size = f"{significant(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
+    return f"{size}; {scale_origin(record)}: {verdict(record)}"

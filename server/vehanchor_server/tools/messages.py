@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.records.advice import CHECK_VEHICLES, advice_for
-from vehanchor.records.digits import significant
-from vehanchor_server.calls.compact import ADVICE_ON_STATED
+from vehanchor.records import GsdEstimate
+from vehanchor.records.text import advice_for, ruler_names, significant
+from vehanchor_server.calls.compact import brief
+from vehanchor_server.calls.remedies import advice_on
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, Notice
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, Notice
     from vehanchor_server.calls.reply import Detail
 
 POLICY = (
@@ -20,53 +21,32 @@ POLICY = (
 )
 """The rule for planners in the description of ``estimate_gsd``."""
 
-_ARGUMENTS = {"known size": "known_lengths", "the region": "region"}
-"""Arguments of a remedy, which every measuring tool has."""
-
 STATUS_RULES = (
-    "status ok: use it. low_confidence: do not act on it. no_scale: only pixels. Scale arguments: see estimate_gsd."
+    "status ok: use it, but compare the interval's low end with what you need. low_confidence: do not act on it. "
+    "no_scale: only pixels. Scale arguments: see estimate_gsd."
 )
 """The meaning of ``status`` in the descriptions of the measuring tools."""
 
 
-def rounded(value: float) -> str:
-    """Format a number with three significant digits; from 100 without decimals."""
-    return significant(value)
-
-
 def interval(low: float | None, high: float | None) -> str:
     """Format an interval in brackets; empty without one."""
-    return "" if low is None or high is None else f" (95 % interval {rounded(low)} to {rounded(high)})"
+    return "" if low is None or high is None else f" (95 % interval {significant(low)} to {significant(high)})"
 
 
-def count_vehicles(number: int) -> str:
-    """Format a number of vehicles."""
-    return f"{number} vehicle{'' if number == 1 else 's'}"
+def warnings_of(records: Sequence[GsdEstimate | AreaMeasurement | DistanceMeasurement], detail: Detail) -> list[str]:
+    """Format the warnings of records once each, with the numbers of the targets that have them.
 
-
-def ruler_names(estimate: GsdEstimate) -> str:
-    """List the rulers that are probably right, the leading one first, without priors."""
-    words = [
-        count_vehicles(estimate.n_vehicles) if ruler.kind == "vehicles" else ruler.label
-        for ruler in estimate.probable_rulers
-    ]
-    return " and ".join(words) or count_vehicles(estimate.n_vehicles)
-
-
-def ruler_explanations(estimate: GsdEstimate) -> list[str]:
-    """Collect the rulers' explanations."""
-    return [ruler.explanation for ruler in estimate.rulers if ruler.explanation is not None]
-
-
-def warnings_of(records: Sequence[AreaMeasurement | DistanceMeasurement], detail: Detail = "full") -> list[str]:
-    """Format the warnings of several records once each, with the numbers of the targets that have them."""
+    Args:
+        records: of one image.
+        detail: full for all sentences of each, short for the first.
+    """
     found: dict[Notice, list[int]] = {}
     for number, record in enumerate(records, 1):
         for notice in record.warnings:
             found.setdefault(notice, []).append(number)
     return [
         f"Warning {notice.code}{'' if len(at) == len(records) else f' ({_targets(at)})'}: "
-        f"{_shortened(notice.message, detail)}"
+        f"{brief(notice.message) if detail == 'short' else notice.message}"
         for notice, at in found.items()
     ]
 
@@ -75,52 +55,28 @@ def _targets(numbers: Sequence[int]) -> str:
     return f"target{'' if len(numbers) == 1 else 's'} {', '.join(map(str, numbers))}"
 
 
-def warnings(notices: Iterable[Notice], detail: Detail = "full") -> list[str]:
-    """Format the notices: the first sentence of each, or all with full detail."""
-    return [f"Warning {notice.code}: {_shortened(notice.message, detail)}" for notice in notices]
+def verdict(record: GsdEstimate | AreaMeasurement | DistanceMeasurement) -> str:
+    """Say whether a record is usable; if not, say why and what would help."""
+    if record.status == "ok":
+        return "safe to use."
+    return f"do not rely on it{_why(record)}; {advice_on(record)}."
 
 
-def _shortened(message: str, detail: Detail) -> str:
-    first, end, _ = message.partition(". ")
-    return first + end.strip() if detail == "short" else message
+def no_scale(record: GsdEstimate | AreaMeasurement | DistanceMeasurement) -> str:
+    """Say that there is no scale, why, and what would help."""
+    return f"no ruler was found, confidence 0: no metric scale{_why(record)}; {advice_on(record)}."
 
 
-def numbered(sentences: Sequence[str]) -> str:
-    """Return a single sentence unchanged; number several, one per line."""
-    if len(sentences) == 1:
-        return sentences[0]
-    return "\n".join(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1))
-
-
-def unusable_scale(estimate: GsdEstimate | None, check: str = CHECK_VEHICLES) -> str:
-    """Say why a scale is not usable and what would help; shorter for a stated scale.
-
-    Args:
-        estimate: the record of the scale; None for a stated scale.
-        check: how the called tool checks the vehicles.
-    """
-    advice = advice_for(estimate, check)
-    if advice is None:
-        return f"do not rely on it; {ADVICE_ON_STATED}."
-    return f"do not rely on it ({advice.why}); {_with_arguments(advice.helps)}."
-
-
-def no_scale_message(estimate: GsdEstimate | None) -> str:
-    """Say that there is no scale, and what would help."""
-    text = "no ruler was found, confidence 0: no metric scale"
-    advice = advice_for(estimate)
-    return text if advice is None else f"{text} ({advice.why}); {_with_arguments(advice.helps)}"
-
-
-def _with_arguments(helps: str) -> str:
-    named = [argument for words, argument in _ARGUMENTS.items() if words in helps]
-    return f"{helps} ({', '.join(named)})" if named else helps
+def _why(record: GsdEstimate | AreaMeasurement | DistanceMeasurement) -> str:
+    """Give the reason against a scale in brackets; empty without one."""
+    advice = advice_for(record if isinstance(record, GsdEstimate) else record.estimate)
+    return "" if advice is None else f" ({advice.why})"
 
 
 def scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:
     """Name the source of a measurement's scale."""
     assert measured.gsd_m_per_px is not None
-    scale = f"scale {rounded(measured.gsd_m_per_px)} m/px"
-    if measured.estimate is None:
-        return f"{scale} as stated, confidence {measured.confidence or 0.0:.2f}"
-    return f"{scale}, confidence {measured.confidence:.2f} from {ruler_names(measured.estimate)}"
+    source = "as stated" if measured.estimate is None else f"from {ruler_names(measured.estimate)}"
+    return (
+        f"scale {significant(measured.gsd_m_per_px)} m/px {source}, scale confidence {measured.confidence or 0.0:.2f}"
+    )

@@ -51,22 +51,6 @@ def _plain(node: Any, definitions: dict[str, Any]) -> Any:
     return result
 
 
-def listed_schema(schema: dict[str, Any], listing: Listing) -> dict[str, Any]:
-    """Reduce a portable schema to what a model needs: names, types, required fields, numbers of items.
-
-    Optional arguments lose their null type. A union of an object and a text becomes the text, which every host passes
-    unchanged. The server still checks the limits of numbers and texts that are dropped here. What has the listed shape
-    has a valid shape.
-
-    Args:
-        schema: result of ``portable_schema``.
-        listing: fields and kinds of images.
-    """
-    listed = listing.listed(schema)
-    assert isinstance(listed, dict)
-    return listed
-
-
 _NOT_LISTED = {"default", "examples", "exclusiveMinimum", "minimum", "maximum", "minLength", "maxLength", "pattern"}
 
 
@@ -82,7 +66,12 @@ class Listing(NamedTuple):
     kinds: Collection[str] = ()
 
     def listed(self, node: dict[str, Any], *, described: bool = True) -> dict[str, Any]:
-        """Reduce a schema, see ``listed_schema``."""
+        """Reduce a portable schema to what a model needs: names, types, required fields, numbers of items.
+
+        Optional arguments lose their null type. A union of an object and a text becomes the text, which every host
+        passes unchanged. The server still checks the limits that are dropped here; what has the listed shape has a
+        valid shape.
+        """
         options = [option for option in node.get("anyOf", ()) if option != {"type": "null"} and self._accepted(option)]
         if {"object", "string"} == {option.get("type") for option in options}:
             options = [option for option in options if option["type"] == "string"]
@@ -93,6 +82,8 @@ class Listing(NamedTuple):
         for key, value in node.items():
             if key in _NOT_LISTED or (key == "description" and not described):
                 continue
+            if key == "additionalProperties" and not {"image", "kind"} & set(node.get("properties", ())):
+                continue  # below the arguments, only an image with fields of two kinds would be ambiguous
             if key == "properties":
                 result[key] = {
                     name: self.listed(each, described=described)

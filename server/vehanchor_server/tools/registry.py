@@ -28,10 +28,11 @@ TOOLS: tuple[Callable[[Services], StrictTool], ...] = (
 
 
 def create_tools(services: Services) -> list[StrictTool]:
-    """Create all tools for a server; a description that several list for one argument stands in the first only."""
+    """Create the models' tools; a description that several list for one argument stands in the first only."""
     tools = [create(services) for create in TOOLS]
     said: set[tuple[str, str]] = set()
     for tool in tools:
+        tool.first_image = services.sources.paths.first
         for name, argument in tool.parameters["properties"].items():
             words = (name, argument.get("description", ""))
             if words in said:

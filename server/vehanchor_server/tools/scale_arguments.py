@@ -5,34 +5,33 @@ from __future__ import annotations
 import functools
 import inspect
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeAlias, TypeVar, get_args
 
+from mcp.server.apps import client_supports_apps
 from pydantic import BeforeValidator, Field
 
 from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
-from vehanchor.options.given_scale import OBJECT_HEIGHT, ObjectHeight
 from vehanchor.options.option import Option
-from vehanchor_server.calls.reply import MAX_SIDE_PX, Detail
-from vehanchor_server.frozen import Flag, WholeNumber
+from vehanchor.options.rulers import OBJECT_HEIGHT, ObjectHeight
+from vehanchor.records import GsdEstimate
+from vehanchor_server.calls.reply import MAX_SIDE_PX, Detail, PictureRequest
+from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
+    from mcp.server.mcpserver import Context
+
     from vehanchor.measure.resolved_scale import ScaleInput
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement
     from vehanchor_server.calls.job import Job
     from vehanchor_server.models import Models
     from vehanchor_server.services import Services
     from vehanchor_server.settings import Settings
 
-OVERLAY_SIDE_PX = 1000
-_LEAST_OVERLAY_PX = 256
-
 DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
-OverlayArgument: TypeAlias = Annotated[Flag, Field(description="Also return a picture.")]
-OverlaySideArgument: TypeAlias = Annotated[
-    WholeNumber,
-    Field(ge=_LEAST_OVERLAY_PX, le=MAX_SIDE_PX, description="Longer side of that picture, pixels, at most."),
-]
+_LARGE_PX = 1000  # longer side of images in which nobody points at the first 100 px alone
+_PER_CENT = 100
 Given: TypeAlias = "Mapping[str, Any]"
 """Options that the caller gave, by keyword."""
 
@@ -40,20 +39,39 @@ UNLISTED_ARGUMENTS = (
     "detail",
     "tolerance_m",
     "object_height_m",
-    "overlay_side_px",
     *(name for name, each in declared_options().items() if not each.option.listed),
 )
 """Arguments and fields that the listed schemas hide from models; programs or the operator set them."""
 
 
-def with_options(kind: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+Subject = TypeVar("Subject")
+
+
+@dataclass(frozen=True)
+class Question(Generic[Subject]):
+    """Arguments of a call, for its work.
+
+    Attributes:
+        given: options that the caller gave.
+        wanted: the requested picture.
+        subject: what the tool measures beside the scale.
+    """
+
+    given: Given
+    wanted: PictureRequest
+    subject: Subject
+
+
+def with_options(kind: str, *, paged: bool = True) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Add the options of all measuring tools, and those of a kind, to the arguments of a tool.
 
     Args:
         kind: ``estimate`` or ``measure``.
+        paged: whether hosts show the results on the page.
 
     Returns:
-        A decorator for a function with a parameter ``given``, which gets the options that the caller gave.
+        A decorator for a function with the parameters ``given``, which gets the options that the caller gave, and
+        ``wanted``, the picture: the evidence for ``view_image``, or the image for a host with pages.
     """
 
     def decorate(tool: Callable[..., Any]) -> Callable[..., Any]:
@@ -66,12 +84,14 @@ def with_options(kind: str) -> Callable[[Callable[..., Any]], Callable[..., Any]
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
             for name, annotation in arguments.items()
         ]
-        kept = [each.replace(kind=each.KEYWORD_ONLY) for name, each in own.items() if name != "given"]
+        kept = [each.replace(kind=each.KEYWORD_ONLY) for name, each in own.items() if name not in ("given", "wanted")]
 
         @functools.wraps(tool)
-        async def with_given(**values: Any) -> Any:
+        async def with_given(*, ctx: Context[Any, Any], shown: PictureRequest | None = None, **values: Any) -> Any:
             told = {name: values.pop(name) for name in arguments}
-            return await tool(**values, given={name: value for name, value in told.items() if value is not None})
+            given = {name: value for name, value in told.items() if value is not None}
+            wanted = shown or PictureRequest("plain" if paged and client_supports_apps(ctx) else "")
+            return await tool(**values, ctx=ctx, given=given, wanted=wanted)
 
         signature = inspect.signature(tool).replace(parameters=[*kept, *added])
         with_given.__signature__ = signature  # type: ignore[attr-defined] # what the SDK reads
@@ -111,55 +131,66 @@ def scale_options(given: Given, settings: Settings, models: Models | None) -> Sc
     return operator.with_keywords({name: value for name, value in given.items() if name != "object_height_m"})
 
 
-@dataclass(frozen=True)
-class ScaleSource:
-    """Scale of a measurement.
-
-    Attributes:
-        options: options of the method.
-        scale: the known scale, or the detector that finds one.
-        object_height_m: height of the object above ground.
-    """
-
-    options: ScaleOptions
-    scale: ScaleInput
-    object_height_m: float | None
-
-
-def resolve_source(given: Given, services: Services, job: Job) -> ScaleSource:
-    """Take the measured scale from elsewhere, or the detector that finds one.
+def resolve_source(given: Given, services: Services, job: Job) -> tuple[ScaleOptions, ScaleInput]:
+    """Return the options, and the measured scale from elsewhere or the detector that finds one.
 
     Raises:
         CallError: a model cannot be loaded.
         VehAnchorError: the arguments contradict each other.
     """
-    from vehanchor.analysis.memory import RememberingDetector
     from vehanchor.analysis.pipeline import checked_detector
     from vehanchor.measure.resolved_scale import given_scale
 
-    height = given.get("object_height_m")
     if given.get("gsd_basis") == "measured":
         options = scale_options(given, services.settings, None)
         known = given_scale(options.rulers.gsd_m_per_px, None, options)
         assert known is not None
-        return ScaleSource(options, known, height)
+        return options, known
     options = scale_options(given, services.settings, services.models)
     detector = checked_detector(services.models.detector(job.runtime), options)
-    return ScaleSource(options, RememberingDetector(detector, services.models.memory), height)
+    return options, functools.partial(services.models.memory.analyse, detector)
 
 
-def copy_hint(places: Iterable[tuple[float, float]], given: Given, width_px: int, height_px: int) -> list[str]:
-    """Return a hint if the coordinates may belong to a resized copy of the image.
+def check_coordinates(places: Iterable[tuple[float, float]], given: Given) -> None:
+    """Refuse coordinates that look like fractions, also those of lines and vehicles, unless their units are named.
 
-    Args:
-        places: points in the caller's coordinates.
-        given: options of the caller, with the coordinate system.
-        width_px: width of the image.
-        height_px: height of the image.
+    Raises:
+        CallError: ``invalid_prompt``.
     """
-    factor = MAX_SIDE_PX / max(width_px, height_px)
-    if "frame" in given or given.get("coordinates", "pixels") != "pixels" or factor >= 1:
-        return []
-    if any(x > width_px * factor or y > height_px * factor for x, y in places):
-        return []
-    return [f"Check: the image has {width_px} x {height_px} px. If you used a smaller copy, give its size as frame."]
+    found = _all_places(places, given)
+    if found and "coordinates" not in given and all(0 <= value <= 1 for place in found for value in place):
+        raise CallError(
+            "invalid_prompt",
+            'all coordinates lie in 0 to 1. For shares of the sides give coordinates: "fraction", for pixels "pixels".',
+        )
+
+
+def hints(
+    places: Iterable[tuple[float, float]], given: Given, record: GsdEstimate | AreaMeasurement | DistanceMeasurement
+) -> list[str]:
+    """Return warnings about the call: what was made of a region or a stated scale, and doubtful coordinates.
+
+    Naming the units, or a frame, silences those about coordinates.
+    """
+    estimate = record if isinstance(record, GsdEstimate) else record.estimate
+    said = []
+    if "region" in given and estimate is not None and estimate.details.reference_source == "region":
+        said.append(f"Region {given['region']}: cars of {estimate.details.reference_length_m:.2f} m.")
+    if "gsd_m_per_px" in given and "gsd_tolerance" not in given:
+        said.append("The stated scale is taken as +- 10 %.")
+    found, longest = _all_places(places, given), max(record.image_width_px, record.image_height_px)
+    if not found or "frame" in given or "coordinates" in given:
+        return said
+    size, factor = f"The image has {record.image_width_px} x {record.image_height_px} px", MAX_SIDE_PX / longest
+    if longest > _LARGE_PX and all(value <= _PER_CENT for place in found for value in place):
+        said.append(f'{size}, all coordinates lie in 0 to 100. If they are pixels, give coordinates: "pixels".')
+    elif factor < 1 and all(
+        x <= record.image_width_px * factor and y <= record.image_height_px * factor for x, y in found
+    ):
+        said.append(f"{size}. If you used a smaller copy, give its size as frame.")
+    return said
+
+
+def _all_places(places: Iterable[tuple[float, float]], given: Given) -> list[tuple[float, float]]:
+    lines = (*given.get("known_lengths", ()), *given.get("add", ()))
+    return [*places, *(end for line in lines for end in ((line.x1, line.y1), (line.x2, line.y2)))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,10 +13,12 @@ from mcp.server.mcpserver.tools import Tool
 from mcp.types import CallToolResult, InputRequiredResult, ToolAnnotations
 from pydantic import Field, ValidationError
 
+from vehanchor_server.calls.reply import PictureRequest
 from vehanchor_server.errors import CallError
+from vehanchor_server.images.argument import EXAMPLE_PATH
 from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.complaints import complaints
-from vehanchor_server.tools.portable_schema import Listing, listed_schema, portable_schema
+from vehanchor_server.tools.portable_schema import Listing, portable_schema
 
 MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120
 _EXACT = 2.0**53  # above, floats are no counts
@@ -27,10 +30,12 @@ class StrictTool(Tool):
     Attributes:
         full_parameters: complete schema of the arguments; ``parameters`` is the reduced one for models.
         record_schema: schema of the complete record; ``output_schema`` has the fields of every answer.
+        first_image: finds an image of this server for examples in errors.
     """
 
     full_parameters: dict[str, Any] = Field(default_factory=dict, exclude=True)
     record_schema: dict[str, Any] = Field(default_factory=dict, exclude=True)
+    first_image: Callable[[], str | None] | None = Field(default=None, exclude=True)
 
     @classmethod
     def read_only(
@@ -41,7 +46,6 @@ class StrictTool(Tool):
         description: str,
         meta: dict[str, Any] | None = None,
         answered: Sequence[str] = (),
-        required: Sequence[str] = (),
         listing: Listing | None = None,
     ) -> StrictTool:
         """Create a read-only, idempotent tool.
@@ -53,7 +57,6 @@ class StrictTool(Tool):
             description: description for planners; clients keep 2 KB of it.
             meta: the tool's ``_meta``.
             answered: fields of the record in the listed schema; other fields need full detail. Default: all fields.
-            required: arguments that only the listed schema requires.
             listing: content of the listed schema; default: all.
         """
         annotations = ToolAnnotations(
@@ -65,22 +68,12 @@ class StrictTool(Tool):
         arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments silently
         arguments.model_rebuild(force=True)
         tool.full_parameters = portable_schema({"additionalProperties": False, **tool.parameters})
-        tool.parameters = listed_schema(tool.full_parameters, listing or Listing())
-        if required:
-            tool.parameters["required"] = [*tool.parameters.get("required", ()), *required]
+        tool.parameters = (listing or Listing()).listed(tool.full_parameters)
         if tool.fn_metadata.output_schema is not None:
             tool.record_schema = portable_schema(tool.fn_metadata.output_schema)
             tool.fn_metadata.output_schema = _answered(tool.record_schema, answered)
             tool.fn_metadata.output_model = None  # records validate short and full answers
         return tool
-
-    def faults(self, arguments: dict[str, Any]) -> list[dict[str, Any]]:
-        """Return pydantic's errors in the arguments of a call, without running it."""
-        try:
-            self.fn_metadata.arg_model.model_validate(_with_integers(arguments))
-        except ValidationError as error:
-            return [dict(each) for each in error.errors(include_url=False, include_input=False)]
-        return []
 
     async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:
         """Run the tool.
@@ -112,8 +105,26 @@ class StrictTool(Tool):
             record = result.structured_content if isinstance(result, CallToolResult) else None
             log_call(self.name, status, time.perf_counter() - started, record)
 
+    async def show(
+        self, arguments: dict[str, Any], context: Context[Any, Any], picture: PictureRequest
+    ) -> CallToolResult:
+        """Run a measuring tool for ``view_image``, which shows what the call saw.
+
+        Raises:
+            CallError: the call failed.
+        """
+        try:
+            checked = self.fn_metadata.validate_arguments(_with_integers(arguments))
+        except ValidationError as error:
+            complaint = self._complaints(error, arguments)
+            raise CallError("invalid_arguments", f"of.arguments: {complaint}") from error
+        result: CallToolResult = await self.fn(**checked, ctx=context, shown=picture)
+        return result
+
     def _complaints(self, error: ValidationError, arguments: dict[str, Any]) -> str:
-        return complaints(error, arguments, self.full_parameters, self.parameters.get("required") or ["image"])
+        words = complaints(error, arguments, self.full_parameters, self.parameters.get("required") or ["image"])
+        found = self.first_image() if self.first_image is not None else None
+        return words if found is None else words.replace(json.dumps(EXAMPLE_PATH), json.dumps(found))
 
 
 def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
@@ -122,16 +133,16 @@ def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
         return record
     types: dict[str, Any] = {}
     for name in names:
-        field = record["properties"][name]
+        field = record["properties"][name.removeprefix("scale_")]
         kinds = [option["type"] for option in field.get("anyOf", [field])]
         types[name] = {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
     return {"type": "object", "properties": types}
 
 
 def _with_integers(value: Any) -> Any:
-    """Replace 3.0 by 3, which JSON Schema takes for the same; a field of type number takes both."""
+    """Replace 3.0 by 3, which JSON Schema takes for the same, and leave out what is null."""
     if isinstance(value, dict):
-        return {name: _with_integers(each) for name, each in value.items()}
+        return {name: _with_integers(each) for name, each in value.items() if each is not None}
     if isinstance(value, list):
         return [_with_integers(each) for each in value]
     return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT else value

@@ -5,7 +5,7 @@ error of the value by its vehicles, times the root of the share of vehicles in t
 vehicles that agree by chance do not end it.
 
 The uncertainty of a scale has two parts. More vehicles reduce the statistical part; the uncertainty of the fleet's
-length remains. The search of a large image ends when the statistical part is below a third of the fleet's part at two
+length remains. The search of a large image ends when the statistical part is below 0.45 of the fleet's part at two
 checks in a row.
 
 With doubts about the vehicles, or with a scale that more vehicles may make usable, no search ends early.
@@ -22,7 +22,7 @@ from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import product
-from vehanchor.scale.lengths import MIN_KDE_VEHICLES, statistical_log_sds
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 from vehanchor.scale.posterior import answer
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.search import ImageSearch
-    from vehanchor.options.search import Effort
-    from vehanchor.rulers.view import View
+    from vehanchor.options.method import Effort
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Answer
 
 _LEAST_FLEET_LOG_SD = 0.03  # even a known fleet differs this much between parts of a town
@@ -80,10 +80,10 @@ class StopRule(NamedTuple):
     checks: int
 
 
-_PHOTOGRAPH = StopRule(share=2 / 3, change=_CHANGE, checks=1)
-_PHOTOGRAPH_FAST = StopRule(share=1.0, change=_FAST_CHANGE, checks=1)
-_LARGE = StopRule(share=1 / 3, change=math.inf, checks=2)
-_LARGE_FAST = StopRule(share=2 / 3, change=math.inf, checks=1)
+_PHOTOGRAPH = StopRule(share=0.9, change=_CHANGE, checks=1)
+_PHOTOGRAPH_FAST = StopRule(share=1.35, change=_FAST_CHANGE, checks=1)
+_LARGE = StopRule(share=0.45, change=math.inf, checks=2)
+_LARGE_FAST = StopRule(share=0.9, change=math.inf, checks=1)
 
 
 def stop_rule(effort: Effort, n_pixels: int) -> StopRule:
@@ -103,9 +103,7 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
     rule = stop_rule(view.options.search.effort, view.image.width_px * view.image.height_px)
     checks: list[Convergence] = []
     for unseen_share in search:
-        check = convergence_of(search, view, embed=False)._replace(unseen_share=unseen_share)
-        if is_narrow(check, rule):  # most checks fail without the appearance, which costs more than the rest
-            check = convergence_of(search, view, embed=True)._replace(unseen_share=unseen_share)
+        check = convergence(replace(view, detections=search.found()))._replace(unseen_share=unseen_share)
         if check.density is not None:
             search.leave_out(check.density)
         checks.append(check)
@@ -113,34 +111,20 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
             search.stop()
 
 
-def convergence_of(search: ImageSearch, view: View, *, embed: bool) -> Convergence:
-    """Measure the uncertainty of the scale of an unfinished search.
-
-    Args:
-        search: of the image.
-        view: of the image, without detections.
-        embed: whether to predict the vehicles' appearance.
-    """
-    return convergence(replace(view, detections=search.found(embed=embed)))
-
-
 def convergence(view: View) -> Convergence:
     """Measure how far more vehicles would change the scale found so far, by the vehicles and the prior alone."""
-    priors = [ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale]
+    measured = (ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale)
+    priors = [each for each in measured if each is not None]
     vehicles = Vehicles().measure(view)
-    mode_px, lengths = vehicles.paper.mode_length_px, vehicles.fleet.lengths
-    if mode_px is None:
+    if not vehicles.found:
         return Convergence(math.inf, 0.0, doubted=True)
-    scores = vehicles.fleet.scores if vehicles.paper.aggregation == "weighted_kde" else None
-    resampling, spread = statistical_log_sds(lengths, mode_px, scores=scores)
+    resampling, spread = vehicles.statistical_log_sds
     found = answer([vehicles, *priors])
     return Convergence(
         math.hypot(resampling, spread),
         vehicles.reference.log_sd,
         doubted=vehicles.doubted or found is None or not _is_settled(found),
-        value_log_sd=math.hypot(resampling, vehicles.reference.sampling_log_sd)
-        if vehicles.n >= MIN_KDE_VEHICLES
-        else math.inf,
+        value_log_sd=resampling if vehicles.n >= MIN_KDE_VEHICLES else math.inf,
         density=product(vehicles.density, *(prior.density for prior in priors if prior.found)),
     )
 

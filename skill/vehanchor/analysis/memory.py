@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from vehanchor.analysis.pipeline import analyse_raster
@@ -29,39 +28,22 @@ class AnalysisMemory:
         self._found: OrderedDict[tuple[str, str, str], ScaleAnalysis] = OrderedDict()
         self._lock = threading.Lock()
 
-    def analyse(self, raster: Raster, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
+    def analyse(self, detector: Detector, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:
         """Return the analysis of an open image; see ``vehanchor.analysis.pipeline.analyse_raster``.
 
         A search with a time limit is not remembered, because its result depends on the machine.
         """
         if options.search.max_seconds is not None:
-            return analyse_raster(raster, detector, options)
+            return analyse_raster(detector, raster, options)
         key = image_id(raster), detector.card.sha256, repr(options)
         with self._lock:
             known = self._found.get(key)
             if known is not None:
                 self._found.move_to_end(key)
                 return known
-        analysis = analyse_raster(raster, detector, options)
+        analysis = analyse_raster(detector, raster, options)
         with self._lock:
             self._found[key] = analysis
             while len(self._found) > _MOST:
                 self._found.popitem(last=False)
         return analysis
-
-
-@dataclass(frozen=True)
-class RememberingDetector:
-    """Detector with a memory of its analyses.
-
-    Attributes:
-        detector: the model.
-        memory: of its analyses.
-    """
-
-    detector: Detector
-    memory: AnalysisMemory
-
-    def analyse(self, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:
-        """Return the analysis of an open image."""
-        return self.memory.analyse(raster, self.detector, options)

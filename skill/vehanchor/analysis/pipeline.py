@@ -26,6 +26,7 @@ from vehanchor.imagery.identity import begin_image_id
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.records import (
     ConfidenceTerms,
+    EstimateDetails,
     FrameScale,
     GsdEstimate,
     KnownScale,
@@ -35,19 +36,18 @@ from vehanchor.records import (
     VehiclesByHand,
 )
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.disagreements import disagreements
-from vehanchor.rulers.measurement import measure_all
+from vehanchor.rulers.measurement import disagreements, measure_all
 from vehanchor.rulers.reference import reference_length
-from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class, uses
+from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.stated_scale import StatedScale
-from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.rulers.view import View
+from vehanchor.rulers.vehicles import measured_vehicles
+from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judged, sharing
-from vehanchor.scale.reliability import STRETCH
-from vehanchor.tilt.camera_tilt import metadata_tilt
-from vehanchor.tilt.suspected import tilt_notice
+from vehanchor.scale.reliability import NO_ONE_SCALE
+from vehanchor.tilt.camera_tilt import metadata_tilt, tilt_notice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from vehanchor.scale.posterior import Remark, Witness
 
 _MODEL_DIGITS = 12
+_NO_ONE_SCALE = (NoticeCode.STRETCHED, NoticeCode.TILT_SUSPECTED)
 _SAME_SCALE = 0.02  # of the log: a stated scale this near to the answer repeats it; a choice
 GEOREFERENCE_TOLERANCE = 0.10  # largest difference of the file's own scale without a warning
 
@@ -79,12 +80,12 @@ def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions)
     """Open an image, search it and measure its scale; see ``Engine.analyse_scale``."""
     reading = options.reading
     with open_raster(image, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
-        analysis = analyse_raster(raster, detector, options)
+        analysis = analyse_raster(detector, raster, options)
     seen = image if can_be_read_again(image) else None
     return replace(analysis, image=seen, reading=reading, ground=raster.ground)
 
 
-def analyse_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
+def analyse_raster(detector: Detector, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:
     """Search an open image and measure its scale, with the detector's runtime."""
     return analyse_view(search_raster(raster, detector, options))
 
@@ -133,51 +134,47 @@ def search_raster(
     return replace(view, image=facts._replace(image_id=image_id()), detections=detections)
 
 
-def analyse_view(view: View, known: Sequence[Witness] = ()) -> ScaleAnalysis:
+def analyse_view(view: View, known: Sequence[Witness] | None = None) -> ScaleAnalysis:
     """Measure the scale of a searched image; one search can serve several options.
 
     Args:
-        view: of the image; without a tilt, that of the metadata is taken.
-        known: earlier witnesses, which are not measured again.
+        view: of the image, with its tilt.
+        known: as in ``vehanchor.rulers.measurement.measure_all``.
 
     Raises:
         InvalidParameterError: the model does not know the region, or a ruler does not exist.
         CalibrationMismatchError: the calibration was made for another model.
-        TooObliqueError: the horizon is visible, or nearly so.
     """
-    if view.tilt is None:
-        view = replace(view, tilt=metadata_tilt(view.image, view.options))
-    vehicles, others = measure_all(view, known)
-    notices = tilt_notice(view.image, view.options, view.detections) if view.tilt is None and vehicles.n else ()
-    return conclude(view, vehicles, others, notices)
+    witnesses = measure_all(view, known)
+    vehicles = measured_vehicles(witnesses)
+    doubtful = view.tilt is None and vehicles is not None and vehicles.found
+    return conclude(view, witnesses, tilt_notice(view.image, view.options, view.detections) if doubtful else ())
 
 
-def conclude(
-    view: View, vehicles: VehicleWitness, others: tuple[Witness, ...], notices: Sequence[Notice] = ()
-) -> ScaleAnalysis:
+def conclude(view: View, measured: tuple[Witness, ...], notices: Sequence[Notice] = ()) -> ScaleAnalysis:
     """Decide on the scale, and make the record.
 
     Args:
         view: of the image.
-        vehicles: their witness.
-        others: witnesses of the other rulers.
+        measured: witnesses of all rulers.
         notices: of the tilt.
     """
-    witnesses: tuple[Witness, ...] = _without_repetition((vehicles, *others))
-    if vehicles.stretched:
-        witnesses = tuple(sharing(each, STRETCH, "disagree") if each.found else each for each in witnesses)
+    witnesses = _without_repetition(measured)
+    own = notices_of(notice for each in witnesses for notice in each.notices)
+    if any(notice.code in _NO_ONE_SCALE for notice in (*own, *notices)):
+        witnesses = tuple(sharing(each, NO_ONE_SCALE, "disagree") if each.found else each for each in witnesses)
+    vehicles = measured_vehicles(witnesses)
     if view.options.method.preset == "paper":
         found, decided = None, _by_paper(vehicles)
     else:
         found = answer(witnesses)
-        decided = _no_scale(others) if found is None else _Decided.of(found, witnesses)
-    own = (notice for each in witnesses for notice in each.notices)
-    warnings = [*notices_of(view.image.notices), *notices_of(own), *notices]
+        decided = _no_scale(witnesses) if found is None else _Decided.of(found, witnesses)
+    warnings = [*notices_of(view.image.notices), *own, *notices]
     warnings += [] if found is None else disagreements(witnesses, found)
     warnings += georeference_notice(view.image.georeference_gsd_m_per_px, decided.gsd_m_per_px, "the rulers say")
-    record = _record(view, vehicles, others, decided, tuple(warnings))
-    rectified = view.tilt is not None and uses(view.options.rulers, Vehicles.kind)
-    return ScaleAnalysis(record, vehicles, others, view.detections if rectified else None, answer=found)
+    record = _record(view, witnesses, decided, tuple(warnings))
+    shown = NOT_SEARCHED if vehicles is None else view.detections
+    return ScaleAnalysis(record, measured, shown, answer=found)
 
 
 def _without_repetition(witnesses: tuple[Witness, ...]) -> tuple[Witness, ...]:
@@ -209,57 +206,37 @@ class _Decided(NamedTuple):
         return cls(found.gsd_m_per_px, found.interval, found.chance, found.reason, kind, rulers)
 
 
-def _by_paper(vehicles: VehicleWitness) -> _Decided:
+def _by_paper(vehicles: VehicleWitness | None) -> _Decided:
     """Decide by the published method, for the preset ``paper``."""
-    paper = vehicles.paper
-    if paper.gsd_m_per_px is None:
+    if vehicles is None or vehicles.paper.gsd_m_per_px is None:
         return _Decided(None, None, 0.0, "too_few")
+    paper = vehicles.paper
     rulers = (_ruler_scale(replace(vehicles, gsd_m_per_px=paper.gsd_m_per_px), paper.confidence),)
     reason = paper.reason(vehicles.n)
     return _Decided(paper.gsd_m_per_px, paper.interval, paper.confidence, reason, vehicles.kind, rulers)
 
 
-def _no_scale(others: Sequence[Witness]) -> _Decided:
+def _no_scale(witnesses: Sequence[Witness]) -> _Decided:
     """Say why there is no scale: the scene looks too coarse for cars, or no ruler found anything."""
-    priors = [each.interval for each in others if not each.sets_scale and each.interval is not None]
+    priors = [each.interval for each in witnesses if not each.sets_scale and each.interval is not None]
     coarse = any(interval.low > GUARD_GSD_M_PER_PX for interval in priors)
     return _Decided(None, None, 0.0, "too_coarse" if coarse else "too_few")
 
 
-def _record(
-    view: View,
-    vehicles: VehicleWitness,
-    others: Sequence[Witness],
-    decided: _Decided,
-    warnings: tuple[Notice, ...],
-) -> GsdEstimate:
-    image, paper = view.image, vehicles.paper
+def _record(view: View, witnesses: Sequence[Witness], decided: _Decided, warnings: tuple[Notice, ...]) -> GsdEstimate:
+    image, vehicles = view.image, measured_vehicles(witnesses)
     gsd, interval = decided.gsd_m_per_px, decided.interval
     return GsdEstimate(
         status="no_scale" if gsd is None else "low_confidence" if decided.reason else "ok",
         gsd_m_per_px=gsd,
         confidence=decided.confidence,
-        n_vehicles=vehicles.n,
-        mode_length_px=paper.mode_length_px,
+        n_vehicles=None if vehicles is None else vehicles.n,
+        mode_length_px=None if vehicles is None else vehicles.mode_length_px,
         gsd_ci95_low_m_per_px=interval and interval.low,
         gsd_ci95_high_m_per_px=interval and interval.high,
         reason=decided.reason,
-        scene_scale=next((_scene_scale(other) for other in others if other.kind == SceneScale.kind), None),
         leading_ruler=decided.leading,
         rulers=decided.rulers,
-        n_detections=len(vehicles.fleet.detections.boxes),
-        working_scale=vehicles.fleet.working_scale,
-        by_hand=_by_hand(view.detections),
-        tiles_searched=view.detections.n_tiles,
-        tiles_total=view.detections.n_tiles_total or view.detections.n_tiles,
-        candidates_skipped=view.detections.n_skipped,
-        stopped_because=view.detections.stopped_because,
-        aggregation=paper.aggregation,
-        reference_length_m=vehicles.reference.length_m,
-        reference_source=vehicles.reference.source,
-        resolution_guard=paper.guarded,
-        composite_confidence=paper.confidence,
-        confidence_terms=ConfidenceTerms(**paper.terms._asdict()),
         image_width_px=image.width_px,
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
@@ -267,8 +244,31 @@ def _record(
         frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
         scale=_known_scale(view, gsd, interval, decided.confidence),
         model=view.card.name,
-        model_sha256=view.card.sha256,
         warnings=warnings,
+        details=_details(view, vehicles, witnesses),
+    )
+
+
+def _details(view: View, vehicles: VehicleWitness | None, witnesses: Sequence[Witness]) -> EstimateDetails:
+    searched = view.detections
+    paper, reference = (None, None) if vehicles is None else (vehicles.paper, vehicles.reference)
+    return EstimateDetails(
+        preset=view.options.method.preset,
+        scene_scale=next((_scene_scale(each) for each in witnesses if each.kind == SceneScale.kind), None),
+        n_detections=None if vehicles is None else len(vehicles.fleet.detections.boxes),
+        by_hand=_by_hand(searched),
+        working_scale=None if vehicles is None else vehicles.fleet.working_scale,
+        tiles_searched=searched.n_tiles,
+        tiles_total=searched.n_tiles_total or searched.n_tiles,
+        candidates_skipped=searched.n_skipped,
+        stopped_because=searched.stopped_because,
+        aggregation=None if vehicles is None else vehicles.aggregation,
+        reference_length_m=reference and reference.length_m,
+        reference_source=reference and reference.source,
+        resolution_guard=paper and paper.guarded,
+        composite_confidence=paper and paper.confidence,
+        confidence_terms=paper and ConfidenceTerms(**paper.terms._asdict()),
+        model_sha256=view.card.sha256,
     )
 
 
@@ -290,6 +290,7 @@ def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:
         gsd_ci95_high_m_per_px=interval.high,
         n=witness.n,
         p_right=min(1.0, p_right),
+        probably_right=p_right >= PROBABLY_RIGHT,
         explanation=witness.said,
     )
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehanchor.analysis.analysis import Analysis, import_supervision
+from vehanchor.rulers.vehicles import measured_vehicles
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,9 +30,8 @@ class ScaleAnalysis(Analysis):
 
     Attributes:
         estimate: the record.
-        vehicles: witness of the vehicles, with the boxes that were dropped.
-        others: witnesses of the other rulers.
-        in_image: the vehicles in pixels of the image, if the evidence has rectified boxes; None otherwise.
+        witnesses: of all rulers.
+        detections: all vehicles found, in pixels of the image: ``boxes`` and ``scores``, best first.
         image: source to read the image from again; None for a stream.
         reading: options of reading; None for the defaults.
         ground: position of the image on the ground; None without a georeference.
@@ -39,38 +39,34 @@ class ScaleAnalysis(Analysis):
     """
 
     estimate: GsdEstimate
-    vehicles: VehicleWitness
-    others: tuple[Witness, ...] = ()
-    in_image: Detections | None = None
+    witnesses: tuple[Witness, ...]
+    detections: Detections
     image: ImageSource | None = None
     reading: Reading | None = None
     ground: Ground | None = None
     answer: Answer | None = None
 
     @property
-    def detections(self) -> Detections:
-        """All vehicles found: ``boxes`` and ``scores``, best first."""
-        return self.in_image or self.vehicles.fleet.detections
+    def vehicles(self) -> VehicleWitness | None:
+        """Witness of the vehicles; None if the caller excludes them."""
+        return measured_vehicles(self.witnesses)
 
     @property
     def kept(self) -> NDArray[np.bool_]:
         """``[n]`` bool, the vehicles behind the scale."""
-        return self.vehicles.fleet.kept
+        vehicles = self.vehicles
+        return np.zeros(0, dtype=bool) if vehicles is None else vehicles.fleet.kept
 
     @property
     def marks(self) -> tuple[Mark, ...]:
-        """Lines that other rulers measured, in pixels of the image."""
-        return tuple(mark for other in self.others for mark in other.marks)
-
-    @property
-    def guard_length_px(self) -> float:
-        """``P_thresh`` of the resolution guard."""
-        return self.vehicles.guard_length_px
+        """Lines that rulers measured, in pixels of the image."""
+        return tuple(mark for each in self.witnesses for mark in each.marks)
 
     @property
     def resolved(self) -> float:
-        """Share of the pixels' resolution at which there is detail."""
-        return self.vehicles.resolved
+        """Share of the pixels' resolution at which there is detail; 1 without vehicles."""
+        vehicles = self.vehicles
+        return 1.0 if vehicles is None else vehicles.resolved
 
     def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
         from vehanchor.pictures.scale import draw_overlay

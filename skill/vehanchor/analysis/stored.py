@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.detections import Detections, Objects
+from vehanchor.detection.detections import Detections, Looks, Objects
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -25,7 +24,7 @@ _CLASSES: dict[str, type[Any]] = {
     "shared": Shared,
     "witness": Witness,
     "lack": Lack,
-    "fleet_appearance": FleetAppearance,
+    "looks": Looks,
     "image_facts": ImageFacts,
     "interval": Interval,
     "mark": Mark,

@@ -13,14 +13,19 @@ if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
 
 _NOT_IN_TABLES = ("frame",)  # belongs to one image
+_NESTED = ("rulers", "tilt", "scale", "details")
+_ERROR = {"error_code": str, "error": str}
 
 COLUMNS: dict[str, type] = {
     "file": str,
-    **flat_columns(GsdEstimate, without=_NOT_IN_TABLES),
-    "error_code": str,
-    "error": str,
+    **flat_columns(GsdEstimate, without=(*_NOT_IN_TABLES, *_NESTED)),
+    "tilt_deg": float,
+    **_ERROR,
 }
 """Columns of a table and the types of their values, in order; see ``vehanchor.records.flat``."""
+
+ALL_COLUMNS: dict[str, type] = {"file": str, **flat_columns(GsdEstimate, without=_NOT_IN_TABLES), **_ERROR}
+"""Columns of a table with details."""
 
 
 class BatchRow(BaseModel):
@@ -47,7 +52,7 @@ class BatchRow(BaseModel):
 
     def flat(self) -> dict[str, Any]:
         """Give the row's values by column; those of the estimate are null for an image with an error."""
-        values = dict.fromkeys(COLUMNS)
+        values = dict.fromkeys(ALL_COLUMNS)
         if self.estimate is not None:
             values |= flat_row(self.estimate, without=_NOT_IN_TABLES)
         return {**values, "file": self.file, "error_code": self.error_code, "error": self.error}

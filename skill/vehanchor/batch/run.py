@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
-from vehanchor.batch.row import BatchRow
+from vehanchor.batch.row import ALL_COLUMNS, COLUMNS, BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, MadeRow, Task
 from vehanchor.detection.detector import Detector
@@ -98,55 +98,55 @@ def run_batch(
     classes: Sequence[str | int] | None = None,
     options: ScaleOptions | None = None,
     known_lengths: str | os.PathLike[str] | None = None,
+    details: bool = False,
     overwrite: bool = False,
     runtime: Runtime | None = None,
 ) -> BatchSummary:
     """Estimate the scales of many images, and write a table with a row for each.
 
     Rows do not depend on the engine or the number of workers; their order is that of ``find_images``. Until the table
-    is complete, rows are kept in ``<output>.journal``: after an interruption, the same call makes only rows that are
-    missing or whose image has changed. An unreadable image has a row with ``error_code`` and ``error``.
+    is complete, rows are kept in ``<output>.journal``, from which an interrupted call goes on. An unreadable image has
+    a row with ``error_code`` and ``error``.
 
     Args:
         inputs: directories, patterns and files; see ``find_images``.
         output: ``.parquet`` (extra ``parquet``), ``.csv`` or ``.jsonl``.
         engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with a model per actor.
-        address: address of a Ray cluster; None starts one on this machine.
-        workers: number of parallel models; default one per CPU of the machine or cluster.
+        address: of a Ray cluster; None starts one on this machine.
+        workers: number of models; default one per CPU of the machine or cluster.
         detector: name of a bundled model or path of an ONNX file; default the bundled one.
-        classes: classes of the model, by name or index, that count as vehicles; default the model's own.
-        options: all options of the method, without a frame.
+        classes: classes of the model that count as vehicles; default the model's own.
+        options: of the method, without a frame.
         known_lengths: CSV with lines of known length by image; see ``read_known_lengths``.
-        overwrite: start again; an existing table stays until the new one is complete.
-        runtime: providers and precision of the models, each on one thread; its progress gets (images done, images in
-            all).
+        details: write all columns.
+        overwrite: start again; a table stays until the new one is complete.
+        runtime: providers of the models, each on one thread; its progress gets (images done, images in all).
 
     Raises:
-        ImageNotFoundError: a directory does not exist, or a directory or pattern has no image.
+        ImageNotFoundError: a directory does not exist, or it or a pattern has no image.
         InvalidParameterError: an option is invalid, or an unfinished run at ``output`` had other options.
         KnownLengthError: the CSV cannot be used, or names another image.
-        OutputError: the table exists, or cannot be written.
-        ModelError: the detector cannot be used.
+        OutputError, ModelError: the table exists or cannot be written, or the detector cannot be used.
         MissingExtraError: Ray or pyarrow is not installed.
         WorkerDiedError: a worker was killed.
     """
-    table, chosen, told = check_table_path(Path(output)), options or ScaleOptions(), runtime or Runtime()
+    table, chosen, told = _unfinished(Path(output), overwrite), options or ScaleOptions(), runtime or Runtime()
     _check(engine, address, workers, chosen)
-    _check_unfinished(table, overwrite)
     tasks = list(map(Task.of, find_images(inputs, leave_out=(table, journal_path(table)))))
-    lines = lines_in(known_lengths, [task.path for task in tasks])
-    job = replace(_job(detector, classes, chosen, replace(told.idle, threads=1)), known_lengths=lines)
+    job = _job(detector, classes, chosen, replace(told.idle, threads=1))
+    job = replace(job, known_lengths=lines_in(known_lengths, [task.path for task in tasks]))
     with open_journal(table, job, anew=overwrite) as journal:  # the table itself stays until the new one is complete
-        started, times, keys = time.monotonic(), [], {task.file: task.key() for task in tasks}  # their present state
+        started, times, keys = time.monotonic(), [], {task.file: task.key() for task in tasks}
         missing = [task for task in tasks if keys[task.file] not in journal]
         with closing(_rows(engine, job, missing, workers, address)) as rows:
             for made in _counting(rows, len(tasks) - len(missing), len(tasks), told.tell):
                 journal.add(keys[made.row.file], made.row)
                 times.append((made.seconds, made.waited_s))
-        statuses, reasons = write_counted(table, journal.values(keys[task.file] for task in tasks))
+        made_rows = journal.values(keys[task.file] for task in tasks)
+        counts = write_counted(table, made_rows, ALL_COLUMNS if details else COLUMNS)
         journal.remove()
     pace = Pace.of(time.monotonic() - started, times)
-    return BatchSummary(table, len(tasks), len(tasks) - len(missing), statuses, reasons, pace)
+    return BatchSummary(table, len(tasks), len(tasks) - len(missing), *counts, pace)
 
 
 def journal_path(table: Path) -> Path:
@@ -195,7 +195,7 @@ def _job(
 ) -> BatchJob:
     """Make the job; load the model once to find its errors before the work."""
     named = tuple(classes) if classes else None
-    path = resolve_model(None if detector is None else str(detector), runtime.precision)
+    path = resolve_model(None if detector is None else str(detector))
     model = checked_detector(Detector(path, classes=named, runtime=runtime), options)
     bundled = model.path in bundled_models().values()  # its path may differ on other machines of a cluster
     name = model.path.stem if bundled else str(model.path.resolve())
@@ -216,9 +216,12 @@ def _check(engine: str, address: str | None, workers: int | None, options: Scale
     options.by_hand.check_single()
 
 
-def _check_unfinished(table: Path, overwrite: bool) -> None:
+def _unfinished(output: Path, overwrite: bool) -> Path:
+    """Check the path of a table: of a known format, and not yet complete."""
+    table = check_table_path(output)
     if table.exists() and not journal_path(table).exists() and not overwrite:
         raise OutputError(f"{str(table)!r} exists and is complete: name another file, or pass --overwrite")
+    return table
 
 
 def _rows(
@@ -242,7 +245,9 @@ def _counting(
         tell(number, n_tasks)
 
 
-def write_counted(table: Path, rows: Iterable[BatchRow]) -> tuple[dict[str, int], dict[str, int]]:
+def write_counted(
+    table: Path, rows: Iterable[BatchRow], columns: Mapping[str, type]
+) -> tuple[dict[str, int], dict[str, int]]:
     """Write the table; return the number of rows by status and by reason."""
     statuses: Counter[str] = Counter()
     reasons: Counter[str] = Counter()
@@ -255,5 +260,5 @@ def write_counted(table: Path, rows: Iterable[BatchRow]) -> tuple[dict[str, int]
                 reasons[reason] += 1
             yield row
 
-    write_table(table, counted())
+    write_table(table, counted(), columns)
     return dict(statuses), dict(reasons)

@@ -54,7 +54,7 @@ def write_table(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]
     Args:
         path: ``.parquet``, ``.csv`` or ``.jsonl``, checked by ``check_table_path``.
         rows: in order; not all are held in memory.
-        columns: names and types of their values, in order.
+        columns: names and types of their values, in order; other values of a row are left out.
 
     Raises:
         OutputError: the file cannot be written.
@@ -63,10 +63,11 @@ def write_table(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]
         _WRITERS[path.suffix.lower()](partial, rows, columns)
 
 
-def _write_jsonl(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]) -> None:  # noqa: ARG001 - named in each row
+def _write_jsonl(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]) -> None:
     with path.open("w", encoding="ascii", newline="\n") as file:
         for row in rows:
-            file.write(json.dumps(row.flat(), allow_nan=False) + "\n")
+            values = row.flat()
+            file.write(json.dumps({name: values[name] for name in columns}, allow_nan=False) + "\n")
 
 
 def _write_csv(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]) -> None:
@@ -74,7 +75,8 @@ def _write_csv(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type])
         writer = csv.DictWriter(file, list(columns), lineterminator="\n")
         writer.writeheader()
         for row in rows:
-            writer.writerow({name: in_cell(value) for name, value in row.flat().items()})
+            values = row.flat()
+            writer.writerow({name: in_cell(values[name]) for name in columns})
 
 
 def _write_parquet(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]) -> None:

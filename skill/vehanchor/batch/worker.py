@@ -133,7 +133,7 @@ class Worker:
         try:
             options = with_lines_of(self._options, self._known_lengths, task.path)
             with opened.result() as raster:
-                estimate = analyse_raster(raster, self._detector, options).estimate
+                estimate = analyse_raster(self._detector, raster, options).estimate
         except VehAnchorError as error:
             return BatchRow.failed(task.file, error)
         except MemoryError:

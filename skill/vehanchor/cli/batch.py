@@ -14,6 +14,7 @@ from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import FAILED, INTERRUPTED, exit_on_error, image_progress, printable
 from vehanchor.errors import InvalidParameterError
+from vehanchor.records.text import ADVICE, count
 
 if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
@@ -65,6 +66,9 @@ def batch(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
     ] = False,
+    details: Annotated[
+        bool, typer.Option("--details", help="Write all columns, also of the search and of each ruler.")
+    ] = False,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
     *,
@@ -78,13 +82,13 @@ def batch(
         started = time.monotonic()
         with image_progress() as progress:
             if measure is not None:
-                if engine is not _Engine.local or workers or known_lengths:
-                    raise InvalidParameterError("--measure excludes --engine, --workers and --known-lengths")
+                if engine is not _Engine.local or workers or known_lengths or details:
+                    raise InvalidParameterError("--measure excludes --engine, --workers, --known-lengths and --details")
                 from vehanchor.cli.batch_targets import measure_table
 
                 measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
                 return
-            common = {"known_lengths": known_lengths, "overwrite": overwrite}
+            common = {"known_lengths": known_lengths, "details": details, "overwrite": overwrite}
             try:
                 machines = {"engine": engine.value, "address": address, "workers": workers}
                 summary = _each(inputs, output, chosen, runtime=chosen.runtime(progress), **machines, **common)
@@ -121,19 +125,13 @@ def _summary_text(summary: BatchSummary, seconds: float) -> str:
         waiting = f"{pace.busy:.1f} workers busy, {pace.waiting:.0%} of it waiting for images"
         rate = f", {pace.images_per_s:.3g} a second ({waiting}; bounded by {pace.bounded_by})"
     return (
-        f"{printable(str(summary.table))}: {_counted(summary.n_rows, 'row')} ({', '.join(counts)}){resumed}; "
-        f"{_counted(made, 'image')} in {seconds:.1f} s{rate}"
+        f"{printable(str(summary.table))}: {count(summary.n_rows, 'row')} ({', '.join(counts)}){resumed}; "
+        f"{count(made, 'image')} in {seconds:.1f} s{rate}"
     )
 
 
 def _advice(summary: BatchSummary) -> list[str]:
     """Say how many images have no usable scale for each reason, and the remedy."""
-    from vehanchor.records.advice import ADVICE
-
     advice = {str(reason): f"{each.why}; {each.helps}" for reason, each in ADVICE.items()}
     most_first = sorted(summary.reasons.items(), key=lambda item: -item[1])
     return [f"{n} x {reason}: {advice.get(reason, 'see the column error')}" for reason, n in most_first]
-
-
-def _counted(n: int, noun: str) -> str:
-    return f"{n} {noun}{'s' * (n != 1)}"

@@ -20,7 +20,7 @@ from vehanchor.measure.targets import TARGET_COLUMNS, TargetRow, measure_targets
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vehanchor.engine.engine import Engine
+    from vehanchor.engine import Engine
 
 _SHOWN_ERRORS = 10
 _OUTCOMES = ("ok", "low_confidence", "no_scale", "error")

@@ -123,7 +123,7 @@ class ParsedOptions:
         Raises:
             InvalidParameterError: the threads or the providers are invalid.
         """
-        given = {name: self.values[name] for name in ("threads", "providers", "precision") if name in self.values}
+        given = {name: self.values[name] for name in ("threads", "providers") if name in self.values}
         return Runtime(**given, progress=progress)
 
     def engine(

@@ -9,6 +9,7 @@ import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
+from vehanchor.cli.outputs import check_outputs, chosen_outputs, write_outputs
 from vehanchor.cli.spaced import SpacedCommand, parse_point
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
@@ -24,11 +25,8 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import VehAnchorError
-from vehanchor.export.geojson import check_geojson_path
-from vehanchor.storage.atomic import check_apart
 
 if TYPE_CHECKING:
-    from vehanchor.analysis.measured import DistanceAnalysis
     from vehanchor.records import DistanceMeasurement
 
 
@@ -65,7 +63,8 @@ def _distance(
         try:
             path, known = [parse_point("--point", text) for text in point or ()], read_scale(scale, image)
             engine = chosen.engine()
-            _check_outputs(image, line, overlay)
+            outputs = chosen_outputs(line=line, overlay=overlay)
+            check_outputs([image], outputs.items())
             with tile_progress(1, lines_on_terminal=as_json) as step:
                 analysis = engine.analyse_distance(
                     image,
@@ -85,33 +84,12 @@ def _distance(
         else:
             print_table(facts_table(image, _facts(record)))
             print_warnings(record, "")
-        _write_files(analysis, line, overlay)
+        write_outputs(analysis, outputs)
         exit_strictly(strict, [record.status])
 
 
 distance = typer.Typer(add_completion=False)
 distance.command("distance", cls=SpacedCommand)(_distance)
-
-
-def _check_outputs(image: str, line: Path | None, overlay: Path | None) -> None:
-    """Check, before the work, that the files can be written and do not replace the image."""
-    if line is not None:
-        check_geojson_path(line)
-    if overlay is not None:
-        from vehanchor.pictures.scale import check_picture_path
-
-        check_apart(check_picture_path(overlay), image)
-
-
-def _write_files(analysis: DistanceAnalysis, line: Path | None, overlay: Path | None) -> None:
-    if line is not None:
-        from vehanchor.export.geojson import write_measured
-
-        write_measured(line, analysis)
-    if overlay is not None:
-        from vehanchor.pictures.scale import write_picture
-
-        write_picture(overlay, analysis.overlay())
 
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:

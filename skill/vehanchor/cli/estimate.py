@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
-from vehanchor.cli.metric_outputs import refusal, write_metric_outputs
+from vehanchor.cli.outputs import check_outputs, write_outputs
 from vehanchor.cli.terminal import (
     BAD_INPUT,
     NOT_OK,
@@ -28,19 +28,17 @@ from vehanchor.cli.terminal import (
     scale_text,
     tile_progress,
     under_one_folder,
+    vehicles_text,
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
-from vehanchor.export.geojson import check_geojson_path
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
-from vehanchor.records.advice import advice_for
-from vehanchor.records.digits import significant
+from vehanchor.records.text import advice_for, significant
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.engine import Engine
-    from vehanchor.records import GsdEstimate, RulerScale, TiltEstimate
+    from vehanchor.records import EstimateDetails, GsdEstimate, RulerScale, TiltEstimate
 
 _STEM = "{stem}"
 _SHORT_SHA = 12
@@ -110,7 +108,8 @@ def estimate(
             _refuse_folders(images)
             if len(images) > 1:
                 chosen.options().by_hand.check_single()
-            outputs = _outputs(images, _Patterns(overlay, plot, boxes, scale_bar, geotiff))
+            files = {"overlay": overlay, "plot": plot, "boxes": boxes, "scale_bar": scale_bar, "geotiff": geotiff}
+            outputs = _outputs(images, files)
             engine = chosen.engine()
             engine.load()
         except VehAnchorError as error:
@@ -137,7 +136,7 @@ def _refuse_folders(images: Sequence[str]) -> None:
 
 
 def _estimate_all(
-    images: Sequence[str], engine: Engine, outputs: Sequence[_Outputs], *, as_json: bool
+    images: Sequence[str], engine: Engine, outputs: Sequence[Mapping[str, Path]], *, as_json: bool
 ) -> tuple[list[tuple[str, GsdEstimate]], int, int]:
     """Estimate all images; return the records, the number of errors, and of images without metric outputs."""
     rows: list[tuple[str, GsdEstimate]] = []
@@ -156,69 +155,24 @@ def _estimate_all(
                 print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
             rows.append((source, analysis.estimate))
             try:
-                n_refused += not _write_outputs(analysis, source, outputs[number])
+                why = write_outputs(analysis, outputs[number])
+                if why is not None:
+                    n_refused += 1
+                    print(printable(f"{source}: no scale bar and no GeoTIFF: {why}"), file=sys.stderr)
             except VehAnchorError as error:
                 n_failed += 1
                 report(error, source if len(images) > 1 else "")
     return rows, n_failed, n_refused
 
 
-class _Patterns(NamedTuple):
-    """Names of output files, with ``{stem}`` for several images; by option."""
-
-    overlay: str | None
-    plot: str | None
-    boxes: str | None
-    scale_bar: str | None
-    geotiff: str | None
+def _outputs(images: Sequence[str], patterns: Mapping[str, str | None]) -> list[dict[str, Path]]:
+    """Choose the output files of each image by their options, and check them before the work."""
+    named = {name: _names(images, f"--{name.replace('_', '-')}", each) for name, each in patterns.items() if each}
+    check_outputs(images, ((name, path) for name, paths in named.items() for path in paths))
+    return [{name: paths[number] for name, paths in named.items()} for number in range(len(images))]
 
 
-class _Outputs(NamedTuple):
-    """Output files of one image, by option."""
-
-    overlay: Path | None
-    plot: Path | None
-    boxes: Path | None
-    scale_bar: Path | None
-    geotiff: Path | None
-
-
-def _outputs(images: Sequence[str], patterns: _Patterns) -> list[_Outputs]:
-    """Choose the output files of each image, and check folder, suffix and conflicts before the work."""
-    if patterns.plot is not None:
-        from vehanchor.pictures.plot import require_plots
-
-        require_plots()
-    named = [_names(images, f"--{name.replace('_', '-')}", each) for name, each in patterns._asdict().items()]
-    inputs = {Path(source).resolve() for source in images}
-    seen: set[Path] = set()
-    for name, paths in zip(_Outputs._fields, named, strict=True):
-        for path in filter(None, paths):
-            resolved = _checked(name, path).resolve()
-            if resolved in inputs:
-                raise InvalidParameterError(f"{str(path)!r} is one of the images: writing there would destroy it")
-            if resolved in seen:
-                raise InvalidParameterError(f"two files would both be written to {str(path)!r}: choose other names")
-            seen.add(resolved)
-    return [_Outputs(*paths) for paths in zip(*named, strict=True)]
-
-
-def _checked(name: str, path: Path) -> Path:
-    """Check folder and suffix of an output file."""
-    if name == "boxes":
-        return check_geojson_path(path)
-    if name == "geotiff":
-        from vehanchor.export.geotiff import check_copy_path
-
-        return check_copy_path(path)
-    from vehanchor.pictures.scale import check_picture_path
-
-    return check_picture_path(path)
-
-
-def _names(images: Sequence[str], option: str, pattern: str | None) -> list[Path | None]:
-    if pattern is None:
-        return [None] * len(images)
+def _names(images: Sequence[str], option: str, pattern: str) -> list[Path]:
     if len(images) > 1 and _STEM not in pattern:
         raise InvalidParameterError(
             f"{option} {pattern!r} names one file for {len(images)} images: add {_STEM} to the name, as in "
@@ -227,37 +181,13 @@ def _names(images: Sequence[str], option: str, pattern: str | None) -> list[Path
     return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
 
 
-def _write_outputs(analysis: ScaleAnalysis, source: str, outputs: _Outputs) -> bool:
-    """Write the files of one image; return False if it has no scale for the metric ones."""
-    if outputs.overlay is not None:
-        from vehanchor.pictures.scale import write_picture
-
-        write_picture(outputs.overlay, analysis.overlay())
-    if outputs.plot is not None:
-        from vehanchor.pictures.plot import write_plot
-
-        write_plot(outputs.plot, analysis.plot())
-    if outputs.boxes is not None:
-        from vehanchor.export.geojson import write_boxes
-
-        write_boxes(outputs.boxes, analysis)
-    if outputs.scale_bar is None and outputs.geotiff is None:
-        return True
-    why = refusal(analysis.estimate)
-    if why is None:
-        write_metric_outputs(analysis, outputs.scale_bar, outputs.geotiff)
-    else:
-        print(printable(f"{source}: no scale bar and no GeoTIFF: {why}"), file=sys.stderr)
-    return why is None
-
-
 def _estimate_table(source: str, record: GsdEstimate) -> Table:
     fused = any(ruler.sets_scale and ruler.kind != "vehicles" for ruler in record.rulers)
-    guard = "; the vehicles are too coarse" if record.resolution_guard and not fused else ""
+    guard = "; the vehicles are too coarse" if record.details.resolution_guard and not fused else ""
     facts = [
         ("scale", scale_text(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)),
         ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
-        ("vehicles", _vehicles_text(record)),
+        ("vehicles", vehicles_text(record)),
     ]
     if fused:
         facts += [("" if row else "rulers", _ruler_text(ruler)) for row, ruler in enumerate(record.rulers)]
@@ -265,10 +195,7 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         facts.append(("not usable", f"{advice.why}: {advice.helps}"))
     size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is not None and record.mode_length_px is not None:
-        found_at = f", found at {record.working_scale:g} of the size" if record.working_scale not in (None, 1) else ""
-        told = " by the vehicles' appearance" if record.reference_source == "appearance" else ""
-        found = f"{record.mode_length_px:.1f} px ({record.aggregation})"
-        facts.append(("modal length", f"{found} = {significant(record.reference_length_m, 4)} m{told}{found_at}"))
+        facts.append(("modal length", _length_text(record.mode_length_px, record.details)))
     if record.gsd_m_per_px is not None and record.tilt is None:
         width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
         size += f" = {significant(width_m, 4)} x {significant(height_m, 4)} m"
@@ -281,15 +208,16 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         facts.append(("your frame", f"{seen.width_px} x {seen.height_px} px: {scale}"))
     if record.georeference_gsd_m_per_px is not None:
         facts.append(("file's own scale", f"{significant(record.georeference_gsd_m_per_px, 4)} m/px"))
-    facts.append(("model", f"{record.model} ({record.model_sha256[:_SHORT_SHA]})"))
+    facts.append(("model", f"{record.model} ({record.details.model_sha256[:_SHORT_SHA]})"))
     return facts_table(source, facts)
 
 
-def _vehicles_text(record: GsdEstimate) -> str:
-    if record.stopped_because is None:
-        return "not searched"
-    kept, told = f"{record.n_vehicles} kept of {record.n_detections} found", record.by_hand
-    return f"{kept}; by hand: {told.summary}" if told else kept
+def _length_text(mode_px: float, details: EstimateDetails) -> str:
+    scale = details.working_scale
+    found_at = "" if scale is None or scale == 1 else f", found at {scale:g} of the size"
+    told = " by the vehicles' appearance" if details.reference_source == "appearance" else ""
+    metres = significant(details.reference_length_m or 0, 4)
+    return f"{mode_px:.1f} px ({details.aggregation}) = {metres} m{told}{found_at}"
 
 
 def _ruler_text(ruler: RulerScale) -> str:
@@ -325,7 +253,7 @@ def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
             "-" if record.gsd_m_per_px is None else significant(record.gsd_m_per_px, 4),
             "-" if low is None or high is None else f"{significant(low, 4)} to {significant(high, 4)}",
             f"{record.confidence:.2f}",
-            str(record.n_vehicles),
+            "-" if record.n_vehicles is None else str(record.n_vehicles),
             record.status,
         )
     return table

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
+from vehanchor.options.rulers import GSD, OBJECT_HEIGHT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

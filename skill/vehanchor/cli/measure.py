@@ -9,6 +9,7 @@ import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
+from vehanchor.cli.outputs import check_outputs, chosen_outputs, write_outputs
 from vehanchor.cli.spaced import SpacedCommand, parse_point
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
@@ -23,17 +24,15 @@ from vehanchor.cli.terminal import (
     quantity_text,
     scale_text,
     tile_progress,
+    vehicles_text,
 )
-from vehanchor.errors import InvalidParameterError, OutputError, VehAnchorError
-from vehanchor.export.geojson import check_geojson_path
+from vehanchor.errors import VehAnchorError
 from vehanchor.options.models import SEGMENTER
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.analysis.measured import AreaAnalysis
-    from vehanchor.options import ScaleOptions
     from vehanchor.records import AreaMeasurement, OtherObject
 
 _SHORT_SHA = 12
@@ -86,7 +85,8 @@ def _measure(
     """Measure the area (square metres) of the object in a box or at a point, with the scale from cars in the image."""
     with exit_on_error():
         try:
-            outputs = _outputs(image, overlay, mask, outline)
+            outputs = chosen_outputs(outline=outline, overlay=overlay, mask=mask)
+            check_outputs([image], outputs.items())
             engine, known = chosen.engine(segmenter=segmenter), read_scale(scale, image)
             with tile_progress(1, lines_on_terminal=as_json) as step:
                 analysis = engine.analyse_area(
@@ -107,7 +107,7 @@ def _measure(
         else:
             print_table(facts_table(image, _facts(analysis.measurement)))
             print_warnings(analysis.measurement, "")
-        _write_files(analysis, engine.options, *outputs, outline)
+        write_outputs(analysis, outputs)
         exit_strictly(strict, [analysis.measurement.status])
 
 
@@ -119,51 +119,6 @@ def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tupl
     """Join the points of both options; None without any."""
     given = (("--point", on, True), ("--negative", beside, False))
     return [(*parse_point(option, text), kind) for option, texts, kind in given for text in texts or ()] or None
-
-
-def _outputs(
-    image: str, overlay: str | None, mask: str | None, outline: Path | None
-) -> tuple[Path | None, Path | None]:
-    """Choose the output files, and check folder, suffix and conflicts before the work."""
-    if outline is not None:
-        check_geojson_path(outline)
-    chosen = [None if name is None else Path(name) for name in (overlay, mask)]
-    if any(chosen):
-        from vehanchor.pictures.scale import check_picture_path
-
-        taken = {Path(image).resolve(): "the image itself"}
-        for path, what in zip(chosen, ("the overlay", "the mask"), strict=True):
-            if path is None:
-                continue
-            resolved = check_picture_path(path).resolve()
-            if resolved in taken:
-                raise InvalidParameterError(f"{str(path)!r} is {taken[resolved]}: choose another name for {what}")
-            taken[resolved] = what
-        if chosen[1] is not None and chosen[1].suffix.lower() != ".png":
-            raise OutputError(f"cannot write a mask as {str(chosen[1])!r}: use .png, which is lossless")
-    return chosen[0], chosen[1]
-
-
-def _write_files(
-    analysis: AreaAnalysis,
-    options: ScaleOptions,
-    overlay: Path | None,
-    mask: Path | None,
-    outline: Path | None,
-) -> None:
-    if outline is not None:
-        from vehanchor.export.geojson import write_measured
-
-        write_measured(outline, analysis)
-    if overlay is None and mask is None:
-        return
-    from vehanchor.pictures.area import full_mask
-    from vehanchor.pictures.scale import write_picture
-
-    if overlay is not None:
-        write_picture(overlay, analysis.overlay())
-    if mask is not None:
-        write_picture(mask, full_mask(analysis, options.reading.limits.max_pixels))
 
 
 def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
@@ -194,7 +149,7 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
         facts += [
             ("scale", scale_text(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)),
             ("confidence", f"{scale.confidence:.2f}   {STATUS_TEXTS[scale.status]}"),
-            ("vehicles", f"{scale.n_vehicles} kept of {scale.n_detections} found"),
+            ("vehicles", vehicles_text(scale)),
         ]
     facts.append(("status", record.status))
     facts.append(("segmenter", f"{record.segmenter} ({record.segmenter_sha256[:_SHORT_SHA]})"))

@@ -139,7 +139,9 @@ def show_model(
             return
         card = model.card
         size = "any" if model.fixed_size is None else f"{model.fixed_size[1]} x {model.fixed_size[0]} px"
-        regions = ", ".join(f"{name} {length:.4g} m" for name, length in sorted(card.region_lengths_m.items()))
+        regions = ", ".join(
+            f"{name} {length:.4g} m" for name, length in sorted((card.bodies or card).region_lengths_m.items())
+        )
         facts = [
             ("file", str(model.path)),
             ("input", size),
@@ -153,14 +155,13 @@ def show_model(
 def _card_facts(engine: Engine, *, sha_digits: int) -> list[tuple[str, str]]:
     card = engine.detector.card
     shortest, longest = card.length_range_px
-    fleets = card.fleet_lengths
-    told = "" if fleets is None else f"; by appearance {fleets.length_m[0]:.4g} to {fleets.length_m[1]:.4g} m"
+    length_m, sd_m = (card.bodies or card).reference_length_m, (card.bodies or card).reference_length_sd_m
     unbiased = f"; measured without bias from {card.min_length_px:g} px" if card.min_length_px else ""
     return [
         ("sha256", card.sha256[:sha_digits]),
         (
             "reference length",
-            f"{card.reference_length_m:.4g} m, sd {card.reference_length_sd_m:.2g} m between regions{told}",
+            f"{length_m:.4g} m, sd {sd_m:.2g} m between regions",
         ),
         ("vehicle lengths", f"{shortest:g} to {longest:g} px{unbiased}"),
         ("minimum score", f"{card.min_score:g}"),

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, TextIO, TypeAlias
 import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
-from vehanchor.records.digits import with_interval
 from vehanchor.records.foreign_text import on_one_line
+from vehanchor.records.text import by_hand_text, with_interval
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from vehanchor.records import Notice
+    from vehanchor.records import GsdEstimate, Notice
 
 BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
 NOT_OK = 3  # with --strict: a result that is not usable
@@ -240,3 +240,11 @@ def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:
         folder = ""
     folder = "" if folder == "." else folder
     return folder, [os.path.relpath(name, folder) if folder else name for name in names]
+
+
+def vehicles_text(record: GsdEstimate) -> str:
+    """Count the vehicles of an estimate."""
+    if record.n_vehicles is None:
+        return "not searched"
+    by_hand = by_hand_text(record)
+    return f"{record.n_vehicles} kept of {record.details.n_detections} found{by_hand and f'; {by_hand}'}"

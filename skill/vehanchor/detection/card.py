@@ -10,7 +10,6 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from vehanchor.detection.appearance import FleetLengths
 from vehanchor.errors import ModelContractError
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
 from vehanchor.scale.votes import Votes
@@ -44,6 +43,20 @@ class _Card(BaseModel):
 _CardT = TypeVar("_CardT", bound=_Card)
 
 
+class BodyLengths(_Card):
+    """Lengths of cars' bodies, bumper to bumper.
+
+    Attributes:
+        reference_length_m: usual modal length, metres.
+        reference_length_sd_m: standard deviation between regions, metres.
+        region_lengths_m: modal length by region, metres.
+    """
+
+    reference_length_m: _VehicleLength
+    reference_length_sd_m: _VehicleSpread
+    region_lengths_m: dict[str, _VehicleLength]
+
+
 class DetectorCard(_Card):
     """Model card of a detector.
 
@@ -61,13 +74,11 @@ class DetectorCard(_Card):
         search_scales: whether the model should also run at reduced resolutions.
         aggregation: default rule for the modal length.
         stride_px: the sides of the input are multiples of it.
-        fleet_lengths: calibration of the fleet network to a reference length; None without that network.
-        fleet_sha256: checksum of the fleet network's file.
+        bodies: lengths of cars' bodies; None without a chip network, when the lengths are those of boxes.
         verifier_sha256: checksum of the verifier's file; None without one. With a verifier, ``min_score`` is the
             verifier's.
-        car_verifier_sha256: checksum of the car verifier's file; None without one.
+        chips_sha256: checksum of the chip network's file; None without one.
         votes: calibration of the boxes' votes; None if it was never fitted, as for other people's models.
-        quantised_from: name of the detector from which this one was quantised; it shares that one's auxiliary models.
     """
 
     name: str
@@ -83,12 +94,10 @@ class DetectorCard(_Card):
     search_scales: bool = False
     aggregation: Aggregation = "kde"
     stride_px: Annotated[int, Field(ge=1, le=_MAX_STRIDE_PX)] = _STRIDE_PX
-    fleet_lengths: FleetLengths | None = None
-    fleet_sha256: str | None = None
+    bodies: BodyLengths | None = None
     verifier_sha256: str | None = None
-    car_verifier_sha256: str | None = None
+    chips_sha256: str | None = None
     votes: Votes | None = None
-    quantised_from: str | None = None
 
     @field_validator("length_range_px")
     @classmethod
@@ -113,26 +122,6 @@ class AuxiliaryCard(_Card):
 _AuxiliaryCardT = TypeVar("_AuxiliaryCardT", bound=AuxiliaryCard)
 
 
-class FleetCard(AuxiliaryCard):
-    """Model card of a fleet network.
-
-    Attributes:
-        lengths: calibration of its predictions to a reference length.
-    """
-
-    lengths: FleetLengths
-
-    @field_validator("lengths")
-    @classmethod
-    def _in_order(cls, value: FleetLengths) -> FleetLengths:
-        short, long = value.log_lengths
-        if not (short < long and value.neutral_vehicles > 0 and value.sd_m >= 0):
-            raise ValueError("expected rising log_lengths, length_m and neutral_vehicles > 0, and sd_m >= 0")
-        if not (LEAST_VEHICLE_M <= min(value.length_m) <= max(value.length_m) <= LARGEST_VEHICLE_M >= value.sd_m):
-            raise ValueError(f"expected length_m, {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m, and sd_m no longer")
-        return value
-
-
 class VerifierCard(AuxiliaryCard):
     """Model card of a verifier.
 
@@ -148,17 +137,19 @@ class VerifierCard(AuxiliaryCard):
     min_score: _Share
 
 
-class CarVerifierCard(AuxiliaryCard):
-    """Model card of a car verifier.
+class ChipCard(AuxiliaryCard):
+    """Model card of a chip network.
 
     Attributes:
-        weights: terms of the combined score's logit: weight of the search's logit, weight of the car verifier's logit,
+        weights: terms of the combined score's logit: weight of the search's logit, weight of the chip network's logit,
             and bias. The search's logit includes the size odds.
         least_score: detections with at least this score of the search are candidates.
+        bodies: lengths of cars' bodies.
     """
 
     weights: tuple[_Weight, _Weight, float]
     least_score: _Share
+    bodies: BodyLengths
 
 
 def _class_names(text: str) -> dict[int, str]:
@@ -188,10 +179,8 @@ def _region_lengths(text: str) -> dict[str, Any]:
     return dict(json.loads(text).items())
 
 
-def _fleet_lengths(text: str) -> FleetLengths:
-    stated: dict[str, Any] = dict(json.loads(text).items())
-    (low, high), (short, long) = stated.pop("log_lengths"), stated.pop("length_m")
-    return FleetLengths((low, high), (short, long), **stated)
+def _bodies(text: str) -> BodyLengths:
+    return BodyLengths(**json.loads(text))
 
 
 def _votes(text: str) -> Votes:
@@ -227,7 +216,6 @@ _DETECTOR_ENTRIES: dict[str, _Entry] = {
     "aggregation": ("vehanchor.aggregation", str, "a name"),
     "stride_px": ("stride", _whole, "a whole number >= 1"),
     "votes": ("vehanchor.votes", _votes, "a JSON object of the fields of Votes"),
-    "quantised_from": ("vehanchor.quantised_from", str, "a detector's name"),
 }
 _FOR_DETECTOR: dict[str, _Entry] = {"detector": ("vehanchor.detector", str, "a detector's name")}
 _VERIFIER_ENTRIES: dict[str, _Entry] = {
@@ -236,23 +224,20 @@ _VERIFIER_ENTRIES: dict[str, _Entry] = {
     "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
     "min_score": ("vehanchor.min_score", float, "a number from 0 to 1"),
 }
-_FLEET_ENTRIES: dict[str, _Entry] = {
+_CHIP_ENTRIES: dict[str, _Entry] = {
     **_FOR_DETECTOR,
-    "lengths": (
-        "vehanchor.fleet_lengths",
-        _fleet_lengths,
-        "a JSON object of log_lengths, length_m, sd_m and neutral_vehicles",
+    "weights": ("vehanchor.weights", _range, "three numbers, 'search,chips,bias'"),
+    "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
+    "bodies": (
+        "vehanchor.bodies",
+        _bodies,
+        f"a JSON object of {', '.join(BodyLengths.model_fields)}: lengths of {LEAST_VEHICLE_M:g} to "
+        f"{LARGEST_VEHICLE_M:g} m",
     ),
 }
-_CAR_VERIFIER_ENTRIES: dict[str, _Entry] = {
-    **_FOR_DETECTOR,
-    "weights": ("vehanchor.weights", _range, "three numbers, 'search,verifier,bias'"),
-    "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
-}
 _AUXILIARY_ENTRIES: dict[type[AuxiliaryCard], dict[str, _Entry]] = {
-    FleetCard: _FLEET_ENTRIES,
     VerifierCard: _VERIFIER_ENTRIES,
-    CarVerifierCard: _CAR_VERIFIER_ENTRIES,
+    ChipCard: _CHIP_ENTRIES,
 }
 
 
@@ -293,9 +278,8 @@ def read_detector_card(
     path: Path,
     sha256: str,
     metadata: Mapping[str, str],
-    fleet: FleetCard | None = None,
     verifier: VerifierCard | None = None,
-    car_verifier: CarVerifierCard | None = None,
+    chips: ChipCard | None = None,
 ) -> DetectorCard:
     """Read the model card of a detector.
 
@@ -303,9 +287,8 @@ def read_detector_card(
         path: path of the file; its stem is the name of a model whose metadata have none.
         sha256: checksum of the file.
         metadata: metadata of the file.
-        fleet: card of the fleet network; None without one.
         verifier: card of the verifier; None without one.
-        car_verifier: card of the car verifier; None without one.
+        chips: card of the chip network; None without one.
 
     Returns:
         The card, with the paper's values for missing entries.
@@ -327,18 +310,16 @@ def read_detector_card(
     lengths = {name: values["reference_length_m"] * ratio for name, ratio in _REGION_RATIOS.items()}
     regions = {name: length for name, length in lengths.items() if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M}
     values["region_lengths_m"] = regions | values.get("region_lengths_m", {})
-    for network, kind in ((fleet, "fleet network"), (verifier, "verifier"), (car_verifier, "car verifier")):
-        if network is not None and network.detector not in (values["name"], values.get("quantised_from")):
+    for network, kind in ((verifier, "verifier"), (chips, "chip network")):
+        if network is not None and network.detector != values["name"]:
             raise ModelContractError(
                 f"the {kind} of {path} was made for the detector {network.detector!r}, and this is "
                 f"{values['name']!r}: remove its file, or state this name in its metadata 'vehanchor.detector'"
             )
-    if fleet is not None:
-        values |= {"fleet_lengths": fleet.lengths, "fleet_sha256": fleet.sha256}
     if verifier is not None:
         values |= {"min_score": verifier.min_score, "verifier_sha256": verifier.sha256}
-    if car_verifier is not None:
-        values |= {"car_verifier_sha256": car_verifier.sha256}
+    if chips is not None:
+        values |= {"bodies": chips.bodies, "chips_sha256": chips.sha256}
     return _validated(DetectorCard, path, metadata, _DETECTOR_ENTRIES, {**values, "sha256": sha256})
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detections import Detections
     from vehanchor.options import Frame
-    from vehanchor.options.by_hand import ByHand
+    from vehanchor.options.rulers import ByHand
 
 _STATED_SCORE = 0.99  # the caller can be wrong, too
 _POINTED_SD_PX = 2.0  # error of an end, in pixels where it was pointed at; our assumption
@@ -53,7 +53,7 @@ def corrected(
     kept = ~np.isin(numbers, by_hand.drop) & ~overlaps
     n_added = len(added)
 
-    fleet, classes = detections.fleet, detections.classes
+    looks, classes = detections.looks, detections.classes
     if classes is not None:
         classes = np.concatenate([classes[kept], np.full(n_added, _commonest(classes), np.intp)])
     return replace(
@@ -61,7 +61,7 @@ def corrected(
         boxes=np.concatenate([detections.boxes[kept], added]),
         scores=_joined(detections.scores[kept], n_added, _STATED_SCORE),
         scales=None if detections.scales is None else _joined(detections.scales[kept], n_added, 1.0),
-        fleet=None if fleet is None else fleet.take(kept[: len(fleet.log_odds)]),
+        looks=None if looks is None else looks.take(kept[: len(looks)]),
         classes=classes,
         corrections=Corrections(
             numbers=np.concatenate([numbers[kept], found + 1 + np.arange(n_added)]),

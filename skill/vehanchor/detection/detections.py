@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.detection.appearance import FleetAppearance
     from vehanchor.scale.defaults import Stopped
 
 
@@ -47,6 +46,32 @@ class Objects:
         )
 
 
+class Looks(NamedTuple):
+    """Sizes of vehicles by their appearance.
+
+    Attributes:
+        log_lengths: ``[n]`` float64, log of the metres that each body's length in pixels stands for.
+        log_sds: ``[n]`` float64, their standard deviations.
+        logits: ``[n]`` float64, log odds of a small vehicle in a fitting box, before calibration.
+    """
+
+    log_lengths: NDArray[np.float64]
+    log_sds: NDArray[np.float64]
+    logits: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.log_lengths)
+
+    def take(self, kept: NDArray[np.bool_] | NDArray[np.intp]) -> Looks:
+        """Select vehicles by a mask ``[n]``, or by indices in their order."""
+        return Looks(*(each[kept] for each in self))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Looks]) -> Looks:
+        """Concatenate the vehicles of at least one part."""
+        return cls(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+
 class Corrections(NamedTuple):
     """Vehicles of a search after the caller's corrections.
 
@@ -69,14 +94,14 @@ class Detections:
 
     Attributes:
         boxes: ``[n, 5]`` float64 rows ``(x, y, length, width, angle)`` of the vehicles, in image pixels and radians,
-            best score first, then vehicles that the caller added.
+            those with looks first, then best score first, then vehicles that the caller added.
         scores: ``[n]`` float64 in [0, 1].
         n_tiles: number of tiles that were searched.
         n_capped_tiles: number of tiles in which an end-to-end model filled all its rows, so that vehicles may be
             missing.
         scales: ``[n]`` float64, scale of the image in which each was found: 1, 0.5, 0.25 or 0.125; None for a search
             at full resolution only.
-        fleet: predictions of the fleet network for the first m = min(n, 100) vehicles; None without that network.
+        looks: sizes of the first m = min(n, 64) vehicles by their appearance; None without a chip network.
         classes: ``[n]`` int, class index of each vehicle; None without classes, as for labels.
         others: objects of the model's other classes, in image pixels, best score first; overlapping boxes are merged
             within a class, not between classes.
@@ -89,7 +114,6 @@ class Detections:
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
         areas: ``[m, 4]`` left, top, right and bottom of the visited tiles at the resolution of most vehicles, in pixels
             of the image; None if the search did not end early.
-        verified: whether the car verifier scored the vehicles.
     """
 
     boxes: NDArray[np.float64]
@@ -97,7 +121,7 @@ class Detections:
     n_tiles: int = 1
     n_capped_tiles: int = 0
     scales: NDArray[np.float64] | None = None
-    fleet: FleetAppearance | None = None
+    looks: Looks | None = None
     classes: NDArray[np.intp] | None = None
     others: Objects = field(default_factory=Objects.joined)
     n_tiles_total: int | None = None
@@ -106,7 +130,6 @@ class Detections:
     corrections: Corrections | None = None
     n_skipped: int = 0
     areas: NDArray[np.float64] | None = None
-    verified: bool = False
 
     def covers(self, x_px: float, y_px: float) -> bool:
         """Test whether the search reached a place; rulers need not look where cars could not change the scale."""

@@ -13,19 +13,18 @@ import cv2
 import numpy as np
 
 from vehanchor.detection.boxes import canonical_boxes
-from vehanchor.detection.car_verifier import CarVerifier
 from vehanchor.detection.card import read_detector_card
+from vehanchor.detection.chips import ChipNetwork
 from vehanchor.detection.classes import vehicle_classes
 from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract
 from vehanchor.detection.detections import Objects
-from vehanchor.detection.fleet import FleetNetwork
 from vehanchor.detection.verifier import Verifier
 from vehanchor.errors import ModelContractError
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import car_verifier_beside, fleet_beside, verifier_beside
+from vehanchor.models.zoo import chips_beside, verifier_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -75,20 +74,17 @@ class Detector(LoadedModel):
         path: the ONNX file.
         classes: class names (in either spelling) or indices that count as vehicles; by default "small vehicle", else
             "car" or "vehicle", else the only class under any name.
-        fleet: file of the fleet network; by default the file beside the detector, ``<stem>.fleet.onnx`` (the bundled
-            one for a bundled detector). Without one, the appearance of vehicles is not used.
-        verifier: file of the verifier; by default the file beside the detector, ``<stem>.verifier.onnx``. Without one,
-            the detector's scores are used unchanged.
-        car_verifier: file of the car verifier; by default the file beside the detector,
-            ``<stem>.car-verifier.onnx``. Without a verifier it is not used.
+        verifier: file of the verifier; by default the file beside the detector, ``<stem>.verifier.onnx`` (the bundled
+            one for a bundled detector). Without one, the detector's scores are used unchanged.
+        chips: file of the chip network; by default the file beside the detector, ``<stem>.chips.onnx``. Without one,
+            the detector's boxes are used unchanged.
         runtime: how to open the detector and its auxiliary models; None for the defaults.
 
     Attributes:
         path: the ONNX file.
         card: model card.
-        fleet: the fleet network; None without one.
         verifier: the verifier, which ``search`` applies; None without one.
-        car_verifier: the car verifier, which ``search`` applies to few vehicles; None without one.
+        chips: the chip network, which ``search`` applies at its end; None without one.
         runtime: how the detector was opened, and the call that it runs for.
         fixed_size: height and width of the model's input, pixels; None if they are free.
 
@@ -104,27 +100,23 @@ class Detector(LoadedModel):
         path: str | Path,
         *,
         classes: Sequence[str | int] | None = None,
-        fleet: str | Path | None = None,
         verifier: str | Path | None = None,
-        car_verifier: str | Path | None = None,
+        chips: str | Path | None = None,
         runtime: Runtime | None = None,
     ) -> None:
         self.path, self.runtime = Path(path), runtime or Runtime()
         file = read_model(self.path)
         self._session = open_session(self.path, content=file.content, runtime=self.runtime)
-        fleet_path = fleet if fleet is not None else fleet_beside(self.path)
-        self.fleet = None if fleet_path is None else FleetNetwork(fleet_path, runtime=self.runtime)
         verifier_path = verifier if verifier is not None else verifier_beside(self.path)
         self.verifier = None if verifier_path is None else Verifier(verifier_path, runtime=self.runtime)
-        car_path = car_verifier if car_verifier is not None else car_verifier_beside(self.path)
-        self.car_verifier = None if car_path is None else CarVerifier(car_path, runtime=self.runtime)
+        chips_path = chips if chips is not None else chips_beside(self.path)
+        self.chips = None if chips_path is None else ChipNetwork(chips_path, runtime=self.runtime)
         self.card = read_detector_card(
             self.path,
             models_sha256(file),
             self._session.get_modelmeta().custom_metadata_map,
-            None if self.fleet is None else self.fleet.card,
             None if self.verifier is None else self.verifier.card,
-            None if self.car_verifier is None else self.car_verifier.card,
+            None if self.chips is None else self.chips.card,
         )
         self._input = self._checked_input()
         self._dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
@@ -139,9 +131,8 @@ class Detector(LoadedModel):
         """Bind the detector and its auxiliary models to one call; see ``LoadedModel.under``."""
         bound = super().under(call)
         if bound is not self:
-            bound.fleet = self.fleet and self.fleet.under(call)
             bound.verifier = self.verifier and self.verifier.under(call)
-            bound.car_verifier = self.car_verifier and self.car_verifier.under(call)
+            bound.chips = self.chips and self.chips.under(call)
         return bound
 
     def _refuse(self, found: str) -> ModelContractError:
@@ -270,18 +261,10 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
         ModelError: as ``Detector``.
     """
     file, chosen = Path(path), runtime or Runtime()
-    loaded = _loaded(
-        file,
-        fleet=fleet_beside(file),
-        verifier=verifier_beside(file),
-        car_verifier=car_verifier_beside(file),
-        runtime=chosen.idle,
-    )
+    loaded = _loaded(file, verifier=verifier_beside(file), chips=chips_beside(file), runtime=chosen.idle)
     return loaded.under(chosen)
 
 
 @file_cached(max_models=4)
-def _loaded(
-    path: Path, *, fleet: Path | None, verifier: Path | None, car_verifier: Path | None, runtime: Runtime
-) -> Detector:
-    return Detector(path, fleet=fleet, verifier=verifier, car_verifier=car_verifier, runtime=runtime)
+def _loaded(path: Path, *, verifier: Path | None, chips: Path | None, runtime: Runtime) -> Detector:
+    return Detector(path, verifier=verifier, chips=chips, runtime=runtime)

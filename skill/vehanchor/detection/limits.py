@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from vehanchor.options.search import Search
+    from vehanchor.options.method import Search
 
 ANYTIME_PIXELS = 4_000_000
 """Smaller images are searched at every resolution that may show cars, unless tiles or seconds are limited."""

@@ -18,7 +18,7 @@ def networks_sha256(card: DetectorCard) -> str:
     A result is stale once one of them has changed.
     """
     digest = hashlib.sha256()
-    for checksum in (card.sha256, card.fleet_sha256, card.verifier_sha256, card.car_verifier_sha256):
+    for checksum in (card.sha256, card.verifier_sha256, card.chips_sha256):
         digest.update(f"{checksum}\n".encode())
     for path in (bundled_scene_scale(), bundled_courts()):
         digest.update(models_sha256(read_model(path)).encode() if path else b"\n")

@@ -1,8 +1,8 @@
 """Proportions of an image, from its vehicles: whether its width and height have different scales.
 
-Boxes cannot tell: the detector draws a car's proportions into a stretched image, too. The verifiers can. Their chips
-are cut with the image's width reduced and enlarged by a factor of 1.4. In an image of true proportions neither suits
-cars better.
+Boxes cannot tell: the detector draws a car's proportions into a stretched image, too. The networks that score them can.
+Their chips are cut with the image's width reduced and enlarged by a factor of 1.4. In an image of true proportions
+neither suits cars better.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from vehanchor.detection import car_verifier, verifier
+from vehanchor.detection import chips, verifier
 from vehanchor.detection.verifier import surroundings
 from vehanchor.imagery.tiles import read_around
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.detection.car_verifier import CarVerifier
+    from vehanchor.detection.chips import ChipNetwork
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
 
@@ -33,7 +33,7 @@ _SD_OF_ONE = 0.7  # least standard deviation of the preferences of single vehicl
 _SD_OF_PLACES = 0.55  # of the mean preference between images of true proportions, train split
 _LIMIT_SIGMAS = 2.75  # 0 of 243 images of true proportions have more; 87 of 100 of those stretched by 1.4
 _PARALLEL = 0.75  # least mean resultant length of doubled headings of vehicles that stand alike
-_LIMIT_PARALLEL, _LIMIT_CROSSED = 0.6, 0.25  # 0 of 82 images of true proportions have more; 82 of 135 stretched by 1.4
+_LIMIT_PARALLEL, _LIMIT_CROSSED = 0.7, 0.28  # 1 of 172 images of true proportions has more; 176 of 294 stretched by 1.4
 
 
 def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> float | None:
@@ -64,8 +64,8 @@ def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> fl
     return float(gains.mean()) / math.sqrt(variance) / _LIMIT_SIGMAS
 
 
-def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: CarVerifier) -> float | None:
-    """Compute how surely a few vehicles prefer a narrower or a wider image, by the car verifier.
+def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: ChipNetwork) -> float | None:
+    """Compute how surely a few vehicles prefer a narrower or a wider image, by the chip network.
 
     A stretched image suits cars worse than one of the two others, and better than the other one. The measure is the
     smaller of both differences of the mean logits, where the second one counts a third. Parallel vehicles must say it
@@ -73,7 +73,7 @@ def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: CarVerif
 
     Args:
         raster: the image.
-        boxes: ``[n, 5]`` the car verifier's vehicles, as for ``stretch``.
+        boxes: ``[n, 5]`` bodies of vehicles, as for ``stretch``.
         network: scores their chips.
 
     Returns:
@@ -82,15 +82,20 @@ def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: CarVerif
     if len(boxes) < _LEAST_VERIFIED:
         return None
     chosen = boxes[:_MOST_VERIFIED]
-    chip = car_verifier.CHIP_PX, car_verifier.CHIP_LENGTH_PX
+    side = chips.CHIP_COLUMNS, chips.CHIP_LENGTH_PX
     narrower, same, wider = (
-        float(np.clip(network.verify(_chips(raster, chosen, width, *chip)).logit, -_MOST_LOGIT, _MOST_LOGIT).mean())
-        for width in (1 / _FACTOR, 1.0, _FACTOR)
+        _suits(network, _chips(raster, chosen, width, *side)) for width in (1 / _FACTOR, 1.0, _FACTOR)
     )
     too_wide = max(0.0, min(narrower - same, (narrower - wider) / 3))
     too_high = max(0.0, min(wider - same, (wider - narrower) / 3))
     parallel = abs(np.exp(2j * chosen[:, 4]).mean()) >= _PARALLEL
     return (too_wide - too_high) / (_LIMIT_PARALLEL if parallel else _LIMIT_CROSSED)
+
+
+def _suits(network: ChipNetwork, squares: NDArray[np.uint8]) -> float:
+    """Compute the mean logit of square chips."""
+    logits = network.answers(chips.middle(squares)).logit
+    return float(np.clip(logits, -_MOST_LOGIT, _MOST_LOGIT).mean())
 
 
 def _chips(

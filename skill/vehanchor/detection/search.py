@@ -2,8 +2,9 @@
 
 Tiles are visited where cars are likely first. Resolutions that the scene-scale prior excludes come last, and only if
 the others show few vehicles. The caller ends the search of a photograph or a larger image when more tiles cannot change
-its scale. In crowded tiles the verifier scores a sample of the candidates. If few
-vehicles are found, the car verifier scores them and weaker candidates again, and corrects their boxes.
+its scale. In crowded tiles the verifier scores a sample of the candidates. At the end the chip network looks at the
+best vehicles, scores them again and replaces their boxes by those of their bodies; if they are few, it looks at weaker
+candidates, too.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.detection.boxes import box_corners
-from vehanchor.detection.car_verifier import candidate_chips, corrected_boxes
+from vehanchor.detection.chips import looked_at
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.limits import (
@@ -32,7 +33,6 @@ from vehanchor.detection.position_sample import position_sample
 from vehanchor.detection.proportions import stretch, stretch_of_few
 from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_chances, level_shares
 from vehanchor.detection.tile_prior import tile_prior_map, tile_prior_of
-from vehanchor.detection.verifier import Weights
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.tiles import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_window, tile_grid
 from vehanchor.options import Search
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.detection.car_verifier import CarVerifier
     from vehanchor.detection.detector import Detector, PreparedTile, TileDetections
     from vehanchor.detection.levels import SearchLevel
     from vehanchor.detection.scene_scale import SceneScalePrior
@@ -52,8 +51,9 @@ if TYPE_CHECKING:
 _MIN_TILE_PX = 32
 _LEAST_CHANCE = 0.01  # of cars at a resolution; most of it is the floor of the scene-scale prior
 _EXCLUDED_CHANCE = 0.008  # of cars at a resolution, by the vehicles found at others
-_FEW_VEHICLES = 12  # the car verifier is used up to this number
-_MOST_CANDIDATES = 24  # of the car verifier, best scores first
+_FEW_VEHICLES = 12  # up to this number, the chip network looks at weaker candidates and at mirrored chips
+_MOST_CANDIDATES = 24  # then, best scores first
+_MOST_LOOKED_AT = 64  # vehicles; 100 give the same answers to 1,957 photographs
 _MOST_VERIFIED = 128  # candidates of a tile, chosen by position; more cost as much as another tile and add less
 _MANY_VEHICLES, _LEAST_VERIFIED = 500, 32  # from so many vehicles on, candidates of a tile: they hardly move the scale
 _ENOUGH_VEHICLES = 5  # at the other resolutions, to skip an unlikely one; the prior may be wrong
@@ -101,13 +101,13 @@ class ImageSearch:
         self._raster, self._detector, self._prior = raster, detector, prior
         self._nms_iou = options.nms_iou
         self._verifier = detector.verifier if options.verify else None
-        self._car_verifier = detector.car_verifier if options.verify else None
+        self._chips = detector.chips if options.verify else None
         tile_px, stride_px = _tile_and_stride(detector.fixed_size, options)
         self._overlap_px = tile_px - stride_px
         self._min_score = card.min_score if options.min_score is None else options.min_score
         self._least_score = self._min_score  # of the candidates that are kept
-        if self._car_verifier:
-            self._least_score = min(self._min_score, self._car_verifier.card.least_score)
+        if self._chips:
+            self._least_score = min(self._min_score, self._chips.card.least_score)
         self._search_scales = card.search_scales if options.search_scales is None else options.search_scales
         self._card_range_px = card.length_range_px
         self.levels = search_levels(
@@ -267,7 +267,7 @@ class ImageSearch:
     def _detect(self, prepared: PreparedTile, level: SearchLevel) -> TileDetections:
         """Detect vehicles of the level's lengths in a tile, rescored by the verifier, and other objects."""
         verifier = self._verifier
-        # The verifiers can raise the score of a weak detection.
+        # The verifier can raise the score of a weak detection.
         least = min(self._min_score, verifier.card.least_score) if verifier else self._least_score
         seen = self._detector.detect_tile(prepared, least)
         vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
@@ -283,46 +283,47 @@ class ImageSearch:
         # The range of lengths applies to vehicles only.
         return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= self._min_score))
 
-    def found(self, *, embed: bool) -> Detections:
-        """Merge the detections so far; ``embed`` predicts the vehicles' appearance."""
-        return self._merge(ended=False, check_stretch=False, embed=embed)
+    def found(self) -> Detections:
+        """Merge the detections so far, without the chip network."""
+        return self._merge(ended=False, check_stretch=False)
 
     def result(self, *, check_stretch: bool = True) -> Detections:
         """Merge the detections of a search that has ended; ``check_stretch`` as in ``search``."""
         return self._merge(ended=True, check_stretch=check_stretch)
 
-    def _merge(self, *, ended: bool, check_stretch: bool, embed: bool = True) -> Detections:
+    def _merge(self, *, ended: bool, check_stretch: bool) -> Detections:
         """Merge the detections of all visited tiles, independent of the order of the visits."""
         parts = [self._found[k] for k in sorted(self._found)]
         visited = [self.visits[k][0].factor for k in sorted(self._found)]
         factors = np.repeat(visited, [len(part.vehicles) for part in parts])
         vehicles = Objects.joined([part.vehicles for part in parts])
-        boxes = vehicles.boxes  # the fleet network is calibrated to the detector's boxes
         kept = _merged(vehicles, self._min_score, self._nms_iou)
-        verified = False
-        if ended and self._car_verifier and len(kept) <= _FEW_VEHICLES:
-            verified = True
-            candidates = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
-            boxes, factors = boxes[candidates], factors[candidates]
-            vehicles = self._verified(self._car_verifier, vehicles.take(candidates))
+        few, looks = len(kept) <= _FEW_VEHICLES, None
+        if ended and self._chips:
+            if few:
+                kept = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
+            factors = factors[kept]
+            vehicles, looks = looked_at(
+                self._chips, self._raster, vehicles.take(kept), most=_MOST_LOOKED_AT, mirrored=few
+            )
             kept = _merged(vehicles, self._min_score, self._nms_iou)
+            kept = kept[np.argsort(kept >= len(looks), kind="stable")]
+            looks = looks.take(kept[kept < len(looks)])
         vehicles = vehicles.take(kept)
-        fleet = self._detector.fleet
         return Detections(
             vehicles.boxes,
             vehicles.scores,
             len(parts),
             sum(part.ran_out for part in parts),
             1 / factors[kept] if self._search_scales else None,
-            fleet.appearance(self._raster, boxes[kept]) if fleet and embed else None,
+            looks,
             vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
             self._because,
-            self._stretch(vehicles.boxes, verified=verified) if check_stretch else None,
+            self._stretch(vehicles.boxes, few=few) if check_stretch else None,
             n_skipped=self._n_skipped,
             areas=self._areas(factors[kept]) if ended and self._because == "converged" else None,
-            verified=verified,
         )
 
     def _areas(self, factors: NDArray[np.intp]) -> NDArray[np.float64] | None:
@@ -336,19 +337,11 @@ class ImageSearch:
         sides = [(tile.x_px, tile.y_px, tile.x_px + tile.width_px, tile.y_px + tile.height_px) for tile in tiles]
         return np.array(sorted(sides), np.float64) * working
 
-    def _stretch(self, boxes: NDArray[np.float64], *, verified: bool) -> float | None:
-        """Ask the verifier that scored the vehicles whether the image is stretched; None without a verifier."""
-        if verified and self._car_verifier:
-            return stretch_of_few(self._raster, boxes, self._car_verifier)
+    def _stretch(self, boxes: NDArray[np.float64], *, few: bool) -> float | None:
+        """Ask a network that scored the vehicles whether the image is stretched; None without any."""
+        if few and self._chips:
+            return stretch_of_few(self._raster, boxes, self._chips)
         return stretch(self._raster, boxes, self._verifier) if self._verifier else None
-
-    def _verified(self, car_verifier: CarVerifier, candidates: Objects) -> Objects:
-        """Replace scores and boxes of candidates by those of the car verifier."""
-        answers = car_verifier.verify(candidate_chips(self._raster, candidates.boxes))
-        scores = Weights(*car_verifier.card.weights).score(candidates.scores, answers.logit)
-        corrected = corrected_boxes(candidates.boxes, answers.box)
-        corrected[:, :2] = np.clip(corrected[:, :2], 0, (self._raster.width_px, self._raster.height_px))
-        return Objects(corrected, scores, candidates.classes)
 
 
 def _merged(vehicles: Objects, min_score: float, nms_iou: float) -> NDArray[np.intp]:

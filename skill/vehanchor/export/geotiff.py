@@ -84,17 +84,6 @@ def write_metric_copy(path: str | Path, raster: Raster, gsd_m_per_px: float) -> 
     return target
 
 
-def write_world_file(path: Path, gsd_m_per_px: float) -> None:
-    """Write the six lines of a world file; the first pixel's centre is half a pixel from the corner.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    values = (gsd_m_per_px, 0, 0, -gsd_m_per_px, gsd_m_per_px / 2, -gsd_m_per_px / 2)
-    with whole_file(path) as partial:
-        partial.write_text("".join(f"{value:.10g}\n" for value in values), encoding="ascii")
-
-
 def _import_rasterio() -> Any:
     try:
         import rasterio

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from vehanchor.measure.resolved_scale import ResolvedScale, ScaleInput
     from vehanchor.measure.spread import Spread
     from vehanchor.options import Frame
-    from vehanchor.records import Status
     from vehanchor.scale.lengths import Interval
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
@@ -61,7 +60,7 @@ def analyse_objects(
         raster: the image.
         prompts: results of ``read_prompt``, in the caller's coordinates.
         segmenter: finds the objects.
-        scale: the known scale, or the detector that finds it.
+        scale: the known scale, or the analysis that finds it.
         options: all options of the scale estimate.
         object_height_m: height of all objects above the ground.
 
@@ -107,10 +106,10 @@ def _conclude(
     measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, not a size of zero
     size = _Size()
     if measured is not None and circle is not None:
-        size = _size(n_px, outline_px, circle.diameter, measured, scale.spread, card.area_log_sd(prompt, found.score))
+        size = _size(n_px, outline_px, circle.diameter, measured, scale.spread, card.area_log_sd(prompt, found))
     box = _box(found)
     return AreaMeasurement(
-        status=_status(scale, found.score, card, n_px, prompt),
+        status="low_confidence" if scale.status == "ok" and card.is_doubtful(found) else scale.status,
         area_m2=size.area_m2,
         area_ci95_low_m2=size.area_interval and size.area_interval.low,
         area_ci95_high_m2=size.area_interval and size.area_interval.high,
@@ -164,14 +163,6 @@ def _size(n_px: int, outline_px: float, diameter_px: float, gsd: float, scale: S
         diameter,
         scale.plus(diameter_log_sd).around(diameter),
     )
-
-
-def _status(scale: ResolvedScale, score: float, card: SegmenterCard, n_px: int, prompt: Prompt) -> Status:
-    """Conclude the status; points alone leave the extent of the object open, so they never give ``ok``."""
-    if scale.status != "ok":
-        return scale.status
-    doubtful = score < card.min_score or n_px == 0 or prompt.box is None
-    return "low_confidence" if doubtful else "ok"
 
 
 def _diameter_log_sd(area_log_sd: float, area_px: float, perimeter_px: float, diameter_px: float) -> float:

@@ -15,7 +15,7 @@ from vehanchor.analysis.measured import DistanceAnalysis
 from vehanchor.errors import PromptError
 from vehanchor.measure.resolved_scale import resolve_scale
 from vehanchor.options import ScaleOptions
-from vehanchor.options.coordinates import CoordinateFrame
+from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import DistanceMeasurement, ImagePoint
 from vehanchor.records.interop import places_of
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
     from vehanchor.measure.resolved_scale import ResolvedScale, ScaleInput
-    from vehanchor.options.coordinates import Place
+    from vehanchor.options.reading import Place
 
 MIN_PATH_PX = 2.0
 """Shortest path, pixels of the full image."""
@@ -66,7 +66,7 @@ def analyse_paths(
     Args:
         raster: the image.
         paths: results of ``read_path``, in the caller's coordinates.
-        scale: the known scale, or the detector that finds it.
+        scale: the known scale, or the analysis that finds it.
         options: all options of the scale estimate.
         object_height_m: height of all paths above the ground.
 

@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from vehanchor.analysis.memory import RememberingDetector
-from vehanchor.analysis.pipeline import analyse_raster, georeference_notice, notices_of
-from vehanchor.detection.detector import Detector
+from vehanchor.analysis.pipeline import georeference_notice, notices_of
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens
 from vehanchor.measure.spread import Spread
-from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
+from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale, Notice
 from vehanchor.records.known_scale import known_scale
 from vehanchor.records.notices import NoticeCode
@@ -29,7 +27,7 @@ from vehanchor.scale.reliability import RELIABILITY
 from vehanchor.tilt.camera_tilt import metadata_tilt, plane_of_record
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -44,8 +42,8 @@ if TYPE_CHECKING:
 _COARSE_M_PER_PX = 3.0
 """From here on a car has fewer than two pixels: 5 to 30 cm are usual for aerial photographs, and easily typed."""
 
-ScaleInput: TypeAlias = Detector | RememberingDetector | float | KnownScale
-"""The detector that finds the scale, or the known scale."""
+ScaleInput: TypeAlias = "Callable[[Raster, ScaleOptions], ScaleAnalysis] | float | KnownScale"
+"""The known scale, or the analysis that finds it."""
 
 
 class CameraAbove(NamedTuple):
@@ -164,7 +162,7 @@ def resolve_scale(
 
     Args:
         raster: the image.
-        scale: the known scale, or the detector that finds it.
+        scale: the known scale, or the analysis that finds it.
         options: all options of the method.
         object_height_m: height of the measured object above the ground; None for the ground.
 
@@ -186,11 +184,8 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
     stated = options.rulers.stated_scale
     if stated is not None and stated.basis == "measured":
         return _stated(raster, stated, options)
-    if isinstance(scale, Detector | RememberingDetector):
-        if isinstance(scale, Detector):
-            analysis = analyse_raster(raster, scale, options)
-        else:
-            analysis = scale.analyse(raster, options)
+    if callable(scale):
+        analysis = scale(raster, options)
         found = analysis.estimate
         spread = Spread()
         if found.gsd_m_per_px is not None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
+from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.errors import PromptError, VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.measure.area import analyse_objects
@@ -151,7 +153,7 @@ def _rows(
     raster: Raster, targets: Sequence[Target], detector: Detector, segmenter: Segmenter, options: ScaleOptions
 ) -> Iterator[TargetRow]:
     """Measure objects together, because their search and their decoding are shared; then lines with that scale."""
-    scale: ScaleInput = detector
+    scale: ScaleInput = partial(analyse_raster, detector)
     rows: dict[Target, TargetRow] = {}
     prompts = {}
     for target in targets:

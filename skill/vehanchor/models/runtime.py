@@ -9,10 +9,10 @@ import copy
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, Self, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeAlias
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.models import PRECISION, PROVIDERS, THREADS, Precision
+from vehanchor.options.models import PROVIDERS, THREADS
 from vehanchor.options.option import Limits, set_frozen
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Cancellation:
 
 @dataclass(frozen=True)
 class Runtime:
-    """Settings for opening models (the first three fields) and for one call (the last two).
+    """Settings for opening models (the first two fields) and for one call (the last two).
 
     Two runtimes are equal if they open models in the same way.
 
@@ -71,27 +71,22 @@ class Runtime:
         threads: CPU threads of each model; None leaves the number to ONNX Runtime.
         providers: execution providers in order of preference, by full name or as ``"cuda"``, ``"cpu"``. If ``cpu`` is
             among them, a missing provider is skipped with a warning in the log. A single name is accepted, too.
-        precision: number format of a bundled detector: ``float32``, ``int8``, or ``auto``, which is int8 where the
-            processor is fast with it.
         progress: called with (done, total): tiles of an image, photographs of a flight. An exception that it raises
             ends the call.
         cancellation: ends the call from another thread.
 
     Raises:
-        InvalidParameterError: ``threads``, ``providers`` or ``precision`` is invalid.
+        InvalidParameterError: ``threads`` or ``providers`` is invalid.
     """
 
     threads: Annotated[int | None, THREADS] = None
     providers: Annotated[Sequence[str], PROVIDERS] = DEFAULT_PROVIDERS
-    precision: Annotated[Precision, PRECISION] = "float32"
     progress: Progress | None = field(default=None, compare=False)
     cancellation: Cancellation | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         set_frozen(self, "threads", _checked_threads(self.threads))
         set_frozen(self, "providers", _checked_providers(self.providers))
-        if self.precision not in get_args(Precision):
-            raise InvalidParameterError(f"precision is {self.precision!r}: use one of {', '.join(get_args(Precision))}")
 
     @property
     def idle(self) -> Runtime:

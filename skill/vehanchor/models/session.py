@@ -12,7 +12,7 @@ import os
 import re
 from concurrent.futures import CancelledError
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+Session: TypeAlias = onnxruntime.InferenceSession
+"""An open model; other modules name no runtime."""
 
 _SHORT_NAMES = {
     "cpu": "CPUExecutionProvider",
@@ -44,9 +47,7 @@ _logger = logging.getLogger(__name__)
 _OUT_OF_MEMORY = re.compile("bad.?alloc|failed to allocate|out of memory", re.IGNORECASE)
 
 
-def open_session(
-    path: Path, *, content: bytes | None = None, runtime: Runtime | None = None
-) -> onnxruntime.InferenceSession:
+def open_session(path: Path, *, content: bytes | None = None, runtime: Runtime | None = None) -> Session:
     """Open a model.
 
     Args:
@@ -130,7 +131,7 @@ def _warn_once(text: str) -> None:
 
 
 def run_session(
-    session: onnxruntime.InferenceSession,
+    session: Session,
     outputs: Sequence[str] | None,
     feeds: Mapping[str, NDArray[Any]],
     runtime: Runtime,

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from vehanchor.errors import ModelNotFoundError
-from vehanchor.models.precision import has_byte_dot_products
-
-if TYPE_CHECKING:
-    from vehanchor.options.models import Precision
 
 DEFAULT_DETECTOR = "vehicles"
-_INT8_SUFFIX = "-int8"  # of the name of a bundled detector in int8
 _SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
-_FLEET = "fleet.onnx"  # for the default detector
-_VERIFIER = "verifier.onnx"  # for the default detector in float32
-_VERIFIER_INT8 = "verifier-int8.onnx"  # for the default detector in int8
-_CAR_VERIFIER = "car-verifier.onnx"  # for the default detector
+_VERIFIER = "verifier.onnx"  # for the default detector
+_CHIPS = "chips.onnx"  # for the default detector
 _SCENE_SCALE = "scene-scale.onnx"
 _COURTS = "courts.onnx"
-_NO_DETECTORS = (*_SEGMENTER, _FLEET, _VERIFIER, _VERIFIER_INT8, _CAR_VERIFIER, _SCENE_SCALE, _COURTS)
+_NO_DETECTORS = (*_SEGMENTER, _VERIFIER, _CHIPS, _SCENE_SCALE, _COURTS)
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
@@ -30,16 +22,6 @@ def bundled_models() -> dict[str, Path]:
     return {path.stem: path for path in files if path.name not in _NO_DETECTORS}
 
 
-def fleet_beside(detector: Path) -> Path | None:
-    """Find the fleet network of a detector; None without one.
-
-    Args:
-        detector: file of the detector. The default detector's network is bundled; any other's lies beside it, for
-            example ``mine.fleet.onnx`` beside ``mine.onnx``.
-    """
-    return _beside(detector, (_FLEET, _FLEET), "fleet")
-
-
 def verifier_beside(detector: Path) -> Path | None:
     """Find the verifier of a detector; None without one.
 
@@ -47,25 +29,24 @@ def verifier_beside(detector: Path) -> Path | None:
         detector: file of the detector. The default detector's verifier is bundled; any other's lies beside it, for
             example ``mine.verifier.onnx`` beside ``mine.onnx``.
     """
-    return _beside(detector, (_VERIFIER, _VERIFIER_INT8), "verifier")
+    return _beside(detector, _VERIFIER, "verifier")
 
 
-def car_verifier_beside(detector: Path) -> Path | None:
-    """Find the car verifier of a detector; None without one.
+def chips_beside(detector: Path) -> Path | None:
+    """Find the chip network of a detector; None without one.
 
     Args:
-        detector: file of the detector. The default detector's car verifier is bundled; any other's lies beside it, for
-            example ``mine.car-verifier.onnx`` beside ``mine.onnx``.
+        detector: file of the detector. The default detector's network is bundled; any other's lies beside it, for
+            example ``mine.chips.onnx`` beside ``mine.onnx``.
     """
-    return _beside(detector, (_CAR_VERIFIER, _CAR_VERIFIER), "car-verifier")
+    return _beside(detector, _CHIPS, "chips")
 
 
-def _beside(detector: Path, bundled: tuple[str, str], kind: str) -> Path | None:
-    """Find a detector's auxiliary model; ``bundled`` names the default detector's in float32 and in int8."""
+def _beside(detector: Path, bundled: str, kind: str) -> Path | None:
+    """Find a detector's auxiliary model; ``bundled`` names the default detector's."""
     path = detector.with_name(f"{detector.stem}.{kind}.onnx")
-    for name, ending in zip(bundled, ("", _INT8_SUFFIX), strict=True):
-        if detector.resolve() == (_BUNDLED / f"{DEFAULT_DETECTOR}{ending}.onnx").resolve():
-            path = _BUNDLED / name
+    if detector.resolve() == (_BUNDLED / f"{DEFAULT_DETECTOR}.onnx").resolve():
+        path = _BUNDLED / bundled
     return path if path.is_file() else None
 
 
@@ -87,23 +68,17 @@ def bundled_segmenter() -> tuple[Path, Path] | None:
     return (encoder, decoder) if encoder.is_file() and decoder.is_file() else None
 
 
-def resolve_model(model: str | Path | None = None, precision: Precision | None = None) -> Path:
+def resolve_model(model: str | Path | None = None) -> Path:
     """Find the file of a detector by its bundled name or by its path.
 
     Args:
         model: name or path; None for the default detector.
-        precision: ``int8`` takes the bundled int8 version of the named detector; ``auto`` does so if the processor is
-            fast with int8. Otherwise the named detector is used.
 
     Raises:
-        ModelNotFoundError: the model is neither a bundled name nor a file, or has no version of that precision.
+        ModelNotFoundError: the model is neither a bundled name nor a file.
     """
     bundled = bundled_models()
     name = DEFAULT_DETECTOR if model is None else str(model)
-    if precision == "int8" and not name.endswith(_INT8_SUFFIX) and name + _INT8_SUFFIX not in bundled:
-        raise ModelNotFoundError(f"no int8 version of {name!r} is bundled: leave out the precision")
-    if precision == "int8" or (precision == "auto" and name + _INT8_SUFFIX in bundled and has_byte_dot_products()):
-        name = name.removesuffix(_INT8_SUFFIX) + _INT8_SUFFIX
     if name in bundled:
         return bundled[name]
     path = Path(name)

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from vehanchor.options.by_hand import AddedVehicle, ByHand
-from vehanchor.options.frame import Coordinates, Frame
-from vehanchor.options.image_limits import DECODED_BYTES_PER_PIXEL, ImageLimits
-from vehanchor.options.lengths import Lengths
-from vehanchor.options.reading import Reading
-from vehanchor.options.reference import Reference
-from vehanchor.options.rulers import Basis, KnownLength, Rulers
+from vehanchor.options.method import Effort, Lengths, Reference, Search
+from vehanchor.options.reading import DECODED_BYTES_PER_PIXEL, Coordinates, Frame, ImageLimits, Reading
+from vehanchor.options.rulers import AddedVehicle, Basis, ByHand, KnownLength, Rulers
 from vehanchor.options.scale_options import DeclaredOption, ScaleOptions, declared_options
-from vehanchor.options.search import Effort, Search
 
 __all__ = [
     "DECODED_BYTES_PER_PIXEL",

@@ -1,16 +1,198 @@
-"""The option group ``Method``: named presets."""
+"""Options of the method: search, lengths of vehicles, reference length, and named presets."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from dataclasses import fields
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
-from vehanchor.options.option import Option, group
-from vehanchor.scale.defaults import NMS_IOU, OUTLIER_ALPHA
+from pydantic import BeforeValidator, Field
 
-Preset: TypeAlias = Literal["paper"]
-"""Names of the presets."""
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options.models import CALIBRATION
+from vehanchor.options.option import Flag, Limits, Option, group
+from vehanchor.scale.countries import REGIONS
+from vehanchor.scale.defaults import (
+    LARGEST_VEHICLE_M,
+    LEAST_VEHICLE_M,
+    NMS_IOU,
+    OUTLIER_ALPHA,
+    Aggregation,
+    Preset,
+)
 
-PRESETS: dict[str, dict[str, Any]] = {
+Effort: TypeAlias = Literal["full", "auto", "fast"]
+"""Extents of the search of a large image."""
+
+_Share = Annotated[float, Limits(0, 1)]
+_Count = Annotated[int, Limits(least=1, whole=True)]
+_Tiles = Annotated[int, Limits(1, 1_000_000_000, whole=True)]
+_Seconds = Annotated[float, Limits(above=0, most=86_400)]
+
+
+@group(frozen=True)
+class Search:
+    """Options of the search for vehicles.
+
+    Attributes:
+        min_score: lowest detection score, 0..1; None takes the model's, or for foreign models
+            ``vehanchor.detection.card.MIN_SCORE``.
+        nms_iou: IoU, 0..1, above which the weaker of two boxes is dropped.
+        search_scales: also search reduced copies of the image, for vehicles longer than the model was trained on; None
+            takes the model's own choice (no, for foreign models).
+        verify: score candidates again with the model's verifier and chip network, if it has any, and measure bodies.
+        tile_px: tile side; None is 1024, or the model's fixed input size.
+        stride_px: step between tiles; None is three quarters of the tile.
+        effort: ``full`` searches every tile; ``auto`` and ``fast`` search likely tiles first, and end when more tiles
+            would not change the scale (see ``vehanchor.analysis.convergence``). In images below 4 megapixels they
+            skip only resolutions at which, by the scene-scale prior, no car has a valid size.
+        max_tiles: largest number of tiles, likely ones first; None for all.
+        max_seconds: largest time in seconds; None for no limit. With it, results depend on the machine.
+
+    Raises:
+        InvalidParameterError: a number is invalid, or the effort is unknown.
+    """
+
+    panel: ClassVar[str] = "Search"
+
+    min_score: Annotated[
+        _Share | None, Option("Lowest accepted detection score, 0 to 1. Default: the model's.", metavar="P")
+    ] = None
+    nms_iou: Annotated[_Share, Option("IoU, 0 to 1, above which the weaker of two boxes is dropped.", metavar="P")] = (
+        NMS_IOU
+    )
+    search_scales: Annotated[
+        Flag | None,
+        Option(
+            "Also search copies at 1/2, 1/4 and 1/8, for vehicles longer than the model was trained on. Default: the "
+            "model's choice."
+        ),
+    ] = None
+    verify: Annotated[Flag, Option("Score candidates again, and measure bodies.", cli=False)] = True
+    tile_px: Annotated[
+        _Count | None, Option("Side of a tile, pixels. Default: 1024, or the model's input.", metavar="PX")
+    ] = None
+    stride_px: Annotated[
+        _Count | None, Option("Step between tiles, pixels. Default: 3/4 of the tile.", metavar="PX")
+    ] = None
+    effort: Annotated[
+        Effort,
+        Option(
+            "Search extent: full (every tile), auto (ends when more tiles would not help) or fast.",
+            tools="estimate",
+            listed=False,
+        ),
+    ] = "auto"
+    max_tiles: Annotated[
+        _Tiles | None,
+        Option(
+            "Maximum number of tiles to search, likeliest first. Default: no limit.",
+            metavar="N",
+            tools="estimate",
+            listed=False,
+        ),
+    ] = None
+    max_seconds: Annotated[
+        _Seconds | None,
+        Option(
+            "Maximum search time in seconds; the result then depends on the machine. Default: no limit.",
+            metavar="S",
+            tools="estimate",
+            listed=False,
+        ),
+    ] = None
+
+
+def _number_or_none(value: Any) -> Any:
+    """Read ``none`` or ``off`` as no filter."""
+    return None if isinstance(value, str) and value.strip().lower() in ("none", "off") else value
+
+
+@group(frozen=True)
+class Lengths:
+    """Statistics of the vehicles' lengths.
+
+    Attributes:
+        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean`` (see ``vehanchor.scale.lengths.modal_length``);
+            None for the model's own choice (``kde``, the paper's, for foreign models).
+        alpha: outlier filter, ``P_i <= alpha * median`` (paper, equation 2), alpha >= 1; None switches it off.
+
+    Raises:
+        InvalidParameterError: alpha is not a number >= 1, or the aggregation is unknown.
+    """
+
+    panel: ClassVar[str] = "Lengths"
+
+    aggregation: Annotated[
+        Aggregation | None,
+        Option("Statistic of the lengths; a KDE becomes the median below 5 vehicles. Default: the model's, or kde."),
+    ] = None
+    alpha: Annotated[
+        Annotated[float, Limits(least=1)] | None,
+        BeforeValidator(_number_or_none),
+        Option("Drop vehicles longer than X times the median; 'none' keeps all.", metavar="X|none"),
+    ] = OUTLIER_ALPHA
+
+
+if TYPE_CHECKING:
+    from vehanchor.scale.calibration import Calibration
+else:
+    Calibration = Any  # imported on first use
+
+
+def _read(calibration: Any) -> Any:
+    """Read a calibration from its file."""
+    if calibration is None:
+        return None
+    from vehanchor.scale.calibration import as_calibration
+
+    return as_calibration(calibration)
+
+
+@group(frozen=True)
+class Reference:
+    """Source of the reference length ``L_ref``: one of these or, by default, the appearance of the vehicles.
+
+    Attributes:
+        reference_length_m: the fleet's modal vehicle length, 2 to 20 metres.
+        region: use the model's reference length for a region (bundled: ``vehanchor.scale.countries.REGIONS``), or that
+            of a country by its ISO 3166-1 alpha-2 code (``vehanchor.scale.countries``).
+        calibration: use the reference length measured for this fleet and detector (see ``load_calibration``); a path
+            is read at once.
+
+    Raises:
+        InvalidParameterError: two are given, or the length is not a number from 2 to 20.
+        CalibrationFileError: the calibration cannot be read.
+    """
+
+    panel: ClassVar[str] = "Reference length"
+
+    reference_length_m: Annotated[
+        Annotated[float, Limits(LEAST_VEHICLE_M, LARGEST_VEHICLE_M, unit="m")] | None,
+        Option(
+            "Known length of local cars, metres; not with a region. Default: the model's.",
+            metavar="M",
+            tools="all",
+            listed=False,
+        ),
+    ] = None
+    region: Annotated[
+        Annotated[str, Field(max_length=64)] | None,
+        Option(
+            f"Country (ISO code, as FR) or region, if known: {', '.join(REGIONS)}.",
+            metavar="NAME",
+            first=True,
+            tools="all",
+        ),
+    ] = None
+    calibration: Annotated[Calibration | None, BeforeValidator(_read), CALIBRATION] = None
+
+    def __post_init__(self) -> None:
+        given = [each.name for each in fields(self) if getattr(self, each.name) is not None]
+        if len(given) > 1:
+            raise InvalidParameterError(f"give {' or '.join(given)}, not both: each sets the reference length")
+
+
+PRESETS: dict[Preset, dict[str, Any]] = {
     "paper": {
         "min_score": 0.1,
         "nms_iou": NMS_IOU,

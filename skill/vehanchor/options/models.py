@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
-
 from vehanchor.options.option import Option
 
-Precision: TypeAlias = Literal["float32", "int8", "auto"]
-"""``auto`` is int8 if such a file exists and the processor is fast with it."""
-
 DETECTOR = Option("ONNX oriented-box model, or the name of a bundled one. Default: the bundled one.", metavar="FILE")
-PRECISION = Option(
-    "Precision of a bundled detector: float32; int8, faster on processors with dot products of bytes (VNNI, Armv8.2); "
-    "auto, int8 on those."
-)
 CLASSES = Option(
     "Class, by name or index, that counts as a vehicle; repeatable. Default: the model's.",
     metavar="NAME",

@@ -1,14 +1,215 @@
-"""The option group ``Reading``: reading of images."""
+"""Options of reading images: limits, the caller's resized copy, and conversion of its coordinates."""
 
 from __future__ import annotations
 
-from dataclasses import field, replace
-from typing import Annotated, Any, ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
-from pydantic import BeforeValidator, InstanceOf
+from pydantic import BeforeValidator, Field, InstanceOf
 
-from vehanchor.options.image_limits import DECODED_BYTES_PER_PIXEL, ImageLimits
+from vehanchor.errors import FrameError
 from vehanchor.options.option import Flag, Limits, Option, group, set_frozen
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_MIB = 1 << 20
+DECODED_BYTES_PER_PIXEL = 10
+"""Memory for decoding 8-bit RGB, with a reserve."""
+
+_Count = Annotated[int, Limits(least=1, whole=True)]
+
+
+@group(frozen=True)
+class ImageLimits:
+    """Limits on the cost of an image, checked before decoding.
+
+    Attributes:
+        max_bytes: encoded size of a file that is read whole.
+        max_pixels: declared width x height of an image that is decoded whole. Larger TIFFs and sequential JPEGs, and
+            all JPEG 2000, are read by windows.
+        max_windowed_pixels: declared width x height of an image that is read by windows.
+        max_decoded_bytes: memory for decoding: width x height x bands x depth of an image decoded whole, or of a strip
+            or tile of one read by windows, and the decoder's own memory.
+        max_unpacked_bytes: disk space for a JPEG that is read by windows, three bytes per pixel.
+
+    Raises:
+        InvalidParameterError: a limit is not a whole number >= 1.
+    """
+
+    max_bytes: _Count = 512 * _MIB
+    max_pixels: _Count = 100_000_000
+    max_windowed_pixels: _Count = 10_000_000_000
+    max_decoded_bytes: _Count = 1 << 30
+    max_unpacked_bytes: _Count = 8 << 30
+
+
+Coordinates: TypeAlias = Literal["pixels", "fraction", "per_mille"]
+"""Units of coordinates."""
+
+_Side = Annotated[int, Limits(1, 1_000_000, whole=True)]
+_SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}  # largest value along either side
+
+
+@group(frozen=True)
+class FrameSize:
+    """Size of the resized copy in which the caller works.
+
+    Attributes:
+        width_px: width of the copy.
+        height_px: height of the copy.
+    """
+
+    width_px: _Side
+    height_px: _Side
+
+
+def _sides(value: Any) -> Any:
+    """Read a width and a height."""
+    parts = value.replace("x", " ").replace(",", " ").split() if isinstance(value, str) else value
+    if isinstance(parts, Sequence) and len(parts) == 2:
+        return {"width_px": parts[0], "height_px": parts[1]}
+    return value
+
+
+@group(frozen=True)
+class Frame:
+    """The caller's resized copy of the image, and the units of its coordinates.
+
+    Attributes:
+        frame: width and height of the copy; None for the image itself.
+        coordinates: pixels: of the copy, or of the image without a copy; fraction: 0 to 1 of either side; per_mille:
+            0 to 1000 of either side.
+
+    Raises:
+        InvalidParameterError: a side is not a whole number >= 1, or the units are unknown.
+    """
+
+    panel: ClassVar[str] = "Reading the image"
+
+    frame: Annotated[
+        FrameSize | None,
+        BeforeValidator(_sides),
+        Option("Size of your resized copy.", metavar="W H", tools="all"),
+        Field(examples=[{"width_px": 1024, "height_px": 768}]),
+    ] = None
+    coordinates: Annotated[
+        Coordinates, Option("Pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000).", tools="all")
+    ] = "pixels"
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height of the copy, pixels; None without a copy."""
+        return None if self.frame is None else (self.frame.width_px, self.frame.height_px)
+
+    def extent(self, width_px: int, height_px: int) -> tuple[int, int]:
+        """Give the largest coordinates to the right and down, in their own units.
+
+        Args:
+            width_px: width of the image.
+            height_px: height of the image.
+        """
+        share = _SHARES.get(self.coordinates)
+        return (share, share) if share else self.size or (width_px, height_px)
+
+    def check(self, width_px: int, height_px: int) -> None:
+        """Check that the frame has the aspect ratio of the image, and is not a crop or another image.
+
+        Raises:
+            FrameError: the sides differ by more than a pixel of rounding.
+        """
+        if self.size is None:
+            return
+        width, height = self.size
+        fitting = width * height_px / width_px
+        slack = 1.0 + height_px / width_px  # one pixel of rounding per side
+        if abs(height - fitting) > slack:
+            raise FrameError(
+                f"the frame is {width} x {height} px, the image {width_px} x {height_px} "
+                f"px: a copy of that width would be {round(fitting)} px high. Give the size of an uncropped copy"
+            )
+
+
+Place: TypeAlias = tuple[float, float]
+"""x, y; the first pixel spans 0 to 1."""
+
+_CUT_EDGE = 1.0  # tolerance of rounding, in pixels or thousandths of a side
+_CUT_EDGE_SHARE = 1e-3
+_SEEN_SIDES_PX = (768, 1024, 1092, 1280, 1536, 1568, 2000, 2048, 2576)  # long sides of images shown to language models
+_THOUSAND = 1000
+
+
+@dataclass(frozen=True)
+class CoordinateFrame:
+    """Coordinate frame of a caller over one image.
+
+    Attributes:
+        frame: size of the caller's resized copy, and its units.
+        width_px: width of the full image.
+        height_px: height of the full image.
+    """
+
+    frame: Frame
+    width_px: int
+    height_px: int
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """Largest coordinates to the right and down."""
+        return self.frame.extent(self.width_px, self.height_px)
+
+    @property
+    def unit_px(self) -> tuple[float, float]:
+        """Size of the finest step of the caller's coordinates, in pixels of the full image, across and down.
+
+        For fractions, the step is a pixel of the caller's copy.
+        """
+        across, down = self.frame.size or (self.width_px, self.height_px)
+        if self.frame.coordinates == "per_mille":
+            across, down = self.extent
+        return self.width_px / across, self.height_px / down
+
+    @property
+    def name(self) -> str:
+        """Name of the coordinate frame, for messages."""
+        if self.frame.coordinates != "pixels":
+            return f"image, whose coordinates go from 0 to {self.extent[0]}"
+        return "{} x {} px {}".format(*self.extent, "frame" if self.frame.size else "image")
+
+    def inside(self, places: Sequence[Place]) -> bool:
+        """Tell whether all places are inside, within rounding."""
+        cut = _CUT_EDGE_SHARE if self.frame.coordinates == "fraction" else _CUT_EDGE
+        return all(-cut < at < side + cut for place in places for at, side in zip(place, self.extent, strict=True))
+
+    def in_image(self, place: Place) -> Place:
+        """Convert a place to pixels of the full image; clamp it to the image."""
+        across, down = self.extent
+        x, y = place[0] * self.width_px / across, place[1] * self.height_px / down
+        return min(max(x, 0.0), float(self.width_px)), min(max(y, 0.0), float(self.height_px))
+
+    def other_reading(self, places: Sequence[Place]) -> str:
+        """Suggest other coordinates for invalid places; empty without a suggestion."""
+        if self.frame.coordinates != "pixels" or min(min(place) for place in places) < 0:
+            return ""
+        if len(places) > 1 and all(tuple(place) == tuple(places[0]) for place in places):
+            return ""  # no length in any unit
+        x, y = max(place[0] for place in places), max(place[1] for place in places)
+        if max(x, y) <= 1:
+            return '; as fractions of the sides it would be valid: for fractions, set coordinates to "fraction"'
+        if self.frame.size is not None or self.inside(places):  # a larger copy makes lengths smaller still
+            return ""
+        for side in _SEEN_SIDES_PX:
+            factor = side / max(self.width_px, self.height_px)
+            width, height = round(self.width_px * factor), round(self.height_px * factor)
+            if factor > 1 and x <= width and y <= height:
+                thousand = ', or set coordinates to "per_mille" if they go to 1000' if max(x, y) <= _THOUSAND else ""
+                return (
+                    f"; in a copy of {width} x {height} px it would be valid: for a copy, give its size as the frame"
+                    f"{thousand}"
+                )
+        return ""
+
 
 _MEGAPIXEL = 1_000_000
 _Band = Annotated[int, Limits(least=1, whole=True)]

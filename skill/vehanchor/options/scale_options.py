@@ -8,15 +8,10 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.by_hand import AddedVehicle, ByHand
-from vehanchor.options.frame import Frame
-from vehanchor.options.lengths import Lengths
-from vehanchor.options.method import PRESETS, Method
+from vehanchor.options.method import PRESETS, Lengths, Method, Reference, Search
 from vehanchor.options.option import Option
-from vehanchor.options.reading import Reading
-from vehanchor.options.reference import Reference
-from vehanchor.options.rulers import KnownLength, Rulers
-from vehanchor.options.search import Search
+from vehanchor.options.reading import Frame, Reading
+from vehanchor.options.rulers import AddedVehicle, ByHand, KnownLength, Rulers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,7 +9,7 @@ import numpy as np
 from vehanchor.pictures.marks import draw_marks
 from vehanchor.pictures.measured import MEASURED_RGB, finish, numbered, open_canvas, size_in_words
 from vehanchor.pictures.placement import CUT_SIDE_PX, Cut, part_around
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 from vehanchor.scale.posterior import Mark
 
 if TYPE_CHECKING:

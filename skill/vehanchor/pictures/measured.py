@@ -16,8 +16,7 @@ from vehanchor.pictures.scale import (
     fit_for_eyes,
     with_margins,
 )
-from vehanchor.records.advice import ADVICE
-from vehanchor.records.digits import significant, with_interval
+from vehanchor.records.text import ADVICE, NO_SCALE, significant, with_interval
 from vehanchor.scale.defaults import USABLE_CHANCE
 
 if TYPE_CHECKING:
@@ -100,7 +99,7 @@ def numbered(labels: Sequence[str]) -> list[str]:
 def size_in_words(value: float | None, low: float | None, high: float | None, unit: str, pixels: str) -> str:
     """Format a size with its interval; without a scale, its pixels."""
     if value is None:
-        return f"{pixels}; no scale: nothing of known size found"
+        return f"{pixels}; {NO_SCALE}"
     return with_interval(value, low, high, unit)
 
 

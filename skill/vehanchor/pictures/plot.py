@@ -9,7 +9,7 @@ import numpy as np
 from vehanchor.errors import MissingExtraError
 from vehanchor.pictures.ruler_plot import plot_rulers
 from vehanchor.pictures.scale import write_picture
-from vehanchor.records.digits import significant, with_interval
+from vehanchor.records.text import NO_SCALE, count, scale_text, significant
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, modal_density
 
 if TYPE_CHECKING:
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from vehanchor.pictures.drawable import DrawableScale
     from vehanchor.records import GsdEstimate
+    from vehanchor.rulers.vehicles import VehicleWitness
+    from vehanchor.scale.defaults import Aggregation
 
 _KEPT, _KEPT_DARK, _DROPPED = "#56B4E9", "#0072B2", "#E69F00"  # Okabe and Ito: blues, orange
 _GUARD, _INK = "#D55E00", "#222222"
@@ -70,9 +72,7 @@ def plot_scale(analysis: DrawableScale) -> Figure:
             axes.spines[side].set_visible(False)
     if not (measured or fused):
         rows[0].set_axis_off()
-        rows[0].text(
-            0.5, 0.5, "no scale: nothing of known size found", ha="center", va="center", fontsize=14, color=_INK
-        )
+        rows[0].text(0.5, 0.5, NO_SCALE, ha="center", va="center", fontsize=14, color=_INK)
         return figure
     if measured:
         _plot_lengths(figure, rows[0], analysis)
@@ -83,21 +83,23 @@ def plot_scale(analysis: DrawableScale) -> Figure:
 
 
 def _title(estimate: GsdEstimate) -> str:
-    if estimate.gsd_m_per_px is None:
-        return "no scale: nothing of known size found"
-    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
-    return f"{with_interval(estimate.gsd_m_per_px, low, high, 'm/px')},  confidence {estimate.confidence:.2f}"
+    confidence = "" if estimate.gsd_m_per_px is None else f",  confidence {estimate.confidence:.2f}"
+    return f"{scale_text(estimate)}{confidence}"
 
 
 def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
     """Plot the lengths, their density, the mode, the guard, and the interval of the vehicles' scale in pixels."""
-    estimate, (gsd, mode) = analysis.estimate, _scale_and_mode(analysis)
-    guard = analysis.guard_length_px
+    estimate, vehicles = analysis.estimate, analysis.vehicles
+    assert vehicles is not None
+    gsd, mode, guard = vehicles.gsd_m_per_px, vehicles.mode_length_px, vehicles.guard_length_px
+    assert gsd is not None
+    assert mode is not None
     lengths = analysis.detections.boxes[:, 2]
     ends = [guard, mode, float(lengths.min()), float(lengths.max())]
-    interval = _vehicles_interval(analysis)
+    reference_m = vehicles.reference.length_m
+    interval = _vehicles_interval(estimate, vehicles)
     if interval is not None:
-        low, high = (estimate.reference_length_m / scale for scale in reversed(interval))
+        low, high = (reference_m / scale for scale in reversed(interval))
         axes.axvspan(
             low, high, color="0.75", alpha=0.4, lw=0, zorder=0, label=f"95 % interval {low:.1f} to {high:.1f} px"
         )
@@ -107,8 +109,8 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
     pad = 0.04 * (shown - min(ends))
     left, right = max(0.0, min(ends) - pad), shown + pad
     axes.set_xlim(left, right)
-    _draw_lengths(axes, analysis, right)
-    rule = f"$P_{{mode}}$ {mode:.1f} px ({_RULES[estimate.aggregation]}) = {significant(estimate.reference_length_m)} m"
+    _draw_lengths(axes, analysis, right, vehicles.aggregation)
+    rule = f"$P_{{mode}}$ {mode:.1f} px ({_RULES[vehicles.aggregation]}) = {significant(reference_m)} m"
     axes.axvline(mode, color=_INK, lw=1.6, label=rule)
     axes.axvline(guard, color=_GUARD, lw=1.6, ls="--", label=f"resolution guard {guard:.1f} px")
     axes.set_xlabel("vehicle length, pixels")
@@ -120,17 +122,8 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
 
 
-def _scale_and_mode(analysis: DrawableScale) -> tuple[float, float]:
-    """Return the vehicles' own scale and ``P_mode``; there must be vehicles."""
-    gsd, mode = analysis.vehicles.gsd_m_per_px, analysis.vehicles.paper.mode_length_px
-    assert gsd is not None
-    assert mode is not None
-    return gsd, mode
-
-
-def _vehicles_interval(analysis: DrawableScale) -> tuple[float, float] | None:
+def _vehicles_interval(estimate: GsdEstimate, own: VehicleWitness) -> tuple[float, float] | None:
     """Return the interval of the scale if it is the vehicles' scale, else the vehicles' own; metres per pixel."""
-    estimate, own = analysis.estimate, analysis.vehicles
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
     if estimate.gsd_m_per_px != own.gsd_m_per_px:
         return own.interval
@@ -159,23 +152,22 @@ def _bin_edges(kept: NDArray[np.float64], shortest: float, longest: float) -> ND
     return np.asarray(first + width * np.arange(max(1, int(np.ceil((longest - first) / width))) + 1))
 
 
-def _draw_lengths(axes: Axes, analysis: DrawableScale, right_px: float) -> None:
+def _draw_lengths(axes: Axes, analysis: DrawableScale, right_px: float, aggregation: Aggregation) -> None:
     """Draw the histogram of kept and dropped lengths, and the density of the kept ones in the same units."""
     lengths = analysis.detections.boxes[:, 2]
     kept, dropped = lengths[analysis.kept], lengths[~analysis.kept]
     edges = _bin_edges(kept, float(lengths.min()), min(float(lengths.max()), right_px))
-    groups, colours, labels = [kept], [_KEPT], [f"{len(kept)} vehicle{'s' * (len(kept) != 1)} kept"]
+    groups, colours, labels = [kept], [_KEPT], [f"{count(len(kept), 'vehicle')} kept"]
     if len(dropped):
         n_beyond = int((dropped > right_px).sum())
         beyond = f" ({n_beyond} beyond the axis)" if n_beyond else ""
         groups, colours = [*groups, dropped], [*colours, _DROPPED]
-        labels.append(f"{len(dropped)} outlier{'s' * (len(dropped) != 1)} dropped{beyond}")
+        labels.append(f"{count(len(dropped), 'outlier')} dropped{beyond}")
     axes.hist(groups, bins=list(edges), stacked=True, color=colours, label=labels, edgecolor="white", linewidth=0.6)
     axes.set_ylim(0, 1.12 * axes.get_ylim()[1])
     if len(kept) < MIN_KDE_VEHICLES:
         return
     at = np.linspace(*axes.get_xlim(), 800)
-    aggregation = analysis.estimate.aggregation
     density = modal_density(at, kept, analysis.detections.scores[analysis.kept], aggregation)
     if density.any():
         curve = np.where(density > 1e-3 * density.max(), density * len(kept) * (edges[1] - edges[0]), np.nan)

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 from vehanchor.rulers.registry import ruler_class
-from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import GRID
 
 if TYPE_CHECKING:
@@ -30,17 +29,17 @@ def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
         axes: axes of a matplotlib figure.
         analysis: analysis of an image with a scale.
     """
-    heard = [each for each in (analysis.vehicles, *analysis.others) if each.found]
+    rulers = {ruler.kind: ruler for ruler in analysis.estimate.rulers}
+    heard = [each for each in analysis.witnesses if each.kind in rulers]
     found, scales = analysis.answer, np.exp(GRID)
     ends = [end for each in heard if each.interval is not None for end in each.interval]
-    chances = [1.0] * len(heard) if found is None else found.p_right
-    for witness, p_right in zip(heard, chances, strict=True):
-        ruler = ruler_class(witness.kind)
-        label = f"{ruler.label} {significant(witness.gsd_m_per_px or 0)} (right: {p_right:.2f})"
+    for witness in heard:
+        ruler, colour = rulers[witness.kind], ruler_class(witness.kind).colour
+        label = f"{ruler.label} {significant(ruler.gsd_m_per_px)} (right: {ruler.p_right:.2f})"
         curve = witness.density / witness.density.max()
         shown = np.where(curve > _DRAWN, curve, 0.0)
-        axes.fill_between(scales, shown, color=ruler.colour, alpha=0.18, lw=0)
-        axes.plot(scales, shown, color=ruler.colour, lw=1.6, ls="-" if p_right >= PROBABLY_RIGHT else "--", label=label)
+        axes.fill_between(scales, shown, color=colour, alpha=0.18, lw=0)
+        axes.plot(scales, shown, color=colour, lw=1.6, ls="-" if ruler.probably_right else "--", label=label)
     if found is not None:
         label = f"together {significant(found.gsd_m_per_px)} ({found.chance:.2f})"
         axes.plot(scales, found.density / found.density.max(), color=_INK, lw=2.2, label=label)

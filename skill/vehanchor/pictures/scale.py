@@ -15,8 +15,7 @@ from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
 from vehanchor.pictures.placement import Placement
-from vehanchor.records.advice import advice_for
-from vehanchor.records.digits import significant, with_interval
+from vehanchor.records.text import advice_for, by_hand_text, count, scale_text, significant
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.drawable import DrawableScale
-    from vehanchor.records import GsdEstimate
+    from vehanchor.pictures.placement import Cut
 
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
 """Texts of one line, each with the colour of the swatch before it."""
@@ -48,7 +47,7 @@ _JPEG_QUALITY = 92
 _ROWS_PER_READ = 1024  # rows of the image per strip
 
 
-def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale) -> NDArray[np.uint8]:
+def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale, cut: Cut | None = None) -> NDArray[np.uint8]:
     """Draw the evidence of an estimate: kept vehicles in blue, outliers crossed in orange, other rulers in green.
 
     Small images are enlarged and large ones reduced. A caption below gives scale, interval and confidence. A usable
@@ -56,15 +55,18 @@ def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale) -> NDArray[n
     unusable scale the caption begins with the reason and with advice.
 
     Args:
-        image: ``[h, w, 3]`` RGB, the analysed image or a reduced copy of it (see ``read_reduced``).
+        image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of either (see
+            ``read_reduced``).
         analysis: of that image.
+        cut: the part to show; None for all of the image.
 
     Returns:
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
     estimate = analysis.estimate
-    picture = fit_for_eyes(image)
-    place = Placement.of(picture, Window(0, 0, estimate.image_width_px, estimate.image_height_px))
+    picture = fit_for_eyes(image) if cut is None else cut.sized(image)
+    whole = Window(0, 0, estimate.image_width_px, estimate.image_height_px)
+    place = Placement.of(picture, whole if cut is None else cut.part)
     draw_vehicles(picture, analysis, place)
     draw_marks(picture, analysis.marks, place)
     picture = with_margins(picture)
@@ -237,21 +239,16 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
     write_on(picture, f"{metres:g} m", (left, bottom - thick - rim - capital // 2), capital)
 
 
-def _headline(estimate: GsdEstimate) -> str:
-    if estimate.gsd_m_per_px is None:
-        return "no scale: nothing of known size found"
-    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
-    return with_interval(estimate.gsd_m_per_px, low, high, "m/px")
-
-
 def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
     """Compose the caption: the reason against an unusable scale, scale, interval, confidence, and the legend."""
     estimate = analysis.estimate
-    n_dropped = estimate.n_detections - estimate.n_vehicles
-    legend = [(KEPT_RGB, f"{estimate.n_vehicles} vehicle{'s' * (estimate.n_vehicles != 1)}{_by_hand(estimate)}")]
+    n_found, n_kept = estimate.details.n_detections or 0, estimate.n_vehicles or 0
+    n_dropped = n_found - n_kept
+    by_hand = by_hand_text(estimate)
+    legend = [(KEPT_RGB, f"{count(n_kept, 'vehicle')}{by_hand and f' ({by_hand})'}")]
     if n_dropped:
-        legend.append((DROPPED_RGB, f"{n_dropped} outlier{'s' * (n_dropped != 1)}, dropped"))
-    scale = _headline(estimate)
+        legend.append((DROPPED_RGB, f"{count(n_dropped, 'outlier')}, dropped"))
+    scale = scale_text(estimate)
     lines: list[CaptionLine]
     advice = advice_for(estimate)
     if advice is None:
@@ -262,15 +259,11 @@ def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
             lines.append([(None, f"{scale}, confidence {estimate.confidence:.2f}")])
     if estimate.tilt is not None:
         lines.append([(None, f"at the centre: the camera was tilted by {estimate.tilt.tilt_deg:.0f} degrees")])
-    if estimate.n_detections:
+    if n_found:
         lines.append([*legend])
     if rulers := _rulers_line(analysis):
         lines.append(rulers)
     return lines
-
-
-def _by_hand(estimate: GsdEstimate) -> str:
-    return f" (by hand: {estimate.by_hand.summary})" if estimate.by_hand else ""
 
 
 def _rulers_line(analysis: DrawableScale) -> CaptionLine:
@@ -278,12 +271,11 @@ def _rulers_line(analysis: DrawableScale) -> CaptionLine:
     rulers = [ruler for ruler in analysis.estimate.rulers if ruler.sets_scale]
     if [ruler.kind for ruler in rulers] in ([], ["vehicles"]):
         return []
-    marked = {other.kind for other in analysis.others if other.marks}
+    marked = {each.kind for each in analysis.witnesses if each.marks}
     return [
         (
             MARK_RGB if ruler.kind in marked else None,
-            f"{ruler.label} {significant(ruler.gsd_m_per_px)} m/px"
-            f"{'' if ruler.is_probably_right else ', probably wrong'}",
+            f"{ruler.label} {significant(ruler.gsd_m_per_px)} m/px{'' if ruler.probably_right else ', probably wrong'}",
         )
         for ruler in rulers
     ]

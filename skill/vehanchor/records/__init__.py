@@ -7,6 +7,7 @@ from vehanchor.records.distance import DistanceMeasurement
 from vehanchor.records.geometry import BoundingBox, ImagePoint, OutlinePolygon, OutlineRing
 from vehanchor.records.gsd_estimate import (
     ConfidenceTerms,
+    EstimateDetails,
     FrameScale,
     GsdEstimate,
     ReferenceSource,
@@ -28,6 +29,7 @@ __all__ = [
     "BoundingBox",
     "ConfidenceTerms",
     "DistanceMeasurement",
+    "EstimateDetails",
     "FrameArea",
     "FrameScale",
     "GsdEstimate",

@@ -1,7 +1,8 @@
 """Records as flat rows of data frames and batch tables, with the same columns for every record of a type.
 
 A field with one value is a column. A field of a nested record is a column with the outer name as prefix, unless its
-name has it already: ``tilt.tilt_deg`` is ``tilt_deg``, ``tilt.roll_deg`` is ``tilt_roll_deg``. Each kind of ruler has
+name has it already: ``tilt.tilt_deg`` is ``tilt_deg``, ``tilt.roll_deg`` is ``tilt_roll_deg``. Fields of ``details``
+have no prefix. Each kind of ruler has
 columns for its scale and its agreement. Codes of warnings are one column, separated by spaces. Other lists are counted.
 """
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
 _OF_RULERS: dict[str, type] = {"gsd_m_per_px": float, "p_right": float}
-_CODES = "warning_codes"
+_CODES, _DETAILS = "warning_codes", "details"
 
 
 def flat_columns(kind: type[BaseModel], *, without: Collection[str] = ()) -> dict[str, type]:
@@ -79,7 +80,7 @@ def _columns(name: str, kind: Any) -> dict[str, type]:
 
 
 def _joined(outer: str, inner: str) -> str:
-    return inner if inner.startswith(f"{outer}_") else f"{outer}_{inner}"
+    return inner if outer == _DETAILS or inner.startswith(f"{outer}_") else f"{outer}_{inner}"
 
 
 def _bare(field: FieldInfo) -> Any:

@@ -10,7 +10,7 @@ from vehanchor.records.known_scale import KnownScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 from vehanchor.records.ruler_kinds import RulerKind
-from vehanchor.scale.defaults import PROBABLY_RIGHT, Aggregation, Reason, Stopped
+from vehanchor.scale.defaults import Aggregation, Preset, Reason, Stopped
 
 Status = Literal["ok", "low_confidence", "no_scale"]
 ReferenceSource = Literal["model", "appearance", "region", "given", "calibration"]
@@ -71,12 +71,8 @@ class RulerScale(Record):
     p_right: float = Field(
         ge=0, le=1, description="Chance that it measured what it thinks, given all rulers; these do not add up to 1."
     )
+    probably_right: bool = Field(description="Whether that chance is at least one half.")
     explanation: str | None = Field(description="Explanation of the measurement in a sentence; null if not needed.")
-
-    @property
-    def is_probably_right(self) -> bool:
-        """Whether it probably measured what it thinks."""
-        return self.p_right >= PROBABLY_RIGHT
 
 
 class TiltEstimate(Record):
@@ -90,6 +86,50 @@ class TiltEstimate(Record):
     source: str = Field(description="Source of the angle, and whether the focal length is unknown.")
     gsd_least_m_per_px: float | None = Field(description="Least metres per pixel in the image; null without a scale.")
     gsd_largest_m_per_px: float | None = Field(description="Largest metres per pixel in the image.")
+
+
+class EstimateDetails(Record):
+    """Details of an estimate: its search, its vehicles, and the paper's statistics."""
+
+    preset: Preset | None = Field(description="Named preset of the method; null for none.")
+    scene_scale: SceneScaleEstimate | None = Field(
+        description="Scale from the appearance of the scene, a prior; null if it was not computed."
+    )
+    n_detections: int | None = Field(
+        ge=0, description="N: vehicles before the outlier filter, after corrections by hand; null without that ruler."
+    )
+    by_hand: VehiclesByHand | None = Field(default=None, description="Corrections by the caller; null without any.")
+    working_scale: float | None = Field(
+        description="Scale of the image copy with most of the kept vehicles: 1 (full resolution), 0.5, 0.25 or 0.125; "
+        "null without vehicles. Lengths are always in pixels of the full image."
+    )
+    tiles_searched: int = Field(ge=0, description="Tiles searched; 0 if no ruler needs the detector.")
+    tiles_total: int = Field(ge=0, description="Tiles of the image at all resolutions.")
+    candidates_skipped: int = Field(
+        default=0, ge=0, description="Candidates in crowded tiles that were left out; N' counts the others."
+    )
+    stopped_because: Stopped | None = Field(
+        description="Why the search ended. all_searched: all tiles. converged: more tiles would not change the "
+        "scale, or cannot show cars at their resolution. max_tiles, max_seconds: the limit. Null without a search."
+    )
+    aggregation: Aggregation | None = Field(
+        description="Statistic of the lengths: the mode, or the median below 5 vehicles; null without that ruler."
+    )
+    reference_length_m: float | None = Field(
+        gt=0, description="L_ref: vehicle length of P_mode, metres. Null likewise."
+    )
+    reference_source: ReferenceSource | None = Field(
+        description="Source of L_ref. model: the detector's default. appearance: the fleet, recognised by its "
+        "appearance. region, given, calibration: from the caller or the operator. Null likewise."
+    )
+    resolution_guard: bool | None = Field(
+        description="Whether the resolution guard applies: the vehicles have too few pixels; null likewise."
+    )
+    composite_confidence: float | None = Field(
+        ge=0, le=1, description="The paper's composite C of the vehicles: the weighted sum of its terms, capped."
+    )
+    confidence_terms: ConfidenceTerms | None = Field(description="Terms of the composite C.")
+    model_sha256: str = Field(description="SHA-256 of the detector's file.")
 
 
 class GsdEstimate(Record):
@@ -108,7 +148,9 @@ class GsdEstimate(Record):
         description="Chance that the scale is right within 20 %; the status is ok from 0.9 on. In the preset paper the "
         "composite C, with 0.5 in place of 0.9.",
     )
-    n_vehicles: int = Field(ge=0, description="N': vehicles kept after the outlier filter.")
+    n_vehicles: int | None = Field(
+        ge=0, description="N': vehicles kept after the outlier filter; null without that ruler."
+    )
     mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without vehicles.")
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of the 95 % interval of the GSD.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of the 95 % interval of the GSD.")
@@ -117,41 +159,10 @@ class GsdEstimate(Record):
         "too_few: too little evidence. not_cars: the vehicles may not be cars. disagree: rulers, or the directions of "
         "the image. assumed: assumed facts alone. imprecise: the fleet or the fact is too uncertain."
     )
-    scene_scale: SceneScaleEstimate | None = Field(
-        description="Scale from the appearance of the scene, a prior; null if it was not computed."
-    )
     leading_ruler: RulerKind | None = Field(
         description="The ruler without which the interval is widest; null without a scale."
     )
     rulers: tuple[RulerScale, ...] = Field(description="All rulers with evidence; empty without a scale.")
-    n_detections: int = Field(ge=0, description="N: vehicles before the outlier filter, after corrections by hand.")
-    by_hand: VehiclesByHand | None = Field(default=None, description="Corrections by the caller; null without any.")
-    working_scale: float | None = Field(
-        description="Scale of the image copy with most of the kept vehicles: 1 (full resolution), 0.5, 0.25 or 0.125; "
-        "null without vehicles. Lengths are always in pixels of the full image."
-    )
-    tiles_searched: int = Field(ge=0, description="Tiles searched; 0 if no ruler needs the detector.")
-    tiles_total: int = Field(ge=0, description="Tiles of the image at all resolutions.")
-    candidates_skipped: int = Field(
-        default=0, ge=0, description="Candidates in crowded tiles that were left out; N' counts the others."
-    )
-    stopped_because: Stopped | None = Field(
-        description="Why the search ended. all_searched: all tiles. converged: more tiles would not change the "
-        "scale, or cannot show cars at their resolution. max_tiles, max_seconds: the limit. Null without a search."
-    )
-    aggregation: Aggregation = Field(description="Statistic of the lengths: the mode, or the median below 5 vehicles.")
-    reference_length_m: float = Field(gt=0, description="L_ref: vehicle length of P_mode, metres.")
-    reference_source: ReferenceSource = Field(
-        description="Source of L_ref. model: the detector's default. appearance: the fleet, recognised by its "
-        "appearance. region, given, calibration: from the caller or the operator."
-    )
-    resolution_guard: bool = Field(
-        description="Whether the resolution guard applies: the vehicles have too few pixels."
-    )
-    composite_confidence: float = Field(
-        ge=0, le=1, description="The paper's composite C of the vehicles: the weighted sum of its terms, capped."
-    )
-    confidence_terms: ConfidenceTerms = Field(description="Terms of the composite C.")
     image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
     image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
     georeference_gsd_m_per_px: float | None = Field(
@@ -167,12 +178,12 @@ class GsdEstimate(Record):
         description="The scale to give back for measurements in this image without a search; null without a scale.",
     )
     model: str = Field(description="Name of the detector.")
-    model_sha256: str = Field(description="SHA-256 of the detector's file.")
     warnings: tuple[Notice, ...] = Field(description="Further facts about this result, each with a stable code.")
+    details: EstimateDetails = Field(description="The search, the vehicles, and the paper's statistics.")
     schema_version: SchemaVersion = SCHEMA_VERSION
 
     @property
     def probable_rulers(self) -> list[RulerScale]:
         """Rulers that can set a scale and are probably right, the leading one first."""
-        right = [ruler for ruler in self.rulers if ruler.sets_scale and ruler.is_probably_right]
+        right = [ruler for ruler in self.rulers if ruler.sets_scale and ruler.probably_right]
         return sorted(right, key=lambda ruler: ruler.kind != self.leading_ruler)

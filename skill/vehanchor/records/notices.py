@@ -27,7 +27,6 @@ class NoticeCode(StrEnum):
     # of the rulers beside vehicles
     RULERS_DISAGREE = "rulers_disagree"
     CAMERA_TILTED = "camera_tilted"
-    RULER_NEEDS_NADIR = "ruler_needs_nadir"
     TILT_SUSPECTED = "tilt_suspected"
     CAMERA_UNUSABLE = "camera_unusable"
     UNIT_MISTYPED = "unit_mistyped"

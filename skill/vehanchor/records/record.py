@@ -8,10 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.records.interop import as_frame, as_html
 
-SCHEMA_VERSION: Literal[2] = 2
+SCHEMA_VERSION: Literal[3] = 3
 """Version of all fields; it rises when a field is renamed, removed or redefined."""
 
-SchemaVersion = Annotated[Literal[2], Field(description="Version of this schema; others are refused.")]
+SchemaVersion = Annotated[Literal[3], Field(description="Version of this schema; others are refused.")]
 
 
 class Record(BaseModel):

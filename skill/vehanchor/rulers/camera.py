@@ -13,9 +13,7 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.point import no_evidence, point_witness
-from vehanchor.rulers.ruler import Ruler
-from vehanchor.rulers.view import mark_of_height
+from vehanchor.rulers.ruler import Ruler, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.height import height_log_sd
 from vehanchor.scale.reliability import RELIABILITY, Shared
@@ -24,7 +22,7 @@ from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.metadata.lens import Lens
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 LENS, HEIGHT = "lens", "height above take-off"
@@ -46,9 +44,8 @@ class Camera(Ruler):
     pooling_gain = 0.0  # one camera and one take-off: one error
     reads_metadata = True
     uses_plane = True
-    independent_of_vehicles = True
 
-    def measure(self, view: View) -> Witness:
+    def measure(self, view: View) -> Witness | None:
         """Measure by the camera's height and lens; without either, give no evidence and say what is missing."""
         chosen, camera = view.options.rulers, view.image.camera or CameraMetadata()
         given_mm = chosen.focal_35mm if chosen.height_m is None else None
@@ -59,32 +56,32 @@ class Camera(Ruler):
         if camera.digital_zoom > _MAX_DIGITAL_ZOOM:
             return self._unusable(f"the photograph was enlarged {camera.digital_zoom:g} times in the camera")
         if taken_ratio(view.image, camera) is None:
-            return no_evidence(self.kind, cropped(view.image, camera, "the camera metadata are not usable"))
+            return unusable(self.kind, cropped(view.image, camera, "the camera metadata are not usable"))
         tilt_deg = camera.off_nadir_deg if view.plane is None else view.plane.tilt_deg
         size = view.image.width_px, view.image.height_px
         seen = lens(view.image, camera) if given_mm is None else equivalent_lens(*size, given_mm)
         if seen is None:
             if tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG:
-                return no_evidence(self.kind, _tilted(tilt_deg, unusable=True))
+                return unusable(self.kind, _tilted(tilt_deg, unusable=True))
             if chosen.height_m is not None and not camera.refused:
-                return no_evidence(self.kind)
+                return None
             known = f"the height is {camera.height_m:g} m, but the focal length is missing: give focal_35mm"
             return self._unusable(known, camera.refused)
         measured = self._measured(camera, camera.height_m, seen, tilt_deg)
         return replace(measured, marks=(mark_of_height(view.image, camera.height_m),)) if measured.found else measured
 
-    def _without_height(self, view: View, camera: CameraMetadata, given_mm: float | None) -> Witness:
+    def _without_height(self, view: View, camera: CameraMetadata, given_mm: float | None) -> Witness | None:
         """Say that the height is missing, unless the caller gives it or the focal length is missing, too."""
         if view.options.rulers.height_m is None and (given_mm is not None or lens(view.image, camera) is not None):
             return self._unusable(
                 "the focal length is known, but the height above the ground is missing: give height_m", camera.refused
             )
-        return self._unusable(camera.refused) if camera.refused else no_evidence(self.kind)
+        return self._unusable(camera.refused) if camera.refused else None
 
     def _measured(self, camera: CameraMetadata, height_m: float, seen: Lens, tilt_deg: float | None) -> Witness:
         tilted = tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG
         if tilt_deg is not None and tilt_deg >= _MAX_TILT_DEG:
-            return no_evidence(self.kind, _tilted(tilt_deg, unusable=True))
+            return unusable(self.kind, _tilted(tilt_deg, unusable=True))
         coarser, tilt_log_sd = coarsening(tilt_deg if tilted and tilt_deg else 0.0)
         gsd = height_m / seen.pixels * coarser
         if not on_grid(gsd):
@@ -106,7 +103,7 @@ class Camera(Ruler):
 
     def _unusable(self, *why: str) -> Witness:
         message = f"The camera metadata are not usable: {'; '.join(filter(None, why))}."
-        return no_evidence(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
+        return unusable(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
 
 
 def coarsening(tilt_deg: float) -> tuple[float, float]:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.courts.find import find_courts
-from vehanchor.rulers.point import no_evidence, point_witness
-from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.ruler import Ruler, point_witness
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.posterior import Mark
 from vehanchor.scale.reliability import RELIABILITY
@@ -17,8 +16,8 @@ from vehanchor.scale.reliability import RELIABILITY
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.courts.court import Court
-    from vehanchor.rulers.view import View
+    from vehanchor.courts.find import Court
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 _UNKNOWN_RULES_LOG_SD = 0.012  # of a basketball court: FIBA's 28 m and the NBA's 28.65 m are hard to distinguish
@@ -33,25 +32,24 @@ class Courts(Ruler):
     plural = True
     help = "a tennis or basketball court whole in the image"
     colour = "#D55E00"
-    independent_of_vehicles = True
 
-    def measure(self, view: View) -> Witness:
+    def measure(self, view: View) -> Witness | None:
         """Weigh the courts found by how well each was fitted; none without pixels."""
         return witness_of(() if view.raster is None else find_courts(view.raster, view.prior, view.runtime))
 
 
-def witness_of(courts: Sequence[Court]) -> Witness:
+def witness_of(courts: Sequence[Court]) -> Witness | None:
     """Weigh courts by how well each was fitted.
 
     Args:
         courts: of one image. Courts that differ from the median scale are left out.
 
     Returns:
-        The witness, with outlines and sides as marks.
+        The witness, with outlines and sides as marks; None without courts.
     """
     courts = [court for court in courts if on_grid(court.gsd_m_per_px)]
     if not courts:
-        return no_evidence(Courts.kind)
+        return None
     middle = float(np.median([math.log(court.gsd_m_per_px) for court in courts]))
     nearest = min(courts, key=lambda court: abs(math.log(court.gsd_m_per_px) - middle))
     kept = [court for court in courts if abs(math.log(court.gsd_m_per_px / nearest.gsd_m_per_px)) <= _APART]

@@ -9,17 +9,15 @@ from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera import LENS, coarsening, cropped
-from vehanchor.rulers.point import assumed, no_evidence, point_witness
 from vehanchor.rulers.registry import uses
-from vehanchor.rulers.ruler import Ruler
-from vehanchor.rulers.view import mark_of_height
+from vehanchor.rulers.ruler import Ruler, assumed, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.reliability import RELIABILITY, Shared
 
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 _SAME_HEIGHT = 0.02  # relative: a height this near to the file's repeats it
@@ -42,31 +40,30 @@ class GivenHeight(Ruler):
     colour = "#CC79A7"
     pooling_gain = 0.0  # one height: one error
     uses_plane = True
-    independent_of_vehicles = True
 
-    def measure(self, view: View) -> Witness:
+    def measure(self, view: View) -> Witness | None:
         """Measure by the given height and the focal length."""
         chosen, image = view.options.rulers, view.image
         if chosen.height_m is None:
-            return no_evidence(self.kind)
+            return None
         camera = image.camera if chosen.metadata else None
         if camera is not None and taken_ratio(image, camera) is None:
-            return no_evidence(self.kind, cropped(image, camera, _NO_LENS_OF_A_CROP))
+            return unusable(self.kind, cropped(image, camera, _NO_LENS_OF_A_CROP))
         if _repeats(view, chosen.height_m):
-            return no_evidence(self.kind, _repeated(chosen.height_m))
+            return unusable(self.kind, _repeated(chosen.height_m))
         seen: Lens | None = None
         if chosen.focal_35mm is not None:
             seen = equivalent_lens(image.width_px, image.height_px, chosen.focal_35mm)
         elif camera is not None:
             seen = lens(image, camera)
         if seen is None:
-            return no_evidence(self.kind, _NO_FOCAL_LENGTH)
+            return unusable(self.kind, _NO_FOCAL_LENGTH)
         coarser, tilt_log_sd = coarsening(0.0 if view.plane is None else view.plane.tilt_deg)
         gsd = chosen.height_m / seen.pixels * coarser
         said = f"The given height, {chosen.height_basis}, gives {{}}: {chosen.height_m:g} m and {seen.source}."
         said += " This is the scale of the image's centre." if view.plane else ""
         if not on_grid(gsd):
-            return no_evidence(
+            return unusable(
                 self.kind,
                 Notice(
                     code=NoticeCode.CAMERA_UNUSABLE,

@@ -12,8 +12,7 @@ import numpy as np
 from vehanchor.errors import KnownLengthError
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.point import assumed, in_words, no_evidence
-from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.ruler import Ruler, assumed, in_words
 from vehanchor.rulers.standards import Variant, lengths_of
 from vehanchor.scale.density import lognormal, mass_within, on_grid, product, quantile
 from vehanchor.scale.lengths import Z95
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.options import KnownLength
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.plane import GroundPlane
 
 _END_SD_PX = 1.0  # error of a drawn end, in pixels of the picture where it was drawn
@@ -43,9 +42,8 @@ class KnownLengths(Ruler):
     help = "lines that you draw, and their metres or what they measure"
     colour = "#009E73"
     uses_plane = True
-    independent_of_vehicles = True
 
-    def measure(self, view: View) -> Witness:
+    def measure(self, view: View) -> Witness | None:
         """Multiply the densities of the measured lines; without any, those of the assumed ones.
 
         Raises:
@@ -53,7 +51,7 @@ class KnownLengths(Ruler):
         """
         lines = view.options.rulers.known_lengths
         if not lines:
-            return no_evidence(self.kind)
+            return None
         drawn = [_drawn(line, view) for line in lines]
         groups = _groups(drawn)
         measured = [group for group in groups if group[0].line.basis == "measured"]

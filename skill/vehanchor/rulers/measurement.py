@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from itertools import permutations
 from typing import TYPE_CHECKING
 
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.point import no_evidence
-from vehanchor.rulers.registry import active_rulers
-from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
+from vehanchor.rulers.registry import active_rulers, ruler_class
+from vehanchor.rulers.ruler import unusable
+from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import product
 
 if TYPE_CHECKING:
@@ -18,31 +20,31 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from vehanchor.rulers.ruler import Ruler
-    from vehanchor.rulers.view import View
-    from vehanchor.scale.posterior import Witness
+    from vehanchor.rulers.ruler import Ruler, View
+    from vehanchor.scale.posterior import Answer, Witness
+
+_STATED = ("known_length", "height")
+_UNIT_RATIO, _UNIT_TOLERANCE = math.log(100.0), math.log(2.0)  # centimetres for metres; scenes tell a factor of two
 
 
-def measure_all(view: View, known: Sequence[Witness] = ()) -> tuple[VehicleWitness, tuple[Witness, ...]]:
+def measure_all(view: View, known: Sequence[Witness] | None = None) -> tuple[Witness, ...]:
     """Measure an image with all rulers that the caller allows.
 
     Args:
         view: of the image, with its tilt.
-        known: earlier witnesses, which are not measured again.
+        known: earlier witnesses of all rulers but those that measure the boxes of a flight together; None without any.
 
     Returns:
-        The witness of the vehicles, empty if the caller excludes them, and those of the other rulers.
+        The witnesses; those of boxes first.
     """
-    kinds = {each.kind for each in known}
-    rulers = [ruler for ruler in _of_images(view) if ruler.kind not in kinds]
-    independent = [ruler for ruler in rulers if ruler.independent_of_vehicles]
-    others = [*known, *(_measured(ruler, view) for ruler in independent)]
+    rulers = [ruler for ruler in active_rulers(view.options.rulers) if not ruler.of_flights]
+    first = known
+    if first is None:
+        first = _measured([ruler for ruler in rulers if not ruler.measured_last], view)
     if view.expected is None and view.plane is not None:
-        view = replace(view, expected=expected_scale(others))
-    measured = [*others, *(_measured(ruler, view) for ruler in rulers if not ruler.independent_of_vehicles)]
-    vehicles = next((each for each in measured if isinstance(each, VehicleWitness)), None)
-    others = [each for each in measured if each is not vehicles]
-    return vehicles or Vehicles().not_measured(view), tuple(others)
+        view = replace(view, expected=expected_scale(first))
+    last = [ruler for ruler in rulers if ruler.measured_last and (known is None or ruler.pooling_gain is None)]
+    return (*_measured(last, view), *first)
 
 
 def expected_scale(witnesses: Iterable[Witness]) -> NDArray[np.float64] | None:
@@ -60,18 +62,65 @@ def expected_scale(witnesses: Iterable[Witness]) -> NDArray[np.float64] | None:
     return product(*densities) if densities else None
 
 
-def _of_images(view: View) -> list[Ruler]:
-    return [ruler for ruler in active_rulers(view.options.rulers) if not ruler.of_flights]
+def _measured(rulers: Iterable[Ruler], view: View) -> list[Witness]:
+    witnesses = (_witness(ruler, view) for ruler in rulers)
+    return [each for each in witnesses if each is not None]
 
 
-def _measured(ruler: Ruler, view: View) -> Witness:
-    """Measure with one ruler; a ruler for nadir images gives no evidence in a tilted view."""
+def _witness(ruler: Ruler, view: View) -> Witness | None:
+    """Measure with one ruler; a ruler for nadir images is left out in a tilted view."""
     if view.plane is None or ruler.uses_plane:
         return ruler.measure(view)
-    if not ruler.measure(view.at_nadir()).found:
-        return no_evidence(ruler.kind)
+    at_nadir = ruler.measure(view.at_nadir())
+    if at_nadir is None or not at_nadir.found:
+        return None
     message = (
         f"The camera was tilted by {view.plane.tilt_deg:.0f} degrees: the ruler {ruler.label} is left out, because it "
         "only measures nadir images."
     )
-    return no_evidence(ruler.kind, Notice(code=NoticeCode.RULER_NEEDS_NADIR, message=message))
+    return unusable(ruler.kind, Notice(code=NoticeCode.CAMERA_TILTED, message=message))
+
+
+def disagreements(witnesses: Sequence[Witness], found: Answer) -> list[Notice]:
+    """Warn of rulers that are probably wrong, and of stated facts whose unit is probably wrong.
+
+    Args:
+        witnesses: of all rulers.
+        found: their answer.
+    """
+    heard = [each for each in witnesses if each.found]
+    setting = [(each, p) for each, p in zip(heard, found.p_right, strict=True) if each.sets_scale]
+    doubted = [each for each, p_right in setting if p_right < PROBABLY_RIGHT]
+    if found.reason == "disagree" and not doubted and len(setting) > 1:
+        doubted = [each for each, _ in setting]
+    notices = [
+        Notice(
+            code=NoticeCode.RULERS_DISAGREE,
+            message=f"{_says(each)} m/px, and all rulers together {found.gsd_m_per_px:.2g}. Check which is wrong "
+            "before using either.",
+        )
+        for each in doubted
+        if len(setting) > 1
+    ]
+    return notices + _unit_notices(heard)
+
+
+def _unit_notices(heard: Sequence[Witness]) -> list[Notice]:
+    """Warn of stated facts that differ from another ruler by a factor of about 100."""
+    notices = {}
+    for fact, other in permutations(heard, 2):
+        if fact.kind not in _STATED or fact.gsd_m_per_px is None or other.gsd_m_per_px is None:
+            continue
+        off = math.log(fact.gsd_m_per_px / other.gsd_m_per_px)
+        if abs(abs(off) - _UNIT_RATIO) <= _UNIT_TOLERANCE:
+            message = (
+                f"{_says(fact)} m/px, another ruler {other.gsd_m_per_px:.2g}: some 100 times "
+                f"{'less' if off > 0 else 'more'}. Its unit is probably wrong: give metres"
+                f"{', not centimetres' if off > 0 else ''}."
+            )
+            notices[fact.kind] = Notice(code=NoticeCode.UNIT_MISTYPED, message=message)
+    return list(notices.values())
+
+
+def _says(witness: Witness) -> str:
+    return f"{ruler_class(witness.kind).says().capitalize()} {witness.gsd_m_per_px:.2g}"

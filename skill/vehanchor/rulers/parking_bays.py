@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.rulers.bay_rows import find_bay_rows
-from vehanchor.rulers.point import no_evidence, point_witness
-from vehanchor.rulers.prior_range import prior_range
-from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.ruler import Ruler, point_witness
 from vehanchor.rulers.standards import lengths_of
-from vehanchor.scale.density import on_grid
+from vehanchor.scale.density import credible_interval, on_grid
 from vehanchor.scale.lengths import Interval
 from vehanchor.scale.posterior import Mark
 from vehanchor.scale.reliability import PAINT, RELIABILITY
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.rulers.bay_rows import BayRow
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 _STANDARD = "parking_bay_width"
@@ -42,21 +40,20 @@ class ParkingBays(Ruler):
     help = "a row of parking bays with visible lines, up to 0.33 m/px"
     colour = "#882255"
     pooling_gain = 0.0  # one country: one error
-    independent_of_vehicles = True
 
-    def measure(self, view: View) -> Witness:
+    def measure(self, view: View) -> Witness | None:
         """Measure rows of bays at the scales that the scene-scale prior allows; none without pixels or prior.
 
         After a search that ended early, only the searched part of the image is examined.
         """
-        scale = prior_range(view, _RESOLVED, _PRIOR_SHARE, _FARTHEST)
+        scale = _prior_range(view)
         if view.raster is None or scale is None:
-            return no_evidence(self.kind)
+            return None
         rows = find_bay_rows(view.raster, scale, view.detections.covers)
         return witness_of(rows, view.options.reference.region)
 
 
-def witness_of(rows: Sequence[BayRow], region: str | None = None) -> Witness:
+def witness_of(rows: Sequence[BayRow], region: str | None = None) -> Witness | None:
     """Compare the width of bays with the standards of a region, or of all countries.
 
     Args:
@@ -64,7 +61,7 @@ def witness_of(rows: Sequence[BayRow], region: str | None = None) -> Witness:
         region: country or region; None if it is unknown.
     """
     if not rows:
-        return no_evidence(ParkingBays.kind)
+        return None
     widths = np.log([row.pitch_px for row in rows])
     lines = np.array([len(row.ends) for row in rows])
     order = np.argsort(widths, kind="stable")
@@ -77,7 +74,7 @@ def witness_of(rows: Sequence[BayRow], region: str | None = None) -> Witness:
     log_width, log_sd = _standard_width(region)
     gsd = math.exp(log_width) / width_px
     if not on_grid(gsd):
-        return no_evidence(ParkingBays.kind)
+        return None
     reliability = RELIABILITY[ParkingBays.kind]
     return point_witness(
         ParkingBays.kind,
@@ -113,3 +110,13 @@ def _marks(row: BayRow) -> list[Mark]:
 
 def _points(places: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in places)
+
+
+def _prior_range(view: View) -> Interval | None:
+    """Compute the range of scales to search; None in a tilted view, without a prior, or outside the resolved scales."""
+    if view.prior is None or view.plane is not None:
+        return None
+    middle = credible_interval(view.prior.density, 0.0).low
+    low, high = credible_interval(view.prior.density, _PRIOR_SHARE)
+    low, high = max(low, middle / _FARTHEST, _RESOLVED.low), min(high, middle * _FARTHEST, _RESOLVED.high)
+    return Interval(low, high) if low < high else None

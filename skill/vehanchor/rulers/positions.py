@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.rulers.point import no_evidence, point_witness
-from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.ruler import Ruler, point_witness
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.reliability import RELIABILITY
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.facts import ImageFacts
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 _EARTH_M = 6_371_009.0
@@ -39,12 +38,11 @@ class Positions(Ruler):
     colour = "#56B4E9"
     reads_metadata = True
     uses_plane = True
-    independent_of_vehicles = True
     of_flights = True
 
-    def measure(self, view: View) -> Witness:  # noqa: ARG002
-        """Give no evidence: a single image has no baseline."""
-        return no_evidence(self.kind)
+    def measure(self, view: View) -> Witness | None:  # noqa: ARG002
+        """Measure nothing: a single image has no baseline."""
+        return None
 
 
 class Baseline(NamedTuple):

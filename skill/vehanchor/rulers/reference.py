@@ -8,16 +8,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.countries import COUNTRY_CODES, COUNTRY_REGIONS, country_length
-from vehanchor.scale.reliability import FLEETS, KNOWN_REGION
+from vehanchor.scale.reliability import FLEETS, KNOWN_REGION, LOOKS_LOG_SD
 
 if TYPE_CHECKING:
-    from vehanchor.detection.appearance import FleetAppearance
-    from vehanchor.detection.card import DetectorCard
+    from collections.abc import Mapping
+
+    from vehanchor.detection.card import BodyLengths, DetectorCard
+    from vehanchor.detection.detections import Looks
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 
 
 _KNOWN_LENGTH = 0.5  # share of the spread that a length from the caller leaves; a choice
+_USUAL_CARS = 2.0  # cars of the usual length that stand for those which are not in sight: (0.09 / 0.06)**2, the spreads
+# of lengths within fleets and between them
 
 
 class ReferenceLength(NamedTuple):
@@ -27,14 +31,13 @@ class ReferenceLength(NamedTuple):
         length_m: metres.
         source: source of the length.
         errors: of its log, a mixture of normals: weight, mean and standard deviation of each.
-        sampling_log_sd: standard error of its log from the spread of the vehicles' appearance, which more vehicles
-            reduce.
+        by_looks: log of the factor on the vehicles' lengths by their appearance; None if these are not used.
     """
 
     length_m: float
     source: ReferenceSource
     errors: tuple[tuple[float, float, float], ...]
-    sampling_log_sd: float = 0.0
+    by_looks: float | None = None
 
     @classmethod
     def of(cls, length_m: float, sd_m: float, source: ReferenceSource) -> ReferenceLength:
@@ -48,16 +51,16 @@ class ReferenceLength(NamedTuple):
         return math.sqrt(sum(weight * (sd**2 + (each - mean) ** 2) for weight, each, sd in self.errors))
 
 
-def reference_length(card: DetectorCard, given: Reference, appearance: FleetAppearance | None) -> ReferenceLength:
+def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) -> ReferenceLength:
     """Choose the caller's reference length, else the fleet's by appearance, else the model's.
 
     A length from the caller removes half of the spread between regions. A region removes less, because a city differs
-    from its region.
+    from its region; it moves lengths by appearance towards its own by the precisions of both.
 
     Args:
         card: of the model that found the vehicles.
         given: source chosen by the caller.
-        appearance: appearance of the vehicles; None if unknown.
+        looks: of the vehicles of the fleet; None if unknown.
 
     Returns:
         The length, its spread and its source.
@@ -72,21 +75,31 @@ def reference_length(card: DetectorCard, given: Reference, appearance: FleetAppe
         return ReferenceLength.of(measured.reference_length_m, measured.reference_length_sd_m, "calibration")
     if given.reference_length_m is not None:
         return ReferenceLength.of(given.reference_length_m, _KNOWN_LENGTH * card.reference_length_sd_m, "given")
+    if card.bodies is not None and looks is not None:
+        return _by_looks(card.bodies, looks, given.region)
     if given.region is not None:
-        length_m = _region_length(given.region, card)
+        length_m = _region_length(given.region, card.region_lengths_m)
         return ReferenceLength.of(length_m, KNOWN_REGION * card.reference_length_sd_m, "region")
-    if card.fleet_lengths is not None and appearance is not None:
-        length_m = card.fleet_lengths.reference_length(appearance.log_lengths)
-        sampling = (
-            card.fleet_lengths.sampling_log_sd(appearance.log_lengths) if len(appearance.log_lengths) > 1 else 0.0
-        )
-        return ReferenceLength(length_m, "appearance", FLEETS, sampling)
     return ReferenceLength.of(card.reference_length_m, card.reference_length_sd_m, "model")
 
 
-def _region_length(name: str, card: DetectorCard) -> float:
+def _by_looks(bodies: BodyLengths, looks: Looks, region: str | None) -> ReferenceLength:
+    """Read the reference length from appearances, and move it towards that of a region."""
+    log_length = float(looks.log_lengths.mean())
+    if region is None:
+        return ReferenceLength(math.exp(log_length), "appearance", FLEETS, 0.0)
+    usual = math.log(bodies.reference_length_m)
+    fleet = (len(looks) * log_length + _USUAL_CARS * usual) / (len(looks) + _USUAL_CARS)
+    spread = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
+    share = LOOKS_LOG_SD**2 / (LOOKS_LOG_SD**2 + spread**2)
+    moved = share * (math.log(_region_length(region, bodies.region_lengths_m)) - fleet)
+    errors = tuple((weight, (1 - share) * mean, math.sqrt(1 - share) * sd) for weight, mean, sd in FLEETS)
+    return ReferenceLength(math.exp(log_length + moved), "region", errors, moved)
+
+
+def _region_length(name: str, known: Mapping[str, float]) -> float:
     """Look up the reference length of a region or country, metres."""
-    known, plain = card.region_lengths_m, " ".join(name.lower().replace("_", " ").replace("-", " ").split())
+    plain = " ".join(name.lower().replace("_", " ").replace("-", " ").split())
     length_m = known.get(plain.replace(" ", "_")) or country_length(COUNTRY_CODES.get(plain, name), known)
     if length_m is not None:
         return length_m

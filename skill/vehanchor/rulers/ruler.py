@@ -1,15 +1,90 @@
-"""Base class of rulers."""
+"""What a ruler is made of: its input, its base class, and witnesses of one scale with a lognormal error.
+
+To add a ruler, subclass ``Ruler`` in a file of its own and name it in ``vehanchor.records.ruler_kinds``.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+import numpy as np
 
-    from vehanchor.rulers.view import View
-    from vehanchor.scale.posterior import Witness
+from vehanchor.scale.density import flat, lognormal, normalised, quantile
+from vehanchor.scale.posterior import Lack, Mark, Witness
+from vehanchor.scale.reliability import CALLER
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.detections import Detections
+    from vehanchor.detection.scene_scale import SceneScalePrior
+    from vehanchor.imagery.facts import ImageFacts
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.models.runtime import Runtime
+    from vehanchor.options import ScaleOptions
+    from vehanchor.scale.lengths import Interval
+    from vehanchor.scale.plane import GroundPlane
+    from vehanchor.scale.posterior import Remark
+    from vehanchor.scale.reliability import Shared
+    from vehanchor.tilt.camera_tilt import CameraTilt
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Input of a ruler.
+
+    Attributes:
+        image: facts of the image.
+        detections: result of the search.
+        card: of the detector.
+        options: all options of the method.
+        resolved_share: function of centres ``[n, 2]`` in pixels and the scale where they were found; it gives the share
+            of the resolution at which there is detail (``vehanchor.imagery.detail``).
+        raster: the open image, for a ruler that reads pixels; None if only search results are kept.
+        runtime: runtime of a ruler's own model.
+        prior: the scene-scale prior; None without one.
+        tilt: of the camera; None for an image taken at nadir, or of unknown tilt.
+        expected: ``[g]`` density of the scale in a tilted view, from rulers that do not depend on vehicles; None
+            without any.
+    """
+
+    image: ImageFacts
+    detections: Detections
+    card: DetectorCard
+    options: ScaleOptions
+    resolved_share: Callable[[NDArray[np.float64], float], float]
+    raster: Raster | None = None
+    runtime: Runtime | None = None
+    prior: SceneScalePrior | None = None
+    tilt: CameraTilt | None = None
+    expected: NDArray[np.float64] | None = None
+
+    @cached_property
+    def plane(self) -> GroundPlane | None:
+        """Ground plane of a tilted view, with one metre per pixel at the image's centre; None at nadir."""
+        return None if self.tilt is None else self.tilt.plane(self.image)
+
+    def rectified(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Rectify points ``[n, 2]`` of the image to nadir and to the scale of its centre.
+
+        Returns:
+            ``[n, 2]`` pixels with an arbitrary origin. At nadir the points themselves.
+
+        Raises:
+            TooObliqueError: a point is above the horizon, or just below it.
+        """
+        places = np.asarray(points, dtype=np.float64)
+        return places if self.plane is None else self.plane.from_above(places)
+
+    def at_nadir(self) -> View:
+        """Copy the view without its tilt."""
+        return replace(self, tilt=None)
 
 
 class Ruler:
@@ -24,11 +99,11 @@ class Ruler:
         help: what the ruler needs, for the help of ``--rulers``.
         colour: of its curve in plots, ``#rrggbb``.
         pooling_gain: n photographs of a flight count as n to this power: 0 if all have the same error, 1 if their
-            errors are independent.
+            errors are independent. None: it measures the boxes of all photographs together.
         needs_search: it measures detections, so that the detector must run.
         reads_metadata: it is left out if the caller forbids metadata.
-        uses_plane: it measures on ``View.plane``. If False, it gives no evidence in a tilted view.
-        independent_of_vehicles: it does not use vehicles, so that it can distinguish cars from parts of cars.
+        uses_plane: it measures on ``View.plane``. If False, it is left out in a tilted view.
+        measured_last: ``View.expected``, by the rulers before it, tells it cars from parts of cars in a tilted view.
         sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other rulers.
         of_flights: it measures the photographs of a flight together, never a single image.
         stored_classes: classes of its witnesses by their names in journals; a name never changes.
@@ -39,23 +114,23 @@ class Ruler:
     help: ClassVar[str]
     plural: ClassVar[bool] = False
     colour: ClassVar[str] = "#8C6D31"
-    pooling_gain: ClassVar[float] = 0.5
+    pooling_gain: ClassVar[float | None] = 0.5
     needs_search: ClassVar[bool] = False
     reads_metadata: ClassVar[bool] = False
     uses_plane: ClassVar[bool] = False
-    independent_of_vehicles: ClassVar[bool] = False
+    measured_last: ClassVar[bool] = False
     sets_scale: ClassVar[bool] = True
     of_flights: ClassVar[bool] = False
     stored_classes: ClassVar[Mapping[str, type[Witness]]] = MappingProxyType({})
 
-    def measure(self, view: View) -> Witness:
+    def measure(self, view: View) -> Witness | None:
         """Measure the scale; in a tilted view, the scale of the image's centre.
 
         Args:
             view: of the image.
 
         Returns:
-            The witness; ``no_evidence`` if nothing was found.
+            The witness, or ``unusable`` with the reason; None if there is nothing to say.
         """
         raise NotImplementedError
 
@@ -63,3 +138,77 @@ class Ruler:
     def says(cls) -> str:
         """Begin a sentence, as "the courts say"."""
         return f"the {cls.label} {'say' if cls.plural else 'says'}"
+
+
+def mark_of_height(image: ImageFacts, height_m: float) -> Mark:
+    """Mark the height of the camera in the middle of the image."""
+    return Mark(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
+
+
+def unusable(kind: str, *notices: Remark) -> Witness:
+    """Make the witness of a ruler that cannot measure; notices say why."""
+    return Witness(kind, n=0, notices=notices)
+
+
+def point_witness(
+    kind: str,
+    gsd_m_per_px: float,
+    log_sd: float,
+    chance_wrong: float,
+    said: str,
+    *,
+    shared: Sequence[Shared] = (),
+    n: int = 1,
+    notices: Sequence[Remark] = (),
+    marks: Sequence[Mark] = (),
+) -> Witness:
+    """Make a witness from a scale and its standard deviation.
+
+    Args:
+        kind: of the ruler.
+        gsd_m_per_px: the scale, on the grid (see ``vehanchor.scale.density.on_grid``).
+        log_sd: standard deviation of its log, without shared errors.
+        chance_wrong: 0..1, chance that it measured something else.
+        said: a sentence with the source and the measurement; ``{}`` in it stands for the scale and its interval.
+        shared: errors in common with other witnesses.
+        n: number of things measured.
+        notices: warnings.
+        marks: measured lines, for pictures.
+    """
+    witness = Witness(
+        kind,
+        gsd_m_per_px,
+        lognormal(gsd_m_per_px, log_sd),
+        chance_wrong,
+        shared=tuple(shared),
+        n=n,
+        notices=tuple(notices),
+        marks=tuple(marks),
+    )
+    assert witness.interval is not None
+    return replace(witness, said=said.replace("{}", in_words(gsd_m_per_px, witness.interval)))
+
+
+def assumed(witness: Witness, caller: Shared = CALLER) -> Witness:
+    """Mark a witness as a guess of the caller, whose guesses may all be wrong together."""
+    return replace(witness, assumed=True, shared=(*witness.shared, caller), lacks=(Lack("assumed", witness),))
+
+
+def prior_witness(kind: str, density: NDArray[np.float64], power: float, n: int) -> Witness:
+    """Make the witness of a prior; its floor is its chance to be wrong.
+
+    Args:
+        kind: of the ruler.
+        density: ``[g]`` probabilities.
+        power: exponent on the density, for a prior that counts elsewhere, too.
+        n: number of things measured.
+    """
+    weighed = normalised(density**power)
+    chance_wrong = float(weighed.min() / flat()[0])
+    right = normalised(np.maximum(weighed - weighed.min(), 0.0)) if chance_wrong < 1.0 else flat()
+    return Witness(kind, quantile(density, 0.5), right, min(chance_wrong, 1.0), sets_scale=False, n=n)
+
+
+def in_words(gsd_m_per_px: float, interval: Interval) -> str:
+    """Write a scale with its interval."""
+    return f"{gsd_m_per_px:.4g} m/px ({interval.low:.3g} to {interval.high:.3g})"

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.rulers.point import no_evidence, prior_witness
-from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.ruler import Ruler, prior_witness
 from vehanchor.scale.reliability import PRIOR_POWER
 
 if TYPE_CHECKING:
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 
@@ -21,13 +20,12 @@ class SceneScale(Ruler):
     help = "nothing; it is a prior and never sets the scale"
     colour = "#999999"
     pooling_gain = 0.0  # photographs of one place: one error
-    uses_plane = True  # it gives no evidence in tilted views, which its training data lack
-    independent_of_vehicles = True
+    uses_plane = True  # it measures nothing in tilted views, which its training data lack
     sets_scale = False
 
-    def measure(self, view: View) -> Witness:
-        """Weigh the prior's density; without a prior or in a tilted view, give no evidence."""
+    def measure(self, view: View) -> Witness | None:
+        """Weigh the prior's density; None without a prior or in a tilted view."""
         if view.prior is None or view.plane is not None:
-            return no_evidence(self.kind)
+            return None
         n_tiles = sum(level.n_tiles for level in view.prior.levels)
         return prior_witness(self.kind, view.prior.density, PRIOR_POWER, n_tiles)

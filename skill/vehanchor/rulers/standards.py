@@ -62,11 +62,6 @@ class Standard(NamedTuple):
         """Name in messages."""
         return self.name.replace("_", " ")
 
-    @property
-    def family(self) -> str:
-        """First word of the name: things that are mistaken together, as the sides of one pitch."""
-        return self.name.partition("_")[0]
-
     def lengths_in(self, place: str | None) -> tuple[Variant, ...]:
         """Select the lengths of a country or region, with weights that add up to 1; all lengths if none is of it."""
         chosen = [each for each in self.variants if place and each.is_of(place)] or self.variants

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.rulers.point import assumed, no_evidence, point_witness
-from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.ruler import Ruler, assumed, point_witness
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.reliability import RELIABILITY
 
 if TYPE_CHECKING:
     from vehanchor.options.rulers import StatedScale as Stated
-    from vehanchor.rulers.view import View
+    from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
 
@@ -24,12 +23,11 @@ class StatedScale(Ruler):
     colour = "#56B4E9"
     pooling_gain = 0.0  # one statement: one error
     uses_plane = True
-    independent_of_vehicles = True
 
-    def measure(self, view: View) -> Witness:
+    def measure(self, view: View) -> Witness | None:
         """Take the stated scale with its tolerance."""
         stated = view.options.rulers.stated_scale
-        return no_evidence(self.kind) if stated is None else stated_witness(stated)
+        return None if stated is None else stated_witness(stated)
 
 
 def stated_witness(stated: Stated) -> Witness:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.look_alikes import look_alikes
@@ -17,25 +16,24 @@ from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import GRID, blurred, flat, lognormal, on_grid, product
-from vehanchor.scale.lengths import dominant_group, guard_length, inlier_mask
+from vehanchor.scale.lengths import dominant_group, guard_length, inlier_mask, modal_length, statistical_log_sds
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
-from vehanchor.scale.reliability import RELIABILITY, uncalibrated_wrong, unresolved
+from vehanchor.scale.reliability import CAR_LOG_SD, RELIABILITY, uncalibrated_wrong, unresolved
 from vehanchor.scale.votes import UNCALIBRATED, vehicle_likelihood
 from vehanchor.tilt.rectified import rectified
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from vehanchor.detection.appearance import FleetAppearance
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.detections import Detections
+    from vehanchor.detection.detections import Detections, Looks
     from vehanchor.options import Lengths
     from vehanchor.rulers.reference import ReferenceLength
-    from vehanchor.rulers.view import View
-    from vehanchor.scale.defaults import Reason
+    from vehanchor.rulers.ruler import View
+    from vehanchor.scale.defaults import Aggregation, Reason
     from vehanchor.scale.paper import PaperScale
     from vehanchor.scale.votes import Votes
 
@@ -83,12 +81,12 @@ class Fleet:
         return np.asarray(self.detections.scores[self.kept])
 
     @property
-    def appearance(self) -> FleetAppearance | None:
-        """Appearance of the embedded vehicles; None without any."""
-        fleet = self.detections.fleet
-        if fleet is None or not self.kept[: len(fleet.log_odds)].any():
+    def looks(self) -> Looks | None:
+        """Looks of the vehicles that have any; None without such vehicles."""
+        looks = self.detections.looks
+        if looks is None or not self.kept[: len(looks)].any():
             return None
-        return fleet.take(self.kept[: len(fleet.log_odds)])
+        return looks.take(self.kept[: len(looks)])
 
 
 def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float64] | None = None) -> Fleet:
@@ -141,20 +139,42 @@ class VehicleWitness(Witness):
     Attributes:
         fleet: the vehicles.
         reference: ``L_ref`` and its source.
-        paper: scale by the published method.
+        mode_length_px: ``P_mode``; None without vehicles.
+        aggregation: statistic of the lengths.
+        length_range_px: shortest and longest vehicle in the model's training data.
         guard_length_px: ``P_thresh`` of the resolution guard.
         resolved: share of the pixels' resolution at which there is detail.
         doubted: whether the vehicles may be look-alikes, the image stretched, or the vehicles too coarse.
-        stretched: whether width and height of the image seem to have different scales.
     """
 
     fleet: Fleet
     reference: ReferenceLength
-    paper: PaperScale
+    mode_length_px: float | None
+    aggregation: Aggregation
+    length_range_px: tuple[float, float]
     guard_length_px: float
     resolved: float
     doubted: bool = False
-    stretched: bool = False
+
+    @cached_property
+    def paper(self) -> PaperScale:
+        """Scale by the published method; a search needs none of it."""
+        return paper_scale(
+            self.fleet.lengths,
+            self.fleet.scores,
+            (self.mode_length_px, self.aggregation),
+            (self.reference.length_m, self.reference.log_sd * self.reference.length_m),
+            seen_scale=self.fleet.working_scale or 1.0,
+            guard_length_px=self.guard_length_px,
+            length_range_px=self.length_range_px,
+        )
+
+    @property
+    def statistical_log_sds(self) -> tuple[float, float]:
+        """Log standard deviations of the mode under resampling and of the fleet's spread; there must be vehicles."""
+        assert self.mode_length_px is not None
+        scores = self.fleet.scores if self.aggregation == "weighted_kde" else None
+        return statistical_log_sds(self.fleet.lengths, self.mode_length_px, scores=scores)
 
 
 class Vehicles(Ruler):
@@ -165,8 +185,10 @@ class Vehicles(Ruler):
     plural = True
     help = "cars"
     colour = "#0072B2"
+    pooling_gain = None
     needs_search = True
     uses_plane = True
+    measured_last = True
 
     def measure(self, view: View) -> VehicleWitness:
         """Measure the fleet in a view (paper, section III); its own scale is ``L_ref / P_mode``.
@@ -178,19 +200,14 @@ class Vehicles(Ruler):
         card, plane = view.card, view.plane
         detections = view.detections if plane is None else rectified(view.detections, plane)
         fleet = select(detections, view.options.lengths, _expected(view))
-        reference = reference_length(card, view.options.reference, fleet.appearance)
+        reference = reference_length(card, view.options.reference, fleet.looks)
         guard_px, seen_scale = guard_length(reference.length_m, card.min_length_px), fleet.working_scale or 1.0
-        paper = paper_scale(
-            fleet.lengths,
-            fleet.scores,
-            (reference.length_m, reference.log_sd * reference.length_m),
-            view.options.lengths.aggregation or card.aggregation,
-            seen_scale=seen_scale,
-            guard_length_px=guard_px,
-            length_range_px=(max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
-        )
+        mode_px, aggregation = None, view.options.lengths.aggregation or card.aggregation
+        if len(fleet.lengths):
+            mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, aggregation)
+        gsd = None if mode_px is None else reference.length_m / mode_px
         resolved = view.resolved_share(fleet.centres, seen_scale)
-        seen_px = (paper.mode_length_px or 0.0) * seen_scale  # in pixels of the copy that the model saw
+        seen_px = (mode_px or 0.0) * seen_scale  # in pixels of the copy that the model saw
         doubts = _doubts(fleet, None if plane else detections.stretch)
         coarseness = guard_px / (seen_px * resolved) if seen_px else 0.0
         votes = _Votes(
@@ -199,10 +216,10 @@ class Vehicles(Ruler):
         unresolved_only = seen_px >= guard_px > seen_px * resolved
         return VehicleWitness(
             self.kind,
-            paper.gsd_m_per_px,
+            gsd,
             votes.density() if len(fleet.lengths) else None,
             votes.chance_wrong,
-            votes.wrong(paper.gsd_m_per_px),
+            votes.wrong(gsd),
             n=len(fleet.lengths),
             notices=(
                 *_capped(detections),
@@ -212,16 +229,13 @@ class Vehicles(Ruler):
             lacks=votes.lacks() if len(fleet.lengths) else (),
             fleet=fleet,
             reference=reference,
-            paper=paper,
+            mode_length_px=mode_px,
+            aggregation=aggregation,
+            length_range_px=(max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
             guard_length_px=guard_px,
             resolved=resolved,
             doubted=bool(doubts) or votes.chance_wrong > _Votes(fleet, card, reference).chance_wrong,
-            stretched=NoticeCode.STRETCHED in doubts,
         )
-
-    def not_measured(self, view: View) -> VehicleWitness:
-        """Make the witness without vehicles, for a caller who excludes them."""
-        return self.measure(replace(view, detections=NOT_SEARCHED, tilt=None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,10 +291,23 @@ class _Votes:
         found = self.fleet.detections
         alone = self.only_kept or self.fleet.is_stated
         voting = self.fleet.kept if alone else np.ones(len(self.fleet.kept), bool)
-        pointed = np.zeros(len(voting)) if found.corrections is None else found.corrections.pointed_log_sds
+        lengths_m, log_sds = self._lengths_m
         return vehicle_likelihood(
-            found.boxes[voting, 2], scores[voting], self.reference.length_m, self._model, pointed[voting]
+            found.boxes[voting, 2], scores[voting], lengths_m[voting], self._model, log_sds[voting]
         )
+
+    @cached_property
+    def _lengths_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lengths ``[n]`` in metres if the boxes are cars, by their looks or the reference, and their log errors."""
+        found = self.fleet.detections
+        lengths_m, log_sds = np.full(len(found.boxes), self.reference.length_m), np.full(len(found.boxes), CAR_LOG_SD)
+        if self.reference.by_looks is not None and found.looks is not None:
+            seen = len(found.looks)
+            lengths_m[:seen] = np.exp(found.looks.log_lengths + self.reference.by_looks)
+            log_sds[:seen] = found.looks.log_sds
+        if found.corrections is not None:
+            log_sds = np.hypot(log_sds, found.corrections.pointed_log_sds)
+        return lengths_m, log_sds
 
     @property
     def _model(self) -> Votes:
@@ -349,10 +376,9 @@ def _doubts(fleet: Fleet, stretch: float | None) -> tuple[NoticeCode, ...]:
     """
     if fleet.detections.scales is None or not len(fleet.lengths):
         return ()
-    odds = None if fleet.appearance is None else fleet.appearance.log_odds
     return (
         *([NoticeCode.STRETCHED] if stretch is not None and abs(stretch) > 1.0 else []),
-        *([NoticeCode.LOOK_ALIKES] if not fleet.is_stated and look_alikes(fleet.lengths, odds) else []),
+        *([NoticeCode.LOOK_ALIKES] if not fleet.is_stated and look_alikes(fleet.lengths, fleet.looks) else []),
     )
 
 
@@ -375,3 +401,8 @@ def _detail_missing(seen_px: float, resolved: float, guard_px: float) -> Notice:
         f"{seen_px:.1f} px have the detail of {seen_px * resolved:.1f} px, and {guard_px:.1f} px are needed. Give the "
         "original image.",
     )
+
+
+def measured_vehicles(witnesses: Iterable[Witness]) -> VehicleWitness | None:
+    """Find the witness of the vehicles; None if the caller excludes them."""
+    return cast("VehicleWitness | None", next((each for each in witnesses if each.kind == Vehicles.kind), None))

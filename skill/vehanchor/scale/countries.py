@@ -1,8 +1,8 @@
 """Reference lengths by country (ISO 3166-1 alpha-2): the national mean if it is published, else that of the region.
 
-Published means are body lengths, bumper to bumper; a detector's reference lengths are modal lengths of its boxes. The
-ratio of the two is measured where both are known, in France, India or Nepal, and the United States. The bundled
-detector has 1.016, 0.995 and 0.989 there: their mean is 1.000, and single countries are off by 1 to 2 %.
+Published means are of makes and models; reference lengths are modal lengths of what a model measures. The ratio of the
+two is measured where both are known, in France, India or Nepal, and the United States. The bundled networks have 0.94,
+0.99 and 0.91 there.
 """
 
 from __future__ import annotations
@@ -54,6 +54,8 @@ _REGION_COUNTRIES = {
 The British Isles and Denmark are in ``europe``, because ``northern_europe`` was measured in Estonia. Central America
 and the Caribbean are in ``south_america``. Afghanistan and Iran are left out of ``south_asia``, measured in Nepal.
 """
+REGIONS = tuple(_REGION_COUNTRIES)
+"""Regions with a reference length in the bundled models; other models may have others."""
 COUNTRY_REGIONS: dict[str, str] = {
     code: region for region, codes in _REGION_COUNTRIES.items() for code in codes.split()
 }
@@ -68,7 +70,7 @@ def country_length(country: str, region_lengths_m: Mapping[str, float]) -> float
         region_lengths_m: the detector's reference lengths by region.
 
     Returns:
-        Metres: the published mean times the detector's ratio of boxes to bodies, else the length of the country's
+        Metres: the published mean times the mean of the model's ratios, else the length of the country's
         region; None if neither is known.
     """
     code = country.upper()

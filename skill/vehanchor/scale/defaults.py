@@ -7,6 +7,9 @@ from typing import Literal
 Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
 """Rule for the modal length (see ``vehanchor.scale.lengths.modal_length``)."""
 
+Preset = Literal["paper"]
+"""Names of the presets."""
+
 Stopped = Literal["all_searched", "converged", "max_tiles", "max_seconds"]
 """Why a search ended."""
 
@@ -21,9 +24,6 @@ PROBABLY_RIGHT = 0.5
 
 NMS_IOU = 0.45  # paper, section III-B
 OUTLIER_ALPHA = 1.5  # paper, equation 2
-
-REGIONS = ("europe", "northern_europe", "north_america", "south_america", "south_asia")
-"""Regions with a reference length in the bundled detector; other models may have others."""
 
 CAR_LENGTH_M = 4.6
 """Typical car length in metres, within 20 % for all fleets; used only to choose resolutions and to weigh sizes."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from vehanchor.scale.lengths import MIN_KDE_VEHICLES, gsd_interval, modal_length
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES, gsd_interval
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -45,8 +45,6 @@ class PaperScale(NamedTuple):
     Attributes:
         gsd_m_per_px: ``L_ref / P_mode``; None without vehicles.
         interval: bootstrap interval; None without vehicles.
-        mode_length_px: ``P_mode``; None without vehicles.
-        aggregation: statistic of the lengths.
         confidence: composite C, under the resolution guard at most 0.3.
         terms: of the confidence.
         guarded: whether the resolution guard applies.
@@ -54,8 +52,6 @@ class PaperScale(NamedTuple):
 
     gsd_m_per_px: float | None
     interval: Interval | None
-    mode_length_px: float | None
-    aggregation: Aggregation
     confidence: float
     terms: Terms
     guarded: bool
@@ -70,8 +66,8 @@ class PaperScale(NamedTuple):
 def paper_scale(
     lengths: ArrayLike,
     scores: ArrayLike,
+    mode: tuple[float | None, Aggregation],
     reference_m: tuple[float, float],
-    aggregation: Aggregation,
     *,
     seen_scale: float,
     guard_length_px: float,
@@ -82,16 +78,16 @@ def paper_scale(
     Args:
         lengths: ``[n]`` lengths of the kept vehicles, pixels.
         scores: ``[n]`` detection scores of the kept vehicles.
+        mode: their modal length and its statistic, from ``vehanchor.scale.lengths.modal_length``.
         reference_m: ``L_ref`` and its standard deviation between regions, metres.
-        aggregation: see ``vehanchor.scale.lengths.modal_length``.
         seen_scale: scale of the image copy that the model saw.
         guard_length_px: ``P_thresh``, in pixels of that copy.
         length_range_px: shortest and longest vehicle in the model's training data.
     """
     values, score = np.asarray(lengths, dtype=np.float64), np.asarray(scores, dtype=np.float64)
-    if len(values) == 0:
-        return PaperScale(None, None, None, aggregation, 0.0, Terms(), guarded=False)
-    mode_px, aggregation = modal_length(values, score, aggregation)
+    mode_px, aggregation = mode
+    if mode_px is None:
+        return PaperScale(None, None, 0.0, Terms(), guarded=False)
     length_m, log_sd = reference_m[0], reference_m[1] / reference_m[0]
     weighted = score if aggregation == "weighted_kde" else None
     terms = confidence_terms(values, score, mode_px * seen_scale, length_range_px)
@@ -99,8 +95,6 @@ def paper_scale(
     return PaperScale(
         length_m / mode_px,
         gsd_interval(values, mode_px, length_m, log_sd, scores=weighted),
-        mode_px,
-        aggregation,
         composite(terms, guarded=guarded),
         terms,
         guarded,

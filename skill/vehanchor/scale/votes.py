@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _KERNEL_REACH_SDS = 6.0
 _LEAST_ODDS, _MOST_ODDS = -7.0, 5.3  # log odds of a car, 1 in 1,000 to 199 in 200: no box is certain
-_ODDS_STEP = 0.25  # votes are binned by their odds, so that the cost is independent of their number
+_ODDS_STEP, _SD_STEP = 0.25, 0.01  # votes are binned by odds and spread: the cost hardly depends on their number
 
 
 class Votes(NamedTuple):
@@ -39,19 +39,19 @@ UNCALIBRATED = Votes(-4.0, 10.0)
 
 
 def vehicle_likelihood(
-    lengths_px: ArrayLike, scores: ArrayLike, reference_length_m: float, votes: Votes, more_log_sds: ArrayLike = 0.0
+    lengths_px: ArrayLike, scores: ArrayLike, lengths_m: ArrayLike, votes: Votes, log_sds: ArrayLike = CAR_LOG_SD
 ) -> NDArray[np.float64]:
-    """Compute the density of the scale from the votes of all boxes, for a known reference length.
+    """Compute the density of the scale from the votes of all boxes.
 
-    The likelihood of a scale g is the product over boxes of ``1 + o N(log length; log(L_ref / g), sd)``. Here o is the
+    The likelihood of a scale g is the product over boxes of ``1 + o N(log length; log(L / g), sd)``. Here o is the
     odds that a box of its score is a car, relative to a density of 1 per unit of log length for other things.
 
     Args:
         lengths_px: ``[n]`` pixels of the full image.
         scores: ``[n]`` detection scores.
-        reference_length_m: ``L_ref``.
+        lengths_m: ``[n]`` or one for all, ``L``: lengths in metres if they are cars.
         votes: of the detector.
-        more_log_sds: ``[n]`` or one for all, further standard deviations of the log lengths, as by pointing.
+        log_sds: ``[n]`` or one for all, standard deviations of the logs of both lengths.
 
     Returns:
         ``[g]`` probabilities; the flat density without boxes.
@@ -59,13 +59,13 @@ def vehicle_likelihood(
     lengths = np.asarray(lengths_px, dtype=np.float64)
     if len(lengths) == 0:
         return flat()
-    cells = np.rint((np.log(reference_length_m / lengths) - GRID[0]) / LOG_STEP).astype(np.intp)
+    cells = np.rint((np.log(np.asarray(lengths_m) / lengths) - GRID[0]) / LOG_STEP).astype(np.intp)
     odds = votes.log_odds(scores)
     inside = (cells >= 0) & (cells < len(GRID))
-    log_sds = np.hypot(CAR_LOG_SD, np.broadcast_to(more_log_sds, lengths.shape))
+    spreads = np.maximum(np.round(np.broadcast_to(log_sds, lengths.shape) / _SD_STEP), 1) * _SD_STEP
     total = np.zeros(len(GRID))
-    for level, log_sd in sorted(set(zip(odds[inside].tolist(), log_sds[inside].tolist(), strict=True))):
-        chosen = inside & (odds == level) & (log_sds == log_sd)
+    for level, log_sd in sorted(set(zip(odds[inside].tolist(), spreads[inside].tolist(), strict=True))):
+        chosen = inside & (odds == level) & (spreads == log_sd)
         reach = int(np.ceil(_KERNEL_REACH_SDS * log_sd / LOG_STEP))
         offsets = np.arange(-reach, reach + 1) * LOG_STEP / log_sd
         normal = np.exp(-0.5 * offsets**2) / (log_sd * np.sqrt(2 * np.pi))

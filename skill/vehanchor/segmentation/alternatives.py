@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Window
 
 MAX_OBJECTS = 3
-_SAME_IOU = 0.8  # masks that overlap more show the same object
+_SAME_IOU = 0.7  # masks that overlap more show the same object; research/results/notes.md has the trial
 
 
 class Masked(Protocol):

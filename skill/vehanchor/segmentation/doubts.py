@@ -19,8 +19,8 @@ _OUTSIDE_SHARE = 0.10  # of the mask; a box that is 5 % off on one side leaves a
 
 _EXTENT_UNKNOWN = Notice(
     code=NoticeCode.EXTENT_UNKNOWN,
-    message="A point does not say where the object ends: the mask may be a part of it, or more. Look at the outline, "
-    "or give a box around the object.",
+    message="The masks that fit differ. This one may be a part of the object, or more: look at the outline, or give a "
+    "box around the object.",
 )
 
 
@@ -37,20 +37,20 @@ def mask_notices(
                 "point on the object.",
             )
         ]
-    notices = [] if prompt.box is not None else [_EXTENT_UNKNOWN]
+    notices = [] if found.is_agreed else [_EXTENT_UNKNOWN]
     if found.score < card.min_score:
         notices.append(
             Notice(
                 code=NoticeCode.MASK_SCORE_LOW,
-                message=f"The segmenter expects an overlap of {found.score:.2f} with the true object, below its limit "
-                f"of {card.min_score:g}: look at the outline before using the area.",
+                message=f"The expected overlap with the object is {found.score:.2f}, below {card.min_score:g}. Look at "
+                "the outline before using the area.",
             )
         )
     if touches_edge(found.mask, outer_sides(found.window, raster.width_px, raster.height_px)):
         notices.append(
             Notice(
                 code=NoticeCode.MASK_TOUCHES_EDGE,
-                message="The mask reaches the image's edge: the object may go on outside, its area is a lower bound.",
+                message="The mask reaches the image's edge: the area is a lower bound.",
             )
         )
     outside = _share_outside(found, prompt)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.errors import PromptError
-from vehanchor.options.coordinates import CoordinateFrame
+from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records.interop import as_box
 
 if TYPE_CHECKING:

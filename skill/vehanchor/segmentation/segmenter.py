@@ -3,7 +3,7 @@
 The model runs on a crop around the prompt: memory does not grow with the image, and small objects get the model's full
 resolution. The crop of a box has twice its longer side, at least 256 px. Points do not show the object's size: they are
 tried in crops of 128 to 1024 px, or from twice their extent on. The mask with the best score is refined by its bounding
-box; masks of other objects are its alternatives.
+box; masks of other objects are its alternatives. Points name one object if three masks or more agree.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ if TYPE_CHECKING:
 
 MIN_MASK_SCORE = 0.7  # default: lower predicted IoUs need a check of the outline
 MASK_AREA_LOG_SD = 0.1  # default: standard deviation of log(mask area / true area)
-# The same for points, with a score of at least the limit and below it: on 155 held-out objects of train.
+# The same for points whose masks agree, and for all others: research/results/notes.md has the trial.
 _POINT_AREA_LOG_SD, _DOUBTED_POINT_AREA_LOG_SD = 0.25, 1.3
+_LEAST_AGREEING = 3  # masks that show the same object; research/results/notes.md has the trial
 
 
 @dataclass(frozen=True)
@@ -72,16 +73,20 @@ class SegmenterCard:
     mask_area_log_sd: float
     licence: str | None
 
-    def area_log_sd(self, prompt: Prompt, score: float) -> float:
+    def is_doubtful(self, found: Segmentation) -> bool:
+        """Tell whether a mask needs a check of its outline: a low score, no pixels, or several objects."""
+        return found.score < self.min_score or not found.mask.any() or not found.is_agreed
+
+    def area_log_sd(self, prompt: Prompt, found: Segmentation) -> float:
         """Return the standard deviation of the log of mask area over true area; points can miss the object's extent.
 
         Args:
             prompt: of the mask.
-            score: of the mask.
+            found: the mask.
         """
         if prompt.box is not None:
             return self.mask_area_log_sd
-        return _POINT_AREA_LOG_SD if score >= self.min_score else _DOUBTED_POINT_AREA_LOG_SD
+        return _DOUBTED_POINT_AREA_LOG_SD if self.is_doubtful(found) else _POINT_AREA_LOG_SD
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +98,14 @@ class Segmentation:
         window: crop of the image on which the model ran.
         score: IoU of the mask as predicted by the model, 0..1.
         alternatives: other objects that the points may mean, best first; none for a box.
+        is_agreed: whether the masks of the points show the same object; true for a box.
     """
 
     mask: NDArray[np.bool_]
     window: Window
     score: float
     alternatives: tuple[Segmentation, ...] = ()
+    is_agreed: bool = True
 
     @property
     def bounding_box(self) -> Box | None:
@@ -214,14 +221,16 @@ class Segmenter(LoadedModel):
 
     def _segment_points(self, raster: Raster, prompt: Prompt, limits: ImageLimits | None) -> Segmentation:
         """Choose among the masks of several crops, and refine the chosen one by its bounding box and the points."""
-        chosen, *others = distinct(self._masks_at(raster, prompt, limits))
+        masks = self._masks_at(raster, prompt, limits)
+        chosen, *others = distinct(masks)
+        chosen = replace(chosen, alternatives=tuple(others), is_agreed=len(masks) >= _LEAST_AGREEING and not others)
         box = chosen.bounding_box
         if box is None or min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
             return chosen
         boxed = Prompt(box, prompt.points)
         refined = self._decode(self._encode(raster, boxed, crop_side(boxed), limits), boxed)
         best = refined if refined.mask.any() else chosen
-        return replace(best, score=min(chosen.score, best.score), alternatives=tuple(others))
+        return replace(chosen, mask=best.mask, window=best.window, score=min(chosen.score, best.score))
 
     def _masks_at(self, raster: Raster, prompt: Prompt, limits: ImageLimits | None) -> list[Segmentation]:
         """Segment points in growing crops; keep masks that end inside, of one crop at least."""

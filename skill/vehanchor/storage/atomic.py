@@ -1,4 +1,4 @@
-"""Atomic files: written completely or not at all, and never over the input."""
+"""Atomic files: written completely or not at all."""
 
 from __future__ import annotations
 
@@ -7,20 +7,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.errors import OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-
-def check_apart(path: Path, image: str) -> None:
-    """Check that an output does not replace the image.
-
-    Raises:
-        InvalidParameterError: both paths are the same file.
-    """
-    if path.resolve() == Path(image).resolve():
-        raise InvalidParameterError(f"{str(path)!r} is the image itself: choose another name")
 
 
 @contextmanager

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from typing import Annotated
 
 import typer
 
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.terminal import exit_on_error, printable
-from vehanchor.options.models import Precision
 
 
 @scale_command(
     without=(
         *OF_ONE_IMAGE,
-        *("rulers", "height_m", "focal_35mm", "metadata", "precision"),
+        *("rulers", "height_m", "focal_35mm", "metadata"),
     )
 )
 def live(
@@ -34,10 +32,6 @@ def live(
         float | None,
         typer.Option(metavar="S", help="End after so many seconds without a new frame. Default: never."),
     ] = None,
-    precision: Annotated[
-        Precision,
-        typer.Option(help="Number format of the detector. Default: int8 where the processor is fast with it."),
-    ] = "auto",
     *,
     chosen: ParsedOptions,
 ) -> None:
@@ -45,8 +39,7 @@ def live(
     with exit_on_error():
         from vehanchor_flight.verbs import live_scales
 
-        engine = replace(chosen, typed={**chosen.typed, "precision": precision}).engine()
-        records = live_scales(source, engine=engine, every_s=every, hold_s=hold, idle_s=idle, tell=_tell)
+        records = live_scales(source, engine=chosen.engine(), every_s=every, hold_s=hold, idle_s=idle, tell=_tell)
         for record in records:
             print(record.model_dump_json(), flush=True)
 

@@ -25,7 +25,7 @@ from vehanchor.cli.terminal import (
     under_one_folder,
 )
 from vehanchor.errors import InvalidParameterError
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _EVERY_S = 2.0
 _MOST_SIZES = 12  # of components, in one line
-_MOST_NAMED = 3  # dropped links, photographs with one advice
+_MOST_NAMED = 3  # photographs with one advice
 _STATUSES = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
 
 
@@ -156,10 +156,8 @@ def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, 
         sizes += ", ..." if len(record.components) > _MOST_SIZES else ""
         several = f"{len(record.components)} components of {sizes} photographs"
         facts.append(("linked", several if len(record.components) > 1 else "all of them"))
-        dropped = [link for link in record.links if link.dropped]
-        facts.append(("overlaps", f"{len(record.links) - len(dropped)} used, {len(dropped)} dropped"))
-        for link in dropped[:_MOST_NAMED]:
-            facts.append(("dropped", f"{short[link.first]} and {short[link.second]}: {link.dropped}"))
+        n_dropped = sum(link.dropped is not None for link in record.links)
+        facts.append(("overlaps", f"{len(record.links) - n_dropped} used, {n_dropped} dropped"))
     sorties = Counter(each.sortie for each in record.photographs if each.sortie is not None)
     if len(sorties) > 1:
         facts.append(("sorties", f"{' and '.join(map(str, sorties.values()))} photographs, by camera and time"))
@@ -207,5 +205,4 @@ def _support(photograph: FlightPhotograph, short: Mapping[str, str]) -> str:
     first = photograph.supported_by[0]
     if first.photograph == photograph.photograph:
         return f"its own {first.ruler}"
-    between = f" through {len(first.through)} more" if first.through else ""
-    return f"{first.ruler} of {short[first.photograph]}{between}"
+    return f"{first.ruler} of {short[first.photograph]}"

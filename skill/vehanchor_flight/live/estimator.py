@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options import ScaleOptions
-    from vehanchor.rulers.view import View
+    from vehanchor.records import GsdEstimate
+    from vehanchor.rulers.ruler import View
     from vehanchor_flight.features import Features
     from vehanchor_flight.live.frames import Frame
     from vehanchor_flight.matching import Match
@@ -83,7 +84,7 @@ class LiveEstimator:
             linked = self._follow(raster, seconds)
             analysis = self._search(raster)
         self._turn += 1
-        return self._record(frame, analysis.estimate.n_vehicles, linked=linked)
+        return self._record(frame, analysis.estimate, linked=linked)
 
     def _follow(self, raster: Raster, seconds: float) -> bool:
         """Move the state, the prior and the cars from the last frame to this one; tell whether features link them."""
@@ -115,7 +116,7 @@ class LiveEstimator:
         with open_raster(read_reduced_window(raster, window, factor)) as part:
             view = search_raster(part, self._detector, self._options, prior, check_stretch=self._checks_stretch)
             view = self._with_stretch(view)
-            analysis = conclude(view, *measure_all(view))  # no tilt: the camera looks down
+            analysis = conclude(view, measure_all(view))  # no tilt: the camera looks down
         measured = measurement(analysis, factor)
         if measured is not None:
             self._state = corrected(self._state, measured)
@@ -143,12 +144,14 @@ class LiveEstimator:
         low = np.array([window.x_px, window.y_px]) * factor
         high = low + np.array([window.width_px, window.height_px]) * factor
         outside = ~np.all((self._cars >= low) & (self._cars < high), axis=1)
-        self._cars = np.concatenate([self._cars[outside], analysis.vehicles.fleet.centres * factor + low])
+        centres = np.zeros((0, 2)) if analysis.vehicles is None else analysis.vehicles.fleet.centres
+        self._cars = np.concatenate([self._cars[outside], centres * factor + low])
 
-    def _record(self, frame: Frame, n_vehicles: int, *, linked: bool) -> LiveScale:
+    def _record(self, frame: Frame, window: GsdEstimate, *, linked: bool) -> LiveScale:
         state = self._state
         interval = None if state is None else state.interval
         usable = state is not None and state.usable
+        contradicted = state is not None and state.contradictions > 0
         return LiveScale(
             frame=frame.name,
             at_s=frame.at_s - self._first_s,
@@ -157,7 +160,8 @@ class LiveEstimator:
             gsd_ci95_low_m_per_px=interval and interval.low,
             gsd_ci95_high_m_per_px=interval and interval.high,
             confidence=0.0 if state is None else state.chance,
-            n_vehicles=n_vehicles,
+            reason=None if usable else "disagree" if contradicted else window.reason or "imprecise",
+            n_vehicles=window.n_vehicles or 0,
             seen_s_ago=None if state is None else state.silent_s,
             linked=linked,
             n_skipped=frame.n_skipped,
@@ -179,7 +183,7 @@ def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
     """
     estimate, vehicles = analysis.estimate, analysis.vehicles
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
-    if estimate.gsd_m_per_px is None or not low or not high:
+    if estimate.gsd_m_per_px is None or vehicles is None or not low or not high:
         return None
     log_sd = math.log(high / low) / (2 * Z95)
     common = min(log_sd, vehicles.reference.log_sd)

@@ -52,32 +52,23 @@ def next_window(width_px: int, height_px: int, factor: int, turn: int, cars: NDA
         cars: ``[n, 2]`` centres of the cars of the last frames, pixels of this frame.
 
     Returns:
-        In pixels of the reduced frame: the window with the most cars, or in every fourth turn and without cars the next
-        of all windows.
+        In pixels of the reduced frame: the window around the car with the most neighbours, or in every fourth turn and
+        without cars the next of all windows.
     """
     width, height = width_px // factor, height_px // factor
     side = min(WINDOW_PX, width), min(WINDOW_PX, height)
+    if len(cars) and turn % _ELSEWHERE_EVERY:
+        corners = np.clip(np.rint(cars / factor - np.array(side) / 2), 0, np.array([width, height]) - np.array(side))
+        around = [Window(int(left), int(top), *side) for left, top in corners]
+        return around[int(np.argmax([_inside(cars / factor, each) for each in around]))]
     lefts, tops = _starts(width, side[0]), _starts(height, side[1])
     windows = [Window(left, top, *side) for top in tops for left in lefts]
-    if len(cars) and turn % _ELSEWHERE_EVERY:
-        around = [_window_at(each / factor, (width, height), side) for each in cars]
-        counts = [_inside(cars / factor, each) for each in (*windows, *around)]
-        return (*windows, *around)[int(np.argmax(counts))]
-    number = turn // _ELSEWHERE_EVERY if len(cars) else turn
-    return windows[number % len(windows)]
+    return windows[(turn // _ELSEWHERE_EVERY if len(cars) else turn) % len(windows)]
 
 
 def _starts(extent: int, side: int) -> list[int]:
     """Spread windows of a side evenly over an extent."""
     return [int(start) for start in np.linspace(0, extent - side, math.ceil(extent / side))]
-
-
-def _window_at(centre: NDArray[np.float64], extent: tuple[int, int], side: tuple[int, int]) -> Window:
-    left, top = (
-        int(np.clip(round(float(at) - length / 2), 0, whole - length))
-        for at, whole, length in zip(centre, extent, side, strict=True)
-    )
-    return Window(left, top, *side)
 
 
 def _inside(points: NDArray[np.float64], window: Window) -> int:

@@ -84,11 +84,11 @@ def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Fai
         reason=pooled.reason,
         verdict=verdict(found, usable=pooled.status == "ok"),
         n_photographs=len(model.shots),
-        n_vehicles=pooled.n_vehicles,
+        n_vehicles=pooled.n_vehicles or 0,
         rulers=_rulers(pooled, gsd),
         photographs=tuple(photographs),
         model=pooled.model,
-        model_sha256=pooled.model_sha256,
+        model_sha256=pooled.details.model_sha256,
         warnings=(*pooled.warnings, *_parts_notice(model)),
     )
 
@@ -211,7 +211,7 @@ def _photograph(seen: SeenPhotograph, whole: _Scaled | None) -> ModelPhotograph:
         factor_ci95_low=own and own.low,
         factor_ci95_high=own and own.high,
         rulers=tuple(each.kind for each in estimate.rulers if each.sets_scale),
-        n_vehicles=estimate.n_vehicles,
+        n_vehicles=estimate.n_vehicles or 0,
         camera_height=seen.sight.height,
         tilt_deg=seen.sight.tilt.tilt_deg,
     )

@@ -17,8 +17,8 @@ from vehanchor.detection.detections import Detections
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.registry import active_rulers
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.rulers.view import View
 from vehanchor.scale.plane import LEAST_DESCENT
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt
 from vehanchor.tilt.rectified import box_axes, length_off_nadir
@@ -154,7 +154,7 @@ class SeenPhotograph:
             lengths: ``[n]`` lengths to take in place of the own ones, pixels of the centre.
         """
         view = replace(self.view, detections=_taken(self.view.detections, kept, lengths))
-        return Photograph(self.name, view, conclude(view, *measure_all(view, self.others)))
+        return Photograph(self.name, view, conclude(view, measure_all(view, self.others)))
 
 
 def search_photograph(
@@ -219,12 +219,12 @@ def _measured(view: View, sight: Sight) -> tuple[Witness, ...]:
     rulers = [
         each
         for each in active_rulers(view.options.rulers)
-        if each.independent_of_vehicles and (each.uses_plane or not sight.tilted)
+        if not each.measured_last and (each.uses_plane or not sight.tilted)
     ]
     lines = tuple(_straight_line(line, sight) for line in view.options.rulers.known_lengths)
     options = replace(view.options, rulers=replace(view.options.rulers, known_lengths=lines))
     level = replace(view, tilt=sight.tilt, options=options)
-    return tuple(ruler.measure(level) for ruler in rulers)
+    return tuple(found for ruler in rulers if (found := ruler.measure(level)) is not None)
 
 
 def _on_ground(
@@ -241,7 +241,7 @@ def _on_ground(
     steep &= np.isfinite(np.column_stack([places, *sides])).all(axis=1) & (sides[0] > 0) & (sides[1] > 0)
     lengths, widths = sides[0][steep], sides[1][steep]
     if sight.tilted:
-        lengths = length_off_nadir(lengths, widths)
+        lengths = length_off_nadir(lengths, widths, bodies=detections.looks is not None)
     centre, nearer = sight.shot.centre, np.ones((len(lengths), 1))
     for _ in range(_DESCENTS):
         heights = local_heights(centre + nearer * (places[steep] - centre), points, sight.plane, sight.height)
@@ -254,14 +254,14 @@ def _on_ground(
 
 def _taken(detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.float64]) -> Detections:
     """Select boxes ``[n]`` and replace their lengths."""
-    boxes, fleet = detections.boxes.copy(), detections.fleet
+    boxes, looks = detections.boxes.copy(), detections.looks
     boxes[:, 2] = lengths
     return replace(
         detections,
         boxes=boxes[kept],
         scores=detections.scores[kept],
         scales=None if detections.scales is None else detections.scales[kept],
-        fleet=None if fleet is None else fleet.take(kept[: len(fleet.log_odds)]),
+        looks=None if looks is None else looks.take(kept[: len(looks)]),
         classes=None if detections.classes is None else detections.classes[kept],
         stretch=None,  # width and height have the scales that the model gives them
     )

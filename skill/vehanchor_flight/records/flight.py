@@ -14,14 +14,10 @@ from vehanchor.scale.defaults import Reason
 
 
 class FlightRuler(Record):
-    """Ruler that supports a photograph's scale, and the photographs that link it."""
+    """Ruler that supports a photograph's scale."""
 
     ruler: str = Field(description="Kind of the ruler: vehicles, camera, positions, ...")
     photograph: str = Field(description="The photograph where it was measured.")
-    through: tuple[str, ...] = Field(
-        description="Photographs in between, each overlapping the next; empty for a ruler of the photograph or its "
-        "neighbours, and with same_scale."
-    )
 
 
 class FlightPhotograph(Record):
@@ -52,7 +48,7 @@ class FlightPhotograph(Record):
     )
     component: int | None = Field(default=None, description="Number of its component; null if unreadable.")
     supported_by: tuple[FlightRuler, ...] = Field(
-        default=(), description="Rulers behind its scale, the strongest first."
+        default=(), description="Rulers behind its scale: its own, then those of the photograph with the strongest."
     )
     scale: KnownScale | None = Field(
         default=None, description="The scale to give back for measurements in this photograph; null without a scale."

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import json
+import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import pytest
 
-from tests.flight.reconstruction.flights import Pose, write_opensfm
+from tests.flight.reconstruction.flights import FOCAL_PX, HEIGHT_PX, WIDTH_PX, Pose, write_opensfm
 from tests.models import write_detector
 from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import Detector
@@ -15,6 +18,8 @@ from vehanchor.errors import InvalidParameterError, ReconstructionError
 from vehanchor.options import ScaleOptions
 from vehanchor_flight.reconstruction import photograph
 from vehanchor_flight.reconstruction.files import read_model
+from vehanchor_flight.reconstruction.ground import local_heights, model_plane, plane_below
+from vehanchor_flight.reconstruction.model import Lens, Reconstruction, Shot
 from vehanchor_flight.reconstruction.verdict import verdict
 from vehanchor_flight.verbs import rescale
 
@@ -143,3 +148,105 @@ def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
 def test_the_verdict_is_one_sentence(factor: tuple[float, float, float], words: str) -> None:
     assert verdict(factor, usable=True) == words
     assert verdict(factor, usable=False).startswith("Uncertain, do not use: ")
+
+
+LENS = Lens(WIDTH_PX, HEIGHT_PX, FOCAL_PX, FOCAL_PX, WIDTH_PX / 2, HEIGHT_PX / 2)
+RNG = np.random.default_rng(2)
+GROUND = np.column_stack([RNG.uniform(0, 100, 600), -RNG.uniform(0, 100, 600), RNG.normal(0, 0.1, 600)])
+ROOF = np.column_stack([RNG.uniform(20, 60, 900), -RNG.uniform(20, 60, 900), RNG.normal(20, 0.1, 900)])
+FACE = np.column_stack([RNG.uniform(20, 60, 700), np.full(700, -60.0), RNG.uniform(0, 20, 700)])
+
+
+def _shot(pose: Pose) -> Shot:
+    return Shot("a", LENS, pose.rotation, pose.translation)
+
+
+def _model(*parts: np.ndarray) -> Reconstruction:
+    shots = tuple(_shot(Pose(x, y, 60)) for x, y in ((30, 30), (60, 30), (40, 60)))
+    return Reconstruction("opensfm", Path("a"), shots, np.concatenate(parts))
+
+
+def test_the_ground_lies_below_roofs_with_more_points_and_beside_faces() -> None:
+    plane = model_plane(_model(GROUND, ROOF, FACE))
+    assert plane.normal == pytest.approx([0, 0, 1], abs=0.01)
+    assert plane.heights(np.array([[50.0, -50, 60]])) == pytest.approx([60], abs=0.5)
+    shot = _shot(Pose(45, 75, 60, 20))
+    points = np.concatenate([GROUND, ROOF, FACE])
+    below = plane_below(shot, points[shot.sees(points)], plane)
+    assert below.heights(shot.centre[None]) == pytest.approx([60], abs=1)
+
+
+def test_a_slope_has_a_plane_of_its_own_below_each_shot() -> None:
+    slope = GROUND + np.outer(0.15 * GROUND[:, 0], [0, 0, 1])
+    shot = _shot(Pose(50, 50, 60))
+    level = model_plane(_model(GROUND))
+    plane = plane_below(shot, slope, level)
+    assert plane.heights(shot.centre[None]) == pytest.approx([(60 - 7.5) * np.cos(np.arctan(0.15))], abs=0.3)
+
+
+@pytest.mark.timeout(60)
+def test_two_slopes_of_a_hill_do_not_take_turns() -> None:
+    hill = GROUND + np.outer(20 - 0.2 * np.abs(GROUND[:, 0] - 55), [0, 0, 1])
+    shot = _shot(Pose(50, 50, 80))
+    plane = plane_below(shot, hill, model_plane(_model(GROUND)))
+    assert abs(plane.normal[0]) == pytest.approx(math.sin(math.atan(0.2)), abs=0.02)  # one of the slopes
+
+
+def test_faces_of_houses_are_no_ground() -> None:
+    face = np.column_stack([RNG.uniform(0, 100, 700), RNG.normal(-50, 0.02, 700), RNG.uniform(0, 40, 700)])
+    plane = plane_below(_shot(Pose(50, 50, 60)), np.concatenate([face, face - [0, 30, 0]]), model_plane(_model(GROUND)))
+    assert plane.normal[2] >= math.cos(math.radians(15))
+
+
+def test_points_around_a_car_raise_its_ground() -> None:
+    plane = model_plane(_model(GROUND))
+    bump = np.column_stack([RNG.uniform(70, 80, 60), -RNG.uniform(70, 80, 60), np.full(60, 4.0)])
+    places = np.array([[75.0, -75, 0], [20, -20, 0], [900, 900, 0]])
+    heights = local_heights(places, np.concatenate([GROUND, bump]), plane, 60.0)
+    assert heights == pytest.approx([4, 0, 0], abs=0.3)
+
+
+def test_a_model_without_ground_is_refused() -> None:
+    with pytest.raises(ReconstructionError, match="too few"):
+        model_plane(_model(GROUND[:10]))
+    with pytest.raises(ReconstructionError, match="below the ground"):
+        plane_below(_shot(Pose(50, 50, -5)), GROUND, model_plane(_model(GROUND)))
+
+
+CORNERS = np.array([[0.0, 0.0], [800.0, 0.0], [800.0, 600.0], [400.0, 300.0], [130.0, 520.0]])
+
+
+def _seen(lens: Lens, points: np.ndarray) -> np.ndarray:
+    matrix = np.array([[lens.focal_x_px, 0, lens.centre_x_px], [0, lens.focal_y_px, lens.centre_y_px], [0, 0, 1.0]])
+    still = np.zeros(3)
+    if lens.fisheye:
+        return cv2.fisheye.projectPoints(points[:, None], still, still, matrix, np.array(lens.distortion))[0][:, 0]
+    return cv2.projectPoints(points, still, still, matrix, np.array(lens.distortion))[0][:, 0]
+
+
+@pytest.mark.parametrize(
+    ("distortion", "fisheye"),
+    [
+        ((), False),
+        ((-0.08, 0.02, 0.0, 0.0), False),
+        ((-0.05, 0.01, 0.001, -0.002, 0.003), False),
+        ((0.02, -0.004, 0.0, 0.0), True),
+        ((0.0, 0.0, 0.0, 0.0), True),
+    ],
+)
+def test_a_ray_comes_back_to_its_pixel(distortion: tuple[float, ...], fisheye: bool) -> None:
+    lens = Lens(800, 600, 700, 690, 410, 295, distortion, fisheye)
+    rays = lens.directions(CORNERS)
+    assert rays[:, 2] == pytest.approx(1.0)
+    if distortion:
+        assert _seen(lens, rays) == pytest.approx(CORNERS, abs=0.05)
+    else:
+        assert rays[:, 0] * 700 + 410 == pytest.approx(CORNERS[:, 0])
+
+
+def test_a_reduced_copy_has_the_same_rays() -> None:
+    lens = Lens(800, 600, 700, 690, 410, 295, (-0.08, 0.02, 0.0, 0.0))
+    half = lens.of_size(400, 300)
+    assert half.directions(CORNERS / 2) == pytest.approx(lens.directions(CORNERS))
+    with pytest.raises(ReconstructionError, match="neither cropped nor turned"):
+        lens.of_size(600, 800)

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from research.paper.__main__ import app
-from research.paper.agents import AgentRun, agent_score, ask_agent, read_reply
+from research.paper.agents import AgentRun, agent_score, ask_agent, read_answer, read_reply
 from research.paper.question_set import TASKS, Direction, Task, picture_of, question_set, task_of
 from research.paper.vlm_api import Budget, open_api, reply_journal
 from research.results.record import tables_of
@@ -120,12 +120,15 @@ def test_a_model_acts_in_tasks_of_fit_and_direction(asked: list[tuple[Task, Path
     assert [each.deed for each in run.answers] == ["acted rightly"]
 
 
-def test_the_command_asks_script_and_model(pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_renders_missing_pictures_and_asks_script_and_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("OPENAI_API_KEY", "k")
     with model_service(ModelService(answer=lambda _: "ANSWER=unknown")) as service:
         options = ["--provider", "openai-compatible", "--model", "m", "--base-url", f"{service.url}/v1"]
-        done = CliRunner().invoke(app, ["agents", str(pictures), "--limit", "1", *options])
+        done = CliRunner().invoke(app, ["agents", str(tmp_path / "new"), "--limit", "1", *options])
     assert done.exit_code == 0, done.output
+    assert (tmp_path / "new" / RENDERED[0].file).is_file()
     (table,) = tables_of(done.stdout)
     assert [row[0] for row in table.rows] == [
         name for name in ("with what it recognises", "without", "m") for _ in TASKS
@@ -138,3 +141,20 @@ def test_missing_pictures_are_rendered(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["agents", str(tmp_path / "new"), "--limit", "1"])
     assert done.exit_code == 0, done.output
     assert (tmp_path / "new" / RENDERED[0].file).is_file()
+
+
+@pytest.mark.parametrize(
+    ("reply", "answer"),
+    [
+        ("ANSWER=12.5 to 13", (12.5, 13)),
+        ("first ANSWER=1 to 2\nno: **ANSWER = 1,250 m - 1,300 m**", (1250, 1300)),
+        ("ANSWER=40 m2 to 5e1 m2.", (40, 50)),
+        ("`ANSWER=Yes`", True),
+        ("ANSWER=no.", False),
+        ("ANSWER=unknown", None),
+        ("about 12 m", None),
+        ("ANSWER=12", None),
+    ],
+)
+def test_a_models_last_line_is_its_answer(reply: str, answer: Any) -> None:
+    assert read_answer(reply) == answer

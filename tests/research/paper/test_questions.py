@@ -1,19 +1,14 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from research.paper.__main__ import app
-from research.paper.asked_model import ask_model, read_answer
 from research.paper.questions import Question, ask_blindly, ask_with_tools, questions_of_photographs, score
-from research.paper.vlm_api import Budget, ModelApi, open_api, reply_journal
 from research.scenes import render_scene
-from tests.research.paper.model_service import Answer, Asked, ModelService, UseTool, model_service
+from vehanchor.options import KnownLength
 from vehanchor_evaluation.survey import survey_known_scale
 
 GSD = 0.12
@@ -37,20 +32,23 @@ class Tools:
     """Tools that measure by a scale they are told, and remember what they were asked."""
 
     anthropic_tools: list[dict[str, Any]] = []  # noqa: RUF012
-    openai_tools = [{"type": "function", "function": {"name": "measure_distance", "parameters": {}}}]  # noqa: RUF012
+    openai_tools: list[dict[str, Any]] = []  # noqa: RUF012
 
     def __init__(self, gsd: float | None, status: str = "ok") -> None:
         self.gsd, self.status = gsd, status
-        self.asked: list[tuple[str, dict[str, Any]]] = []
+        self.asked: list[dict[str, Any]] = []
 
     def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
-        self.asked.append((name, arguments))
+        assert name == "measure_distance"
+        self.asked.append(arguments)
         if self.gsd is None:
             return "busy: later.", True
-        record: dict[str, Any] = {"status": self.status, "scale": {"gsd_m_per_px": self.gsd}}
+        gsd, status = self.gsd, self.status
+        for line in arguments.get("known_lengths", ()):
+            gsd, status = line["metres"] / (512 * (line["x2"] - line["x1"])), "ok"
         first, second = arguments["lines"][0]["points"]
         px = ((512 * (second["x"] - first["x"])) ** 2 + (400 * (second["y"] - first["y"])) ** 2) ** 0.5
-        record |= {"distance_ci95_low_m": 0.95 * px * self.gsd, "distance_ci95_high_m": 1.05 * px * self.gsd}
+        record = {"status": status, "distance_ci95_low_m": 0.95 * px * gsd, "distance_ci95_high_m": 1.05 * px * gsd}
         return f"A sentence.\n{json.dumps(record)}", False
 
 
@@ -68,8 +66,6 @@ def test_right_tools_are_right_and_wrong_ones_wrong(asked: list[Question]) -> No
     assert (told.right, told.wrong, told.no_answer) == (len(asked), 0, 0)
     assert told.calls_per_right == 1
     assert told.tokens_per_right
-    assert "scale" not in good.asked[0][1]
-    assert all(arguments["scale"] == {"gsd_m_per_px": GSD} for _, arguments in good.asked[1:])
     bad = score("tools", ask_with_tools(asked[:2], Tools(2 * GSD)))
     assert (bad.right, bad.wrong) == (0, 2)
 
@@ -80,89 +76,18 @@ def test_a_low_confidence_or_an_error_is_no_answer(asked: list[Question], tools:
     assert (told.no_answer, told.calls_per_right) == (len(asked), None)
 
 
-class ToolsThatNeedHelp(Tools):
-    """Tools of a low confidence, until they are told a length; the scale that they were given back is the one used."""
-
-    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
-        if name == "estimate_gsd":
-            self.asked.append((name, arguments))
-            (line,) = arguments["known_lengths"]
-            gsd = line["metres"] / (512 * (line["x2"] - line["x1"]))
-            return f"A sentence.\n{json.dumps({'status': 'ok', 'scale': {'gsd_m_per_px': gsd, 'told': True}})}", False
-        told = arguments.get("scale", {}).get("told", False)
-        self.gsd, self.status = (arguments["scale"]["gsd_m_per_px"], "ok") if told else (GSD / 2, "low_confidence")
-        answer, is_error = super().call(name, arguments)
-        return answer.replace('"scale"', '"by"') if told else answer, is_error  # one that was given back is not given
-
-
 def test_at_low_confidence_a_person_is_asked_once_an_image_and_what_they_measured_answers(
     asked: list[Question],
 ) -> None:
-    tools = ToolsThatNeedHelp(GSD)
+    tools = Tools(GSD / 2, "low_confidence")
     told = score("helped", ask_with_tools(asked[:2], tools, with_person=True))
     assert (told.right, told.wrong) == (2, 0)
-    assert [name for name, _ in tools.asked] == ["measure_distance", "estimate_gsd", *["measure_distance"] * 2]
-    assert score("alone", ask_with_tools(asked[:2], ToolsThatNeedHelp(GSD))).no_answer == 2
+    assert ["known_lengths" in arguments for arguments in tools.asked] == [False, True, True]
+    line = tools.asked[1]["known_lengths"][0]
+    assert KnownLength(**line).basis == "measured"
 
 
 def test_without_tools_the_scale_is_guessed(asked: list[Question]) -> None:
     told = score("blind", ask_blindly(asked))
     assert told.calls_per_right in (0, None)
     assert told.right + told.wrong + told.no_answer == told.questions
-
-
-def _obedient(asked: Asked) -> Answer:
-    """A model that measures what it is asked, and says what the tool said, whatever its status."""
-    if not asked.tools:
-        return "I cannot know. **ANSWER=unknown**"
-    if not asked.tool_results:
-        pairs = re.findall(r"\(([\d.]+), ([\d.]+)\)", asked.text)
-        points = [{"x": float(x), "y": float(y)} for x, y in pairs]
-        return UseTool("measure_distance", {"lines": [{"points": points}], "coordinates": "fraction"})
-    record = json.loads(asked.tool_results[-1].splitlines()[-1])
-    low, high = record["distance_ci95_low_m"], record["distance_ci95_high_m"]
-    needed = re.search(r"a row of (\d+) m", asked.text)
-    if needed is not None:
-        return f"ANSWER={'yes' if float(needed[1]) <= low else 'no'}"
-    return f"It is so far.\nANSWER={low:,.2f} m to {high:,.2f} m"
-
-
-def _api(service: ModelService, budget: Budget) -> ModelApi:
-    return open_api("openai-compatible", "m", reply_journal(None), budget, base_url=f"{service.url}/v1")
-
-
-def test_a_real_model_is_asked_with_the_tools_and_by_its_eye(asked: list[Question]) -> None:
-    with model_service(ModelService(answer=_obedient)) as service:
-        api = _api(service, Budget())
-        good, stopped = ask_model(asked, api, Tools(GSD))
-        blind, _ = ask_model(asked, api)
-        bad, _ = ask_model(asked, api, Tools(2 * GSD))
-    told = score("m", good)
-    assert stopped is None
-    assert (told.right, told.wrong, told.calls_per_right) == (len(asked), 0, 1)
-    assert told.tokens_per_right
-    assert score("m", blind).no_answer == len(asked)
-    assert score("m", bad).wrong >= 2
-
-
-@pytest.mark.parametrize(
-    ("reply", "answer"),
-    [
-        ("ANSWER=12.5 to 13", (12.5, 13)),
-        ("first ANSWER=1 to 2\nno: **ANSWER = 1,250 m - 1,300 m**", (1250, 1300)),
-        ("ANSWER=40 m2 to 5e1 m2.", (40, 50)),
-        ("`ANSWER=Yes`", True),
-        ("ANSWER=no.", False),
-        ("ANSWER=unknown", None),
-        ("about 12 m", None),
-        ("ANSWER=12", None),
-    ],
-)
-def test_a_models_last_line_is_its_answer(reply: str, answer: Any) -> None:
-    assert read_answer(reply) == answer
-
-
-def test_a_model_without_a_name_is_refused(table: Path) -> None:
-    result = CliRunner().invoke(app, ["questions", str(table), "--provider", "openai"])
-    assert result.exit_code == 2
-    assert "needs --provider and --model" in result.stderr

@@ -4,30 +4,39 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 pytest.importorskip("torch")
 pytest.importorskip("onnxruntime")
 
 import torch
 
-from research.training.car_verifier.store import Rows
-from research.training.car_verifier.stream import draw_move
-from research.training.chips.chip_network import CHIP_COLUMNS, CHIP_ROWS, KINDS, ChipNetwork
+from research.scenes.fleet import Fleet
 from research.training.chips.export import export
-from research.training.chips.kinds import group_of, kind_index
+from research.training.chips.kinds import kind_index
+from research.training.chips.mine import chia_images, rows_of
 from research.training.chips.network import ChipNet
+from research.training.chips.paste import Ground, pasted
+from research.training.chips.store import STORED_PX, ChipStore, Rows, read_store
 from research.training.chips.stream import (
     NOT_A_CAR,
     Batch,
     Bodies,
+    draw_move,
     edges_of_box,
     moved_edges,
     target_of_row,
 )
 from research.training.chips.train import losses
+from research.training.detector.data import TrainImage
+from research.training.warm_start import load_exported
+from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_ROWS, KINDS, ChipNetwork
 from vehanchor.models.runtime import Runtime
+from vehanchor.models.zoo import chips_beside, resolve_model
 
 pytestmark = pytest.mark.slow
 
@@ -59,12 +68,12 @@ def test_the_edges_of_an_exact_box() -> None:
 
 
 def _rows(set_name: str, car: int, kind: int) -> Rows:
-    box = np.array([[0.0, 0.0, 0.0, np.log(0.42), 0.0]], np.float32)
-    one = np.ones(1, np.float32)
-    return Rows(
-        np.array([car], np.int8), np.array([kind], np.int8), box, one, np.log(np.array([4.4], np.float32)), 40 * one,
-        one, one, np.array([set_name]), np.array(["file"]),
-    )  # fmt: skip
+    return Rows.unlabelled(np.array([40.0]), set_name, "file")._replace(
+        car=np.array([car], np.int8),
+        type=np.array([kind], np.int8),
+        box=np.array([[0.0, 0.0, 0.0, np.log(0.42), 0.0]], np.float32),
+        log_length_m=np.log(np.array([4.4], np.float32)),
+    )
 
 
 def test_only_exact_boxes_teach_edges_and_other_things_are_no_kind_of_car() -> None:
@@ -81,8 +90,8 @@ def test_only_exact_boxes_teach_edges_and_other_things_are_no_kind_of_car() -> N
 
 
 def test_kinds_that_an_eye_reads() -> None:
-    assert group_of(kind_index("kei")) == group_of(kind_index("small")) == "small"
-    assert group_of(kind_index("roof")) == "other"
+    assert KINDS[kind_index("kei")] == "kei"
+    assert KINDS[kind_index("roof")] == "other"
     assert kind_index("unclear") == -1
 
 
@@ -104,6 +113,68 @@ def test_what_nobody_knows_costs_nothing_and_what_is_known_pulls() -> None:
     assert min(parts[name].item() for name in ("car", "edges", "width")) > 0
 
 
+def _rectangle(side: int, box: NDArray[np.float64]) -> NDArray[np.uint8]:
+    image = np.zeros((side, side, 3), np.uint8)
+    corners = np.round((box_corners(box[None])[0] - 0.5) * 256).astype(np.int32)
+    cv2.fillPoly(image, [corners], (255, 255, 255), cv2.LINE_AA, 8)
+    return image
+
+
+def test_boxes_that_fit_are_cars_and_boxes_between_teach_nothing() -> None:
+    car = np.array([[60.0, 60.0, 30.0, 12.0, 0.0]])
+    sample = TrainImage("estonia", np.zeros((120, 120, 3), np.uint8), car, np.zeros((0, 4, 2)), np.zeros((0, 2)), 22.5)
+    beside = car + np.array([0, 18, 0, 0, 0])
+    doubtful = car + np.array([12, 0, 0, 0, 0])
+    boxes = np.concatenate([car + np.array([1, 0, 0, 0, 0]), beside, doubtful])
+    rows, known = rows_of(sample, "a.jpg", boxes, np.full(3, 0.5), np.full(3, 0.5))
+    assert rows.car.tolist()[:2] == [1, 0]
+    assert known.tolist() == [True, True, False]
+    assert rows.log_length_m[0] == pytest.approx(np.log(30 * 4.5 / 22.5), abs=1e-5)
+    assert KINDS[rows.type[1]] == "other"
+
+
+def test_of_chia_odd_numbers_train_and_their_cars_teach_nothing(tmp_path: Path) -> None:
+    crops = tmp_path / "chia" / "crops"
+    crops.mkdir(parents=True)
+    for number in (16, 17):
+        cv2.imwrite(str(crops / f"DJI_00{number}.jpg"), np.full((1280, 1280, 3), 90, np.uint8))
+    table = "file,gsd_m_per_px\ncrops/DJI_0016.jpg,0.018\ncrops/DJI_0017.jpg,0.018\n"
+    (tmp_path / "chia" / "crops.csv").write_text(table)
+    (only,) = chia_images(tmp_path)
+    assert only.file == "DJI_0017.jpg"
+    assert not len(only.sample.boxes)
+    boxes = np.array([[636.6, 540.1, 250.0, 110.0, 0.3], [100.0, 900.0, 110.0, 50.0, 0.3]])  # a car, and ground
+    _, known = rows_of(only.sample, only.file, boxes, np.ones(2), np.ones(2))
+    assert known.tolist() == [False, True]
+
+
+def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
+    rng = np.random.default_rng(0)
+    flat = np.full((400, 400, 3), 120, np.uint8)
+    ground = Ground(TrainImage("cannes", flat, np.zeros((0, 5)), np.zeros((0, 4, 2)), np.zeros((0, 2))), 0.1)
+    made = [one for one in (pasted(rng, ground, Fleet(4.6, rng, "mixed")) for _ in range(60)) if one is not None]
+    cars = [one for one in made if one.car]
+    assert 15 < len(cars) < 45
+    assert all(one.box is None for one in made if not one.car)
+    for one in cars[:12]:
+        assert one.box is not None
+        x, y, length, width, turn = one.box.astype(np.float64)
+        box = np.array([72 + 36 * x, 72 + 36 * y, 36 * np.exp(length), 36 * np.exp(width), turn])
+        inside = _rectangle(STORED_PX, box)[:, :, 0] > 127
+        assert np.abs(one.chip.astype(float) - 120).mean(axis=2)[inside].mean() > 8  # something stands there
+
+
+def test_a_store_is_read_as_it_was_written(tmp_path: Path) -> None:
+    store, chips = ChipStore(), np.random.default_rng(0).integers(0, 255, (6, STORED_PX, STORED_PX, 3), np.uint8)
+    for part in (chips[:4], chips[4:]):
+        store.add(part, Rows.unlabelled(np.full(len(part), 40.0), "some", "file"))
+    store.save(tmp_path)
+    back, rows = read_store(tmp_path)
+    np.testing.assert_array_equal(back, chips)
+    assert rows.sets.tolist() == ["some"] * 6
+    assert not rows.car.any()
+
+
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
 def test_the_file_answers_as_the_network_and_takes_half_of_its_space(tmp_path: Path) -> None:
     torch.manual_seed(0)
@@ -117,3 +188,17 @@ def test_the_file_answers_as_the_network_and_takes_half_of_its_space(tmp_path: P
         wanted = network(torch.from_numpy(chips.transpose(0, 3, 1, 2).copy()).float() / 255)
     np.testing.assert_allclose(said.edges, wanted.edges.numpy(), atol=2e-3)
     np.testing.assert_allclose(said.logit, wanted.logit.numpy(), atol=2e-2)
+
+
+def test_training_begins_from_the_bundled_file() -> None:
+    path = chips_beside(resolve_model())
+    assert path is not None
+    network = ChipNet()
+    chips = np.random.default_rng(0).integers(0, 255, (16, CHIP_ROWS, CHIP_COLUMNS, 3), np.uint8)
+    planes = torch.from_numpy(chips.transpose(0, 3, 1, 2).copy()).float() / 255
+    load_exported(network, path, planes)
+    with torch.no_grad():
+        begun = network.eval()(planes)
+    said = ChipNetwork(path, runtime=Runtime(threads=1)).answers(chips, views=1)
+    np.testing.assert_allclose(begun.edges.numpy(), said.edges, atol=1e-4)
+    np.testing.assert_allclose(begun.logit.numpy(), said.logit, atol=1e-3)

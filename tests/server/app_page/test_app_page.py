@@ -15,10 +15,10 @@ from mcp import Client
 from mcp.client import advertise
 from mcp.server import MCPServer
 from mcp.server.apps import APP_MIME_TYPE, EXTENSION_ID
-from mcp.types import CallToolResult, ImageContent, TextResourceContents
+from mcp.types import CallToolResult, TextResourceContents
 
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import ERAS, by_path
+from tests.server.conversation import ERAS, by_path, picture_of
 from vehanchor_server.app_page import APP_URI, PANEL_KEY, page, page_html, view_html
 
 CAR_AXIS = {"x1": 100.0, "y1": 480.0, "x2": 132.0, "y2": 480.0}  # where cars.png has none
@@ -50,17 +50,16 @@ async def test_tools_with_a_panel_name_a_page_that_can_be_read(server: MCPServer
 @pytest.mark.anyio
 @pytest.mark.parametrize("era", ERAS)
 @pytest.mark.parametrize("tool", ["estimate_gsd", "measure_area"])
-async def test_the_page_gets_the_image_and_what_belongs_over_it_and_the_model_a_picture_where_it_asks(
+async def test_the_page_gets_the_image_and_what_belongs_over_it_and_the_model_no_picture(
     server: MCPServer[object], images: Path, era: str, tool: str
 ) -> None:
     arguments = {**by_path(images / "pool.png"), "detail": "short"}
     if tool == "measure_area":
-        arguments["target"] = {"box": POOL_BOX}
+        arguments["targets"] = [{"box": POOL_BOX}]
     async with Client(server, mode=era) as client:
         plain = await client.call_tool(tool, arguments)
     async with Client(server, mode=era, extensions=SHOWS_PAGES) as client:
         shown = await client.call_tool(tool, arguments)
-        asked = await client.call_tool(tool, {**arguments, "include_overlay": True})
         full = await client.call_tool(tool, {**arguments, "detail": "full"})
     assert set(panel_of(plain).values()) == {None}
     image = cv2.imdecode(np.frombuffer(base64.b64decode(panel_of(shown)["picture_jpeg"]), np.uint8), cv2.IMREAD_COLOR)
@@ -69,10 +68,31 @@ async def test_the_page_gets_the_image_and_what_belongs_over_it_and_the_model_a_
     assert photograph is not None
     assert image.shape == photograph.shape
     assert np.abs(image.astype(float) - photograph).mean() < 3  # nothing is drawn into it
-    assert panel_of(asked) == panel_of(shown) == {**panel_of(full), "record": full.structured_content}
-    assert isinstance(asked.content[1], ImageContent)
-    assert plain.content == shown.content == asked.content[::2]
-    assert plain.structured_content == shown.structured_content == asked.structured_content
+    assert panel_of(shown) == {**panel_of(full), "record": full.structured_content}
+    assert plain.content == shown.content
+    assert plain.structured_content == shown.structured_content
+
+
+@pytest.mark.anyio
+async def test_the_page_has_a_tool_that_no_model_sees(server: MCPServer[object], images: Path) -> None:
+    async with Client(server) as client:
+        listed = [tool.name for tool in (await client.list_tools()).tools]
+        unknown = await client.call_tool("none", {})
+    async with Client(server, extensions=SHOWS_PAGES) as client:
+        (tool,) = [tool for tool in (await client.list_tools()).tools if tool.name not in listed]
+        names = await client.call_tool(tool.name, {})
+        part = {"x_min": 100, "y_min": 50, "x_max": 400, "y_max": 350}
+        seen = await client.call_tool(tool.name, {"image": by_path(images / "cars.png")["image"], "part": part})
+    assert "view_image" in listed
+    assert tool.name not in str(unknown.content)
+    assert tool.meta == {"ui": {"resourceUri": APP_URI, "visibility": ["app"]}}
+    assert names.structured_content is not None
+    assert str(images / "cars.png") in names.structured_content["images"]
+    assert names.structured_content["next_page"] is None
+    picture, photograph = picture_of(seen).astype(float), cv2.imread(str(images / "cars.png"))
+    assert photograph is not None
+    shown = cv2.resize(photograph[50:350, 100:400], picture.shape[1::-1], interpolation=cv2.INTER_CUBIC)
+    assert np.abs(picture - shown).mean() < 3, "no grid"
 
 
 @pytest.mark.anyio
@@ -85,7 +105,7 @@ async def test_vehicles_and_lines_are_drawn_where_they_are_with_the_vehicles_num
         result = await client.call_tool("estimate_gsd", asked)
     drawing, record = panel_of(result)["drawing"], result.structured_content
     assert record is not None
-    assert len(drawing["vehicles"]) == record["n_detections"] == 24
+    assert len(drawing["vehicles"]) == record["details"]["n_detections"] == 24
     lengths = [length for _, _, length, _, _, kept, *_ in drawing["vehicles"] if kept]
     assert len(lengths) == record["n_vehicles"]
     assert np.median(lengths) == pytest.approx(record["mode_length_px"], abs=1)

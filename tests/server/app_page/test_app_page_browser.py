@@ -19,7 +19,7 @@ from tests.server.app_page.test_app_page import CAR_AXIS, SHOWS_PAGES
 from tests.server.app_page.viewing import PATIENCE_MS, Person
 from tests.server.conftest import POOL_BOX, paint_scene, write_image
 from tests.server.conversation import by_path
-from vehanchor.records.digits import significant
+from vehanchor.records.text import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.app_page import PANEL_KEY, page_html
 from vehanchor_server.services import create_services
@@ -127,8 +127,8 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
     paint_vehicles(short, [(60 + 40 * (i % 12), 60 + 60 * (i // 12), 12 + 0.1 * (i % 7), 6, 0.0) for i in range(24)])
     long = paint_scene(640, 512)
     paint_vehicles(long, [(80 + 110 * i, 420, 70, 20, 0.0) for i in range(3)])
-    pool = {**by_path(_images / "pool.png"), "target": {"box": POOL_BOX}}
-    alone = {**by_path(_images / "pool_alone.png"), "target": {"box": POOL_BOX}}
+    pool = {**by_path(_images / "pool.png"), "targets": [{"box": POOL_BOX}]}
+    alone = {**by_path(_images / "pool_alone.png"), "targets": [{"box": POOL_BOX}]}
     return {
         "good": ("estimate_gsd", by_path(_images / "cars.png")),
         "guarded": ("estimate_gsd", by_path(write_image(folder / "short.png", short))),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.needs import needed_module
-from tests.server.serving import listening, serving
+from tests.server.conversation import listening, serving
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address, create_viewer
 

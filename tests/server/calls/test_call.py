@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import logging
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,10 +12,15 @@ import pytest
 from mcp import Client
 from mcp.server import MCPServer
 
-from tests.server.conftest import N_TILES_LARGE
-from tests.server.conversation import by_path, error_of, reported, text_of
+from tests.sam_models import SamFiles
+from tests.server.calls.slow_models import weighed_down
+from tests.server.conftest import N_TILES_LARGE, POOL_BOX
+from tests.server.conversation import ERAS, by_path, error_of, reported, text_of
+from tests.server.transport.test_http import served
 from tests.tiles import Tiles
 from vehanchor_server.app import create_server
+from vehanchor_server.calls.capacity import Capacity, Stop
+from vehanchor_server.errors import CallError
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 
@@ -157,3 +164,183 @@ async def test_a_missing_model_is_the_operators_business(images: Path, caplog: p
     assert error_of(result) == "model_unavailable"
     assert "secret" not in text_of(result)
     assert "/nowhere/secret.onnx" in caplog.text
+
+
+def work_until_stopped(stop: Stop) -> None:
+    while True:
+        stop.check()
+        time.sleep(0.005)
+
+
+async def test_a_place_is_taken_until_the_thread_has_ended() -> None:
+    capacity = Capacity(1, 5)
+    began, release = threading.Event(), threading.Event()
+
+    def work() -> None:  # does not listen to stop requests
+        began.set()
+        release.wait()
+
+    async with anyio.create_task_group() as group:
+
+        async def deaf() -> None:
+            await capacity.run(lambda stop: capacity.in_thread(stop, work))
+
+        group.start_soon(deaf)
+        while not began.is_set():
+            await anyio.sleep(0.001)
+        group.cancel_scope.cancel()
+        with anyio.CancelScope(shield=True):
+            await anyio.sleep(0.05)
+            assert capacity.running == 1
+            with pytest.raises(CallError, match="busy"):
+                await capacity.run(lambda stop: capacity.in_thread(stop, lambda: None))
+            release.set()
+    assert capacity.running == 0
+
+
+async def test_the_deadline_counts_before_the_thread_as_well() -> None:
+    capacity = Capacity(1, 0.1)
+    with pytest.raises(CallError, match="deadline_exceeded"):
+        await capacity.run(lambda _: anyio.sleep(5))
+
+
+async def test_whatever_stopped_work_raises_ends_in_the_cancellation() -> None:
+    capacity = Capacity(1, 0.1)
+
+    def terminated(stop: Stop) -> None:
+        while not stop.requested:
+            time.sleep(0.005)
+        raise RuntimeError("Exiting due to terminate flag being set to true.")
+
+    with pytest.raises(CallError, match="deadline_exceeded"):
+        await capacity.run(lambda stop: capacity.in_thread(stop, lambda: terminated(stop)))
+
+
+async def test_closing_stops_what_runs_and_accepts_nothing_more() -> None:
+    capacity = Capacity(2, 5)
+    codes: list[str] = []
+
+    async def call() -> None:
+        try:
+            await capacity.run(lambda stop: capacity.in_thread(stop, lambda: work_until_stopped(stop)))
+        except CallError as error:
+            codes.append(error.code)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(call)
+        while not capacity.running:
+            await anyio.sleep(0.001)
+        capacity.close()
+    await call()
+    assert codes == ["server_stopping", "server_stopping"]
+
+
+async def test_an_action_is_done_once_and_only_within_its_context() -> None:
+    stop, done = Stop(), []
+    with stop.calling(lambda: done.append("over")):
+        pass
+    with stop.calling(lambda: done.append("during")):
+        stop.request()
+        stop.request()
+    with stop.calling(lambda: done.append("after")):
+        pass
+    assert done == ["during", "after"]
+
+
+STOPS_WITHIN_S = 0.3
+COMPUTES_S = 0.5  # from the report that a model starts until it surely runs
+
+TOOLS = {
+    "estimate_gsd": {},
+    "measure_area": {"targets": [{"box": POOL_BOX}], "gsd_m_per_px": 0.2},  # its segmenter is the slow model
+}
+
+
+@pytest.fixture(scope="module")
+def slow(
+    images: Path, detector_path: Path, segmenter_paths: SamFiles, tmp_path_factory: pytest.TempPathFactory
+) -> Settings:
+    folder = tmp_path_factory.mktemp("slow")
+    encoder, decoder = segmenter_paths
+    return Settings(
+        roots=(images,),
+        detector=str(weighed_down(detector_path, folder / "detector.onnx")),
+        segmenter=(weighed_down(encoder, folder / "encoder.onnx"), decoder),
+        threads=1,
+        max_concurrency=1,
+        isolation="in-process",
+    )
+
+
+@pytest.fixture
+def slow_services(slow: Settings) -> Services:
+    made = create_services(slow)
+    made.models.detector()
+    made.models.segmenter()
+    return made
+
+
+async def called(client: Client, tool: str, images: Path, computing: anyio.Event) -> Any:
+    """Make a call; the event tells that its model runs."""
+
+    async def on_progress(progress: float, total: float | None, message: str | None) -> None:
+        if message in ("segmenting the object", "searched 0 of 9 tiles"):
+            await anyio.sleep(COMPUTES_S)
+            computing.set()
+
+    arguments = {**by_path(images / "pool.png"), **TOOLS[tool]}
+    return await client.call_tool(tool, arguments, progress_callback=on_progress)
+
+
+@pytest.mark.anyio
+@pytest.mark.slow
+@pytest.mark.parametrize("era", ERAS)
+@pytest.mark.parametrize("tool", TOOLS)
+async def test_cancelling_stops_the_running_model(slow_services: Services, images: Path, tool: str, era: str) -> None:
+    async with Client(create_server(slow_services), mode=era) as client:
+        computing = anyio.Event()
+        async with anyio.create_task_group() as group:
+            group.start_soon(called, client, tool, images, computing)
+            await computing.wait()
+            assert slow_services.capacity.running == 1
+            cancelled = time.monotonic()
+            group.cancel_scope.cancel()
+        while slow_services.capacity.running:
+            await anyio.sleep(0.002)
+        assert time.monotonic() - cancelled < STOPS_WITHIN_S
+
+
+@pytest.mark.anyio
+@pytest.mark.slow
+@pytest.mark.parametrize("tool", TOOLS)
+async def test_the_deadline_stops_the_running_model(slow: Settings, images: Path, tool: str) -> None:
+    services = create_services(replace(slow, deadline_s=1.0))
+    services.models.detector()
+    services.models.segmenter()
+    async with Client(create_server(services)) as client:
+        started = time.monotonic()
+        result = await called(client, tool, images, anyio.Event())
+        took = time.monotonic() - started
+    assert error_of(result) == "deadline_exceeded"
+    assert 1.0 <= took < 1.0 + STOPS_WITHIN_S
+    assert services.capacity.running == 0
+
+
+@pytest.mark.anyio
+@pytest.mark.slow
+@pytest.mark.parametrize("tool", TOOLS)
+async def test_a_client_that_hangs_up_stops_the_running_model(slow: Settings, images: Path, tool: str) -> None:
+    """Over HTTP the one place of the server is free again for the next caller."""
+    with served(slow) as base:
+        async with Client(f"{base}/mcp") as client:
+            computing = anyio.Event()
+            async with anyio.create_task_group() as group:
+                group.start_soon(called, client, tool, images, computing)
+                await computing.wait()
+                refused = await client.call_tool("estimate_gsd", by_path(images / "small.png"))
+                group.cancel_scope.cancel()
+        assert error_of(refused) == "busy"
+        async with Client(f"{base}/mcp") as client:
+            await anyio.sleep(STOPS_WITHIN_S)
+            result = await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))
+        assert error_of(result) == "image_undecodable", text_of(result)

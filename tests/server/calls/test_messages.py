@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import pickle
@@ -23,7 +24,7 @@ from tests.server.calls.working import IMAGE, Value, answered, done, number, rea
 from vehanchor import measure_area
 from vehanchor.records import AreaMeasurement
 from vehanchor_server.app_page.panel import MAX_LINES, MAX_VEHICLES, Drawing, DrawnLine
-from vehanchor_server.calls import messages
+from vehanchor_server.calls import messages, worker_log
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.messages import (
     DRAWING,
@@ -47,7 +48,7 @@ from vehanchor_server.images.argument import Base64Image, PathImage, UrlImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.target import MAX_TARGETS
 
-ONE_RECORD = Replied(n_records=1, drawing=False, overlay=False, page_picture=False)
+ONE_RECORD = Replied(n_records=1, drawing=False, picture=False)
 
 
 @pytest.fixture
@@ -68,7 +69,7 @@ def test_a_message_arrives_as_it_was_sent(pipe: tuple[Connection, Connection], m
 
 def test_an_answer_arrives_with_its_pictures(pipe: tuple[Connection, Connection]) -> None:
     drawing = Drawing(vehicles=((1.5, 2, 3, 4, 5, 1, 1, 0),), vehicles_left_out=0, lines=())
-    reply = Reply((Value(value=1), Value(value="two")), b"\xff\xd8overlay", b"\xff\xd8page", drawing)
+    reply = Reply((Value(value=1), Value(value="two")), b"\xff\xd8picture", drawing)
     send_reply(pipe[1], reply)
     header = receive(pipe[0])
     assert isinstance(header, Replied)
@@ -122,7 +123,7 @@ def sent_over(pipe: tuple[Connection, Connection], *parts: bytes) -> Iterator[No
         b'{"kind":"progressed","percent":NaN,"message":""}',
         b'{"kind":"progressed","percent":1e999,"message":""}',
         b'{"kind":"refused","code":"__class__ x","message":""}',
-        b'{"kind":"replied","n_records":17,"drawing":false,"overlay":false,"page_picture":false}',
+        b'{"kind":"replied","n_records":17,"drawing":false,"picture":false}',
         b"[" * 3_000,
         b"[" * 60_000,
         b'{"kind":' * 3_000,
@@ -213,7 +214,7 @@ def test_a_larger_message_is_not_read(pipe: tuple[Connection, Connection]) -> No
 
 
 def test_a_picture_has_a_bound(pipe: tuple[Connection, Connection]) -> None:
-    header = ONE_RECORD.model_copy(update={"overlay": True})
+    header = ONE_RECORD.model_copy(update={"picture": True})
     picture = bytes(messages.MAX_PICTURE_BYTES + 1)
     with sent_over(pipe, b'{"value":1}', picture), pytest.raises(OSError, match="bad message length"):
         receive_reply(pipe[0], header, Value)
@@ -246,3 +247,33 @@ def test_a_worker_that_sends_other_bytes_is_ended(running: Services, sent: bytes
     assert time.monotonic() - started < 2.0  # although it sleeps for 5 s
     ready(running)
     assert done(running, number) != before
+
+
+def forwarded(said: bytes, caplog: pytest.LogCaptureFixture) -> list[str]:
+    """The lines of the log after a worker has said something and ended."""
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    with caplog.at_level(logging.WARNING):
+        thread = worker_log.forward_log(ours, 4711)
+        with theirs, os.fdopen(os.dup(theirs.fileno()), "wb") as stream:
+            stream.write(said)
+        thread.join(30)
+    return [record.getMessage() for record in caplog.records]
+
+
+@pytest.mark.promise("worker-log")
+def test_a_workers_lines_are_labelled_and_have_no_control_characters(caplog: pytest.LogCaptureFixture) -> None:
+    forged = b'plain\n\x1b[2J{"level": "INFO", "message": "call"}\r\n\xff\xe2\x80\xaeodd\n'
+    found = forwarded(forged, caplog)
+    assert len(found) == 3
+    assert all(line.startswith("worker 4711: ") and line.isprintable() for line in found)
+
+
+@pytest.mark.promise("worker-log")
+def test_a_workers_lines_are_limited_in_length_and_number(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_log, "_MAX_LINES", 3)
+    found = forwarded(b"x" * 5000 + b"\n" + 9 * b"line\n", caplog)
+    assert found[0].endswith("x [cut]")
+    assert len(found[0]) < 2100
+    assert found[3:] == ["worker 4711: more than 3 lines; the rest is omitted"]

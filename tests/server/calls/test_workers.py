@@ -113,8 +113,9 @@ async def test_answers_are_those_of_one_process(
         reports.append((progress, message))
 
     for tool, arguments in (
-        ("estimate_gsd", {**by_path(images / "cars.png"), "include_overlay": True}),
-        ("measure_area", {**by_path(images / "pool.png"), "target": {"box": POOL_BOX}}),
+        ("estimate_gsd", by_path(images / "cars.png")),
+        ("view_image", {"of": {"tool": "estimate_gsd", "arguments": by_path(images / "cars.png")}}),
+        ("measure_area", {**by_path(images / "pool.png"), "targets": [{"box": POOL_BOX}]}),
         ("estimate_gsd", by_path(georeferenced)),
         ("estimate_gsd", {"image": {"kind": "base64", "data": base64.b64encode(georeferenced.read_bytes()).decode()}}),
         ("estimate_gsd", by_path(images / "notes.txt")),
@@ -242,6 +243,14 @@ async def test_a_model_that_cannot_be_loaded_is_the_operators_business(images: P
         services.close()
 
 
+def _lives(pid: int) -> bool:
+    """Whether a process has memory; it may end at any moment."""
+    try:
+        return bool(Path(f"/proc/{pid}/maps").read_bytes())
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
 def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(settings: Settings) -> None:
     services = ready(
         create_services(replace(settings, roots=(*settings.roots, TESTS), isolation="confined", max_concurrency=3))
@@ -258,7 +267,7 @@ def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(setting
     assert len(processes) == 2
     services.close()
     deadline = time.monotonic() + 5
-    while any(Path(f"/proc/{pid}/maps").read_bytes() for pid in processes if Path(f"/proc/{pid}").exists()):
+    while any(map(_lives, processes)):
         assert time.monotonic() < deadline
         time.sleep(0.02)
 

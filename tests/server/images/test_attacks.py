@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import base64
 import os
-import struct
 import threading
-import zlib
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import anyio
 import pytest
@@ -19,12 +20,16 @@ from mcp.types import CallToolResult
 
 from tests.server.conftest import paint_scene, write_image
 from tests.server.conversation import by_path, error_of, text_of
+from tests.skill.imagery.files import png_header
 from vehanchor_server.app import create_server
-from vehanchor_server.images import path_access as sandbox_module
+from vehanchor_server.errors import CallError
+from vehanchor_server.images.fetch import Fetcher
+from vehanchor_server.images.path_access import PathAccess
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 
 pytestmark = pytest.mark.anyio
+
 
 TOOLS = ("estimate_gsd", "measure_area")
 INSIDE_PX, OUTSIDE_PX = 64, 96  # widths: an answer tells which image was read
@@ -58,7 +63,7 @@ def arguments_for(tool: str, image: dict[str, Any]) -> dict[str, Any]:
     if tool == "estimate_gsd":
         return {"image": image, "detail": "full"}
     box = {"x_min": 16, "y_min": 16, "x_max": 48, "y_max": 48}
-    return {"image": image, "target": {"box": box}, "gsd_m_per_px": 0.2, "detail": "full"}
+    return {"image": image, "targets": [{"box": box}], "gsd_m_per_px": 0.2, "detail": "full"}
 
 
 async def called(server: MCPServer[object], image: dict[str, Any]) -> list[CallToolResult]:
@@ -81,27 +86,9 @@ async def test_the_image_inside_is_measured(walled: MCPServer[object], root: Pat
         ("{outside}", "path_not_allowed"),
         ("{root}/../outside/secret.png", "path_not_allowed"),
         ("{root}/link.png", "path_not_allowed"),
-        ("{root}/folder/secret.png", "path_not_allowed"),
-        ("file://{outside}", "path_not_allowed"),
-        ("file://evil.example{root}/a.png", "path_not_allowed"),
-        ("file://127.0.0.1{root}/a.png", "path_not_allowed"),
-        ("file://{root}/%2e%2e/outside/secret.png", "path_not_allowed"),
-        ("file://{root}/..%2foutside%2fsecret.png", "path_not_allowed"),
-        ("file://{root}/%252e%252e/outside/secret.png", "image_not_found"),
-        ("{root}/%2e%2e/outside/secret.png", "image_not_found"),
-        ("{root}/a.png\0.jpg", "path_not_allowed"),
-        ("file://{root}/a.png%00.jpg", "path_not_allowed"),
-        ("{root}/" + "a" * 300, "path_not_allowed"),
-        ("{root}/" + "a/" * 1500, "image_not_found"),
         ("{root}/" + "a" * 5000, "invalid_arguments"),
-        ("/proc/self/environ", "path_not_allowed"),
-        ("/proc/self/root{outside}", "path_not_allowed"),
-        ("/dev/zero", "path_not_allowed"),
         ("{root}/fifo.png", "image_not_found"),
-        ("{root}", "image_not_found"),
         ("https://127.0.0.1/a.png", "image_not_found"),
-        ("../outside/secret.png", "path_not_allowed"),
-        ("folder/secret.png", "path_not_allowed"),
     ],
 )
 async def test_paths_that_lead_elsewhere_are_refused(
@@ -112,21 +99,6 @@ async def test_paths_that_lead_elsewhere_are_refused(
         assert error_of(result) == code
         assert result.structured_content is None
         assert str(outside) not in text_of(result)
-
-
-async def test_a_file_swapped_for_a_link_between_check_and_opening_is_refused(
-    walled: MCPServer[object], root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    original = sandbox_module._open_part
-
-    def swapped(part: str, flags: int, directory: int) -> int:
-        (root / "a.png").unlink()
-        (root / "a.png").symlink_to(outside)
-        return original(part, flags, directory)
-
-    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
-    (result, _) = await called(walled, by_path(root / "a.png")["image"])
-    assert error_of(result) == "path_not_allowed"
 
 
 async def test_a_file_swapped_for_a_link_all_the_time_is_never_followed(
@@ -163,25 +135,13 @@ async def test_a_file_swapped_for_a_link_all_the_time_is_never_followed(
     assert widths or codes
 
 
-def bomb_png(width_px: int, height_px: int) -> bytes:
-    """A PNG of a few hundred bytes that declares any number of pixels."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    header = struct.pack(">IIBBBBB", width_px, height_px, 8, 2, 0, 0, 0)
-    body = zlib.compress(bytes(100_000))
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", body) + chunk(b"IEND", b"")
-
-
 @pytest.mark.parametrize("kind", ["path", "base64"])
-@pytest.mark.parametrize("size", [(60_000, 60_000), (2**31 - 1, 1), (2**31 - 1, 2**31 - 1)])
 async def test_a_decompression_bomb_is_refused_by_its_header(
-    walled: MCPServer[object], root: Path, kind: str, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+    walled: MCPServer[object], root: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     decoded: list[object] = []
     monkeypatch.setattr("cv2.imdecode", lambda data, *_: decoded.append(data))
-    data = bomb_png(*size)
+    data = png_header(60_000, 60_000)
     (root / "bomb.png").write_bytes(data)
     image = {"kind": "base64", "data": base64.b64encode(data).decode()}
     for result in await called(walled, by_path(root / "bomb.png")["image"] if kind == "path" else image):
@@ -193,11 +153,8 @@ async def test_a_decompression_bomb_is_refused_by_its_header(
     ("image", "code"),
     [
         ({"kind": "base64", "data": "not base64!"}, "base64_invalid"),
-        ({"kind": "base64", "data": "data:image/svg+xml,<svg/>"}, "base64_invalid"),
         ({"kind": "base64", "data": base64.b64encode(b"root:x:0:0").decode()}, "image_undecodable"),
         ({"kind": "url", "url": "https://127.0.0.1/a.png"}, "source_disabled"),
-        ({"kind": "url", "url": "file:///etc/passwd"}, "source_disabled"),
-        ({"kind": "url", "url": "http://169.254.169.254/latest/meta-data/"}, "source_disabled"),
     ],
 )
 async def test_what_is_no_image_of_an_allowed_kind_is_refused(
@@ -219,3 +176,84 @@ async def test_names_in_which_a_file_points_to_others_are_not_followed(
     for name in ("a.vrt", "renamed.tif"):
         for result in await called(walled, by_path(root / name)["image"]):
             assert error_of(result) in ("image_undecodable", "image_unsupported"), text_of(result)
+
+
+UP = "../" * 12
+FORMS: tuple[Callable[[str, str], str], ...] = (
+    *(lambda root, path, form=form: form.format(root=root, path=path, up=UP) for form in (
+        "{path}", "/{path}", "//{path}", "/.{path}", "{path}/", "{path}/.", "{path}\0.png", "{path}%00.png", "~{path}",
+        "file://{path}", "FILE://{path}", "file://localhost{path}", "file:///{path}", "file:{path}", "file://.{path}",
+        "file://[{path}", "file://user@localhost{path}", "file://{path}?a=1", "file://{path}#a", "http://localhost{path}",
+        "{root}/..{path}", "{root}/{up}{path}", "{root}//{up}{path}", "{root}/./{up}{path}", "{root}/deep/{up}{path}",
+        "{root}/a.png/{up}{path}", "{root}/missing/{up}{path}", "file://{root}/{up}{path}", "{root}\0{path}",
+        "{root}{path}", "{root}/{path}", "file://{root}{path}", "{root}/out{path}", "{root}/up{path}",
+        "{root}/up/up{path}",
+        "/proc/self/root{path}", "/proc/1/root{path}", "/proc/thread-self/root{path}", "/proc/self/cwd/{up}{path}",
+        "/dev/fd/../../..{path}", "{root}/proc{path}", "\\\\?\\{path}", "{root}\\..{path}",
+    )),
+    lambda root, path: quote(path),
+    lambda root, path: f"file://{quote(path, safe='')}",
+    lambda root, path: f"{root}/{quote(UP + path, safe='')}",
+    lambda root, path: f"file://{root}/{quote(UP + path, safe='')}",
+    lambda root, path: f"file://{root}/{quote(quote(UP + path, safe=''), safe='')}",
+    lambda root, path: f"file://{root}/{UP.replace('.', '%2e')}{path}",
+    lambda root, path: f"{root}/{UP.replace('.', chr(0x2024))}{path}",
+)  # fmt: skip
+
+
+@pytest.mark.promise("roots")
+def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path) -> None:
+    root = (tmp_path / "root").resolve()
+    (root / "deep").mkdir(parents=True)
+    (root / "a.png").write_bytes(b"inside")
+    (root / "out").symlink_to("/")
+    (root / "up").symlink_to("..")
+    (root / "proc").symlink_to("/proc/self/root")
+    (tmp_path / "secret.png").write_bytes(b"outside")
+    pairs = [(str(tmp_path / "secret.png"), str(tmp_path / "absent.png")), ("/etc/passwd", "/etc/passwx")]
+    pairs += [("/proc/1/status", "/proc/999999999/status"), (str(tmp_path), f"{tmp_path}x")]
+    ways = list(product(FORMS, pairs))
+    for form, (present, absent) in ways:
+        answers = []
+        for path in (present, absent):
+            named = form(str(root), path)
+            with pytest.raises(CallError) as caught, PathAccess([root]).open(named) as opened:
+                pytest.fail(f"{named!r} was opened: {opened!r}")
+            told = (
+                str(caught.value)
+                .replace(f"server: {root}.", "server.")
+                .replace(repr(named)[1:-1], "NAMED")
+                .replace(named[-80:], "NAMED")
+            )
+            answers.append(caught.value.code if caught.value.code == "image_not_found" else told.replace(path, "PATH"))
+            assert caught.value.code in ("path_not_allowed", "image_not_found"), named
+        assert answers[0] == answers[1], (form("ROOT", present), answers)
+    assert 2 * len(ways) >= 350
+
+
+@pytest.mark.anyio
+async def test_no_other_host_is_looked_up_and_none_asked() -> None:
+    async def resolve(host: str, port: int) -> list[str]:
+        assert (host, port) == ("images.test", 443)
+        return ["10.0.0.1"]
+
+    fetcher = Fetcher(("images.test",), 1000, 5.0, resolve=resolve)
+    hosts = (
+        "127.0.0.1", "localhost", "[::1]", "2130706433", "0x7f.1", "0177.0.0.1", "169.254.169.254",
+        "[::ffff:127.0.0.1]",
+        "images.test.", "images.test.evil.test", "evil.test", "images.test@evil.test", "images.test:80",
+        "images.test:0",
+        "images.test:99999", "evil.test#images.test", "evil.test\\@images.test", "imag\u0435s.test", "user@images.test",
+        "user:pw@images.test", "[images.test]", "images.test%00.evil.test", "images.test%2eevil.test", "",
+    )  # fmt: skip
+    urls = [
+        f"{scheme}{host}/a.png" for scheme, host in product(("https://", "http://", "HTTPS:", "ftp://", "//"), hosts)
+    ]
+    urls += [
+        f"{scheme}images.test/a.png" for scheme in ("http://", "ftp://", "file://", "gopher://", "data:", "//", "")
+    ]
+    for url in [*urls, *(url.replace("/a.png", "") for url in urls)]:
+        with pytest.raises(CallError) as caught:
+            await fetcher.fetch(url)
+        assert caught.value.code == "url_not_allowed", url
+    assert 2 * len(urls) >= 200

@@ -25,6 +25,7 @@ from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.sandbox.environment import KEPT, SEARCH_PATHS
+from vehanchor_server.sandbox.trace import confined_calls
 from vehanchor_server.services import Services
 
 CONFINE = """
@@ -201,3 +202,17 @@ def test_a_worker_inherits_its_socket_and_its_log_and_no_secret(running: Service
     assert sum(target.startswith("socket:") for target in opened.values()) == 1
     rest = [target for number, target in opened.items() if number > 2 and not target.startswith("socket:")]
     assert all(target.startswith(("/proc/", "anon_inode:", "pipe:")) for target in rest), rest
+
+
+def test_calls_count_from_the_filter_on_with_those_of_later_threads() -> None:
+    lines = [
+        '10 openat(AT_FDCWD, "/etc/passwd", O_RDONLY) = 3',
+        "10 seccomp(SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC, {len=1, filter=0x1}) = 0",
+        "10 clone(child_stack=0x7f, flags=CLONE_VM|CLONE_THREAD <unfinished ...>",
+        "11 futex(0x7f, FUTEX_WAIT <unfinished ...>",
+        "10 <... clone resumed>, parent_tid=[12]) = 12",
+        "12 mmap(NULL, 4096) = 0x7f0000000000",
+        "11 socket(AF_INET, SOCK_STREAM) = 4",
+        "+++ exited with 0 +++",
+    ]
+    assert confined_calls(lines) == {"clone", "mmap"}

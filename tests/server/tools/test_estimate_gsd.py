@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,18 +11,17 @@ from mcp.server import MCPServer
 
 import vehanchor
 from tests.analyses import make_analysis
-from tests.server.conversation import by_path, picture_of, text_of
+from tests.server.conversation import by_path, text_of
 from tests.server.test_models import calibration_file
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.records import GsdEstimate, Notice
-from vehanchor.records.digits import significant
 from vehanchor.records.notices import NoticeCode
+from vehanchor.records.text import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.estimate_gsd import describe_estimate
-from vehanchor_server.tools.messages import unusable_scale
 
 pytestmark = pytest.mark.anyio
 
@@ -46,7 +46,10 @@ async def test_callers_limit_the_search(server: MCPServer[object], images: Path)
         result = await client.call_tool("estimate_gsd", {**large, "max_tiles": 2, "effort": "full"})
         refused = await client.call_tool("estimate_gsd", {**large, "effort": "most"})
     assert result.structured_content is not None
-    assert (result.structured_content["tiles_searched"], result.structured_content["stopped_because"]) == (
+    assert (
+        result.structured_content["details"]["tiles_searched"],
+        result.structured_content["details"]["stopped_because"],
+    ) == (
         2,
         "max_tiles",
     )
@@ -63,8 +66,8 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     assert result.structured_content["gsd_m_per_px"] is None
     assert result.structured_content["confidence"] == 0
     assert text_of(result) == (
-        "No ruler was found, confidence 0: no metric scale (no car was found); draw a line over something of known "
-        "size, or take a picture with cars (known_lengths)."
+        "No ruler was found, confidence 0: no metric scale (no car was found); add a car that has no box (add), or "
+        "draw a line over something named, as a container or court (known_lengths)."
     )
 
 
@@ -74,8 +77,8 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCP
     assert result.structured_content is not None
     assert result.structured_content["status"] == "low_confidence"
     assert text_of(result).endswith(
-        "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the region, or include one "
-        "more car (region)."
+        "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the region (region), or add "
+        "a car that has no box (add)."
     )
 
 
@@ -98,7 +101,8 @@ async def test_arguments_reach_the_library(server: MCPServer[object], images: Pa
     assert expected.frame is not None
     assert f"In your 320 x 256 copy that is {expected.frame.gsd_m_per_px:.3g} m/px." in text_of(result)
     assert by_region.structured_content is not None
-    assert by_region.structured_content["reference_length_m"] == pytest.approx(4.5)
+    assert by_region.structured_content["details"]["reference_length_m"] == pytest.approx(4.5)
+    assert "Region europe: cars of 4.50 m." in text_of(by_region)
 
 
 async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_against_the_vehicles(
@@ -122,7 +126,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPSe
         listed = {tool.name: tool.input_schema for tool in (await client.list_tools()).tools}
         plain = (await client.call_tool("estimate_gsd", photo)).structured_content
         assert plain is not None
-        n = plain["n_detections"]
+        n = plain["details"]["n_detections"]
         told = {"drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
         frame = {"width_px": plain["image_width_px"] // 2, "height_px": plain["image_height_px"] // 2}
         result = await client.call_tool("estimate_gsd", {**photo, **told, "frame": frame})
@@ -131,7 +135,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPSe
     assert "drop" in listed["estimate_gsd"]["properties"]
     assert not result.is_error, text_of(result)
     assert result.structured_content is not None
-    assert result.structured_content["by_hand"] == {"dropped": 1, "added": 1}
+    assert result.structured_content["details"]["by_hand"] == {"dropped": 1, "added": 1}
     assert result.structured_content["confidence"] <= 0.99
     assert "by hand: 1 added, 1 dropped" in text_of(result)
     assert missing.is_error
@@ -163,17 +167,9 @@ async def test_the_operators_calibration_is_the_ruler_of_callers_who_name_none(
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
         named = await client.call_tool("estimate_gsd", {**by_path(images / "cars.png"), "reference_length_m": 4.8})
     assert result.structured_content is not None
-    assert result.structured_content["reference_length_m"] == 4.31
+    assert result.structured_content["details"]["reference_length_m"] == 4.31
     assert named.structured_content is not None
-    assert named.structured_content["reference_length_m"] == 4.8
-
-
-async def test_the_overlay_is_a_small_jpeg_beside_the_record(server: MCPServer[object], images: Path, era: str) -> None:
-    async with Client(server, mode=era) as client:
-        result = await client.call_tool("estimate_gsd", {**by_path(images / "large.png"), "include_overlay": True})
-    assert not result.is_error
-    decoded = picture_of(result)
-    assert 700 < max(decoded.shape) <= 1568
+    assert named.structured_content["details"]["reference_length_m"] == 4.8
 
 
 @pytest.fixture
@@ -185,42 +181,41 @@ def doubtful() -> GsdEstimate:
     return estimate
 
 
-def test_few_vehicles_are_too_little_evidence(doubtful: GsdEstimate) -> None:
-    words = describe_estimate(doubtful)
-    assert "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the region" in words
-    assert words.endswith("or include one more car (region).")
+LINE = "draw a line over something named, as a parking bay or lane dash (known_lengths)"
+CAR, REGION = "add a car that has no box (add)", "give the region (region)"
+DROP = "drop boxes that are no cars, see view_image (drop)"
 
 
-def test_a_wide_interval_and_assumed_facts_are_told_with_what_helps(doubtful: GsdEstimate) -> None:
-    wide = describe_estimate(doubtful.model_copy(update={"reason": "imprecise"}))
-    assert wide.endswith(
-        "(the interval is too wide); give the region, or draw a line over something of known size "
-        "(known_lengths, region)."
-    )
-    assumed = describe_estimate(doubtful.model_copy(update={"reason": "assumed"}))
-    assert "(it rests on assumed facts alone); include cars, or draw a line" in assumed
+@pytest.mark.parametrize(
+    ("changes", "remedies"),
+    [
+        ({"reason": "too_few"}, [REGION, CAR]),
+        ({"reason": "imprecise"}, [REGION, CAR]),
+        ({"reason": "assumed"}, [REGION, CAR]),
+        ({"reason": "too_few", "reference_source": "region"}, [CAR, LINE]),
+        ({"reason": "not_cars"}, [DROP, LINE]),
+        ({"reason": "disagree"}, [DROP, LINE]),
+        ({"reason": "too_coarse"}, ["send the original image", LINE]),
+    ],
+)
+def test_advice_names_at_most_two_remedies_by_arguments_the_best_first(
+    doubtful: GsdEstimate, changes: dict[str, Any], remedies: list[str]
+) -> None:
+    details = doubtful.details.model_copy(update={"reference_source": changes.get("reference_source", "model")})
+    told = doubtful.model_copy(update={"reason": changes["reason"], "details": details})
+    words = describe_estimate(told, "short")
+    assert words.endswith(f"; {', or '.join(remedies)}.")
+    assert not {"height", "if it is", "guess"} & set(words.split())
 
 
 def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> None:
     assert "from 1 vehicle: " in describe_estimate(doubtful.model_copy(update={"n_vehicles": 1}))
 
 
-def test_the_guard_is_told_as_what_it_means(doubtful: GsdEstimate) -> None:
-    guarded = doubtful.model_copy(update={"reason": "too_coarse"})
-    assert "(the vehicles are only 30 px long); fly lower" in describe_estimate(guarded)
-
-
-@pytest.mark.parametrize("reason", ["too_few", "not_cars", "disagree", "assumed", "imprecise"])
-def test_only_vehicles_of_too_few_pixels_are_a_reason_to_fly_lower(doubtful: GsdEstimate, reason: str) -> None:
-    assert "fly lower" not in describe_estimate(doubtful.model_copy(update={"reason": reason}))
-
-
 def test_doubts_about_the_fleet_are_told_with_their_warning(doubtful: GsdEstimate) -> None:
     notice = Notice(code=NoticeCode.LOOK_ALIKES, message="They are all alike.")
     words = describe_estimate(doubtful.model_copy(update={"warnings": (notice,), "reason": "not_cars"}))
-    assert "(the vehicles may not be cars); look at include_overlay, then drop the boxes that are no cars" in words
-    measuring = unusable_scale(doubtful.model_copy(update={"reason": "not_cars"}))
-    assert "check what was taken for cars" in measuring
+    assert f"(the vehicles may not be cars); {DROP}, or {LINE}." in words
     assert words.endswith("Warning look_alikes: They are all alike.")
 
 

@@ -76,9 +76,9 @@ async def test_an_image_without_a_car_has_the_scale_of_those_of_its_flight_that_
     arguments = _among(flight / "here.png", flight / "elsewhere.png", flight / "near.png")
     async with Client(server) as client:
         alone = await client.call_tool("estimate_gsd", by_path(flight / "here.png"))
-        among = await client.call_tool(
-            "estimate_gsd", {**arguments, "frame": {"width_px": 250, "height_px": 250}, "include_overlay": True}
-        )
+        asked = {**arguments, "frame": {"width_px": 250, "height_px": 250}}
+        among = await client.call_tool("estimate_gsd", asked)
+        drawn = await client.call_tool("view_image", {"of": {"tool": "estimate_gsd", "arguments": asked}})
     assert alone.structured_content is not None
     assert alone.structured_content["gsd_m_per_px"] is None
     assert not among.is_error, text_of(among)
@@ -90,7 +90,7 @@ async def test_an_image_without_a_car_has_the_scale_of_those_of_its_flight_that_
     assert record["gsd_ci95_low_m_per_px"] < record["gsd_m_per_px"] < record["gsd_ci95_high_m_per_px"]
     assert record["scale"]["gsd_m_per_px"] == record["gsd_m_per_px"]
     assert record["warnings"] == []
-    assert picture_of(among).shape[0] > 250
+    assert picture_of(drawn).shape[0] > 250
 
 
 async def test_an_image_that_nothing_ties_to_the_others_keeps_its_own_scale_and_is_told(
@@ -141,9 +141,9 @@ async def test_no_image_is_opened_again_where_no_picture_is_wanted(
     async with Client(server) as client:
         plain = await client.call_tool("estimate_gsd", arguments)
         assert len(opened) == 2
-        drawn = await client.call_tool("estimate_gsd", {**arguments, "include_overlay": True})
+        drawn = await client.call_tool("view_image", {"of": {"tool": "estimate_gsd", "arguments": arguments}})
     assert len(opened) == 2 + 3
-    assert plain.structured_content == drawn.structured_content
+    assert text_of(drawn) == text_of(plain)
 
 
 async def test_vehicles_by_hand_belong_to_one_image(server: MCPServer[object], flight: Path) -> None:

@@ -1,4 +1,4 @@
-# Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
+from __future__ import annotations
 
 import json
 from pathlib import Path
@@ -8,6 +8,7 @@ import pytest
 from mcp import Client
 from mcp.server import MCPServer
 from mcp.server.mcpserver import Context
+from mcp.server.mcpserver.utilities.func_metadata import FuncMetadata
 from mcp.types import CallToolResult
 
 from tests.server.conversation import by_path, error_of, text_of
@@ -27,6 +28,9 @@ from vehanchor_server.tools.scale_arguments import DetailArgument
 from vehanchor_server.tools.strict_tool import StrictTool
 
 pytestmark = pytest.mark.anyio
+
+
+# Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
 
 
 class Size(FrozenModel):
@@ -96,3 +100,135 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
     for provider in ("anthropic", "openai"):
         names = [tool["name"] for tool in json.loads(files[f"{provider}.json"])]
         assert names == ["estimate_gsd", "measure_area", "measure_distance", "view_image", "image_size"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({}, "image: it is required"),
+        ({"image": {"path": "/a"}}, "image: give an object with kind path or base64 or url"),
+        ({"image": {"kind": "ftp", "path": "/a"}}, "image: give an object with kind path or base64 or url"),
+        ({"image": "/a.jpg"}, "give an object"),
+        ({"image": {"kind": "path", "path": "/a", "url": "x"}}, "image.url: there is no such argument"),
+        ({"image": {"kind": "path", "path": ""}}, "image.path: give a text"),
+        ({"image": {"kind": "path", "path": "/a"}, "detector": "/etc/passwd"}, "detector: there is no such argument"),
+        ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": -1}, "reference_length_m: give a number >= 2"),
+        ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": "inf"}, "reference_length_m"),
+        ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": "nan"}, "reference_length_m"),
+        ({"image": {"kind": "path", "path": "/a"}, "frame": {"width_px": 3}}, "frame.height_px: it is required"),
+        ({"image": {"kind": "path", "path": "/a"}, "frame": {"width_px": 0, "height_px": 3}}, "frame.width_px"),
+    ],
+)
+async def test_wrong_arguments_are_told_in_one_line(
+    server: MCPServer[object], arguments: dict[str, Any], words: str, era: str
+) -> None:
+    async with Client(server, mode=era) as client:
+        result = await client.call_tool("estimate_gsd", arguments)
+    assert error_of(result) == "invalid_arguments"
+    assert words in text_of(result)
+    assert "\n" not in text_of(result)
+
+
+_BOX = {"x_min": 1, "y_min": 1, "x_max": 90, "y_max": 90}
+_LINE = {"x1": 1, "y1": 1, "x2": 90, "y2": 90, "metres": 5}
+_KNOWN = {
+    **dict.fromkeys(("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px", "confidence"), 0.5),
+    "image_id": "x",
+    "model_id": "x",
+}
+
+
+_NUMBERS: list[tuple[str, str, Any]] = [  # tool, argument, and where in it a number stands
+    *[("estimate_gsd", name, ...) for name in ("reference_length_m", "height_m", "focal_35mm", "max_seconds")],
+    ("estimate_gsd", "max_tiles", ...),
+    *[("measure_area", name, ...) for name in ("gsd_m_per_px", "object_height_m")],
+    *[("view_image", name, ...) for name in ("page", "long_side_px")],
+    ("view_image", "part", {**_BOX, "x_min": ...}),
+    ("estimate_gsd", "frame", {"width_px": ..., "height_px": 3}),
+    *[("estimate_gsd", "known_lengths", [{**_LINE, name: ...}]) for name in ("x1", "metres")],
+    ("measure_area", "targets", [{"box": {**_BOX, "x_min": ...}}]),
+    ("measure_area", "targets", [{"points": [{"x": ..., "y": 3}]}]),
+    ("measure_distance", "lines", [{"points": [{"x": ..., "y": 1}, {"x": 9, "y": 9}]}]),
+    *[("measure_area", "scale", {**_KNOWN, name: ...}) for name in ("gsd_m_per_px", "confidence")],
+    ("measure_area", "scale", {**_KNOWN, "plane": {"tilt_deg": ..., "roll_deg": 1, "focal_length_px": 900}}),
+]
+
+
+def _filled(part: Any, value: Any) -> Any:
+    """The same with a value where ``...`` is."""
+    if isinstance(part, dict):
+        return {key: _filled(each, value) for key, each in part.items()}
+    return [_filled(each, value) for each in part] if isinstance(part, list) else value if part is ... else part
+
+
+async def test_what_is_no_number_is_not_taken_for_one_nor_what_no_call_means(server: MCPServer[object]) -> None:
+    absurd: list[tuple[str, str, Any]] = [
+        ("estimate_gsd", "max_tiles", 10**400),
+        ("estimate_gsd", "max_seconds", 1e308),
+        ("estimate_gsd", "metadata", 1),
+        ("estimate_gsd", "same_scale", "yes"),
+        ("measure_area", "gsd_m_per_px", 1e-300),
+        ("measure_area", "gsd_m_per_px", 1e9),
+        *[(tool, name, _filled(place, value)) for tool, name, place in _NUMBERS for value in (True, "4.5 kg", "-")],
+    ]
+    required = {"measure_area": {"targets": [{"box": _BOX}]}}
+    taken = []
+    async with Client(server) as client:
+        for tool, name, value in absurd:
+            arguments = {"image": {"kind": "path", "path": "/a"}, **required.get(tool, {}), name: value}
+            result = await client.call_tool(tool, arguments)
+            if error_of(result) != "invalid_arguments" or name not in text_of(result):
+                taken.append((tool, name, str(value)[:40], text_of(result)))
+    assert taken == []
+
+
+async def test_a_wrong_argument_is_not_repeated_to_the_caller(server: MCPServer[object]) -> None:
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", {"image": {"kind": "base64", "data": 7, "secret": "hunter2"}})
+    assert "hunter2" not in text_of(result)
+
+
+async def test_a_bug_is_told_without_its_details_and_logged_with_them(
+    server: MCPServer[object], images: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise RuntimeError("password is hunter2")
+
+    monkeypatch.setattr("vehanchor.analysis.memory.AnalysisMemory.analyse", broken)
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+    assert error_of(result) == "internal_error"
+    assert "hunter2" not in text_of(result)
+    assert "hunter2" in caplog.text
+
+
+@pytest.mark.parametrize("deep", [False, True])
+async def test_more_values_than_any_call_has_are_told_without_looking_at_each(
+    server: MCPServer[object], deep: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked_at: list[object] = []
+    monkeypatch.setattr(FuncMetadata, "validate_arguments", lambda _, arguments: looked_at.append(arguments))
+    many = {f"a{i}": 0 for i in range(100_000)}
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", {"image": many} if deep else many)
+    assert text_of(result).startswith("invalid_arguments: more than 1000 values.")
+    assert looked_at == []
+
+
+async def test_long_names_are_shortened_before_they_are_told(server: MCPServer[object]) -> None:
+    long = "n" * 100_000
+    async with Client(server) as client:
+        for arguments in ({long: 1}, {"image": {"kind": long}}, {"image": {"kind": "path", "path": "/a", long: 1}}):
+            result = await client.call_tool("estimate_gsd", arguments)
+            assert error_of(result) == "invalid_arguments"
+            assert len(text_of(result)) < 700
+        result = await client.call_tool(long, {})
+    assert error_of(result) == "unknown_tool"
+    assert len(text_of(result)) < 300
+
+
+async def test_the_example_of_an_error_names_a_file_of_this_server(server: MCPServer[object], images: Path) -> None:
+    async with Client(server) as client:
+        told = text_of(await client.call_tool("estimate_gsd", {}))
+        example = json.loads(told.partition("Example: ")[2])
+        assert not (await client.call_tool("estimate_gsd", example)).is_error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import threading
 from collections.abc import Iterator
@@ -36,10 +37,22 @@ async def asked(server: MCPServer[object], image: Path | None = None, **more: An
 
 
 def seen_in(result: CallToolResult) -> dict[str, Any]:
+    """What the text says: sizes of image and picture, the part and the grid, or the names of a list."""
     assert not result.is_error, text_of(result)
-    structured: dict[str, Any] | None = result.structured_content
-    assert structured is not None
-    return structured
+    assert result.structured_content is None
+    first, *lines = text_of(result).splitlines()
+    if "Image of" not in first:
+        names, folder = [], ""
+        for line in lines:
+            folder = folder if line.startswith("  ") else line
+            names += [f"{folder}{line[2:]}"] if line.startswith("  ") else []
+        return {"images": names, "images_total": int(first.split()[0])}
+    numbers = [int(each) for each in re.findall(r"(\d+) x (\d+) px", first)[:2] for each in each]
+    part = re.search(r"x (\d+) to (\d+), y (\d+) to (\d+)", first)
+    names = ["image_width_px", "image_height_px", "picture_width_px", "picture_height_px"]
+    grid = int(re.findall(r"Grid lines are (\d+) image", first)[0])
+    corners = dict(zip(("x_min", "x_max", "y_min", "y_max"), map(int, part.groups()), strict=True)) if part else None
+    return {**dict(zip(names, numbers, strict=True)), "grid_px": grid, "part": corners}
 
 
 async def test_the_picture_has_the_size_that_is_declared(server: MCPServer[object], images: Path) -> None:
@@ -121,8 +134,7 @@ async def test_what_cannot_be_shown_is_told(
 async def test_a_limited_enlargement_is_told(server: MCPServer[object], images: Path) -> None:
     part = {"x_min": 10, "y_min": 10, "x_max": 60, "y_max": 40}
     small = await asked(server, images / "pool.png", part=part, long_side_px=1024)
-    assert small.structured_content is not None
-    assert small.structured_content["picture_width_px"] == 200
+    assert seen_in(small)["picture_width_px"] == 200
     assert "smaller than the 1024 px asked for: it is enlarged 4 times, the most" in text_of(small)
     whole = await asked(server, images / "pool.png", long_side_px=512)
     assert "smaller" not in text_of(whole)
@@ -149,11 +161,8 @@ async def test_without_an_image_those_below_the_roots_are_named(server: MCPServe
 async def test_many_images_come_in_pages(tmp_path: Path) -> None:
     for number in range(120):
         (tmp_path / f"{number:03}.jpg").touch()
-    server, seen, page = _served(tmp_path), [], 1
-    while page:
-        listed = seen_in(await asked(server, page=page))
-        seen += listed["images"]
-        page = listed.get("next_page", 0)
+    server = _served(tmp_path)
+    seen = [name for page in (1, 2, 3) for name in seen_in(await asked(server, page=page))["images"]]
     assert seen == [str(tmp_path.resolve() / f"{number:03}.jpg") for number in range(120)]
     assert text_of(await asked(server, page=1)).startswith("120 images, 1 to 50 on page 1 of 3:")
     words = text_of(await asked(server, page=1))
@@ -194,8 +203,7 @@ async def test_names_that_are_no_text_are_left_out(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.png")
     async with Client(create_server(create_services(Settings(roots=(tmp_path,), isolation="in-process")))) as client:
         result = await client.call_tool("view_image", {})
-    assert result.structured_content is not None
-    assert result.structured_content["images"] == [str(tmp_path / "good.png")]
+    assert seen_in(result)["images"] == [str(tmp_path / "good.png")]
 
 
 async def test_a_listing_takes_a_slot_and_has_the_deadline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

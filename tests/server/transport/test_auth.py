@@ -14,7 +14,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from tests.server.serving import listening, serving
+from tests.server.conversation import listening, serving
 from vehanchor_server.settings import Settings, SettingsError
 from vehanchor_server.transport.auth import (
     KEYS_RETRY_S,

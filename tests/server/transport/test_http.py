@@ -20,8 +20,7 @@ from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
 
 from tests.server.conftest import N_TILES_LARGE, paint_scene, write_image
-from tests.server.conversation import by_path, error_of, text_of
-from tests.server.serving import listening, serving
+from tests.server.conversation import by_path, error_of, listening, serving, text_of
 from tests.server_process import http_server
 from tests.tiles import Tiles
 from vehanchor_server.settings import Settings, SettingsError

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -204,3 +205,121 @@ def test_a_killed_parent_ends_it(settings: Settings, tmp_path: Path) -> None:
     finally:
         if not gone():
             os.kill(child, signal.SIGKILL)
+
+
+_CALLS = """
+import json, sys
+import anyio
+from pathlib import Path
+from mcp import Client
+from vehanchor_server.app import create_server
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+
+DECODERS = ("cv2", "onnxruntime", "rasterio", "PIL", "pi_heif", "numpy", "scipy")
+
+async def called(server, images, calls):
+    answers = []
+    async with Client(server) as client:
+        listed = [tool.name for tool in (await client.list_tools()).tools]
+        for name, arguments in calls:
+            answers.append([name, (await client.call_tool(name, arguments)).is_error])
+    return listed, answers
+
+def main():
+    images, detector, encoder, decoder, calls = sys.argv[1:]
+    settings = Settings(roots=(Path(images),), detector=detector, segmenter=(Path(encoder), Path(decoder)), threads=1)
+    services = create_services(settings)
+    try:
+        listed, answers = anyio.run(called, create_server(services), images, json.loads(calls))
+    finally:
+        services.close()
+    print(json.dumps([listed, answers, [name for name in DECODERS if name in sys.modules]]))
+
+if __name__ == "__main__":
+    main()
+"""
+
+
+@pytest.mark.promise("listener")
+@pytest.mark.slow
+def test_no_decoder_is_imported_after_every_tool_was_called(
+    images: Path, detector_path: Path, segmenter_paths: tuple[Path, Path], tmp_path: Path
+) -> None:
+    root = tmp_path / "images"
+    root.mkdir()
+    for name in ("cars.png", "pool.png", "notes.txt"):
+        shutil.copy(images / name, root)
+    cars, pool = ({"kind": "path", "path": str(root / name)} for name in ("cars.png", "pool.png"))
+    box = {"box": {"x_min": 294, "y_min": 324, "x_max": 354, "y_max": 432}}
+    calls = [
+        ("view_image", {}),
+        ("view_image", {"image": cars}),
+        ("view_image", {"image": {"kind": "path", "path": str(root / "notes.txt")}}),
+        ("view_image", {"of": {"tool": "estimate_gsd", "arguments": {"image": cars}}}),
+        ("estimate_gsd", {"image": cars, "more_images": [pool], "detail": "full"}),
+        ("measure_area", {"image": pool, "targets": [box]}),
+        ("measure_distance", {"image": cars, "lines": [{"points": [{"x": 10, "y": 10}, {"x": 90, "y": 90}]}]}),
+    ]
+    models = [str(detector_path), *map(str, segmenter_paths)]
+    command = [sys.executable, "-c", _CALLS, str(root), *models, json.dumps(calls)]
+    printed = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True).stdout
+    listed, answers, imported = json.loads(printed.splitlines()[-1])
+    assert {name for name, _ in answers} == set(listed), "a tool was not called"
+    assert [failed for _, failed in answers] == [False, False, True, False, False, False, False]
+    assert imported == []
+
+
+_IMPORT = """
+import json
+from pydantic import BaseModel
+from vehanchor_server.transport.quick_import import import_sdk
+"""
+
+
+def _printed(code: str) -> Any:
+    done = subprocess.run([sys.executable, "-c", _IMPORT + code], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+def test_validators_of_the_sdk_are_built_at_first_use_only() -> None:
+    built = """
+import_sdk()
+import mcp.types
+class Own(BaseModel):
+    x: int
+before = mcp.types.Tool.__pydantic_complete__
+tool = mcp.types.Tool.model_validate({"name": "a", "inputSchema": {"type": "object"}})
+print(json.dumps([before, mcp.types.Tool.__pydantic_complete__, tool.name, Own.__pydantic_complete__]))
+"""
+    assert _printed(built) == [False, True, "a", True]
+
+
+def test_pydantic_is_as_before_after_an_error() -> None:
+    after = """
+import sys
+sys.modules["mcp"] = None  # cannot be imported
+try:
+    import_sdk()
+except ImportError:
+    class After(BaseModel): pass
+    print(json.dumps([dict(BaseModel.model_config), After.__pydantic_complete__]))
+"""
+    assert _printed(after) == [{}, True]
+
+
+@pytest.mark.slow
+def test_the_listing_of_a_quick_server_is_that_of_a_usual_one() -> None:
+    listing = """
+import anyio, sys
+from vehanchor_server.settings import Settings
+if {quick}:
+    import_sdk()
+from vehanchor_server.app import create_server
+from vehanchor_server.services import create_services
+tools = anyio.run(create_server(create_services(Settings(isolation="in-process"))).list_tools)
+print(json.dumps([tool.model_dump(mode="json") for tool in tools]))
+"""
+    quick, usual = (_printed(listing.format(quick=quick)) for quick in (True, False))
+    assert quick == usual
+    assert len(usual) > 3

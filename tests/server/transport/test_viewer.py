@@ -147,7 +147,7 @@ def test_a_photograph_that_is_dropped_is_measured_as_one_of_the_folder(address: 
     assert Path(paths[0]).name == "my pool.png"
     assert Path(paths[2]).name == "x y_.png"
     assert Path(paths[2]).parent == Path(paths[0]).parent
-    *_, listed = ask(address, "view_image", {})
+    *_, listed = ask(address, "page_image", {})
     assert set(paths) <= set(listed["result"]["structuredContent"]["images"])
     image = {"kind": "path", "path": paths[0]}
     *_, measured = ask(address, "measure_area", {"image": image, "targets": [{"box": POOL_BOX}]})

@@ -7,10 +7,8 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +21,7 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import estimate_gsd
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch
 from vehanchor.batch.engines.local import local_workers
-from vehanchor.batch.pool import finished
-from vehanchor.batch.row import COLUMNS
+from vehanchor.batch.row import ALL_COLUMNS, COLUMNS
 from vehanchor.batch.run import journal_path
 from vehanchor.batch.worker import Task, Worker
 from vehanchor.cli import app as cli
@@ -136,7 +133,7 @@ def test_nothing_found_is_an_error_before_the_work(nothing: list[str], monkeypat
 
 
 def test_a_row_holds_what_estimate_gsd_says(detector: Path, table: Path) -> None:
-    run_batch(["."], table, detector=detector, workers=1)
+    run_batch(["."], table, detector=detector, workers=1, details=True)
     broken, cars, _, empty = _rows(table)
     estimate = estimate_gsd("cars.png", detector=detector)
     assert {name: cars[name] for name in ("file", "error_code", "error")} == {
@@ -146,7 +143,9 @@ def test_a_row_holds_what_estimate_gsd_says(detector: Path, table: Path) -> None
     }
     same = set(GsdEstimate.model_fields) & set(COLUMNS)
     assert {name: cars[name] for name in same} == {name: getattr(estimate, name) for name in same}
-    assert cars["confidence_terms_sample"] == estimate.confidence_terms.sample
+    assert estimate.details.confidence_terms is not None
+    assert cars["confidence_terms_sample"] == estimate.details.confidence_terms.sample
+    assert list(cars) == list(ALL_COLUMNS)
     assert cars["warning_codes"] == " ".join(notice.code for notice in estimate.warnings)
     assert (empty["status"], empty["gsd_m_per_px"], empty["confidence"]) == ("no_scale", None, 0)
     assert (broken["status"], broken["gsd_m_per_px"], broken["error_code"]) == (None, None, "image_undecodable")
@@ -184,6 +183,7 @@ def test_all_formats_hold_the_same_rows(detector: Path, tmp_path: Path) -> None:
     rows = _rows(tmp_path / "table.jsonl")
     assert [row["file"] for row in rows] == FILES
     assert [list(row) for row in rows] == [list(COLUMNS)] * len(rows)
+    assert len(COLUMNS) <= 24
     parquet = pyarrow.parquet.read_table(tmp_path / "table.parquet")
     assert parquet.to_pylist() == rows
     assert [str(kind) for kind in parquet.schema.types[:5]] == ["string", "string", "double", "double", "int64"]
@@ -291,7 +291,8 @@ def test_rows_of_other_options_are_not_mixed_in(analysed: list[str], detector: P
     other = ScaleOptions(reference=Reference(4.3))
     with pytest.raises(InvalidParameterError, match=r"reference_length_m None \(now 4.3\)"):
         run_batch(["."], table, detector=detector, workers=1, options=other)
-    assert run_batch(["."], table, detector=detector, workers=1, options=other, overwrite=True).n_resumed == 0
+    again = run_batch(["."], table, detector=detector, workers=1, options=other, overwrite=True, details=True)
+    assert again.n_resumed == 0
     assert {row["reference_length_m"] for row in _rows(table)} == {4.3, None}
 
 
@@ -486,7 +487,7 @@ def test_lines_of_known_length_of_single_images_come_from_a_table(folder: Path, 
     lines = table.with_name("lines.csv")
     named = os.path.relpath(folder / "empty.png", lines.parent)
     lines.write_text(f"file,x1,y1,x2,y2,metres,who\n{named},100,50,500,50,48,Ann\n{named},100,50,100,250,24,Ann\n")
-    common = ("cars.png", "empty.png", "--detector", detector, "--workers", 1)
+    common = ("cars.png", "empty.png", "--detector", detector, "--workers", 1, "--details")
     result = _batch(*common, "-o", table, "--known-lengths", lines)
     assert result.exit_code == 0, result.output
     cars, empty = _rows(table)
@@ -546,20 +547,3 @@ def test_a_table_that_is_a_link_to_an_image_is_refused(folder: Path, detector: P
         assert result.exit_code == 2
         assert "are one file by a link" in result.stderr
     assert table.is_symlink()
-
-
-def test_items_are_taken_up_as_the_pool_gets_through_them_and_left_when_it_is_closed() -> None:
-    begun: list[int] = []
-    lock = threading.Lock()
-
-    def work(n: int) -> int:
-        with lock:
-            begun.append(n)
-        return n
-
-    pool = ThreadPoolExecutor(2)
-    with closing(finished(pool, 2, work, range(10**9))) as results:
-        next(results)
-    assert len(begun) < 50
-    with pytest.raises(RuntimeError, match="shutdown"):
-        pool.submit(work, 1)

@@ -51,7 +51,7 @@ def _batch(place: Path, output: Path, *options: object, table: str = "targets.cs
 def test_each_target_has_a_row_with_metres_or_an_error(place: Path, tmp_path: Path) -> None:
     result = _batch(place, tmp_path / "out.csv")
     assert result.exit_code == 0, result.output
-    assert "out.csv: 5 targets (2 ok, 1 low_confidence, 1 no_scale, 1 error)" in result.stderr
+    assert "out.csv: 5 targets (3 ok, 1 no_scale, 1 error)" in result.stderr
     with (tmp_path / "out.csv").open(newline="") as file:
         pool, middle, road, outside, bare = list(csv.DictReader(file))
     gsd = float(pool["gsd_m_per_px"])
@@ -59,9 +59,7 @@ def test_each_target_has_a_row_with_metres_or_an_error(place: Path, tmp_path: Pa
     assert float(pool["area_ci95_low_m2"]) < float(pool["area_m2"]) < float(pool["area_ci95_high_m2"])
     assert float(road["distance_m"]) == pytest.approx(400 * gsd)
     assert float(road["gsd_m_per_px"]) == gsd, "one search for all targets of an image"
-    assert [each["status"] for each in (pool, middle, road, outside, bare)] == [
-        *("ok", "low_confidence", "ok", "", "no_scale")
-    ]
+    assert [each["status"] for each in (pool, middle, road, outside, bare)] == [*("ok", "ok", "ok", "", "no_scale")]
     assert "confidence" not in middle, "the scale's confidence is not that of the measurement"
     assert float(middle["scale_confidence"]) == float(road["scale_confidence"]) > 0.5
     assert 0 <= float(middle["mask_score"]) <= 1

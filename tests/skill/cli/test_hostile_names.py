@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector
-from tests.skill.imagery.metadata_bytes import exif
+from tests.skill.imagery.files import exif
 from vehanchor.cli import app as cli
 from vehanchor.records import Notice
 from vehanchor.records.foreign_text import in_cell, on_one_line

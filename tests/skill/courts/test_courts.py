@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 import vehanchor
 from research.scenes import render_scene
-from tests.analyses import log_sd
+from tests.analyses import log_sd, told
 from tests.skill.courts.drawing import draw_court
-from vehanchor.courts.court import Court
-from vehanchor.courts.find import courts_among, measure_court
+from vehanchor.courts.find import Court, courts_among
 from vehanchor.courts.match import Pose
 from vehanchor.courts.proposals import Proposal, coarse_factors, load_court_network
 from vehanchor.courts.template import BASKETBALL, TENNIS, Template
@@ -27,7 +26,7 @@ def _measured(image: Any, gsd: float, *, which: int = 0, degrees: float = 20.0, 
     middle = image.shape[0] / 2
     pose = Pose(middle + 6, middle - 5, math.radians(degrees + 7), 1.1 / gsd)
     with open_raster(image) as raster:
-        return measure_court(raster, Proposal(which, 0.9, pose, factor))
+        return next(iter(courts_among(raster, [Proposal(which, 0.9, pose, factor)])), None)
 
 
 @pytest.mark.parametrize(("gsd", "side", "factor"), [(0.3, 256, 2), (0.2, 256, 2), (0.1, 512, 4), (0.05, 1024, 8)])
@@ -109,7 +108,7 @@ def _court(gsd: float, kind: str = "tennis", log_sd: float = 0.001) -> Court:
 
 
 def test_courts_are_a_witness_with_their_measured_sides() -> None:
-    witness = witness_of([_court(0.3), _court(0.302)])
+    witness = told(witness_of([_court(0.3), _court(0.302)]))
     assert witness.gsd_m_per_px == pytest.approx(0.301, rel=1e-3)
     assert (witness.kind, witness.n) == ("courts", 2)
     assert witness.interval is not None
@@ -124,14 +123,14 @@ def test_courts_are_a_witness_with_their_measured_sides() -> None:
 
 
 def test_rules_of_basketball_that_are_hard_to_tell_apart_make_a_wider_interval() -> None:
-    tennis, basketball = witness_of([_court(0.3)]), witness_of([_court(0.3, "basketball_nba")])
+    tennis, basketball = told(witness_of([_court(0.3)])), told(witness_of([_court(0.3, "basketball_nba")]))
     assert log_sd(basketball) > 1.5 * log_sd(tennis)
     assert basketball.said is not None
     assert "by the NBA's rules" in basketball.said
 
 
 def test_a_court_that_says_something_else_than_the_others_is_left_out() -> None:
-    witness = witness_of([_court(0.3), _court(0.301), _court(0.4)])
+    witness = told(witness_of([_court(0.3), _court(0.301), _court(0.4)]))
     assert witness.n == 2
     assert witness.gsd_m_per_px == pytest.approx(0.3, rel=0.01)
 

@@ -14,9 +14,8 @@ from tests.yards import EQUAL_CARS, paint_yard
 from vehanchor import Engine
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch.run import run_batch
-from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.corrections import corrected
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.errors import InvalidParameterError
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
@@ -25,7 +24,7 @@ _SIDE = 4000
 
 
 def _found(
-    groups: list[tuple[float, int]], *, score: float = 0.8, fleet: FleetAppearance | None = None, spread: float = 0.07
+    groups: list[tuple[float, int]], *, score: float = 0.8, looks: Looks | None = None, spread: float = 0.07
 ) -> Detections:
     """Groups of (length, number), spread as a fleet, in rows of their own."""
     boxes = [
@@ -34,7 +33,7 @@ def _found(
         for k in range(n)
     ]
     n = len(boxes)
-    return Detections(np.array(boxes).reshape(-1, 5), np.full(n, score), scales=np.ones(n), fleet=fleet)
+    return Detections(np.array(boxes).reshape(-1, 5), np.full(n, score), scales=np.ones(n), looks=looks)
 
 
 def _corrected(found: Detections, **told: Any) -> Detections:
@@ -50,7 +49,7 @@ def _analysis(found: Detections, **told: Any) -> ScaleAnalysis:
 def test_without_corrections_nothing_changes() -> None:
     found = _found([(40.0, 12)])
     assert _corrected(found) is found
-    assert _analysis(found).estimate.by_hand is None
+    assert _analysis(found).estimate.details.by_hand is None
     assert found.numbers.tolist() == list(range(1, 13))
 
 
@@ -60,9 +59,10 @@ def test_dropped_vehicles_are_no_evidence_and_the_others_keep_their_numbers() ->
     alone = _analysis(_found([(40.0, 12)]))
     assert both.estimate.confidence < one.estimate.confidence
     assert one.estimate.warnings == ()
-    assert one.estimate.model_copy(update={"by_hand": None}) == alone.estimate
-    assert one.estimate.by_hand is not None
-    assert one.estimate.by_hand.dropped == 10
+    details = one.estimate.details.model_copy(update={"by_hand": None})
+    assert one.estimate.model_copy(update={"details": details}) == alone.estimate
+    assert one.estimate.details.by_hand is not None
+    assert one.estimate.details.by_hand.dropped == 10
     some = _analysis(found, drop=[1, 3])
     assert some.detections.numbers.tolist() == [2, *range(4, 23)]
     assert [each["properties"]["number"] for each in some.__geo_interface__["features"]][:2] == [2, 4]
@@ -83,8 +83,8 @@ def test_an_added_vehicle_counts_and_has_the_next_number() -> None:
     assert (x, y, length) == pytest.approx((3012, 3016, 40))
     assert (width, angle) == pytest.approx((40 / 2.21, np.arctan2(4, 3)))
     assert told.estimate.n_vehicles == 12
-    assert told.estimate.by_hand is not None
-    assert told.estimate.by_hand.model_dump() == {"dropped": 1, "added": 1}
+    assert told.estimate.details.by_hand is not None
+    assert told.estimate.details.by_hand.model_dump() == {"dropped": 1, "added": 1}
 
 
 def test_an_added_vehicle_replaces_the_detections_that_it_overlaps() -> None:

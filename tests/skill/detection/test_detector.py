@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
-from vehanchor.detection.appearance import FleetLengths
+from tests.models import BODIES, blank_image, paint_vehicles, write_detector, write_other_model
 from vehanchor.detection.card import (
     LENGTH_RANGE_PX,
     MIN_SCORE,
     REFERENCE_LENGTH_M,
+    ChipCard,
     DetectorCard,
-    FleetCard,
     read_auxiliary_card,
     read_detector_card,
 )
@@ -23,7 +22,7 @@ from vehanchor.detection.classes import vehicle_classes
 from vehanchor.detection.contracts import recognise_contract
 from vehanchor.detection.contracts.end_to_end import EndToEnd
 from vehanchor.detection.contracts.raw import Raw
-from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
 from vehanchor.errors import (
     InvalidParameterError,
@@ -39,7 +38,6 @@ _DOTA = {
     12: "roundabout", 13: "soccer ball field", 14: "swimming pool",
 }  # fmt: skip
 _TWO = {0: "small_vehicle", 1: "large vehicle"}
-_LENGTHS = FleetLengths((-1.0, 1.0), (4.0, 5.0), 0.3, 2.0)
 _BOXES = np.array([[60.3, 50.7, 30, 12, 0.3], [150, 90, 28, 11, 1.9], [100.5, 200, 31, 12.5, 3.0]])
 
 
@@ -128,19 +126,7 @@ def test_files_that_are_no_such_model_say_what_was_found(tmp_path: Path) -> None
         Detector(write_detector(tmp_path / "boats.onnx", names={0: "ship", 1: "harbor"}))
 
 
-def test_a_fleet_network_that_comes_changes_or_goes_is_noticed(tmp_path: Path) -> None:
-    path = write_detector(tmp_path / "m.onnx")
-    assert load_detector(path).fleet is None
-    network = write_fleet_network(path, _LENGTHS)
-    assert load_detector(path).card.fleet_lengths == _LENGTHS
-    write_fleet_network(path, _LENGTHS._replace(sd_m=0.125))
-    assert load_detector(path).card.fleet_lengths == _LENGTHS._replace(sd_m=0.125)
-    network.unlink()
-    assert load_detector(path).fleet is None
-
-
 _PATH = Path("models/foreign.onnx")
-_FLEET = {"vehanchor.detector": "foreign", "vehanchor.fleet_lengths": json.dumps(_LENGTHS._asdict())}
 
 
 def _card(**entries: str) -> DetectorCard:
@@ -161,7 +147,7 @@ def test_a_foreign_model_gets_the_papers_values() -> None:
     assert card.min_length_px == 0
     assert card.region_lengths_m == pytest.approx({"europe": 4.5, "north_america": 5.5})
     assert (card.stride_px, card.search_scales, card.aggregation) == (32, False, "kde")
-    assert (card.class_names, card.licence, card.fleet_lengths, card.fleet_sha256) == ({}, None, None, None)
+    assert (card.class_names, card.licence, card.bodies, card.chips_sha256) == ({}, None, None, None)
 
 
 @pytest.mark.parametrize(("length", "regions"), [("19", {"europe"}), ("2.1", {"north_america"})])
@@ -233,35 +219,13 @@ def test_names_may_be_a_list_or_nothing() -> None:
     assert _card(names="").class_names == {}
 
 
-def test_a_fleet_network_made_for_another_detector_is_refused() -> None:
-    fleet = read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, _FLEET)
+def test_a_chip_network_made_for_another_detector_is_refused() -> None:
+    metadata = {"vehanchor.detector": "foreign", "vehanchor.weights": "1,1,0", "vehanchor.least_score": "0.1"}
+    chips = read_auxiliary_card(
+        ChipCard, Path("m.chips.onnx"), "1" * 64, {**metadata, "vehanchor.bodies": json.dumps(BODIES)}
+    )
     with pytest.raises(ModelContractError, match=r"'foreign'.*'mine'"):
-        read_detector_card(_PATH, "0" * 64, {"vehanchor.name": "mine"}, fleet)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"log_lengths": [1.0, -1.0]},
-        {"log_lengths": [0.0, float("nan")]},
-        {"length_m": [4.0]},
-        {"length_m": [0.0, 5.0]},
-        {"sd_m": "wide"},
-        {"sd_m": -0.1},
-        {"neutral_vehicles": 0.0},
-        {"colour": 1.0},
-    ],
-)
-def test_fleet_lengths_without_meaning_are_refused_by_name(wrong: dict[str, Any]) -> None:
-    metadata = _FLEET | {"vehanchor.fleet_lengths": json.dumps({**_LENGTHS._asdict(), **wrong})}
-    with pytest.raises(ModelContractError, match=r"m\.fleet\.onnx: metadata 'vehanchor\.fleet_lengths'"):
-        read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, metadata)
-
-
-@pytest.mark.parametrize("key", sorted(_FLEET))
-def test_a_fleet_network_that_does_not_say_what_it_is_for_is_refused(key: str) -> None:
-    with pytest.raises(ModelContractError, match=f"no metadata '{key}'"):
-        read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, {k: v for k, v in _FLEET.items() if k != key})
+        read_detector_card(_PATH, "0" * 64, {"vehanchor.name": "mine"}, chips=chips)
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,7 @@ def test_vehicles_are_found_at_the_level_that_fits_them_in_pixels_of_the_image(
     np.testing.assert_allclose(found.boxes[order], painted, atol=0.02 * factor)
     assert found.scales is not None
     assert set(found.scales) == {1 / factor}
-    assert e.working_scale == 1 / factor
+    assert e.details.working_scale == 1 / factor
     assert e.mode_length_px == pytest.approx(mean * factor, rel=0.015)
     assert e.status == "ok"
     assert e.warnings == ()
@@ -104,8 +104,8 @@ def test_the_search_is_the_models_choice_and_the_callers(tmp_path: Path, searchi
     }
     with_cars = {key for key, e in found.items() if e.mode_length_px == pytest.approx(90, rel=0.015)}
     assert with_cars == {("plain", True), ("searching", None), ("searching", True)}
-    assert {e.working_scale for key, e in found.items() if key in with_cars} == {0.5}
-    assert estimate_gsd(blank_image(500, 500), detector=searching).working_scale is None
+    assert {e.details.working_scale for key, e in found.items() if key in with_cars} == {0.5}
+    assert estimate_gsd(blank_image(500, 500), detector=searching).details.working_scale is None
     assert len(painted) == 12
 
 

@@ -1,19 +1,28 @@
 from __future__ import annotations
 
+import json
+import math
 import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 import vehanchor
 from tests.analyses import make_analysis
-from vehanchor.batch.row import COLUMNS
+from tests.conftest import ROOT
+from tests.records import CASES, KEPT, records_of
+from vehanchor.batch.row import ALL_COLUMNS
 from vehanchor.errors import MissingExtraError, PromptError
 from vehanchor.measure.distance import read_path
-from vehanchor.records import SCHEMA_VERSION, GsdEstimate, Notice
+from vehanchor.records import SCHEMA_VERSION, EstimateDetails, GsdEstimate, Notice
 from vehanchor.records.flat import flat_columns, flat_row
 from vehanchor.records.interop import as_frame, outline_geometry
+from vehanchor.records.text import significant, with_interval
 from vehanchor.segmentation.prompt import read_prompt
 
 
@@ -28,9 +37,15 @@ def test_a_record_is_one_row_of_single_values() -> None:
     )
     row = flat_row(record)
     assert row["gsd_m_per_px"] == record.gsd_m_per_px
-    assert row["confidence_terms_sample"] == record.confidence_terms.sample
+    assert record.details.confidence_terms is not None
+    assert row["confidence_terms_sample"] == record.details.confidence_terms.sample
     assert row["warning_codes"] == "a b"
     assert not [value for value in row.values() if isinstance(value, dict | list | tuple)]
+
+
+def test_a_record_shows_twenty_fields_and_has_the_others_in_its_details() -> None:
+    assert len(GsdEstimate.model_fields) <= 20
+    assert not set(GsdEstimate.model_fields) & set(EstimateDetails.model_fields)
 
 
 def test_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,7 +76,7 @@ def test_columns_and_their_types_are_the_same_for_every_record_of_a_type() -> No
 
 
 def test_a_table_of_a_batch_has_the_columns_of_a_data_frame() -> None:
-    assert set(COLUMNS) - {"file", "error_code", "error"} == set(flat_columns(GsdEstimate, without=("frame",)))
+    assert set(ALL_COLUMNS) - {"file", "error_code", "error"} == set(flat_columns(GsdEstimate, without=("frame",)))
 
 
 @pytest.mark.parametrize("kind", [GsdEstimate, vehanchor.AreaMeasurement, vehanchor.DistanceMeasurement])
@@ -125,3 +140,59 @@ def test_places_come_from_objects_that_people_have() -> None:
         read_path(shapely.box(0, 0, 1, 1))
     assert read_prompt(shapely.box(75, 55, 225, 145), None) == corners
     assert read_path(shapely.LineString([(10, 20), (40, 60)])) == read_path([(10, 20), (40, 60)])
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.12, "0.120"),
+        (12.0, "12.0"),
+        (300.0, "300"),
+        (9.996, "10.0"),
+        (1234.5, "1234"),
+        (0.00012, "0.000120"),
+        (0, "0"),
+    ],
+)
+def test_zeros_are_kept_and_whole_digits_too(value: float, text: str) -> None:
+    assert significant(value) == text
+
+
+@given(st.floats(1e-6, 1e9), st.integers(1, 6))
+def test_it_is_the_number_within_half_a_digit_and_has_no_exponent(value: float, digits: int) -> None:
+    assume(math.isfinite(value))
+    text = significant(value, digits)
+    assert "e" not in text
+    assert len(text.replace(".", "").lstrip("0")) >= digits
+    assert float(text) == pytest.approx(value, rel=0.51 * 10 ** (1 - digits))
+
+
+def test_an_interval_follows_its_value() -> None:
+    assert with_interval(0.12, 0.1, 0.15, "m/px") == "0.1200 m/px  (95 %: 0.1000 to 0.1500)"
+    assert with_interval(12, None, 15, "m") == "12.00 m"
+
+
+_ROUNDING = 1e-3  # processors round a network's sums differently
+
+
+def _assert_like(found: Any, kept: Any, where: str) -> None:
+    if isinstance(kept, dict):
+        assert list(found) == list(kept), where
+        for key in kept:
+            _assert_like(found[key], kept[key], f"{where}.{key}")
+    elif isinstance(kept, list):
+        assert len(found) == len(kept), where
+        for number, pair in enumerate(zip(found, kept, strict=True)):
+            _assert_like(*pair, f"{where}[{number}]")
+    elif isinstance(kept, float):
+        assert found == pytest.approx(kept, rel=_ROUNDING, abs=_ROUNDING), where
+    elif where.endswith("mask_area_px"):
+        assert found == pytest.approx(kept, rel=_ROUNDING, abs=3), where
+    elif not where.endswith("message"):  # its numbers are rounded, which a processor may tip over
+        assert found == kept, where
+
+
+@pytest.mark.parametrize("scene", CASES)
+def test_records_stay_as_they_were_kept(scene: Path) -> None:
+    name = scene.relative_to(ROOT).as_posix()
+    _assert_like(records_of(scene), json.loads(KEPT.read_text(encoding="utf-8"))[name], name)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.analyses import made_card
+from tests.analyses import made_card, with_tilt
 from tests.skill.rulers.test_camera import MAVIC
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.detections import Detections
@@ -17,7 +17,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.votes import Votes
 
 VOTES = Votes(share_at_zero=-13.76, share_slope=17.4)
@@ -40,7 +40,7 @@ def record_of(
     found = Detections(boxes.reshape(-1, 5), np.full(cars, 0.95), scales=scales, stretch=stretch)
     card = made_card(5.0).model_copy(update={"votes": votes, "reference_length_sd_m": 0.4})
     view = View(ImageFacts(4000, 3000, camera=camera), found, card, ScaleOptions.of(options), lambda *_: 1.0)
-    return analyse_view(view).estimate
+    return analyse_view(with_tilt(view)).estimate
 
 
 def _lines(*scales: float, basis: str = "assumed", tolerance_m: float | None = None) -> dict[str, Any]:
@@ -63,7 +63,8 @@ def _right(record: GsdEstimate) -> dict[str, bool]:
 def test_the_status_follows_the_chance_for_any_number_of_cars(cars: int) -> None:
     record = record_of(cars)
     assert (record.status == "ok") == (record.confidence >= 0.9)
-    assert (record.composite_confidence < 0.5) == (cars < 5)  # the paper's
+    assert record.details.composite_confidence is not None
+    assert (record.details.composite_confidence < 0.5) == (cars < 5)  # the paper's
 
 
 def test_more_cars_that_agree_are_a_better_chance() -> None:
@@ -74,7 +75,7 @@ def test_more_cars_that_agree_are_a_better_chance() -> None:
 
 def test_vehicles_of_too_few_pixels_are_not_usable() -> None:
     record = record_of(300, car_px=8.0)
-    assert (record.status, record.reason, record.resolution_guard) == ("low_confidence", "too_coarse", True)
+    assert (record.status, record.reason, record.details.resolution_guard) == ("low_confidence", "too_coarse", True)
 
 
 def test_a_single_car_asks_for_one_more() -> None:
@@ -93,7 +94,9 @@ def test_a_stretched_photograph_is_not_usable(cars: int) -> None:
 def test_the_vehicles_keep_the_papers_scale_beside_the_answer() -> None:
     record = record_of(30, **_lines(0.093, basis="measured"))
     vehicles = next(ruler for ruler in record.rulers if ruler.kind == "vehicles")
-    assert vehicles.gsd_m_per_px == record.reference_length_m / (record.mode_length_px or math.nan)
+    assert vehicles.gsd_m_per_px == (record.details.reference_length_m or math.nan) / (
+        record.mode_length_px or math.nan
+    )
     assert record.gsd_m_per_px == pytest.approx(0.093, rel=0.01)
 
 
@@ -119,7 +122,7 @@ def test_without_a_car_the_other_ruler_makes_the_scale(
     record = record_of(0, camera=camera, **options)
     assert record.gsd_m_per_px == pytest.approx(gsd, rel=0.05)
     assert record.leading_ruler == source
-    assert (record.n_vehicles, record.mode_length_px, record.working_scale) == (0, None, None)
+    assert (record.n_vehicles, record.mode_length_px, record.details.working_scale) == (0, None, None)
     (ruler,) = record.rulers
     assert record.gsd_ci95_low_m_per_px == pytest.approx(ruler.gsd_ci95_low_m_per_px, rel=0.02)
     assert record.gsd_ci95_high_m_per_px == pytest.approx(ruler.gsd_ci95_high_m_per_px, rel=0.02)
@@ -232,10 +235,10 @@ def test_a_tolerance_is_the_interval_of_the_line() -> None:
 @pytest.mark.parametrize(("cars", "status"), [(60, "ok"), (3, "low_confidence")])
 def test_the_preset_paper_acts_on_the_composite_alone(cars: int, status: str) -> None:
     record = record_of(cars, preset="paper")
-    assert record.confidence == record.composite_confidence
+    assert record.confidence == record.details.composite_confidence
     assert record.status == status
     assert (record.confidence >= 0.5) == (status == "ok")
-    assert record.gsd_m_per_px == record.reference_length_m / (record.mode_length_px or math.nan)
+    assert record.gsd_m_per_px == (record.details.reference_length_m or math.nan) / (record.mode_length_px or math.nan)
 
 
 DRAWS = 300

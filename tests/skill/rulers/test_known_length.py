@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import vehanchor
-from tests.analyses import log_sd, made_card
+from tests.analyses import log_sd, made_card, measured
 from tests.models import blank_image, write_detector
 from tests.skill.rulers.test_answers import record_of
 from tests.skill.rulers.test_camera import MAVIC
@@ -26,8 +26,8 @@ from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.known_length_table import read_known_lengths
 from vehanchor.rulers.positions import baseline
 from vehanchor.rulers.registry import check_rulers
+from vehanchor.rulers.ruler import View
 from vehanchor.rulers.standards import lengths_of, standards
-from vehanchor.rulers.view import View
 from vehanchor.scale.countries import COUNTRY_REGIONS
 
 
@@ -37,7 +37,7 @@ def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
 
 
 def test_a_line_says_its_metres_over_its_pixels() -> None:
-    witness = KnownLengths().measure(_view(known_lengths=[(100, 100, 400, 500, 25, "measured")]))
+    witness = measured(KnownLengths(), _view(known_lengths=[(100, 100, 400, 500, 25, "measured")]))
     assert witness.gsd_m_per_px == pytest.approx(25 / 500, rel=1e-3)
     assert log_sd(witness) == pytest.approx(math.hypot(math.sqrt(2) / 500, 0.01), rel=0.02)
     assert (witness.kind, witness.n) == ("known_length", 1)
@@ -46,14 +46,14 @@ def test_a_line_says_its_metres_over_its_pixels() -> None:
 
 def test_a_line_drawn_in_a_copy_is_read_in_its_pixels() -> None:
     line = [(25, 25, 100, 125, 25, "measured")]
-    witness = KnownLengths().measure(_view(known_lengths=line, frame=(1000, 750)))
+    witness = measured(KnownLengths(), _view(known_lengths=line, frame=(1000, 750)))
     assert witness.gsd_m_per_px == pytest.approx(25 / 500, rel=1e-3)
     assert log_sd(witness) == pytest.approx(math.hypot(math.sqrt(2) / 125, 0.01), rel=0.02)
 
 
 def test_several_lines_are_weighed_by_what_their_pixels_tell() -> None:
     lines = [(0, 0, 1000, 0, 50.0, "measured"), (0, 0, 20, 0, 1.1, "measured")]
-    both = KnownLengths().measure(_view(known_lengths=lines))
+    both = measured(KnownLengths(), _view(known_lengths=lines))
     assert both.gsd_m_per_px == pytest.approx(0.05, rel=0.01)
     assert both.n == 2
     assert both.notices == ()
@@ -63,11 +63,11 @@ def test_several_lines_are_weighed_by_what_their_pixels_tell() -> None:
 
 def test_lines_that_contradict_each_other_are_told_and_believed_less() -> None:
     lines = [(0, 0, 1000, 0, 50.0), (0, 0, 0, 1000, 80.0)]
-    witness = KnownLengths().measure(_view(known_lengths=lines))
+    witness = measured(KnownLengths(), _view(known_lengths=lines))
     assert [notice.code for notice in witness.notices] == ["known_lengths_disagree"]
     assert witness.interval is not None
     assert witness.interval.low < 0.05 < 0.08 < witness.interval.high
-    three = KnownLengths().measure(_view(known_lengths=[*lines, (0, 10, 1000, 10, 51.0)]))
+    three = measured(KnownLengths(), _view(known_lengths=[*lines, (0, 10, 1000, 10, 51.0)]))
     assert "Without the line 80 m (0.08 m/px) they agree" in three.notices[0].message
 
 
@@ -81,12 +81,12 @@ def test_a_line_of_one_pixel_or_out_of_the_picture_is_refused_by_its_code(tmp_pa
 
 def test_a_line_that_would_make_an_impossible_scale_is_refused() -> None:
     with pytest.raises(KnownLengthError, match="m/px"):
-        KnownLengths().measure(_view(known_lengths=[(0, 0, 10, 0, 5000)]))
+        measured(KnownLengths(), _view(known_lengths=[(0, 0, 10, 0, 5000)]))
 
 
 def test_a_given_height_measures_with_a_given_focal_length_or_the_files() -> None:
-    given = GivenHeight().measure(_view(height_m=100, height_basis="measured", focal_35mm=26))
-    of_file = GivenHeight().measure(_view(replace(MAVIC, height_m=60.0), height_m=100, height_basis="measured"))
+    given = measured(GivenHeight(), _view(height_m=100, height_basis="measured", focal_35mm=26))
+    of_file = measured(GivenHeight(), _view(replace(MAVIC, height_m=60.0), height_m=100, height_basis="measured"))
     assert given.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
     assert of_file.gsd_m_per_px == pytest.approx(given.gsd_m_per_px, rel=0.03)  # its lens is in the table of cameras
     assert log_sd(given) == pytest.approx(math.hypot(0.05, 0.04), rel=0.02)
@@ -94,7 +94,7 @@ def test_a_given_height_measures_with_a_given_focal_length_or_the_files() -> Non
 
 @pytest.mark.parametrize("view", [_view(height_m=100), _view(MAVIC, height_m=100, metadata=False)])
 def test_a_height_without_a_focal_length_asks_for_one(view: View) -> None:
-    witness = GivenHeight().measure(view)
+    witness = measured(GivenHeight(), view)
     assert witness.gsd_m_per_px is None
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]
 
@@ -102,21 +102,21 @@ def test_a_height_without_a_focal_length_asks_for_one(view: View) -> None:
 def test_a_given_height_is_no_ruler_of_a_crop_whose_metadata_say_that_it_is_one() -> None:
     crop = replace(MAVIC, taken_width_px=5472, taken_height_px=3078, height_m=None)
     for options in ({"height_m": 100}, {"height_m": 100, "focal_35mm": 26}):
-        witness = GivenHeight().measure(_view(crop, **options))
+        witness = measured(GivenHeight(), _view(crop, **options))
         assert witness.gsd_m_per_px is None
         assert [notice.code for notice in witness.notices] == ["camera_unusable"]
-    told = GivenHeight().measure(_view(crop, height_m=100, focal_35mm=26, metadata=False))
+    told = measured(GivenHeight(), _view(crop, height_m=100, focal_35mm=26, metadata=False))
     assert told.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
 
 
 def test_a_height_that_would_make_an_impossible_scale_is_told() -> None:
-    witness = GivenHeight().measure(_view(height_m=20_000, focal_35mm=1))
+    witness = measured(GivenHeight(), _view(height_m=20_000, focal_35mm=1))
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]
 
 
 def test_without_a_word_from_the_caller_both_are_silent() -> None:
     for ruler in (KnownLengths(), GivenHeight()):
-        assert (ruler.measure(_view()).gsd_m_per_px, ruler.measure(_view()).notices) == (None, ())
+        assert ruler.measure(_view()) is None
 
 
 WIDEST_CUSTOM = 0.25
@@ -124,7 +124,7 @@ WIDEST_CUSTOM = 0.25
 
 def _evidence(what: str, *lengths_px: float, **options: Any) -> Any:
     lines = [(100, 100 + 10 * k, 100 + px, 100 + 10 * k, what) for k, px in enumerate(lengths_px)]
-    return KnownLengths().measure(_view(known_lengths=lines, **options))
+    return measured(KnownLengths(), _view(known_lengths=lines, **options))
 
 
 @pytest.mark.parametrize("name", standards())
@@ -168,8 +168,9 @@ def test_things_of_one_kind_share_their_size() -> None:
     assert many.n == 4
     assert many.interval.high / many.interval.low > 1.12  # the custom's spread stays
     assert many.interval.high / many.interval.low < one.interval.high / one.interval.low
-    both = KnownLengths().measure(
-        _view(known_lengths=[(0, 0, 50, 0, "parking_bay_width/DE"), (0, 9, 242, 9, "iso_container_40ft")])
+    both = measured(
+        KnownLengths(),
+        _view(known_lengths=[(0, 0, 50, 0, "parking_bay_width/DE"), (0, 9, 242, 9, "iso_container_40ft")]),
     )
     assert both.n == 2
     assert log_sd(both) < log_sd(many)

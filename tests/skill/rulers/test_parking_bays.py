@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from research.scenes import Layout, Scene, render_scene
-from tests.analyses import log_sd, made_card
+from tests.analyses import log_sd, made_card, measured, told
 from vehanchor.detection.detections import NOT_SEARCHED, Detections
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.imagery.facts import ImageFacts
@@ -17,7 +17,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.bay_rows import BayRow, find_bay_rows
 from vehanchor.rulers.parking_bays import ParkingBays, witness_of
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.lengths import Interval
 
 
@@ -28,7 +28,7 @@ def _row(pitch_px: float, n: int = 8) -> BayRow:
 
 
 def test_the_width_of_bays_makes_a_scale_whose_interval_holds_the_widths_of_many_countries() -> None:
-    witness = witness_of([_row(25.0), _row(25.2)])
+    witness = told(witness_of([_row(25.0), _row(25.2)]))
     assert witness.interval is not None
     for width_m in (2.4, 2.5, 2.59, 2.743):
         assert witness.interval.low < width_m / 25.1 < witness.interval.high
@@ -38,20 +38,20 @@ def test_the_width_of_bays_makes_a_scale_whose_interval_holds_the_widths_of_many
 
 
 def test_a_country_chooses_the_width() -> None:
-    american, german, anywhere = (witness_of([_row(25.0)], region) for region in ("US", "DE", None))
+    american, german, anywhere = (told(witness_of([_row(25.0)], region)) for region in ("US", "DE", None))
     assert american.gsd_m_per_px == pytest.approx(2.664 / 25, rel=1e-3)  # between 8.5 and 9 feet
     assert german.gsd_m_per_px == pytest.approx(2.5 / 25, rel=1e-3)
     assert log_sd(american) < log_sd(anywhere)
 
 
 def test_a_row_of_another_width_is_left_out() -> None:
-    alone, beside = witness_of([_row(25.0)]), witness_of([_row(25.0), _row(35.0, 6)])
+    alone, beside = told(witness_of([_row(25.0)])), told(witness_of([_row(25.0), _row(35.0, 6)]))
     assert beside.gsd_m_per_px == alone.gsd_m_per_px
     assert beside.n == 8
 
 
 def test_the_marks_show_the_lines_and_one_width() -> None:
-    width, *lines = witness_of([_row(25.0)]).marks
+    width, *lines = told(witness_of([_row(25.0)])).marks
     assert width.label == "bay"
     assert len(lines) == 8
     (x0, y0), (x1, y1) = width.points
@@ -60,9 +60,9 @@ def test_the_marks_show_the_lines_and_one_width() -> None:
 
 
 def test_without_rows_or_without_pixels_or_without_a_prior_there_is_no_evidence() -> None:
-    assert not witness_of([]).found
+    assert witness_of([]) is None
     view = View(ImageFacts(1000, 800), NOT_SEARCHED, made_card(5.0), ScaleOptions(), lambda *_: 1.0)
-    assert not ParkingBays().measure(view).found
+    assert ParkingBays().measure(view) is None
 
 
 def test_an_empty_car_park_has_a_scale() -> None:
@@ -72,7 +72,7 @@ def test_an_empty_car_park_has_a_scale() -> None:
         assert network is not None
         facts = ImageFacts(700, 700)
         view = View(facts, NOT_SEARCHED, made_card(5.0), ScaleOptions(), lambda *_: 1.0, raster=raster)
-        witness = ParkingBays().measure(replace(view, prior=network.predict(raster)))
+        witness = measured(ParkingBays(), replace(view, prior=network.predict(raster)))
     assert witness.gsd_m_per_px == pytest.approx(0.2, rel=0.06)
     assert witness.interval is not None
     assert witness.interval.low < 0.2 < witness.interval.high

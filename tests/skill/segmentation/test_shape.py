@@ -176,7 +176,7 @@ def test_the_outline_of_a_smooth_object_is_true_with_200_points(mask: NDArray[np
     assert (filled & mask).sum() / (filled | mask).sum() > 0.97
 
 
-@pytest.mark.parametrize("scale", [1, 9])
+@pytest.mark.parametrize("scale", [1, 5])
 def test_a_ragged_mask_still_has_at_most_200_points(scale: int) -> None:
     noise = np.random.default_rng(1).random((120, 160)) < 0.5
     mask = np.kron(noise, np.ones((scale, scale))).astype(bool)

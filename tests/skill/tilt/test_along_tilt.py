@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.analyses import made_card
+from tests.analyses import made_card, measured
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
@@ -15,7 +15,7 @@ from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
 from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor_flight.photograph import Photograph, StoredPhotograph, photograph_codec
@@ -36,10 +36,10 @@ def _view(camera: CameraMetadata, **options: object) -> View:
 
 def test_the_height_of_the_camera_is_measured_along_the_tilt() -> None:
     for tilt_deg in (30.0, 33.0):
-        found = Camera().measure(_view(replace(CAMERA, off_nadir_deg=tilt_deg)))
+        found = measured(Camera(), _view(replace(CAMERA, off_nadir_deg=tilt_deg)))
         plane = GroundPlane(1.0, tilt_deg, FOCAL_PX, WIDTH, HEIGHT)
         assert found.gsd_m_per_px == pytest.approx(60 / plane.height_m)
-    nadir = Camera().measure(_view(replace(CAMERA, off_nadir_deg=None)))
+    nadir = measured(Camera(), _view(replace(CAMERA, off_nadir_deg=None)))
     assert nadir.gsd_m_per_px == pytest.approx(60 / FOCAL_PX)
 
 
@@ -51,7 +51,7 @@ def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
     view = _view(replace(CAMERA, height_m=None), **said).at_nadir()
     tilt = CameraTilt(35.0, 5.0, FOCAL_PX, "metadata")
     for ruler in (KnownLengths(), GivenHeight()):
-        before, moved = ruler.measure(view), ruler.measure(replace(view, tilt=tilt))
+        before, moved = measured(ruler, view), measured(ruler, replace(view, tilt=tilt))
         assert before.gsd_m_per_px is not None
         assert before.interval is not None
         assert abs(before.gsd_m_per_px / GSD - 1) > 0.15

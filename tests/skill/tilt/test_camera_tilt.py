@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.analyses import made_card
+from tests.analyses import made_card, with_tilt
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import TooObliqueError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor.tilt.rectified import rectified
@@ -60,7 +60,7 @@ def test_boxes_of_the_proportions_of_a_car_seen_from_above_are_of_one_length_on_
 
 def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
     tilt = CameraTilt(35.0, 0.0, FOCAL, "metadata")
-    view = View(FACTS, _cars(tilt), made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
+    view = with_tilt(View(FACTS, _cars(tilt), made_card(CAR_M), ScaleOptions(), lambda *_: 1.0))
     analysis = analyse_view(view)
     estimate = analysis.estimate
     assert estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
@@ -73,7 +73,7 @@ def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
     assert estimate.tilt.gsd_largest_m_per_px is not None
     assert estimate.tilt.gsd_least_m_per_px < estimate.gsd_m_per_px < estimate.tilt.gsd_largest_m_per_px
     assert np.array_equal(analysis.detections.boxes, view.detections.boxes)  # for pictures, as they are
-    ignored = analyse_view(replace(view, options=ScaleOptions.of({"metadata": False}))).estimate
+    ignored = analyse_view(with_tilt(replace(view, options=ScaleOptions.of({"metadata": False})))).estimate
     assert ignored.tilt is None
 
 
@@ -88,11 +88,11 @@ def _cars_and_parts() -> tuple[View, GroundPlane]:
 
 def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
     view, plane = _cars_and_parts()
-    alone = analyse_view(view)
+    alone = analyse_view(with_tilt(view))
     assert alone.estimate.gsd_m_per_px == pytest.approx(2 * GSD, rel=0.05)
     said = replace(view, image=FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m)))
-    with_height = analyse_view(said)
-    assert with_height.vehicles.n == pytest.approx(20, abs=4)
+    with_height = analyse_view(with_tilt(said))
+    assert with_height.estimate.n_vehicles == pytest.approx(20, abs=4)
     assert with_height.estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
     assert {each.kind for each in with_height.estimate.rulers if each.p_right > 0.5} == {"vehicles", "camera"}
 
@@ -128,7 +128,7 @@ def test_of_a_crop_of_such_a_picture_a_warning_says_so() -> None:
 
     def codes(camera: CameraMetadata) -> list[str]:
         view = View(FACTS._replace(camera=camera), cars, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
-        return [each.code for each in analyse_view(view).estimate.warnings]
+        return [each.code for each in analyse_view(with_tilt(view)).estimate.warnings]
 
     crop = replace(CAMERA, taken_width_px=4000)
     assert "tilt_suspected" in codes(crop)

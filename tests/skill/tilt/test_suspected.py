@@ -13,9 +13,9 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.rulers.view import View
+from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.suspected import LEAST_CARS, SizeTrend, size_trend
+from vehanchor.tilt.camera_tilt import LEAST_CARS, SizeTrend, size_trend
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.pooling import pool
 

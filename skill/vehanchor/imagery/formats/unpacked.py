@@ -52,7 +52,12 @@ def open_large_jpeg(
     with ExitStack() as stack, gdal_environment(source, GDAL_ERROR_ON_LIBJPEG_WARNING="YES"):
         dataset = open_rasterio(file, source, header, limits, stack)
         height, width, count = dataset.height, dataset.width, dataset.count
-        _check_room(width * height * count)
+        n_bytes, free = width * height * count, shutil.disk_usage(tempfile.gettempdir()).free
+        if n_bytes > free - _SPARE_BYTES:
+            raise ImageTooLargeError(
+                f"unpacking the JPEG takes {n_bytes} bytes of disk, {tempfile.gettempdir()} has {free}: free some "
+                "space, set TMPDIR to another folder, or convert the image to a tiled TIFF, which is read by windows"
+            )
         with tempfile.TemporaryFile(prefix="vehanchor-") as unpacked:
             pixels = np.memmap(unpacked, np.uint8, "w+", shape=(height, width, count))
         for top in range(0, height, _STRIP_ROWS):
@@ -60,12 +65,3 @@ def open_large_jpeg(
             strip = dataset.read(window=((top, below), (0, width)))
             pixels[top:below] = strip.transpose(1, 2, 0)
     return ArrayRaster(pixels, source, bands, orientation=header.orientation)
-
-
-def _check_room(n_bytes: int) -> None:
-    free = shutil.disk_usage(tempfile.gettempdir()).free
-    if n_bytes > free - _SPARE_BYTES:
-        raise ImageTooLargeError(
-            f"unpacking the JPEG takes {n_bytes} bytes of disk, {tempfile.gettempdir()} has {free}: free some space, "
-            "set TMPDIR to another folder, or convert the image to a tiled TIFF, which is read by windows"
-        )

@@ -264,7 +264,9 @@ class DatasetRaster(Raster):
 
     def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:
         """Read a window of the reduced image from the file's overviews; None if none fits the factor."""
-        step = next((each for each in (factor, factor // 2) if each > 1 and self._has_overview(each)), None)
+        with gdal_environment(self.source):
+            kept = set.intersection(*(set(self._dataset.overviews(k)) for k in self._unique))
+        step = next((each for each in (factor, factor // 2) if each > 1 and each in kept), None)
         if self._palette is not None or step is None:
             return None
         full = Window(*(factor * each for each in (window.x_px, window.y_px, window.width_px, window.height_px)))
@@ -274,11 +276,6 @@ class DatasetRaster(Raster):
             size = window.width_px, window.height_px
             overview = np.asarray(cv2.resize(overview, size, interpolation=cv2.INTER_AREA), np.uint8)
         return overview
-
-    def _has_overview(self, factor: int) -> bool:
-        """Test whether every band has an overview of this factor."""
-        with gdal_environment(self.source):
-            return all(factor in self._dataset.overviews(k) for k in self._unique)
 
     def _read_stored(self, window: Window, shape: tuple[int, int] | None = None) -> StoredPixels:
         bounds = _bounds(window)

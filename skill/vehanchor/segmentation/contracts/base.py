@@ -10,12 +10,11 @@ import numpy as np
 
 from vehanchor.errors import ModelContractError
 from vehanchor.models.runtime import LoadedModel
-from vehanchor.models.session import run_session
+from vehanchor.models.session import Session, run_session
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.segmentation.prompt import Prompt
@@ -97,9 +96,7 @@ class SamContract(LoadedModel, ABC):
     decoder_inputs: ClassVar[frozenset[str]]
     decoder_outputs: ClassVar[frozenset[str]]
 
-    def __init__(
-        self, encoder: onnxruntime.InferenceSession, decoder: onnxruntime.InferenceSession, input_px: int | None
-    ) -> None:
+    def __init__(self, encoder: Session, decoder: Session, input_px: int | None) -> None:
         self._encoder, self._decoder = encoder, decoder
         self._image = encoder.get_inputs()[0]
         self.input_px = input_px or self._found_input_px()
@@ -180,7 +177,7 @@ class SamContract(LoadedModel, ABC):
 
     def _run(
         self,
-        session: onnxruntime.InferenceSession,
+        session: Session,
         feeds: Mapping[str, NDArray[Any]],
     ) -> dict[str, NDArray[Any]]:
         """Run a session on its inputs, converted to its types; return the outputs by name."""

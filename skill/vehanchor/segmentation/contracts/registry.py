@@ -14,8 +14,7 @@ from vehanchor.segmentation.contracts.transformers import Transformers
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import onnxruntime
-
+    from vehanchor.models.session import Session
     from vehanchor.segmentation.contracts.base import SamContract
 
 CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers, EfficientSam)
@@ -24,9 +23,7 @@ CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers, EfficientSa
 _OPTIONAL_INPUTS = frozenset({"mask_input", "has_mask_input", "orig_im_size"})  # of decoders
 
 
-def recognise_contract(
-    encoder: onnxruntime.InferenceSession, decoder: onnxruntime.InferenceSession, input_px: int | None = None
-) -> SamContract:
+def recognise_contract(encoder: Session, decoder: Session, input_px: int | None = None) -> SamContract:
     """Recognise the contract of an encoder and a decoder by the names of their inputs and outputs.
 
     Args:

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import struct
+import tomllib
+from importlib.resources import files
 
 import pytest
 
-from tests.skill.imagery.metadata_bytes import exif, jpeg, png_with_xmp, read, webp_with_exif, xmp
+from tests.skill.imagery.files import exif, jpeg, png_with_xmp, read_metadata, webp_with_exif, xmp
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.exif import read_exif
+from vehanchor.imagery.metadata.sensors import sensor_of
 from vehanchor.imagery.sources.opening import open_raster
 
 DJI = {"drone-dji": "http://www.dji.com/drone-dji/1.0/"}
@@ -20,12 +23,8 @@ PHANTOM = exif(
 )
 
 
-def _read(data: bytes) -> CameraMetadata | None:
-    return read(data)
-
-
 def _known(data: bytes) -> CameraMetadata:
-    camera = _read(data)
+    camera = read_metadata(data)
     assert camera is not None
     return camera
 
@@ -169,16 +168,16 @@ def _endless(n_entries: int, entry: bytes) -> bytes:
     ],
 )
 def test_hostile_exif_is_read_by_few_and_small_reads_and_says_little(block: bytes) -> None:
-    read: list[int] = []
+    sizes: list[int] = []
 
     def read_at(offset: int, count: int) -> bytes:
-        read.append(len(block[offset : offset + count]))
+        sizes.append(len(block[offset : offset + count]))
         return block[offset : offset + count]
 
     read_exif(read_at)
-    assert len(read) <= 10
-    assert sum(read) <= 10_000
-    camera = _read(jpeg(exif=block))
+    assert len(sizes) <= 10
+    assert sum(sizes) <= 10_000
+    camera = read_metadata(jpeg(exif=block))
     assert camera is None or camera.height_m is None
     with open_raster(jpeg(exif=block)) as raster:
         assert (raster.width_px, raster.height_px) == (80, 60)
@@ -217,7 +216,46 @@ def test_the_position_is_read_in_degrees(order: str) -> None:
     ],
 )
 def test_a_position_without_meaning_is_none(damage: dict[str, object]) -> None:
-    camera = _read(jpeg(exif=exif({"Make": "DJI", **_PLACE, **damage})))
+    camera = read_metadata(jpeg(exif=exif({"Make": "DJI", **_PLACE, **damage})))
     assert camera is not None
     assert camera.latitude_deg is None
     assert camera.altitude_m is None
+
+
+TABLE = tomllib.loads(files("vehanchor.imagery.metadata").joinpath("sensors.toml").read_text(encoding="utf-8"))[
+    "camera"
+]
+
+
+@pytest.mark.parametrize("camera", TABLE, ids=lambda camera: camera["name"])
+def test_every_camera_is_found_and_has_a_plausible_sensor_with_a_source(camera: dict[str, object]) -> None:
+    models = camera["models"]
+    assert isinstance(models, list)
+    assert models
+    for model in models:
+        sensor = sensor_of(f"{camera['make']} Robotics".upper(), f" {model} ")
+        assert sensor is not None
+        assert sensor.name == camera["name"]
+        assert sensor.source
+        assert 4 < sensor.width_mm < 37
+        assert 1.3 < sensor.width_mm / sensor.height_mm < 1.52
+        assert 0 < sensor.focal_from_mm <= sensor.focal_to_mm
+
+
+def test_no_camera_is_listed_twice() -> None:
+    names = [(camera["make"], model) for camera in TABLE for model in camera["models"]]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize(("make", "model"), [("", ""), ("DJI", ""), ("Canon", "FC220"), ("DJI", "FC9999")])
+def test_other_cameras_are_unknown(make: str, model: str) -> None:
+    assert sensor_of(make, model) is None
+
+
+def test_the_focal_length_of_the_file_chooses_the_lens() -> None:
+    fixed, zoom = sensor_of("DJI", "FC3170"), sensor_of("DJI", "FC2204")
+    assert fixed is not None
+    assert zoom is not None
+    assert (fixed.focal_mm(4.5), fixed.focal_mm(9.1)) == (4.5, None)
+    assert fixed.focal_mm(None) == pytest.approx(4.5)
+    assert (zoom.focal_mm(8.6), zoom.focal_mm(None)) == (8.6, None)

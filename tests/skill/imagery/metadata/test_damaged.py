@@ -11,8 +11,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.skill.imagery.files import encoded, smooth_rgb
-from tests.skill.imagery.metadata_bytes import XMP_PREFIX, exif, jpeg, png_with_xmp, read, segment, xmp
+from tests.skill.imagery.files import (
+    XMP_PREFIX,
+    encoded,
+    exif,
+    jpeg,
+    png_with_xmp,
+    read_metadata,
+    segment,
+    smooth_rgb,
+    xmp,
+)
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.makers import MAKERS
@@ -27,7 +36,7 @@ LENS = exif({"Make": "DJI", "FocalLength": 4.5, "FocalLengthIn35mmFilm": 24})
 
 
 def _camera(data: bytes) -> CameraMetadata:
-    camera = read(data)
+    camera = read_metadata(data)
     assert camera is not None
     return camera
 
@@ -87,7 +96,7 @@ def test_hostile_xmp_is_read_in_time(filling: bytes) -> None:
         exif=LENS, more=b"".join(segment(XMP_PREFIX + packet[at : at + 60_000]) for at in range(0, 10**6, 60_000))
     )
     started = time.process_time()
-    read(data)
+    read_metadata(data)
     assert time.process_time() - started < 1
 
 

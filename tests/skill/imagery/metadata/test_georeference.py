@@ -2,24 +2,28 @@ from __future__ import annotations
 
 import math
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
-from rasterio.errors import NotGeoreferencedWarning
+from rasterio.errors import CRSError, NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.warp import transform as transform_coordinates
-from rasterio.warp import transform_bounds
 
+from tests.skill.imagery.files import NOISE, encoded, geotiff
+from vehanchor.errors import ImageDecodeError, OutOfMemoryError, VehAnchorError
+from vehanchor.imagery.formats import decoding
 from vehanchor.imagery.metadata.georeference import (
-    dataset_gsd_m_per_px,
     geographic_gsd_m_per_px,
     gsd_units_per_px,
     metres_per_degree,
 )
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.imagery.sources.rasterio_file import gdal_environment
 
 US_SURVEY_FOOT_M = 1200 / 3937
 
@@ -109,11 +113,37 @@ def test_without_a_usable_georeference_there_is_no_gsd(
         assert raster.georeference_gsd_m_per_px is None
 
 
-@pytest.mark.parametrize("crs", ["EPSG:3857", "EPSG:3395"])
-def test_mercator_agrees_with_the_same_place_in_degrees(crs: str, tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", crs, Affine(0.25, 0, 780_000, 0, -0.25, 5_396_000))
-    with rasterio.open(path) as dataset:
-        west, south, east, north = transform_bounds(dataset.crs, "EPSG:4326", *dataset.bounds)
-        in_degrees = ((east - west) / 200, 0.0, west, 0.0, (south - north) / 100, north)
-        on_the_ellipsoid = geographic_gsd_m_per_px(in_degrees, (north + south) / 2)
-        assert dataset_gsd_m_per_px(dataset) == pytest.approx(on_the_ellipsoid, rel=0.005)
+@pytest.mark.parametrize(
+    "error", [CRSError("bad"), ValueError("NULL color table"), KeyError(7), OverflowError(), OSError()]
+)
+def test_whatever_rasterio_raises_is_an_image_that_cannot_be_decoded(error: Exception) -> None:
+    with pytest.raises(ImageDecodeError), gdal_environment("a.tif"):
+        raise error
+
+
+def test_want_of_memory_is_not_the_images_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(OutOfMemoryError), gdal_environment("a.tif"):
+        raise MemoryError
+
+    def no_memory(*_: object) -> None:
+        error = cv2.error("Insufficient memory")
+        error.code, error.err = decoding._NO_MEMORY, "Insufficient memory"
+        raise error
+
+    monkeypatch.setattr(cv2, "imdecode", no_memory)
+    with pytest.raises(OutOfMemoryError):
+        open_raster(encoded(".png"))
+
+
+def test_a_geotiff_with_any_byte_of_its_keys_changed_gives_pixels_or_an_error_of_ours(tmp_path: Path) -> None:
+    data = geotiff(tmp_path / "a.tif", NOISE).read_bytes()
+    random = np.random.default_rng(47)
+    n_read = 0
+    for _ in range(150):
+        changed = bytearray(data)
+        for at in random.integers(0, 600, 3):
+            changed[at if at < 300 else len(data) - at + 299] = random.integers(0, 256)
+        with suppress(VehAnchorError), open_raster(bytes(changed)) as raster:
+            assert raster.width_px
+            n_read += 1
+    assert n_read > 10

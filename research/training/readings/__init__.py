@@ -1,1 +1,0 @@
-"""Readings of cars by eye: kinds, ends and sides."""

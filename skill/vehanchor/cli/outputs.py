@@ -1,0 +1,138 @@
+"""Files that a command writes beside its result, by the names of their options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vehanchor.errors import InvalidParameterError, OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.records import GsdEstimate
+
+_SHAPES = ("boxes", "line", "outline")
+_METRIC = ("scale_bar", "geotiff")
+
+
+def chosen_outputs(**files: str | Path | None) -> dict[str, Path]:
+    """Collect the files that the caller names."""
+    return {name: Path(each) for name, each in files.items() if each is not None}
+
+
+def check_outputs(images: Iterable[str], outputs: Iterable[tuple[str, Path]]) -> None:
+    """Check, before the work, suffixes, folders and conflicts of output files.
+
+    Args:
+        images: inputs, which no output may replace.
+        outputs: files with the names of their options.
+
+    Raises:
+        OutputError: a suffix is another one, or a folder does not exist.
+        InvalidParameterError: a file is an image, or is named twice.
+        MissingExtraError: matplotlib or rasterio is not installed.
+    """
+    inputs = {Path(source).resolve() for source in images}
+    seen: set[Path] = set()
+    for name, path in outputs:
+        _check(name, path)
+        resolved = path.resolve()
+        if resolved in inputs:
+            raise InvalidParameterError(f"{str(path)!r} is one of the images: writing there would destroy it")
+        if resolved in seen:
+            raise InvalidParameterError(f"two files would both be written to {str(path)!r}: choose other names")
+        seen.add(resolved)
+
+
+def _check(name: str, path: Path) -> None:
+    """Check suffix, folder and needs of one file."""
+    if name in _SHAPES:
+        from vehanchor.export.geojson import check_geojson_path
+
+        check_geojson_path(path)
+        return
+    if name == "geotiff":
+        from vehanchor.export.geotiff import check_copy_path
+
+        check_copy_path(path)
+        return
+    from vehanchor.pictures.scale import check_picture_path
+
+    check_picture_path(path)
+    if name == "mask" and path.suffix.lower() != ".png":
+        raise OutputError(f"cannot write a mask as {str(path)!r}: use .png, which is lossless")
+    if name == "plot":
+        from vehanchor.pictures.plot import require_plots
+
+        require_plots()
+
+
+def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
+    """Write the files of an analysis.
+
+    Args:
+        analysis: a ``ScaleAnalysis``, ``AreaAnalysis`` or ``DistanceAnalysis``.
+        outputs: files by the names of their options, checked by ``check_outputs``.
+
+    Returns:
+        Why files in metres are not written; None if all are.
+
+    Raises:
+        OutputError: a file cannot be written.
+        ImageError: the photograph cannot be read again.
+    """
+    from vehanchor.export import geojson
+    from vehanchor.pictures.scale import write_picture
+
+    for name, path in outputs.items():
+        if name == "overlay":
+            write_picture(path, analysis.overlay())
+        elif name == "boxes":
+            geojson.write_boxes(path, analysis)
+        elif name in _SHAPES:
+            geojson.write_measured(path, analysis)
+        elif name == "mask":
+            from vehanchor.pictures.area import full_mask
+
+            write_picture(path, full_mask(analysis, analysis.reading.limits.max_pixels))
+        elif name == "plot":
+            from vehanchor.pictures.plot import write_plot
+
+            write_plot(path, analysis.plot())
+    metric = {name: outputs[name] for name in _METRIC if name in outputs}
+    why = refusal(analysis.estimate) if metric else None
+    if metric and why is None:
+        _write_metric(analysis, metric)
+    return why
+
+
+def refusal(record: GsdEstimate) -> str | None:
+    """Say why the photograph has no single usable scale; None if it has one."""
+    if record.scale is None:
+        return "there is no scale"
+    if record.status != "ok":
+        return "the scale is not usable"
+    if record.scale.plane is not None:
+        return f"the camera was tilted by {record.scale.plane.tilt_deg:.0f} degrees, and the scale varies"
+    return None
+
+
+def _write_metric(analysis: ScaleAnalysis, outputs: Mapping[str, Path]) -> None:
+    """Write the photograph with a scale bar, and in full size with the size of its pixels."""
+    from vehanchor.export.geotiff import write_metric_copy
+    from vehanchor.imagery.sources.opening import open_raster
+    from vehanchor.options import Reading
+    from vehanchor.pictures.scale import draw_scale_bar, fit_for_eyes, read_reduced, write_picture
+
+    gsd, reading = analysis.estimate.gsd_m_per_px, analysis.reading or Reading()
+    assert gsd is not None
+    assert analysis.image is not None
+    with open_raster(analysis.image, bands=reading.bands, limits=reading.limits) as raster:
+        if "scale_bar" in outputs:
+            picture = fit_for_eyes(read_reduced(raster))
+            draw_scale_bar(picture, gsd * raster.width_px / picture.shape[1])
+            write_picture(outputs["scale_bar"], picture)
+        if "geotiff" in outputs:
+            write_metric_copy(outputs["geotiff"], raster, gsd)

@@ -1,0 +1,215 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from tests.flight.ground import write_flight
+from tests.flight.reconstruction.flights import Pose, write_opensfm
+from tests.models import write_detector
+from vehanchor.cli import app as cli
+from vehanchor_flight.reconstruction.files import read_model
+from vehanchor_flight.records import LiveScale
+
+FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Runs ``vehanchor`` in a folder with a flight of four photographs, one of them without cars."""
+    write_flight(tmp_path, [FLEET[0::3], FLEET[1::3], [], FLEET[2::3]])
+    write_detector(tmp_path / "detector.onnx")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("NO_COLOR", "1")
+
+    def invoke(command: str, *arguments: object) -> Result:
+        return CliRunner().invoke(cli.app, [command, *map(str, arguments), "--detector", "detector.onnx"])
+
+    return invoke
+
+
+def test_a_folder_of_one_scale_is_told_in_a_table(run: Any) -> None:
+    done = run("flight", ".", "--same-scale")
+    assert done.exit_code == 0, done.output
+    assert "scale of all" in done.stdout
+    assert "0.168" in done.stdout
+
+
+def test_json_is_the_record_and_nothing_else(run: Any, tmp_path: Path) -> None:
+    done = run("flight", "*.png", "--same-scale", "--json", "--out", "flight.json")
+    record = json.loads(done.stdout)
+    assert record == json.loads((tmp_path / "flight.json").read_text())
+    assert [each["photograph"] for each in record["photographs"]] == ["0.png", "1.png", "2.png", "3.png"]
+    assert not (tmp_path / "flight.json.journal").exists()
+
+
+def test_photographs_of_unknown_ratio_each_have_a_line(run: Any) -> None:
+    done = run("flight", "0.png", "2.png")
+    assert "its own vehicles" in done.stdout
+    assert "no other photograph overlaps it" in " ".join(done.stdout.split())
+
+
+def test_tables_fit_a_terminal_of_80_columns(run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    (tmp_path / "not_a_photograph.jpg").write_text("text")
+    for number in range(4):
+        (tmp_path / f"{number}.png").rename(tmp_path / f"a_survey_of_the_northern_fields_{number}.png")
+    done = run("flight", ".")
+    assert done.exit_code == 0, done.output
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "\u2026" not in done.stdout
+    assert {"none", "error"} <= set(done.stdout.split())
+
+
+@pytest.mark.parametrize("out", ["flight.txt", "nowhere/flight.json"])
+def test_an_output_that_cannot_be_written_is_told_before_the_work(run: Any, out: str) -> None:
+    done = run("flight", ".", "--out", out)
+    assert done.exit_code == 2
+    assert "output_unwritable" in done.stderr
+
+
+def test_the_scale_of_a_photograph_without_cars_is_given_back(run: Any, tmp_path: Path) -> None:
+    assert run("flight", ".", "--same-scale", "--out", "flight.json").exit_code == 0
+    scale = json.loads((tmp_path / "flight.json").read_text())["gsd_m_per_px"]
+    line = ["--point", "100", "100", "--point", "200", "100"]
+    done = run("distance", "2.png", *line, "--scale", "flight.json", "--json")
+    assert done.exit_code == 0, done.output
+    record = json.loads(done.stdout)
+    assert record["distance_m"] == pytest.approx(100 * scale)
+    assert record["scale_source"] == "reused"
+    assert record["distance_ci95_low_m"] < 0.97 * record["distance_m"]
+    (tmp_path / "2.png").rename(tmp_path / "other.png")
+    refused = run("distance", "other.png", *line, "--scale", "flight.json")
+    assert refused.exit_code == 2
+    assert "not there in the flight" in refused.stderr
+
+
+def test_a_table_has_the_scale_of_the_flight_in_every_row(run: Any, tmp_path: Path) -> None:
+    (tmp_path / "4.png").write_bytes(b"no image")
+    done = run("flight", ".", "--same-scale", "--table", "scales.jsonl")
+    assert done.exit_code == 0, done.output
+    rows = [json.loads(line) for line in (tmp_path / "scales.jsonl").read_text().splitlines()]
+    assert len({row["gsd_m_per_px"] for row in rows[:4]}) == 1
+    assert [row["status"] for row in rows[:4]] == ["ok"] * 4
+    assert [row["n_vehicles"] for row in rows[:4]] == [3, 3, 0, 3]
+    assert rows[4]["error_code"] == "image_undecodable"
+    assert not (tmp_path / "scales.jsonl.journal").exists()
+    assert run("flight", ".", "--table", "scales.pdf").exit_code == 2
+
+
+@pytest.mark.parametrize(("arguments", "last"), [((), "linking"), (("--same-scale",), "pooling the evidence of")])
+def test_progress_names_the_present_work(
+    run: Any, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], last: str
+) -> None:
+    monkeypatch.setattr("vehanchor.cli.terminal._LINE_EVERY_S", 0.0)
+    done = run("flight", ".", *arguments)
+    told = [line for line in done.stderr.splitlines() if "images" in line]
+    assert told == [*(f"searching {number} of 4 images" for number in range(4)), f"{last} 4 of 4 images"]
+
+
+@pytest.fixture
+def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Runs ``vehanchor flight live`` in a folder with one photograph of cars."""
+    write_flight(tmp_path, [FLEET])
+    write_detector(tmp_path / "detector.onnx")
+    monkeypatch.chdir(tmp_path)
+
+    def invoke(*arguments: object) -> Result:
+        return CliRunner().invoke(cli.app, ["flight", "live", *map(str, arguments), "--detector", "detector.onnx"])
+
+    return invoke
+
+
+def test_each_frame_is_one_line_of_json(live: Any) -> None:
+    done = live(".", "--idle", 1)
+    assert done.exit_code == 0, done.output
+    (line,) = done.stdout.splitlines()
+    record = LiveScale.model_validate(json.loads(line))
+    assert record.frame == "0.png"
+    assert record.gsd_m_per_px == pytest.approx(0.168, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("nowhere",),
+        (".", "--hold", "0"),
+        (".", "--every", "nan"),
+        (".", "--idle", "-1"),
+    ],
+)
+def test_a_wrong_argument_is_refused_before_the_work(live: Any, arguments: tuple[str, ...]) -> None:
+    done = live(*arguments)
+    assert done.exit_code == 2
+    assert done.stderr.startswith("error[")
+
+
+def test_a_camera_that_is_not_there_is_told_once(live: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    done = live("97", "--idle", 2)
+    assert done.exit_code == 0
+    assert not done.stdout
+    assert done.stderr.count("camera 97 gives no frames") == 1
+    assert "WARN" not in capfd.readouterr().err
+
+
+LENGTHS = 4.8 * (1 + 0.06 * np.linspace(-1, 1, 12) ** 3)
+
+
+@pytest.fixture
+def rescale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Runs ``vehanchor flight rescale`` in a folder with a model at 92 % of its size."""
+    cars = np.column_stack([[(80 + 9 * (k % 4), 80 + 9 * (k // 4)) for k in range(12)], LENGTHS, np.arange(12) * 0.3])
+    poses = [Pose(80, 80, 70), Pose(110, 85, 70, 8, 100), Pose(100, 90, 75)]
+    write_opensfm(tmp_path / "project", [pose.painted(cars) for pose in poses], poses, 1 / 0.92)
+    write_detector(tmp_path / "detector.onnx")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("NO_COLOR", "1")
+
+    def invoke(*arguments: object) -> Result:
+        given = [*map(str, arguments), "--detector", "detector.onnx", "--reference-length", "4.8"]
+        return CliRunner().invoke(cli.app, ["flight", "rescale", *given])
+
+    return invoke
+
+
+def test_the_verdict_is_told_and_the_files_are_in_metres(rescale: Any, tmp_path: Path) -> None:
+    done = rescale("project", "--project", "metric", "--geo", "geo.txt", "--out", "scale.json")
+    assert done.exit_code == 0, done.output
+    assert json.loads((tmp_path / "scale.json").read_text())["status"] == "ok"
+    assert "too small" in done.stdout
+    assert "0.png" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    heights = [shot.centre[2] for shot in read_model(tmp_path / "metric").shots]
+    assert heights == pytest.approx([70, 70, 75], rel=0.015)
+    assert len((tmp_path / "geo.txt").read_text().splitlines()) == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["nothing.json"], "reconstruction_unusable"),
+        (["."], "reconstruction_unusable"),
+        (["project", "--images", "."], "reconstruction_unusable"),
+        (["project", "--geo", "nowhere/a.txt"], "output_unwritable"),
+        (["project", "--project", "project"], "output_unwritable"),
+    ],
+)
+def test_what_cannot_be_done_is_told_with_its_remedy(rescale: Any, arguments: list[str], code: str) -> None:
+    done = rescale(*arguments)
+    assert done.exit_code == 2, done.output
+    assert f"error[{code}]" in done.stderr
+
+
+def test_nothing_is_written_without_a_usable_size(rescale: Any, tmp_path: Path) -> None:
+    pose = Pose(80, 80, 70)
+    write_opensfm(tmp_path / "bare", [pose.painted(np.zeros((0, 4)))], [pose], 1.0)
+    done = rescale("bare", "--geo", "geo.txt")
+    assert done.exit_code == 3
+    assert "no file in metres was written" in done.stderr
+    assert not (tmp_path / "geo.txt").exists()
