@@ -183,3 +183,18 @@ def _touching_pairs(first: NDArray[np.float64], second: NDArray[np.float64]) -> 
     gap = np.linalg.norm(first[i, :2] - second[j, :2], axis=1)
     meet = np.flatnonzero(gap < radius_a[i] + radius_b[j])
     return np.column_stack([i[meet], j[meet]])
+
+
+def box_axes(boxes: NDArray[np.float64]) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
+    """Compute the ends of the long and of the short axis of boxes.
+
+    Args:
+        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``.
+
+    Returns:
+        Two pairs of ``[n, 2]`` points.
+    """
+    along = np.column_stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])])
+    across = np.column_stack([-along[:, 1], along[:, 0]])
+    reaches = along * boxes[:, 2:3] / 2, across * boxes[:, 3:4] / 2
+    return tuple((boxes[:, :2] - reach, boxes[:, :2] + reach) for reach in reaches)

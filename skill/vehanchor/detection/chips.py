@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import numpy as np
 
 from vehanchor.detection.auxiliary import AuxiliaryModel
-from vehanchor.detection.boxes import canonical_boxes
+from vehanchor.detection.boxes import box_axes, canonical_boxes
 from vehanchor.detection.card import ChipCard
 from vehanchor.detection.detections import Looks, Objects
 from vehanchor.detection.verifier import Weights, surroundings
@@ -136,14 +136,9 @@ def looks(boxes: NDArray[np.float64], answers: ChipAnswers, image_px: tuple[int,
 
 def _cut(boxes: NDArray[np.float64], image_px: tuple[int, int]) -> NDArray[np.bool_]:
     """Tell whether the image's border cuts length and width ``[n, 2]``: whether an end, or a side, lies beyond it."""
-    along = np.stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])], axis=1)
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    cut = np.zeros((len(boxes), 2), bool)
-    for k, axis in enumerate((along, across)):
-        for sign in (-0.5, 0.5):
-            ends = boxes[:, :2] + sign * boxes[:, 2 + k : 3 + k] * axis
-            cut[:, k] |= ((ends < 1) | (ends > np.array(image_px) - 1)).any(axis=1)
-    return cut
+    ends = np.array(box_axes(boxes))  # [axis, end, n, x and y]
+    beyond = (ends < 1) | (ends > np.array(image_px) - 1)
+    return np.asarray(beyond.any(axis=(1, 3)).T)
 
 
 def chips_of(pixels: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.uint8]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.detection.boxes import box_axes
 from vehanchor.scale.defaults import CAR_LENGTH_OVER_WIDTH
 
 if TYPE_CHECKING:
@@ -38,21 +39,6 @@ def rectified(detections: Detections, plane: GroundPlane) -> Detections:
     measured[:, 2] = length_off_nadir(lengths, widths, bodies=detections.looks is not None)
     measured[:, 3] = measured[:, 2] / CAR_LENGTH_OVER_WIDTH
     return replace(detections, boxes=measured)
-
-
-def box_axes(boxes: NDArray[np.float64]) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
-    """Compute the ends of the long and of the short axis of boxes.
-
-    Args:
-        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``.
-
-    Returns:
-        Two pairs of ``[n, 2]`` points.
-    """
-    along = np.column_stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])])
-    across = np.column_stack([-along[:, 1], along[:, 0]])
-    reaches = along * boxes[:, 2:3] / 2, across * boxes[:, 3:4] / 2
-    return tuple((boxes[:, :2] - reach, boxes[:, :2] + reach) for reach in reaches)
 
 
 def length_off_nadir(lengths: NDArray[np.float64], widths: NDArray[np.float64], *, bodies: bool) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.analysis.pipeline import conclude, search_raster
+from vehanchor.detection.boxes import box_axes
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.measurement import measure_all
@@ -21,7 +22,7 @@ from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.plane import LEAST_DESCENT
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt
-from vehanchor.tilt.rectified import box_axes, length_off_nadir
+from vehanchor.tilt.rectified import length_off_nadir
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.reconstruction.ground import local_heights, plane_below
 

@@ -16,6 +16,7 @@ from research.paper import isaid
 from research.paper.__main__ import app
 from research.paper.rs_gsd import CATEGORIES, build_benchmark, quotas
 from research.paper.stated_area import read_area
+from tests.evaluation.test_area import POOLS, SIZE, pool_mask
 from tests.models import blank_image
 from vehanchor.errors import ImageError, InvalidParameterError
 from vehanchor_evaluation.areas import read_areas
@@ -59,17 +60,6 @@ def _write(path: Path, rgb: NDArray[np.uint8]) -> Path:
 
 
 GSD = 0.158
-POOLS = {"P1": 2, "P2": 1, "P3": 1}
-SIZE = 480, 640
-
-
-def pool_mask(index: int) -> np.ndarray:
-    """An L, so that the object is not its box."""
-    mask = np.zeros(SIZE, bool)
-    top, left = 200, 120 + 240 * index
-    mask[top : top + 96, left : left + 64] = True
-    mask[top + 32 : top + 96, left : left + 96] = True
-    return mask
 
 
 @pytest.fixture(scope="module")
