@@ -1,8 +1,9 @@
 """Collect candidates from the train images: ``python -m research.training.chips.mine RUN``.
 
 Writes the stores ``RUN/train`` and ``RUN/held_out``. A chip comes from one of four sources: what the bundled detector
-finds at a low score, every labelled car, labelled boxes moved or scaled until they fit no more, and lorries. With
-``--native`` the odd numbers of ``chia/crops`` give what is no car: ``looked_at.csv`` has all cars and doubtful things.
+finds at a low score, every labelled car, labelled boxes moved or scaled until they fit no more, and lorries. No
+candidate is a false one where ``looked_at.csv`` has a car without a label, or something doubtful; in the odd numbers of
+``chia/crops``, which ``--native`` adds, it has all of them.
 """
 
 from __future__ import annotations
@@ -241,23 +242,38 @@ def mined(image: Named, detector: Detector, rng: np.random.Generator, store: Chi
     store.add(surroundings(sample.image, boxes[known], STORED_PX, STORED_LENGTH_PX), rows.take(known))
 
 
+def _seen_by_eye() -> dict[str, NDArray[np.float64]]:
+    """Squares ``[n, 4, 2]`` around cars without a label and doubtful things, by the name of the image."""
+    squares: dict[str, list[list[float]]] = {}
+    with LOOKED_AT.open(newline="") as handle:
+        for row in csv.DictReader(handle):
+            if row["kind"] != "other":
+                square = [*(float(row[name]) for name in ("x", "y", "length", "length")), 0.0]
+                squares.setdefault(row["file"], []).append(square)
+    return {file: box_corners(np.array(each)) for file, each in squares.items()}
+
+
 def train_images(data: Path, *, held_out: bool) -> Iterator[Named]:
     """The labelled train images and the scenery, or their held-out tenth."""
+    seen, none = _seen_by_eye(), np.zeros((0, 4, 2))
+
+    def judged(sample: TrainImage, name: str) -> TrainImage:
+        return sample._replace(ignore=np.concatenate([sample.ignore, seen.get(name, none)]))
+
     with (data / "vehicles" / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
     rows = [row for row in rows if is_dev(row["file"], row["set"]) == held_out]
     for sample, row in zip(load_train_images(data / "vehicles", held_out=held_out), rows, strict=True):
         path = Path(row["file"])
-        yield Named(sample, path.name, row["set"], data / "vehicles" / "labels" / f"{path.stem}.txt")
+        yield Named(judged(sample, path.name), path.name, row["set"], data / "vehicles" / "labels" / f"{path.stem}.txt")
     chosen = [place for place in places(data) if is_held_out(place) == held_out]
     for sample, place in zip(load_scenery(data, held_out=held_out), chosen, strict=True):
-        yield Named(sample, place.path.name, place.set, place.labels)
+        yield Named(judged(sample, place.path.name), place.path.name, place.set, place.labels)
 
 
 def chia_images(data: Path) -> Iterator[Named]:
     """Crops of ``chia/`` with odd numbers, at 0.018 to 0.043 m/px; cars and doubtful things are ignored."""
-    with LOOKED_AT.open(newline="") as handle:
-        seen = [row for row in csv.DictReader(handle) if row["set"] == "chia"]
+    seen = _seen_by_eye()
     with (data / "chia" / "crops.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 1]
     for row in rows:
@@ -265,13 +281,11 @@ def chia_images(data: Path) -> Iterator[Named]:
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if image is None:
             raise FileNotFoundError(path)
-        there = [each for each in seen if each["file"] == path.name]
-        squares = [[*(float(each[name]) for name in ("x", "y", "length", "length")), 0.0] for each in there]
         sample = TrainImage(
             "chia",
             np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8),
             np.zeros((0, 5)),
-            box_corners(np.array(squares).reshape(-1, 5)),
+            seen.get(path.name, np.zeros((0, 4, 2))),
             np.zeros((0, 2)),
             CAR_M / float(row["gsd_m_per_px"]),
         )
