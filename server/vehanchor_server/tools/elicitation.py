@@ -75,14 +75,14 @@ def request_scale_input(
     Returns:
         None if the scale is usable, if the user was asked before, or if the client has no forms.
     """
-    form = _form(given, estimate)
-    if estimate.status == "ok" or not form["properties"] or ctx.input_responses is not None or not _supports_forms(ctx):
+    if estimate.status == "ok" or ctx.input_responses is not None or not _supports_forms(ctx):
         return None
+    form = _form(given, estimate)
     message = (
         f"{answer} Do you know any of these values? Leave unknown fields empty. Without an answer, this result stands."
     )
     request = ElicitRequest(params=ElicitRequestFormParams(message=message, requested_schema=form))
-    return InputRequiredResult(input_requests={_KEY: request})
+    return InputRequiredResult(input_requests={_KEY: request}) if form["properties"] else None
 
 
 def with_user_input(ctx: Context[Any, Any], given: Given) -> Given:
