@@ -183,7 +183,7 @@ def scale_markdown(report: ScaleReport) -> str:
         f"Skipped: {_counts(report.skipped)}; used in part: {_counts(report.noted)}",
         f"Confidence against error: Pearson {_number(report.confidence_error_pearson)}, "
         f"Spearman {_number(report.confidence_error_spearman)}",
-        f"Errors above 20 %: {report.high_errors}; the resolution guard flags {report.high_errors_guarded} of them, a "
+        f"Errors above 20 %: {report.high_errors}; the resolution guard flags {report.high_errors_guarded} of them, "
         f"the status flags {report.high_errors_low_confidence}. The {report.low_errors} others: "
         f"{report.low_errors_guarded} and {report.low_errors_low_confidence}",
     ]
