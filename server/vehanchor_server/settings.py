@@ -33,10 +33,8 @@ _NETWORKS_BYTES = 150 << 20  # memory of the networks during a call (research/re
 _SOURCES, _WORK, _HTTP = "Image sources", "Models and limits", "HTTP"
 
 
-class SettingsError(VehAnchorError, ValueError):
+class SettingsError(VehAnchorError, ValueError, code="invalid_settings"):
     """A setting is invalid, or two settings contradict each other; the message has the remedy."""
-
-    code = "invalid_settings"
 
 
 class Words(NamedTuple):
