@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import copy
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -137,15 +136,12 @@ class Engine:
             options: other defaults.
             runtime: another runtime. If only progress and cancellation differ, the models are shared.
         """
-        other = copy.copy(self)
-        other.options, other.runtime = options or self.options, runtime or self.runtime
-        old_detector, old_segmenter, classes = self._sources
-        other._sources = detector or old_detector, segmenter or old_segmenter, classes
-        idle, reopened = other.runtime.idle, other.runtime != self.runtime
-        if reopened or detector is not None:
-            other._detector = OnDemand(partial(open_detector, other._sources[0], classes, idle))
-        if reopened or segmenter is not None:
-            other._segmenter = OnDemand(partial(open_segmenter, other._sources[1], idle))
+        ours, our_segmenter, classes = self._sources
+        chosen, under = options or self.options, runtime or self.runtime
+        other = Engine(detector or ours, segmenter or our_segmenter, classes=classes, options=chosen, runtime=under)
+        if under == self.runtime:
+            other._detector = other._detector if detector else self._detector
+            other._segmenter = other._segmenter if segmenter else self._segmenter
         return other
 
     @overload

@@ -1,4 +1,31 @@
-"""Errors of VehAnchor: a tree with one base.
+"""Errors of VehAnchor.
+
+* VehAnchorError
+  x InvalidParameterError (ValueError)   ``invalid_parameter``
+    - PromptError                        ``invalid_prompt``
+    - KnownLengthError                   ``invalid_known_length``
+  x FrameError (ValueError)              ``frame_mismatch``
+  x ScaleMismatchError (ValueError)      ``scale_mismatch``
+  x ImageError (ValueError)
+    - ImageNotFoundError                 ``image_not_found``
+    - ImageDecodeError                   ``image_undecodable``
+    - ImageTooLargeError                 ``image_too_large``
+    - ImageFormatError                   ``image_unsupported``
+    - TooObliqueError                    ``too_oblique``
+    - ImageListError                     ``images_unusable``
+  x ReconstructionError (ValueError)     ``reconstruction_unusable``
+  x ModelError
+    - ModelNotFoundError                 ``model_not_found``
+    - ModelContractError (ValueError)    ``model_contract``
+    - ProviderUnavailableError           ``provider_unavailable``
+  x CalibrationError
+    - CalibrationFileError (ValueError)  ``calibration_unreadable``
+    - CalibrationMismatchError (ValueError)  ``calibration_mismatch``
+    - CalibrationRefusedError            ``calibration_refused``
+  x MissingExtraError (ImportError)      ``missing_extra``
+  x OutputError                          ``output_unwritable``
+  x WorkerDiedError                      ``worker_died``
+  x OutOfMemoryError (MemoryError)       ``out_of_memory``
 
 ``code`` is stable, so programs may match it. The message names the problem, the value and the remedy.
 """

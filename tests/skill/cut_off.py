@@ -22,8 +22,8 @@ from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import write_table
 from vehanchor.pictures.scale import write_picture
 from vehanchor.scale.calibration import Calibration
+from vehanchor.storage.atomic import write_record
 from vehanchor.storage.journal import Journal
-from vehanchor_evaluation.calibration_file import save_calibration
 from vehanchor_evaluation.report import write_results
 
 _LATE_IMPORTS = (cv2, pyarrow.parquet)  # here, not in each of hundreds of children
@@ -47,7 +47,7 @@ _ROWS = [BatchRow(file=f"{n}.png", error_code="image_not_found", error="there is
 _FACTS = [{"file": row.file, "error": row.error} for row in _ROWS]
 _PICTURE = np.random.default_rng(1).integers(0, 255, (48, 48, 3), np.uint8)
 _WRITERS: dict[str, Callable[[Path], object]] = {
-    "calibration.json": lambda path: save_calibration(path, CALIBRATION),
+    "calibration.json": lambda path: write_record(path, CALIBRATION, indent=2),
     "picture.png": lambda path: write_picture(path, _PICTURE),
     "picture.jpg": lambda path: write_picture(path, _PICTURE),
     "table.csv": lambda path: write_table(path, _ROWS),

@@ -387,7 +387,7 @@ def test_the_command_writes_them_and_refuses_before_the_work(cars: np.ndarray, m
     assert len(json.loads((tmp_path / "photo.geojson").read_text())["features"]) == 12
     refused = CliRunner().invoke(app, [*words, str(tmp_path / "boxes.gpkg")])
     assert (refused.exit_code, "use the suffix .geojson" in refused.stderr) == (2, True)
-    with pytest.raises(OutputError, match="folder that exists"):
+    with pytest.raises(OutputError, match="there is no folder"):
         write_boxes(tmp_path / "none" / "a.geojson", analyse_scale(cars, detector=Detector(model)))
 
 

@@ -31,7 +31,7 @@ from vehanchor.storage.journal import Journal
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 
 _LEAST_WAITING = 0.05  # of the workers' time; they wait for no image where decoding is faster than computing
 BatchEngine = Literal["local", "ray"]
@@ -139,14 +139,14 @@ def run_batch(
         started, times, keys = time.monotonic(), [], {task.file: task.key() for task in tasks}
         missing = [task for task in tasks if keys[task.file] not in journal]
         with closing(_rows(engine, job, missing, workers, address)) as rows:
-            for made in _counting(rows, len(tasks) - len(missing), len(tasks), told.tell):
+            told.tell(n_resumed := len(tasks) - len(missing), len(tasks))
+            for number, made in enumerate(rows, start=n_resumed + 1):
                 journal.add(keys[made.row.file], made.row)
                 times.append((made.seconds, made.waited_s))
-        made_rows = journal.values(keys[task.file] for task in tasks)
-        counts = write_counted(table, made_rows, ALL_COLUMNS if details else COLUMNS)
+                told.tell(number, len(tasks))
+        counts = _write_counted(table, (journal.get(keys[task.file]) for task in tasks), details=details)
         journal.remove()
-    pace = Pace.of(time.monotonic() - started, times)
-    return BatchSummary(table, len(tasks), len(tasks) - len(missing), *counts, pace)
+    return BatchSummary(table, len(tasks), n_resumed, *counts, Pace.of(time.monotonic() - started, times))
 
 
 def journal_path(table: Path) -> Path:
@@ -235,18 +235,8 @@ def _rows(
         yield from local_rows(job, tasks, min(workers or local_workers(len(tasks)), len(tasks)))
 
 
-def _counting(
-    rows: Iterator[MadeRow], n_done: int, n_tasks: int, tell: Callable[[int, int], None]
-) -> Iterator[MadeRow]:
-    """Report progress after each row."""
-    tell(n_done, n_tasks)
-    for number, made in enumerate(rows, start=n_done + 1):
-        yield made
-        tell(number, n_tasks)
-
-
-def write_counted(
-    table: Path, rows: Iterable[BatchRow], columns: Mapping[str, type]
+def _write_counted(
+    table: Path, rows: Iterable[BatchRow | None], *, details: bool
 ) -> tuple[dict[str, int], dict[str, int]]:
     """Write the table; return the number of rows by status and by reason."""
     statuses: Counter[str] = Counter()
@@ -254,11 +244,12 @@ def write_counted(
 
     def counted() -> Iterator[BatchRow]:
         for row in rows:
+            assert row is not None  # the run is complete
             statuses["error" if row.estimate is None else row.estimate.status] += 1
             reason = row.error_code if row.estimate is None else row.estimate.reason
             if reason is not None:
                 reasons[reason] += 1
             yield row
 
-    write_table(table, counted(), columns)
+    write_table(table, counted(), ALL_COLUMNS if details else COLUMNS)
     return dict(statuses), dict(reasons)

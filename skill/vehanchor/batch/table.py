@@ -5,16 +5,16 @@ from __future__ import annotations
 import csv
 import json
 from itertools import islice
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from vehanchor.batch.row import COLUMNS
-from vehanchor.errors import MissingExtraError, OutputError
+from vehanchor.errors import MissingExtraError
 from vehanchor.records.foreign_text import in_cell
-from vehanchor.storage.atomic import whole_file
+from vehanchor.storage.atomic import check_output_path, whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
+    from pathlib import Path
 
 _CHUNK_ROWS = 4096  # held in memory by the Parquet writer
 
@@ -34,15 +34,7 @@ def check_table_path(path: Path) -> Path:
         OutputError: the suffix is unknown, the folder does not exist, or the path is a folder.
         MissingExtraError: pyarrow is not installed (Parquet).
     """
-    if path.suffix.lower() not in _WRITERS:
-        raise OutputError(
-            f"cannot write a table as {str(path)!r}: use one of {', '.join(_WRITERS)}; .geojson holds the targets "
-            "of --measure"
-        )
-    if not path.parent.is_dir():
-        raise OutputError(f"there is no folder {str(path.parent)!r} for {path.name!r}: create it first")
-    if path.is_dir():
-        raise OutputError(f"{str(path)!r} is a folder: name a file")
+    check_output_path(path, tuple(_WRITERS), kind="a table", also=".geojson holds the targets of --measure")
     if path.suffix.lower() == ".parquet":
         _require_pyarrow()
     return path

@@ -27,22 +27,12 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 _GROUP = "vehanchor.commands"
-_PANELS = {
+_PANELS = {  # in the order of --help; commands of other packages follow
     **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "view"), "Measure"),
-    **dict.fromkeys(("serve",), "For agents"),
-    **dict.fromkeys(("models",), "This installation"),
+    "models": "This installation",
+    "serve": "For agents",
 }
 _OTHER_PANEL = "Calibrate and evaluate"
-_FIRST = (
-    "estimate",
-    "distance",
-    "measure",
-    "batch",
-    "flight",
-    "view",
-    "models",
-    "serve",
-)  # in --help; commands of other packages follow
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 
@@ -51,7 +41,8 @@ class _Commands(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Name all commands that can be loaded."""
-        names = sorted(_declared(), key=lambda name: (_FIRST.index(name) if name in _FIRST else len(_FIRST), name))
+        first = list(_PANELS)
+        names = sorted(_declared(), key=lambda name: (first.index(name) if name in first else len(first), name))
         return [name for name in names if self.get_command(ctx, name) is not None]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:

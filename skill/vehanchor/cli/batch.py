@@ -6,20 +6,18 @@ import sys
 import time
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
-from vehanchor.cli.terminal import FAILED, INTERRUPTED, exit_on_error, image_progress, printable
+from vehanchor.cli.terminal import FAILED, counts_text, exit_on_error, image_progress, printable, resumable
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.text import ADVICE, count
 
 if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
-
-_STATUSES = ("ok", "low_confidence", "no_scale", "error")
 
 
 Inputs: TypeAlias = Annotated[
@@ -88,22 +86,24 @@ def batch(
 
                 measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
                 return
-            common = {"known_lengths": known_lengths, "details": details, "overwrite": overwrite}
-            try:
-                machines = {"engine": engine.value, "address": address, "workers": workers}
-                summary = _each(inputs, output, chosen, runtime=chosen.runtime(progress), **machines, **common)
-            except KeyboardInterrupt:
-                print("interrupted: finished rows are kept; run the same command to resume", file=sys.stderr)
-                raise typer.Exit(INTERRUPTED) from None
+            from vehanchor.batch import run_batch
+
+            with resumable(output, "rows"):
+                summary = run_batch(
+                    inputs,
+                    output,
+                    engine=engine.value,
+                    address=address,
+                    workers=workers,
+                    detector=chosen.detector,
+                    classes=chosen.classes,
+                    options=chosen.options(),
+                    known_lengths=known_lengths,
+                    details=details,
+                    overwrite=overwrite,
+                    runtime=chosen.runtime(progress),
+                )
         _summarise(summary, time.monotonic() - started)
-
-
-def _each(inputs: list[str], output: Path, chosen: ParsedOptions, **more: Any) -> BatchSummary:
-    """Estimate the scale of each image; ``more`` are arguments of ``run_batch``."""
-    from vehanchor.batch import run_batch
-
-    model = chosen.detector
-    return run_batch(inputs, output, detector=model.detector, classes=model.classes, options=chosen.options(), **more)
 
 
 def _summarise(summary: BatchSummary, seconds: float) -> None:
@@ -117,7 +117,6 @@ def _summarise(summary: BatchSummary, seconds: float) -> None:
 
 
 def _summary_text(summary: BatchSummary, seconds: float) -> str:
-    counts = [f"{summary.statuses[status]} {status}" for status in _STATUSES if status in summary.statuses]
     made = summary.n_rows - summary.n_resumed
     resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""
     pace, rate = summary.pace, ""
@@ -125,7 +124,7 @@ def _summary_text(summary: BatchSummary, seconds: float) -> str:
         waiting = f"{pace.busy:.1f} workers busy, {pace.waiting:.0%} of it waiting for images"
         rate = f", {pace.images_per_s:.3g} a second ({waiting}; bounded by {pace.bounded_by})"
     return (
-        f"{printable(str(summary.table))}: {count(summary.n_rows, 'row')} ({', '.join(counts)}){resumed}; "
+        f"{printable(str(summary.table))}: {count(summary.n_rows, 'row')} ({counts_text(summary.statuses)}){resumed}; "
         f"{count(made, 'image')} in {seconds:.1f} s{rate}"
     )
 

@@ -11,7 +11,7 @@ import typer
 
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.table import check_table_path, write_table
-from vehanchor.cli.terminal import FAILED, printable, report
+from vehanchor.cli.terminal import FAILED, counts_text, printable, report
 from vehanchor.errors import OutputError, PromptError
 from vehanchor.export.geojson import SUFFIX, check_geojson_path, write_features
 from vehanchor.imagery.sources.files import find_images, where_it_is
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from vehanchor.engine import Engine
 
 _SHOWN_ERRORS = 10
-_OUTCOMES = ("ok", "low_confidence", "no_scale", "error")
 
 
 def measure_table(
@@ -86,8 +85,7 @@ def _summarise(output: Path, rows: Sequence[TargetRow]) -> None:
     for target, error in errors[:_SHOWN_ERRORS]:
         report(error, f"{target.file} {target.name}".strip())
     counts = Counter("error" if row.record is None else row.record.status for row in rows)
-    words = ", ".join(f"{counts[outcome]} {outcome}" for outcome in _OUTCOMES if outcome in counts)
-    print(f"{printable(str(output))}: {len(rows)} targets ({words})", file=sys.stderr)
+    print(f"{printable(str(output))}: {len(rows)} targets ({counts_text(counts)})", file=sys.stderr)
     if len(errors) == len(rows):
         print("no target could be measured", file=sys.stderr)
         raise typer.Exit(FAILED)

@@ -4,8 +4,8 @@
     def estimate(images: ..., chosen: ParsedOptions) -> None:
         engine = chosen.engine()
 
-``estimate`` then has the options of ``ScaleOptions``, of ``DetectorChoice`` and of ``Runtime`` beside its own: the
-usual ones in ``--help``, all of them in a TOML file with the keywords of the library. The options check the values,
+``estimate`` then has the options of ``ScaleOptions``, of the detector and of its runtime beside its own: the usual
+ones in ``--help``, all of them in a TOML file with the keywords of the library. The options check the values,
 so that the command can report errors.
 """
 
@@ -16,7 +16,6 @@ import inspect
 import tomllib
 import types
 import typing
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -33,7 +32,7 @@ from vehanchor.options.option import Option
 from vehanchor.rulers.registry import rulers_help
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
     from vehanchor.engine import Engine
 
@@ -47,25 +46,12 @@ OF_ONE_IMAGE = ("frame", "coordinates", "known_lengths", "drop", "add")
 _UNITS = ("_px", "_m")
 _FILE = "options_file"
 _PANEL = "Detector and runtime"
-
-
-@dataclass(frozen=True)
-class DetectorChoice:
-    """Detector chosen on the command line.
-
-    Attributes:
-        detector: path of an ONNX oriented-box model, or the name of a bundled one; None for the bundled default.
-        classes: classes, by name or index, that count as vehicles; None for the model's own.
-    """
-
-    detector: Annotated[str | None, models.DETECTOR] = None
-    classes: Annotated[Sequence[str | int] | None, models.CLASSES] = None
-
-    @classmethod
-    def of(cls, values: Mapping[str, Any]) -> DetectorChoice:
-        """Read the choice; digits are indices of classes."""
-        named = [int(each) if str(each).isdecimal() else each for each in values.get("classes", ())]
-        return cls(values.get("detector"), named or None)
+_MODELS = {
+    "detector": models.DETECTOR,
+    "classes": models.CLASSES,
+    "threads": models.THREADS,
+    "providers": models.PROVIDERS,
+}
 
 
 @dataclass(frozen=True)
@@ -113,9 +99,15 @@ class ParsedOptions:
         return ScaleOptions.of({name: value for name, value in self.values.items() if name in declared_options()})
 
     @property
-    def detector(self) -> DetectorChoice:
-        """Make the choice of the detector."""
-        return DetectorChoice.of(self.values)
+    def detector(self) -> str | None:
+        """Path of an ONNX oriented-box model, or the name of a bundled one; None for the bundled default."""
+        detector: str | None = self.values.get("detector")
+        return detector
+
+    @property
+    def classes(self) -> list[str | int] | None:
+        """Classes that count as vehicles; None for the model's own."""
+        return read_classes(self.values.get("classes", ()))
 
     def runtime(self, progress: Progress | None = None) -> Runtime:
         """Make the runtime of the models.
@@ -138,8 +130,13 @@ class ParsedOptions:
         with paused_collection():
             from vehanchor.engine import Engine
 
-        choice, options, runtime = self.detector, self.options(), self.runtime(progress)
-        return Engine(choice.detector, segmenter, classes=choice.classes, options=options, runtime=runtime)
+        options, runtime = self.options(), self.runtime(progress)
+        return Engine(self.detector, segmenter, classes=self.classes, options=options, runtime=runtime)
+
+
+def read_classes(values: Iterable[object]) -> list[str | int] | None:
+    """Read classes of a model; digits are indices. None without any."""
+    return [int(each) if each.isdecimal() else each for each in map(str, values)] or None
 
 
 def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -191,19 +188,15 @@ _FILE_PARAMETER = inspect.Parameter(
 
 def _parameters() -> Iterator[tuple[str, Option, inspect.Parameter]]:
     """Make the parameters of a Typer command: name, declaration, and a keyword-only parameter annotated for Typer."""
-    for kind in (DetectorChoice, Runtime):
-        for name, annotation in typing.get_type_hints(kind, include_extras=True).items():
-            option = next((each for each in getattr(annotation, "__metadata__", ()) if isinstance(each, Option)), None)
-            if option is not None:
-                yield name, option, _parameter(name, option, annotation, getattr(kind, name), _PANEL)
+    for name, option in _MODELS.items():
+        yield name, option, _parameter(name, option, str, None, _PANEL)
     for name, each in declared_options().items():
         if each.option.cli:
-            yield name, each.option, _parameter(name, each.option, each.annotation, each.default, each.panel)
+            yield name, each.option, _parameter(name, each.option, each.kind, each.default, each.panel)
 
 
-def _parameter(name: str, option: Option, annotation: Any, default: Any, panel: str) -> inspect.Parameter:
+def _parameter(name: str, option: Option, bare: Any, default: Any, panel: str) -> inspect.Parameter:
     """Make a parameter that takes texts, which the option reads; a flag; or a list of texts."""
-    bare = _bare(annotation)
     flag = option.flag or _without_unit(name).replace("_", "-")
     metavar = option.metavar or ("|".join(typing.get_args(bare)) if typing.get_origin(bare) is Literal else "")
     n_values = len(metavar.split())
@@ -225,15 +218,6 @@ def _parameter(name: str, option: Option, annotation: Any, default: Any, panel: 
     return inspect.Parameter(
         name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind | None, declared]
     )
-
-
-def _bare(annotation: Any) -> Any:
-    """Give the type of an option's values without limits, declaration and None."""
-    while typing.get_origin(annotation) is Annotated:
-        annotation = typing.get_args(annotation)[0]
-    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        return _bare(next(each for each in typing.get_args(annotation) if each is not type(None)))
-    return annotation
 
 
 def _resolved_parameters(command: Callable[..., None]) -> dict[str, inspect.Parameter]:

@@ -9,29 +9,20 @@ import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
-from vehanchor.cli.outputs import check_outputs, chosen_outputs, write_outputs
-from vehanchor.cli.spaced import SpacedCommand, parse_point
-from vehanchor.cli.terminal import (
-    STATUS_TEXTS,
-    Strict,
-    exit_on_error,
-    exit_strictly,
-    facts_table,
-    failure,
-    print_json,
-    print_table,
-    print_warnings,
-    quantity_text,
-    tile_progress,
-)
-from vehanchor.errors import VehAnchorError
+from vehanchor.cli.measured import show_measured
+from vehanchor.cli.outputs import chosen_outputs
+from vehanchor.cli.spaced import parse_point
+from vehanchor.cli.terminal import STATUS_TEXTS, Strict, quantity_text
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from vehanchor.analysis.measured import DistanceAnalysis
     from vehanchor.records import DistanceMeasurement
 
 
 @scale_command()
-def _distance(
+def distance(
     image: Photograph,
     point: Annotated[
         list[str] | None,
@@ -59,37 +50,15 @@ def _distance(
     chosen: ParsedOptions,
 ) -> None:
     """Measure the distance (metres) between two points, or along a line, with the scale from cars in the image."""
-    with exit_on_error():
-        try:
-            path, known = [parse_point("--point", text) for text in point or ()], read_scale(scale, image)
-            engine = chosen.engine()
-            outputs = chosen_outputs(line=line, overlay=overlay)
-            check_outputs([image], outputs.items())
-            with tile_progress(1, lines_on_terminal=as_json) as step:
-                analysis = engine.analyse_distance(
-                    image,
-                    path,
-                    gsd_m_per_px=gsd,
-                    scale=known,
-                    object_height_m=object_height,
-                    progress=step(0, image),
-                )
-            record = analysis.measurement
-        except VehAnchorError as error:
-            if as_json:
-                print_json(failure(image, error))
-            raise
-        if as_json:
-            print_json({"source": image, **record.model_dump(mode="json")})
-        else:
-            print_table(facts_table(image, _facts(record)))
-            print_warnings(record, "")
-        write_outputs(analysis, outputs)
-        exit_strictly(strict, [record.status])
 
+    def analyse(progress: Callable[[int, int], None]) -> DistanceAnalysis:
+        path, known = [parse_point("--point", text) for text in point or ()], read_scale(scale, image)
+        return chosen.engine().analyse_distance(
+            image, path, gsd_m_per_px=gsd, scale=known, object_height_m=object_height, progress=progress
+        )
 
-distance = typer.Typer(add_completion=False)
-distance.command("distance", cls=SpacedCommand)(_distance)
+    outputs = chosen_outputs(line=line, overlay=overlay)
+    show_measured(image, analyse, _facts, outputs, as_json=as_json, strict=strict)
 
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:

@@ -19,12 +19,14 @@ from vehanchor.cli.terminal import (
     exit_on_error,
     exit_strictly,
     facts_table,
-    failure,
+    failures_as_json,
+    print_failure,
     print_json,
     print_table,
     print_warnings,
     printable,
     report,
+    rows_table,
     scale_text,
     tile_progress,
     under_one_folder,
@@ -104,7 +106,7 @@ def estimate(
 ) -> None:
     """Estimate the ground sampling distance (metres per pixel) of aerial images from the cars in them."""
     with exit_on_error():
-        try:
+        with failures_as_json(images, as_json):
             _refuse_folders(images)
             if len(images) > 1:
                 chosen.options().by_hand.check_single()
@@ -112,16 +114,11 @@ def estimate(
             outputs = _outputs(images, files)
             engine = chosen.engine()
             engine.load()
-        except VehAnchorError as error:
-            if as_json:  # one line for every image
-                for source in images:
-                    print_json(failure(source, error))
-            raise
         rows, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
         if rows and not as_json:
             print_table(_summary_table(rows) if len(images) > 1 else _estimate_table(*rows[0]))
             for source, record in rows:
-                print_warnings(record, source if len(images) > 1 else "")
+                print_warnings(record.warnings, source if len(images) > 1 else "")
         if n_failed or n_refused:
             raise typer.Exit(BAD_INPUT if n_failed else NOT_OK)
         exit_strictly(strict, (record.status for _, record in rows))
@@ -149,7 +146,7 @@ def _estimate_all(
                 n_failed += 1
                 report(error, source if len(images) > 1 else "")
                 if as_json:
-                    print_json(failure(source, error))
+                    print_failure(source, error)
                 continue
             if as_json:
                 print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
@@ -235,25 +232,18 @@ def _tilt_text(tilt: TiltEstimate) -> str:
 
 
 def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
     folder, names = under_one_folder([source for source, _ in rows])
-    title = Text(printable(f"{len(rows)} images in {folder}")) if folder else None
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left", title_style="bold")
-    table.add_column("image", overflow="fold")
-    for heading in ("m/px", "95 %", "confidence", "vehicles"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("status", no_wrap=True)
-    for name, (_, record) in zip(names, rows, strict=True):
-        low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
-        table.add_row(
-            Text(printable(name)),
-            "-" if record.gsd_m_per_px is None else significant(record.gsd_m_per_px, 4),
-            "-" if low is None or high is None else f"{significant(low, 4)} to {significant(high, 4)}",
-            f"{record.confidence:.2f}",
-            "-" if record.n_vehicles is None else str(record.n_vehicles),
-            record.status,
-        )
-    return table
+    columns = {"image": "text", **dict.fromkeys(("m/px", "95 %", "confidence", "vehicles"), "number"), "status": "word"}
+    cells = [(name, *_cells(record)) for name, (_, record) in zip(names, rows, strict=True)]
+    return rows_table(columns, cells, f"{len(rows)} images in {folder}" if folder else "")
+
+
+def _cells(record: GsdEstimate) -> tuple[str, ...]:
+    low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+    return (
+        "-" if record.gsd_m_per_px is None else significant(record.gsd_m_per_px, 4),
+        "-" if low is None or high is None else f"{significant(low, 4)} to {significant(high, 4)}",
+        f"{record.confidence:.2f}",
+        "-" if record.n_vehicles is None else str(record.n_vehicles),
+        record.status,
+    )

@@ -9,30 +9,17 @@ import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
-from vehanchor.cli.outputs import check_outputs, chosen_outputs, write_outputs
-from vehanchor.cli.spaced import SpacedCommand, parse_point
-from vehanchor.cli.terminal import (
-    STATUS_TEXTS,
-    Strict,
-    exit_on_error,
-    exit_strictly,
-    facts_table,
-    failure,
-    print_json,
-    print_table,
-    print_warnings,
-    quantity_text,
-    scale_text,
-    tile_progress,
-    vehicles_text,
-)
-from vehanchor.errors import VehAnchorError
+from vehanchor.cli.measured import show_measured
+from vehanchor.cli.outputs import chosen_outputs
+from vehanchor.cli.spaced import parse_point
+from vehanchor.cli.terminal import STATUS_TEXTS, Strict, quantity_text, scale_text, vehicles_text
 from vehanchor.options.models import SEGMENTER
 from vehanchor.records.text import significant
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
+    from vehanchor.analysis.measured import AreaAnalysis
     from vehanchor.records import AreaMeasurement, OtherObject
 
 _SHORT_SHA = 12
@@ -55,7 +42,7 @@ OutlineFile: TypeAlias = Annotated[
 
 
 @scale_command()
-def _measure(
+def measure(
     image: Photograph,
     box: Annotated[
         tuple[float, float, float, float] | None,
@@ -83,36 +70,21 @@ def _measure(
     chosen: ParsedOptions,
 ) -> None:
     """Measure the area (square metres) of the object in a box or at a point, with the scale from cars in the image."""
-    with exit_on_error():
-        try:
-            outputs = chosen_outputs(outline=outline, overlay=overlay, mask=mask)
-            check_outputs([image], outputs.items())
-            engine, known = chosen.engine(segmenter=segmenter), read_scale(scale, image)
-            with tile_progress(1, lines_on_terminal=as_json) as step:
-                analysis = engine.analyse_area(
-                    image,
-                    box=box,
-                    points=_points(point, negative),
-                    gsd_m_per_px=gsd,
-                    scale=known,
-                    object_height_m=object_height,
-                    progress=step(0, image),
-                )
-        except VehAnchorError as error:
-            if as_json:
-                print_json(failure(image, error))
-            raise
-        if as_json:
-            print_json({"source": image, **analysis.measurement.model_dump(mode="json")})
-        else:
-            print_table(facts_table(image, _facts(analysis.measurement)))
-            print_warnings(analysis.measurement, "")
-        write_outputs(analysis, outputs)
-        exit_strictly(strict, [analysis.measurement.status])
 
+    def analyse(progress: Callable[[int, int], None]) -> AreaAnalysis:
+        engine, known = chosen.engine(segmenter=segmenter), read_scale(scale, image)
+        return engine.analyse_area(
+            image,
+            box=box,
+            points=_points(point, negative),
+            gsd_m_per_px=gsd,
+            scale=known,
+            object_height_m=object_height,
+            progress=progress,
+        )
 
-measure = typer.Typer(add_completion=False)
-measure.command("measure", cls=SpacedCommand)(_measure)
+    outputs = chosen_outputs(outline=outline, overlay=overlay, mask=mask)
+    show_measured(image, analyse, _facts, outputs, as_json=as_json, strict=strict)
 
 
 def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tuple[float, float, bool]] | None:

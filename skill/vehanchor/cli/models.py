@@ -9,9 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.cli_options import DetectorChoice
-from vehanchor.cli.terminal import FAILED, exit_on_error, facts_table, failure, print_json, print_table, printable
-from vehanchor.errors import ModelError, VehAnchorError
+from vehanchor.cli.cli_options import read_classes
+from vehanchor.cli.terminal import (
+    FAILED,
+    exit_on_error,
+    facts_table,
+    failures_as_json,
+    print_failure,
+    print_json,
+    print_table,
+    printable,
+)
+from vehanchor.errors import ModelError
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
@@ -80,7 +89,7 @@ def list_models(
                 card = engine.detector.card
             except ModelError as error:
                 if as_json:
-                    print_json(failure(str(path), error))
+                    print_failure(str(path), error)
                 else:
                     print(printable(f"{name}: {path}") + "\n" + printable(f"  not a detector: {error}"))
                 continue
@@ -123,15 +132,11 @@ def show_model(
 ) -> None:
     """Show the metadata of a detector's file; missing values are the paper's."""
     with exit_on_error():
-        try:
+        with failures_as_json([file], as_json):
             from vehanchor.engine import Engine
 
-            engine = Engine(file, classes=DetectorChoice.of({"classes": classes or []}).classes)
+            engine = Engine(file, classes=read_classes(classes or ()))
             model = engine.detector
-        except VehAnchorError as error:
-            if as_json:
-                print_json(failure(file, error))
-            raise
         if as_json:
             print_json(
                 {"file": str(model.path), "fixed_size_px": model.fixed_size, **model.card.model_dump(mode="json")}

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.errors import InvalidParameterError
+from vehanchor.storage.atomic import check_output_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -61,8 +62,8 @@ def _check(name: str, path: Path) -> None:
     from vehanchor.pictures.scale import check_picture_path
 
     check_picture_path(path)
-    if name == "mask" and path.suffix.lower() != ".png":
-        raise OutputError(f"cannot write a mask as {str(path)!r}: use .png, which is lossless")
+    if name == "mask":
+        check_output_path(path, (".png",), kind="a mask", also="it is lossless")
     if name == "plot":
         from vehanchor.pictures.plot import require_plots
 

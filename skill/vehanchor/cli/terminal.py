@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -18,6 +18,7 @@ from vehanchor.records.foreign_text import on_one_line
 from vehanchor.records.text import by_hand_text, with_interval
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
     from rich.table import Table
 
     from vehanchor.records import GsdEstimate, Notice
@@ -26,6 +27,7 @@ BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
 NOT_OK = 3  # with --strict: a result that is not usable
 FAILED = 1  # a self-test, or every image of a batch
 _LINE_EVERY_S = 10.0  # if stderr is not a terminal
+_NAME = "{task.description}"
 
 Strict: TypeAlias = Annotated[
     bool,
@@ -39,15 +41,15 @@ def exit_strictly(strict: bool, statuses: Iterable[str]) -> None:
         raise typer.Exit(NOT_OK)
 
 
-def seldom(words: Callable[[int, int], str], stream: TextIO) -> Callable[[int, int], None]:
-    """Report progress in one line every ten seconds, for logs."""
+def _seldom(words: Callable[[int, int], str]) -> Callable[[int, int], None]:
+    """Report progress in one line on stderr every ten seconds, for logs."""
     last = time.monotonic()
 
     def tell(done: int, total: int) -> None:
         nonlocal last
         if time.monotonic() - last >= _LINE_EVERY_S:
             last = time.monotonic()
-            print(words(done, total), file=stream, flush=True)
+            print(words(done, total), file=sys.stderr, flush=True)
 
     return tell
 
@@ -86,29 +88,30 @@ def exit_on_error() -> Iterator[None]:
 
 
 @contextmanager
+def _bar(*columns: str) -> Iterator[tuple[Progress, TaskID]]:
+    """Show a progress bar on stderr, with further columns of ``rich.progress`` by name or format."""
+    from rich import progress
+    from rich.console import Console
+
+    made = [getattr(progress, each)() if each.isidentifier() else progress.TextColumn(each) for each in columns]
+    # By default, rich redirects stdout to stderr.
+    with progress.Progress(*made, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
+        yield bar, bar.add_task("", total=None)
+
+
+@contextmanager
 def tile_progress(
     n_images: int, *, lines_on_terminal: bool
-) -> Iterator[Callable[[int, str], Callable[[int, int], None] | None]]:
+) -> Iterator[Callable[[int, str], Callable[[int, int], None]]]:
     """Show a progress bar if stderr is a terminal; yield a function that makes the callback for an image's tiles."""
     if lines_on_terminal or not sys.stderr.isatty():
-        yield lambda number, source: seldom(
-            lambda done, total: f"{printable(source)}: {done} of {total} tiles (image {number + 1} of {n_images})",
-            sys.stderr,
+        yield lambda number, source: _seldom(
+            lambda done, total: f"{printable(source)}: {done} of {total} tiles (image {number + 1} of {n_images})"
         )
         return
-    from rich.console import Console
     from rich.markup import escape
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(),
-    )
-    # By default, rich redirects stdout to stderr.
-    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
-        task = bar.add_task("", total=None)
+    with _bar(_NAME, "BarColumn", "{task.percentage:>3.0f} %", "TimeRemainingColumn") as (bar, task):
 
         def step(number: int, source: str) -> Callable[[int, int], None]:
             count = f"{number + 1}/{n_images} " if n_images > 1 else ""
@@ -118,9 +121,36 @@ def tile_progress(
         yield step
 
 
-def failure(source: str, error: VehAnchorError) -> dict[str, Any]:
-    """Make the JSON object of a failed image."""
-    return {"source": source, "error": {"code": error.code, "message": str(error)}}
+@contextmanager
+def image_progress(work: Callable[[int, int], str] | None = None) -> Iterator[Callable[[int, int], None]]:
+    """Report finished images on stderr: a bar on a terminal, a line now and then in a log.
+
+    Args:
+        work: names the present work by the numbers of finished and of all images; None for no name.
+    """
+    name = work or (lambda _done, _total: "")
+    if not sys.stderr.isatty():
+        yield _seldom(lambda done, total: f"{name(done, total)} {done} of {total} images".lstrip())
+        return
+    named = (_NAME,) if work else ()
+    with _bar(*named, "MofNCompleteColumn", "BarColumn", "TimeElapsedColumn", "TimeRemainingColumn") as (bar, task):
+        yield lambda done, total: bar.update(task, completed=done, total=total, description=name(done, total))
+
+
+def print_failure(source: str, error: VehAnchorError) -> None:
+    """Print the JSON object of a failed image."""
+    print_json({"source": source, "error": {"code": error.code, "message": str(error)}})
+
+
+@contextmanager
+def failures_as_json(sources: Iterable[str], wanted: bool) -> Iterator[None]:
+    """Print, if it is wanted, one JSON object for each image that an error prevents; the error goes on."""
+    try:
+        yield
+    except VehAnchorError as error:
+        for source in sources if wanted else ():
+            print_failure(source, error)
+        raise
 
 
 def print_json(record: Mapping[str, Any]) -> None:
@@ -156,6 +186,36 @@ def facts_table(title: str, facts: Sequence[tuple[str, str]]) -> Table:
     return table
 
 
+def rows_table(columns: Mapping[str, str], rows: Iterable[Sequence[str]], title: str = "") -> Table:
+    """Make a table with a heading for each column.
+
+    Args:
+        columns: their kinds by heading: ``text`` is folded, ``number`` is on the right, ``word`` on the left.
+        rows: the cells of each row.
+        title: heading of the table; empty for none.
+    """
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    heading = Text(printable(title)) if title else None
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=heading, title_justify="left", title_style="bold")
+    for name, kind in columns.items():
+        if kind == "text":
+            table.add_column(name, overflow="fold")
+        else:
+            table.add_column(name, justify="right" if kind == "number" else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*(Text(printable(cell)) for cell in row))
+    return table
+
+
+def counts_text(counts: Mapping[str, int]) -> str:
+    """List the numbers of results by status."""
+    statuses = ("ok", "low_confidence", "no_scale", "error")
+    return ", ".join(f"{counts[status]} {status}" for status in statuses if status in counts)
+
+
 def scale_text(gsd: float | None, low: float | None, high: float | None) -> str:
     """Format a scale with its interval."""
     return quantity_text(gsd, low, high, "m/px") or "none: nothing of known size found"
@@ -173,59 +233,22 @@ STATUS_TEXTS = {
 }
 
 
-class Warned(Protocol):
-    """Record with warnings."""
-
-    @property
-    def warnings(self) -> Sequence[Notice]:
-        """Further facts, each with a stable code."""
-        ...
-
-
-def print_warnings(record: Warned, about: str) -> None:
+def print_warnings(warnings: Iterable[Notice], about: str = "") -> None:
     """Print the warnings of a record on stderr, one per line."""
     prefix = f"{about}: " if about else ""
-    for notice in record.warnings:
+    for notice in warnings:
         print(printable(f"warning[{notice.code}]: {prefix}{notice.message}"), file=sys.stderr)
 
 
 @contextmanager
-def resumable(journal: Path | None) -> Iterator[None]:
-    """Report after Ctrl-C that a journal keeps the results so far."""
+def resumable(journal: object, kept: str = "photographs") -> Iterator[None]:
+    """Report after Ctrl-C that a journal, if there is one, keeps the results so far."""
     try:
         yield
     except KeyboardInterrupt:
         if journal is not None:
-            print("interrupted: finished photographs are kept; run the same command to resume", file=sys.stderr)
+            print(f"interrupted: finished {kept} are kept; run the same command to resume", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
-
-
-@contextmanager
-def image_progress(work: Callable[[int, int], str] | None = None) -> Iterator[Callable[[int, int], None]]:
-    """Report finished images on stderr: a bar on a terminal, a line now and then in a log.
-
-    Args:
-        work: names the present work by the numbers of finished and of all images; None for no name.
-    """
-    name = work or (lambda _done, _total: "")
-    if not sys.stderr.isatty():
-        yield seldom(lambda done, total: f"{name(done, total)} {done} of {total} images".lstrip(), sys.stderr)
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    named = (TextColumn("{task.description}"),) if work else ()
-    columns = (*named, MofNCompleteColumn(), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total, description=name(done, total))
 
 
 def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:

@@ -8,14 +8,14 @@ read: without it they would take the pixels for degrees.
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.errors import OutputError
-from vehanchor.storage.atomic import whole_file
+from vehanchor.storage.atomic import check_output_path, whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale import ScaleAnalysis
@@ -34,14 +34,7 @@ def check_geojson_path(path: str | Path) -> Path:
     Raises:
         OutputError: the suffix is another one, or the folder does not exist.
     """
-    target = Path(path)
-    if target.suffix.lower() != SUFFIX:
-        raise OutputError(
-            f"cannot write {str(path)!r}: use the suffix {SUFFIX}; ogr2ogr and geopandas convert it to other formats"
-        )
-    if not target.parent.is_dir() or target.is_dir():
-        raise OutputError(f"cannot write {str(path)!r}: name a file in a folder that exists")
-    return target
+    return check_output_path(path, (SUFFIX,), kind="GeoJSON", also="ogr2ogr and geopandas convert it to other formats")
 
 
 def write_boxes(path: str | Path, analysis: ScaleAnalysis) -> Path:

@@ -6,17 +6,17 @@ right and y upwards.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.errors import MissingExtraError, OutputError
 from vehanchor.imagery.raster import Window
-from vehanchor.storage.atomic import whole_file
+from vehanchor.storage.atomic import check_output_path, whole_file
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from vehanchor.imagery.raster import Raster
 
-_SUFFIXES = (".tif", ".tiff")
 _LOCAL_METRES = 'LOCAL_CS["VehAnchor, local metres",UNIT["metre",1]]'
 _TILE_PX = 512
 
@@ -28,11 +28,7 @@ def check_copy_path(path: str | Path) -> Path:
         OutputError: the suffix is not that of a TIFF, or the folder does not exist.
         MissingExtraError: rasterio is not installed.
     """
-    target = Path(path)
-    if target.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"cannot write a GeoTIFF as {str(path)!r}: use .tif or .tiff")
-    if not target.parent.is_dir() or target.is_dir():
-        raise OutputError(f"cannot write {str(path)!r}: name a file in a folder that exists")
+    target = check_output_path(path, (".tif", ".tiff"), kind="a GeoTIFF")
     _import_rasterio()
     return target
 

@@ -9,10 +9,9 @@ import copy
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.models import PROVIDERS, THREADS
 from vehanchor.options.option import Limits, set_frozen
 
 if TYPE_CHECKING:
@@ -79,8 +78,8 @@ class Runtime:
         InvalidParameterError: ``threads`` or ``providers`` is invalid.
     """
 
-    threads: Annotated[int | None, THREADS] = None
-    providers: Annotated[Sequence[str], PROVIDERS] = DEFAULT_PROVIDERS
+    threads: int | None = None
+    providers: Sequence[str] = DEFAULT_PROVIDERS
     progress: Progress | None = field(default=None, compare=False)
     cancellation: Cancellation | None = field(default=None, compare=False)
 

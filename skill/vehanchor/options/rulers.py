@@ -30,7 +30,7 @@ MOST_BY_HAND = 1000
 
 _MOST_CHARS = 4000  # 1000 numbers of three digits with commas
 _NUMBER = Limits(1, 1_000_000, whole=True)
-_LEAST_LENGTH_PX = 5.0
+_MIN_LINE_PX = 5.0  # on a shorter line, an error of a pixel at each end exceeds a quarter
 
 
 def in_order(*names: str) -> BeforeValidator:
@@ -46,8 +46,8 @@ def in_order(*names: str) -> BeforeValidator:
 
 
 @group(frozen=True)
-class AddedVehicle:
-    """Car that the caller points at: both ends of its long axis.
+class Segment:
+    """Straight line in the picture.
 
     Attributes:
         x1: x of one end, pixels of the frame, or of the image without a frame.
@@ -63,8 +63,23 @@ class AddedVehicle:
 
     @property
     def length_px(self) -> float:
-        """Length of the axis in pixels."""
+        """Length of the line in pixels."""
         return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
+
+    @property
+    def ends(self) -> str:
+        """Both ends, for messages."""
+        return f"from ({self.x1:g}, {self.y1:g}) to ({self.x2:g}, {self.y2:g})"
+
+    def inside(self, width_px: int, height_px: int) -> bool:
+        """Tell whether both ends are in a picture of this size."""
+        across, down = (self.x1, self.x2), (self.y1, self.y2)
+        return all(0 <= x <= width_px for x in across) and all(0 <= y <= height_px for y in down)
+
+
+@group(frozen=True)
+class AddedVehicle(Segment):
+    """Car that the caller points at: both ends of its long axis."""
 
 
 def vehicle_numbers(value: Any) -> Any:
@@ -156,15 +171,14 @@ class ByHand:
             InvalidParameterError: an end is outside, or an axis is shorter than five pixels.
         """
         for number, axis in enumerate(self.add, 1):
-            inside = all(0 <= x <= width_px for x in (axis.x1, axis.x2))
-            if not inside or not all(0 <= y <= height_px for y in (axis.y1, axis.y2)):
+            if not axis.inside(width_px, height_px):
                 raise InvalidParameterError(
-                    f"add {number}, from ({axis.x1:g}, {axis.y1:g}) to ({axis.x2:g}, {axis.y2:g}), leaves the picture "
-                    f"of {width_px} x {height_px} px: give both ends in its pixels"
+                    f"add {number}, {axis.ends}, leaves the picture of {width_px} x {height_px} px: give both ends in "
+                    "its pixels"
                 )
-            if axis.length_px < _LEAST_LENGTH_PX:
+            if axis.length_px < _MIN_LINE_PX:
                 raise InvalidParameterError(
-                    f"add {number} is {axis.length_px:.1f} px long: give both ends of a car of {_LEAST_LENGTH_PX:g} px "
+                    f"add {number} is {axis.length_px:.1f} px long: give both ends of a car of {_MIN_LINE_PX:g} px "
                     "or more"
                 )
 
@@ -173,7 +187,6 @@ Basis: TypeAlias = Literal["assumed", "measured"]
 """How a fact is known: by a standard or an inference, or by tape, plan or survey."""
 
 _STATED_TOLERANCE = 0.1  # half of the 95 % interval of a stated scale without a tolerance, relative; a choice
-_MIN_LINE_PX = 5.0  # on a shorter line, an error of a pixel at each end exceeds a quarter
 _Length = Annotated[float, Limits(above=0, most=100_000, unit="m")]
 _Name = Annotated[str, Field(max_length=64, pattern="^[A-Za-z]")]
 Height: TypeAlias = Annotated[float, Limits(above=0, most=20_000, unit="m")]  # survey aircraft fly at 10 km
@@ -196,14 +209,10 @@ class StatedScale(NamedTuple):
 
 
 @group(frozen=True)
-class KnownLength:
+class KnownLength(Segment):
     """Straight line on the ground with its known length.
 
     Attributes:
-        x1: x of one end, pixels of the frame, or of the image without a frame.
-        y1: y of that end.
-        x2: x of the other end.
-        y2: y of that end.
         metres: length of the line; or a thing of known size by its name in ``vehanchor.rulers.standards``, with an
             optional country, as "railway_gauge/ES".
         basis: how the length is known: assumed, or measured by tape, plan or survey.
@@ -215,10 +224,6 @@ class KnownLength:
 
     error: ClassVar[type[InvalidParameterError]] = KnownLengthError
 
-    x1: Number
-    y1: Number
-    x2: Number
-    y2: Number
     metres: _Length | _Name
     basis: Basis = "assumed"
     tolerance_m: _Length | None = None
@@ -253,11 +258,6 @@ class KnownLength:
     def length_m(self) -> float | None:
         """Length in metres; None for a thing of known size."""
         return None if isinstance(self.metres, str) else self.metres
-
-    @property
-    def length_px(self) -> float:
-        """Length of the line in pixels."""
-        return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
 
 
 def _line_of_text(value: Any) -> Any:
@@ -408,10 +408,8 @@ class Rulers:
         """
         self.check_lengths()
         for line in self.known_lengths:
-            if not all(0 <= x <= width_px for x in (line.x1, line.x2)) or not all(
-                0 <= y <= height_px for y in (line.y1, line.y2)
-            ):
+            if not line.inside(width_px, height_px):
                 raise KnownLengthError(
-                    f"the line from ({line.x1:g}, {line.y1:g}) to ({line.x2:g}, {line.y2:g}) leaves the picture of "
-                    f"{width_px} x {height_px} px: give both ends in its pixels"
+                    f"the line {line.ends} leaves the picture of {width_px} x {height_px} px: give both ends in its "
+                    "pixels"
                 )

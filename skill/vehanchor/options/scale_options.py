@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import typing
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -126,6 +126,7 @@ class DeclaredOption(NamedTuple):
         panel: heading in ``--help``.
         option: its declaration.
         annotation: its type with limits and declaration.
+        kind: type of its values alone.
         default: its default.
     """
 
@@ -134,6 +135,7 @@ class DeclaredOption(NamedTuple):
     panel: str
     option: Option
     annotation: Any
+    kind: Any
     default: Any
 
 
@@ -141,12 +143,11 @@ class DeclaredOption(NamedTuple):
 def declared_options() -> dict[str, DeclaredOption]:
     """List the options of all groups by their keywords."""
     found = {}
-    for group, options in ((each.name, getattr(ScaleOptions(), each.name)) for each in fields(ScaleOptions)):
-        kinds = typing.get_type_hints(type(options), include_extras=True)
-        for each in fields(options):
-            option = next(part for part in kinds[each.name].__metadata__ if isinstance(part, Option))
-            declared = DeclaredOption(
-                each.name, group, options.panel, option, kinds[each.name], getattr(type(options)(), each.name)
-            )
-            found[each.name] = declared
+    for group, options in vars(ScaleOptions()).items():
+        annotations, kinds = (typing.get_type_hints(type(options), include_extras=extras) for extras in (True, False))
+        for name, default in vars(options).items():
+            option = next(part for part in annotations[name].__metadata__ if isinstance(part, Option))
+            given = [kind for kind in typing.get_args(kinds[name]) if kind is not type(None)]
+            kind = given[0] if type(None) in typing.get_args(kinds[name]) else kinds[name]
+            found[name] = DeclaredOption(name, group, options.panel, option, annotations[name], kind, default)
     return found

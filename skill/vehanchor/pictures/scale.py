@@ -10,13 +10,12 @@ import cv2
 import numpy as np
 
 from vehanchor.detection.boxes import box_corners
-from vehanchor.errors import OutputError
 from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
 from vehanchor.pictures.placement import Placement
 from vehanchor.records.text import advice_for, by_hand_text, count, scale_text, significant
-from vehanchor.storage.atomic import whole_file
+from vehanchor.storage.atomic import check_output_path, whole_file
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -119,16 +118,7 @@ def check_picture_path(path: str | Path) -> Path:
     Raises:
         OutputError: the suffix is not .png, .jpg or .jpeg, or the folder does not exist.
     """
-    target = Path(path)
-    if target.suffix.lower() not in PICTURE_SUFFIXES:
-        raise OutputError(
-            f"cannot write a picture as {str(path)!r}: use one of the suffixes {', '.join(PICTURE_SUFFIXES)}"
-        )
-    if not target.parent.is_dir():
-        raise OutputError(f"cannot write {str(path)!r}: there is no folder {str(target.parent)!r}; create it first")
-    if target.is_dir():
-        raise OutputError(f"cannot write {str(path)!r}: it is a folder; name a file")
-    return target
+    return check_output_path(path, PICTURE_SUFFIXES, kind="a picture")
 
 
 def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:

@@ -10,7 +10,34 @@ from typing import TYPE_CHECKING
 from vehanchor.errors import OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
+
+    from pydantic import BaseModel
+
+
+def check_output_path(
+    path: str | os.PathLike[str], suffixes: Sequence[str] = (), *, kind: str = "a file", also: str = ""
+) -> Path:
+    """Check, before the work, that a file can be written to a path.
+
+    Args:
+        path: the path.
+        suffixes: possible suffixes; empty for any.
+        kind: what the file holds, for the message about its suffix.
+        also: a further remedy for another suffix.
+
+    Raises:
+        OutputError: the suffix is another one, the folder does not exist, or the path is a folder.
+    """
+    target = Path(path)
+    if suffixes and target.suffix.lower() not in suffixes:
+        use = f"one of {', '.join(suffixes)}" if len(suffixes) > 1 else f"the suffix {suffixes[0]}"
+        raise OutputError(f"cannot write {kind} as {str(path)!r}: use {use}{also and f'; {also}'}")
+    if not target.parent.is_dir():
+        raise OutputError(f"cannot write {str(path)!r}: there is no folder {str(target.parent)!r}; create it first")
+    if target.is_dir():
+        raise OutputError(f"cannot write {str(path)!r}: it is a folder; name a file")
+    return target
 
 
 @contextmanager
@@ -35,6 +62,16 @@ def whole_file(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def write_record(path: Path, record: BaseModel, *, indent: int = 1) -> None:
+    """Write a record as JSON.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with whole_file(path) as partial:
+        partial.write_text(record.model_dump_json(indent=indent) + "\n", encoding="utf-8")
 
 
 def _sync_folder(path: Path) -> None:

@@ -24,7 +24,7 @@ from vehanchor.errors import InvalidParameterError, OutputError
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
 Key: TypeAlias = tuple[str | int, ...]
 Value = TypeVar("Value")
@@ -209,29 +209,12 @@ class Journal(Generic[Value]):
             InvalidParameterError: the result is damaged, or has another version.
         """
         found = self._found("value FROM results WHERE settings = ? AND key = ?", json.dumps(key))
-        return None if found is None else self._value(key, found)
-
-    def _value(self, key: Key, text: str) -> Value:
         try:
-            return self._load(json.loads(text))
+            return None if found is None else self._load(json.loads(found))
         except _UNREADABLE as error:
             raise InvalidParameterError(
                 f"{str(self.path)!r} has an unreadable result of {key} ({error}): {self._remedy}"
             ) from None
-
-    def values(self, keys: Iterable[Key]) -> Iterator[Value]:
-        """Read the results of known keys one by one, in the order of the keys.
-
-        Raises:
-            KeyError: a key is unknown.
-            OutputError: the file can no longer be read.
-            InvalidParameterError: a result is damaged, or has another version.
-        """
-        for key in keys:
-            found = self._found("value FROM results WHERE settings = ? AND key = ?", json.dumps(key))
-            if found is None:
-                raise KeyError(key)
-            yield self._value(key, found)
 
     def remove(self) -> None:
         """Delete the file: the run is complete."""

@@ -60,7 +60,7 @@ def area(request: AreaRequest, chosen: ParsedOptions) -> None:
             engine.segmenter,
             engine.options,
             logs=request.out,
-            classes=chosen.detector.classes,
+            classes=chosen.classes,
             limit=request.limit,
             workers=workers,
             progress=lambda what: step(0, what),

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.terminal import facts_table, print_table
-from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.errors import InvalidParameterError
+from vehanchor.storage.atomic import check_output_path, write_record
 from vehanchor_evaluation.commands.request import measuring_command
 from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, print_issues
 
@@ -69,12 +70,10 @@ def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
     only, because it includes the model's bias. Photographs with a height need no georeference. Fewer than 100 vehicles
     or too coarse imagery are refused.
     """
-    from vehanchor_evaluation.calibration_file import save_calibration
-
     _check_outputs(request.out, request.plot)
     boxes = request.boxes or (_Boxes.detector if request.dota is None else _Boxes.labels)
     survey, calibration = (_from_labels if boxes is _Boxes.labels else _from_detections)(request, chosen)
-    save_calibration(request.out, calibration)
+    write_record(request.out, calibration, indent=2)
     print_table(facts_table(str(request.out), _facts(calibration)))
     if request.plot is not None:
         from vehanchor.pictures.plot import write_plot
@@ -85,8 +84,7 @@ def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
 
 def _check_outputs(out: Path, plot: str | None) -> None:
     """Check folders, suffixes and matplotlib before the search."""
-    if not out.parent.is_dir() or out.is_dir():
-        raise OutputError(f"cannot write {str(out)!r}: give a file in an existing folder")
+    check_output_path(out)
     if plot is not None:
         from vehanchor.pictures.plot import require_plots
         from vehanchor.pictures.scale import check_picture_path
@@ -121,7 +119,7 @@ def _from_labels(request: CalibrateRequest, chosen: ParsedOptions) -> tuple[Flee
 
     survey = labelled_vehicles(_known_scale(request, chosen), request.label_classes or (SMALL_VEHICLE,))
     print_issues(survey.issues)
-    card = None if chosen.detector.detector is None else chosen.engine().detector.card
+    card = None if chosen.detector is None else chosen.engine().detector.card
     return survey, calibrate_labelled(survey, card)
 
 

@@ -144,7 +144,7 @@ class KnownScaleRequest:
                     data,
                     detector,
                     options,
-                    classes=chosen.detector.classes,
+                    classes=chosen.classes,
                     cache=cache,
                     workers=self.workers,
                     progress=tell,

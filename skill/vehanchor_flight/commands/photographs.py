@@ -19,13 +19,14 @@ from vehanchor.cli.terminal import (
     print_json,
     print_table,
     print_warnings,
-    printable,
     resumable,
+    rows_table,
     scale_text,
     under_one_folder,
 )
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.text import significant
+from vehanchor.storage.atomic import check_output_path, write_record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -83,12 +84,11 @@ def photographs(
     """Estimate the scales of the photographs of one flight from their common evidence."""
     with exit_on_error():
         from vehanchor.batch.table import check_table_path
-        from vehanchor_flight.io import check_output, write_record
         from vehanchor_flight.table import write_flight_table
         from vehanchor_flight.verbs import estimate_flight
 
         engine = chosen.engine()
-        outputs = [] if out is None else [check_output(out, ".json")]
+        outputs = [] if out is None else [check_output_path(out, (".json",), kind="a record")]
         outputs += [] if table is None else [check_table_path(table)]
         journal = (kept := out or table) and kept.with_name(kept.name + ".journal")
         limits = chosen.options().reading.limits
@@ -124,7 +124,7 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
     print_table(facts_table(f"{len(record.photographs)} photographs{where}", _facts(record, short)))
     if not record.same_scale:
         print_table(_photographs_table(record.photographs, short))
-    print_warnings(record, "")
+    print_warnings(record.warnings)
 
 
 def _images(
@@ -176,27 +176,22 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _photographs_table(photographs: Sequence[FlightPhotograph], short: Mapping[str, str]) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
+    columns = {"photograph": "text", **dict.fromkeys(("m/px", "95 %", "conf."), "number")}
+    return rows_table(
+        {**columns, "supported by": "text", "status": "word"}, [_cells(each, short) for each in photographs]
+    )
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("photograph", overflow="fold")
-    for heading in ("m/px", "95 %", "conf."):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("supported by", overflow="fold")
-    table.add_column("status", no_wrap=True)
-    for each in photographs:
-        low, high = each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px
-        table.add_row(
-            Text(printable(short[each.photograph])),
-            "-" if each.gsd_m_per_px is None else significant(each.gsd_m_per_px, 4),
-            "-" if low is None or high is None else f"{significant(low)} to {significant(high)}",
-            "-" if each.confidence is None else f"{each.confidence:.2f}",
-            Text(printable(_support(each, short))),
-            _STATUSES[each.status],
-        )
-    return table
+
+def _cells(each: FlightPhotograph, short: Mapping[str, str]) -> tuple[str, ...]:
+    low, high = each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px
+    return (
+        short[each.photograph],
+        "-" if each.gsd_m_per_px is None else significant(each.gsd_m_per_px, 4),
+        "-" if low is None or high is None else f"{significant(low)} to {significant(high)}",
+        "-" if each.confidence is None else f"{each.confidence:.2f}",
+        _support(each, short),
+        _STATUSES[each.status],
+    )
 
 
 def _support(photograph: FlightPhotograph, short: Mapping[str, str]) -> str:

@@ -21,8 +21,10 @@ from vehanchor.cli.terminal import (
     print_warnings,
     printable,
     resumable,
+    rows_table,
 )
 from vehanchor.errors import InvalidParameterError
+from vehanchor.storage.atomic import check_output_path, write_record
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,11 +80,10 @@ def rescale(
 ) -> None:
     """Give a reconstruction its size in metres. Files in metres need a usable size."""
     with exit_on_error():
-        from vehanchor_flight.io import check_output, write_record
         from vehanchor_flight.reconstruction.files import images_of
         from vehanchor_flight.verbs import rescale as rescaled
 
-        journal = out and check_output(out, ".json").with_name(out.name + ".journal")
+        journal = out and check_output_path(out, (".json",), kind="a record").with_name(out.name + ".journal")
         model = _model(source, project, geo)
         with image_progress() as progress, resumable(journal):
             engine = chosen.engine(progress=progress)
@@ -101,11 +102,10 @@ def rescale(
 
 def _model(source: str, project: Path | None, geo: Path | None) -> Reconstruction:
     """Read the model, after checks that the files to write are possible."""
-    from vehanchor_flight.io import check_output
     from vehanchor_flight.reconstruction.files import check_project_path, read_model
 
     if geo is not None:
-        check_output(geo)
+        check_output_path(geo)
     if project is not None:
         check_project_path(project)
     model = read_model(source)
@@ -156,7 +156,7 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
     for each in record.photographs:
         if each.status == "error":
             typer.echo(printable(f"not measured[{each.error_code}]: {each.photograph}: {each.error}"), err=True)
-    print_warnings(record, "")
+    print_warnings(record.warnings)
 
 
 def _interval(factor: float, low: float | None, high: float | None) -> str:
@@ -170,22 +170,17 @@ def _own(each: ModelPhotograph) -> str:
 
 
 def _photographs(used: Sequence[ModelPhotograph]) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("photograph", overflow="fold")
-    for heading in ("factor", "95 %", "cars"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("rulers", overflow="fold")
-    for each in used:
-        low, high = each.factor_ci95_low, each.factor_ci95_high
-        table.add_row(
-            Text(printable(each.photograph)),
-            f"{each.factor:.4g}",
-            f"{low:.3g} to {high:.3g}",
-            str(each.n_vehicles),
-            ", ".join(each.rulers),
-        )
-    return table
+    columns = {"photograph": "text", **dict.fromkeys(("factor", "95 %", "cars"), "number"), "rulers": "text"}
+    return rows_table(
+        columns,
+        [
+            (
+                each.photograph,
+                f"{each.factor:.4g}",
+                f"{each.factor_ci95_low:.3g} to {each.factor_ci95_high:.3g}",
+                str(each.n_vehicles),
+                ", ".join(each.rulers),
+            )
+            for each in used
+        ],
+    )

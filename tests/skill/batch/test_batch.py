@@ -29,6 +29,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.errors import (
     ImageNotFoundError,
     InvalidParameterError,
+    KnownLengthError,
     MissingExtraError,
     ModelContractError,
     OutputError,
@@ -39,6 +40,7 @@ from vehanchor.imagery.raster import Raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
+from vehanchor.rulers.known_length_table import lines_in
 
 ALONE = {"rulers": ("vehicles",)}  # quicker: the scene-scale prior does not know painted pictures
 FILES = ["broken.jpg", "cars.png", "deep/below/cars.PNG", "empty.png"]
@@ -508,21 +510,22 @@ def test_lines_of_known_length_of_single_images_come_from_a_table(folder: Path, 
         ("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,4,nan\n", "line 2"),
         ("file,x1,y1,x2,y2,metres\n,1,2,300,4,40\n", "not named"),
         ("file,x1,y1,x2,y2,metres,basis\ncars.png,1,2,300,4,40,guessed\n", "use one of assumed, measured"),
-        ("file,x1,y1,x2,y2,metres\ncar.png,1,2,300,4,40\n", "not one of the images"),
         ("file,x1,y1,x2,y2,metres\n", "no known lengths"),
         ("", "no column file"),
     ],
 )
-def test_a_table_of_lines_that_cannot_be_used_is_told_before_the_work(
-    text: str, words: str, folder: Path, detector: Path, table: Path
-) -> None:
-    lines = folder / "lines.csv"
-    lines.write_text(text)
-    result = _batch("cars.png", "-o", table, "--detector", detector, "--known-lengths", lines)
+def test_a_table_of_lines_that_cannot_be_used_is_told_with_what_is_wrong(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "lines.csv").write_text(text)
+    with pytest.raises(KnownLengthError, match=words):
+        lines_in(tmp_path / "lines.csv", ["cars.png"])
+
+
+def test_the_table_of_lines_is_read_before_the_work(detector: Path, table: Path, tmp_path: Path) -> None:
+    (tmp_path / "lines.csv").write_text("file,x1,y1,x2,y2,metres\ncar.png,1,2,300,4,40\n")
+    result = _batch("cars.png", "-o", table, "--detector", detector, "--known-lengths", tmp_path / "lines.csv")
     assert result.exit_code == 2
-    assert result.stderr.startswith("error[invalid_known_length]: ")
-    assert words in result.stderr
-    assert list(table.parent.iterdir()) == []
+    assert result.stderr.startswith("error[invalid_known_length]: a line of known length is in ")
+    assert not journal_path(table).exists()
 
 
 def test_on_a_terminal_a_bar_shows_how_far_it_is(

@@ -35,7 +35,7 @@ from vehanchor.scale.calibration import (
     load_calibration,
     modal_length_m,
 )
-from vehanchor_evaluation.calibration_file import save_calibration
+from vehanchor.storage.atomic import write_record
 from vehanchor_evaluation.dota import labelled_boxes
 
 FLEET_M = 4.2
@@ -148,7 +148,7 @@ def test_the_reference_length_of_a_fleet_is_recovered_from_labels_within_a_perce
 
 def test_a_calibration_is_what_was_saved(tmp_path: Path) -> None:
     record = _calibrated()
-    save_calibration(tmp_path / "c.json", record)
+    write_record(tmp_path / "c.json", record)
     assert load_calibration(tmp_path / "c.json") == record == vehanchor.load_calibration(tmp_path / "c.json")
     assert json.loads((tmp_path / "c.json").read_text())["kind"] == "vehanchor.calibration.v1"
 
@@ -185,7 +185,7 @@ def test_a_missing_file_and_an_unwritable_one_are_told(tmp_path: Path) -> None:
     with pytest.raises(CalibrationFileError, match="No such file"):
         load_calibration(tmp_path / "none.json")
     with pytest.raises(OutputError, match="no_folder"):
-        save_calibration(tmp_path / "no_folder" / "c.json", _calibrated())
+        write_record(tmp_path / "no_folder" / "c.json", _calibrated())
 
 
 # --- Its use
@@ -356,7 +356,7 @@ def test_labels_can_be_asked_for_and_bound_to_a_detector(folder: Path, tmp_path:
     ("arguments", "message"),
     [
         (["--out", "c.json"], "give the images with one of --dota DIR, --table FILE and --geotiff FILES"),
-        (["--table", "t.csv", "--out", "missing/c.json"], "give a file in an existing folder"),
+        (["--table", "t.csv", "--out", "missing/c.json"], "there is no folder"),
         (["--table", "t.csv", "--out", "c.json"], "cannot read table"),
         (["--table", "t.csv", "--out", "c.png", "--plot", "c.png"], "both the plot and the calibration"),
         (["--dota", ".", "--out", "c.json"], "no images/ folder"),
