@@ -20,7 +20,6 @@ from vehanchor.cli.terminal import (
     exit_strictly,
     facts_table,
     failures_as_json,
-    print_failure,
     print_json,
     print_table,
     print_warnings,
@@ -141,24 +140,19 @@ def _estimate_all(
     with tile_progress(len(images), lines_on_terminal=as_json and sys.stdout.isatty()) as step:
         for number, source in enumerate(images):
             try:
-                analysis = engine.analyse_scale(source, progress=step(number, source))
-            except VehAnchorError as error:
-                n_failed += 1
-                report(error, source if len(images) > 1 else "")
+                with failures_as_json([source], as_json):
+                    analysis = engine.analyse_scale(source, progress=step(number, source))
                 if as_json:
-                    print_failure(source, error)
-                continue
-            if as_json:
-                print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
-            rows.append((source, analysis.estimate))
-            try:
+                    print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
+                rows.append((source, analysis.estimate))
                 why = write_outputs(analysis, outputs[number])
-                if why is not None:
-                    n_refused += 1
-                    print(printable(f"{source}: no scale bar and no GeoTIFF: {why}"), file=sys.stderr)
             except VehAnchorError as error:
                 n_failed += 1
                 report(error, source if len(images) > 1 else "")
+                continue
+            if why is not None:
+                n_refused += 1
+                print(printable(f"{source}: no scale bar and no GeoTIFF: {why}"), file=sys.stderr)
     return rows, n_failed, n_refused
 
 
