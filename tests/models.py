@@ -45,13 +45,6 @@ def blank_image(width_px: int, height_px: int, level: int = 70) -> NDArray[np.ui
     return np.full((height_px, width_px, 3), level, np.uint8)
 
 
-def paint_vehicle(
-    image: NDArray[np.uint8], box: ArrayLike, *, score: float = 0.9, class_index: int = 0
-) -> NDArray[np.float64]:
-    """Paint one vehicle; see ``paint_vehicles``. Returns ``[5]``, the box as a detector finds it."""
-    return paint_vehicles(image, np.reshape(box, (1, 5)), scores=[score], classes=[class_index]).reshape(5)
-
-
 def paint_vehicles(
     image: NDArray[np.uint8],
     boxes: ArrayLike,

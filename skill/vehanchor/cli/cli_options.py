@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 import tomllib
 import types
 import typing
@@ -43,7 +44,6 @@ Photograph: TypeAlias = Annotated[
 OF_ONE_IMAGE = ("frame", "coordinates", "known_lengths", "drop", "add")
 """Options that belong to one image."""
 
-_UNITS = ("_px", "_m")
 _FILE = "options_file"
 _PANEL = "Detector and runtime"
 _MODELS = {
@@ -197,7 +197,7 @@ def _parameters() -> Iterator[tuple[str, Option, inspect.Parameter]]:
 
 def _parameter(name: str, option: Option, bare: Any, default: Any, panel: str) -> inspect.Parameter:
     """Make a parameter that takes texts, which the option reads; a flag; or a list of texts."""
-    flag = option.flag or _without_unit(name).replace("_", "-")
+    flag = option.flag or re.sub("_(px|m)$", "", name).replace("_", "-")
     metavar = option.metavar or ("|".join(typing.get_args(bare)) if typing.get_origin(bare) is Literal else "")
     n_values = len(metavar.split())
     kind: Any
@@ -227,7 +227,3 @@ def _resolved_parameters(command: Callable[..., None]) -> dict[str, inspect.Para
         name: each.replace(annotation=kinds.get(name, each.annotation))
         for name, each in inspect.signature(command).parameters.items()
     }
-
-
-def _without_unit(name: str) -> str:
-    return next((name.removesuffix(unit) for unit in _UNITS if name.endswith(unit)), name)

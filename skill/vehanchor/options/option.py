@@ -195,19 +195,14 @@ def refusal(kind: Any, error: ValidationError) -> VehAnchorError:
     if isinstance(cause, VehAnchorError):
         return cause
     place = [str(part) for part in first["loc"] if str(part).isidentifier() or isinstance(part, int)]
-    declared = kind.__dataclass_fields__.get(place[0]) if place else None
-    options = [each for each in _metadata(kind, declared) if isinstance(each, Option)]
+    field = kind.__pydantic_fields__.get(place[0]) if place else None
+    options = [each for each in (field.metadata if field else ()) if isinstance(each, Option)]
     made: Any = options[0].error if options else getattr(kind, "error", InvalidParameterError)
     words = _EXPECTED.get(first["type"]) or first["msg"].replace("Input should be", "use")
     if first["type"] == "literal_error":
         words = f"use one of {first['ctx']['expected'].replace(' or ', ', ').replace(chr(39), '')}"
     refused: VehAnchorError = made(f"{'.'.join(place)} is {_shown(first['input'])}: {words}")
     return refused
-
-
-def _metadata(kind: Any, declared: Any) -> tuple[Any, ...]:
-    found = kind.__pydantic_fields__.get(declared.name) if declared is not None else None
-    return tuple(found.metadata) if found is not None else ()
 
 
 def set_frozen(group: Any, name: str, value: Any) -> None:

@@ -216,13 +216,6 @@ def test_with_stem_in_the_name_every_image_gets_its_overlay(run: Any, tmp_path: 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cars_over.png", "none_over.png"]
 
 
-def test_two_images_of_one_name_do_not_overwrite_each_others_overlay(run: Any, folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "cars.png").write_bytes((folder / "cars.png").read_bytes())
-    result = _estimate(run, "cars.png", tmp_path / "cars.png", "--overlay", tmp_path / "{stem}_over.png")
-    assert result.exit_code == 2
-    assert "would both be written" in result.stderr
-
-
 def test_a_record_survives_an_overlay_that_cannot_be_written(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def full_disk(*_: object) -> None:
         raise OSError(28, "No space left on device")
