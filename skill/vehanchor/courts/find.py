@@ -152,19 +152,15 @@ def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
     """Match the templates of all games near a proposal, the best first; empty if there are too few lines."""
     games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
     firsts = [game[0] for game in games]  # the first template represents its game in the search
-    patch = _read(raster, proposal.pose, firsts[0], _matched_factor(proposal))
+    length_px = LENGTHS_M[proposal.which] * proposal.pose.px_per_m
+    factor = 2 ** max(0, math.floor(math.log2(length_px / _MATCHED_PX)))  # the largest that still shows the lines
+    patch = _read(raster, proposal.pose, firsts[0], factor)
     start = patch.inside(proposal.pose)
     turned = axes(patch.grey, start.x, start.y, _AROUND * firsts[0].length_m * start.px_per_m)
     angles = [axis + quarter for axis in turned for quarter in (0.0, math.pi / 2)]
     matched = match(patch.grey, firsts, start, _FAR, angles)
     matches = [_Match(score, patch, pose, game) for (score, pose), game in zip(matched, games, strict=True)]
     return sorted((each for each in matches if each.score >= _WORTH_A_FIT), key=lambda each: -each.score)
-
-
-def _matched_factor(proposal: Proposal) -> int:
-    """Compute the largest reduction at which a court of this size still shows its lines."""
-    length_px = LENGTHS_M[proposal.which] * proposal.pose.px_per_m
-    return int(2 ** max(0, math.floor(math.log2(length_px / _MATCHED_PX))))
 
 
 def _measured(raster: Raster, found: _Match) -> Court | None:
@@ -184,13 +180,12 @@ def _measured(raster: Raster, found: _Match) -> Court | None:
     corners = patch.in_image(project(seen.matrix, template.outline))
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
         return None
-    distortion = fit(patch.grey, template, seen.matrix, AFFINE).distortion
-    if not _is_supported(template, seen) or not distortion <= _MOST_DISTORTION:
+    if not _is_supported(template, seen):
+        return None
+    if not fit(patch.grey, template, seen.matrix, AFFINE).distortion <= _MOST_DISTORTION:
         return None
     gsd = float(1.0 / (seen.px_per_m * patch.factor))
-    return Court(
-        template.kind, corners, template.length_m, template.width_m, gsd, seen.log_sd, score, seen.coverage, distortion
-    )
+    return Court(template.kind, corners, template.length_m, template.width_m, gsd, seen.log_sd, score)
 
 
 def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, _Patch]:
@@ -309,8 +304,6 @@ class Court:
         gsd_m_per_px: GSD from its area.
         log_sd: standard deviation of the GSD's logarithm from the pixels alone.
         score: match of the template with the lines, at most 1.
-        coverage: 0..1, share of its lines found where they should be.
-        distortion: deviation from the shape in the rules.
     """
 
     kind: str
@@ -320,5 +313,3 @@ class Court:
     gsd_m_per_px: float
     log_sd: float
     score: float
-    coverage: float
-    distortion: float

@@ -44,19 +44,24 @@ class Fit(NamedTuple):
         coverage: 0..1, share of the lines' length found where it should be.
         line_coverage: ``[lines]`` coverage of each line.
         log_sd: standard deviation of the log size, from the residuals.
-        distortion: deviation from the shape in the rules: the larger of log stretch and shear.
     """
 
     matrix: NDArray[np.float64]
     coverage: float
     line_coverage: NDArray[np.float64]
     log_sd: float
-    distortion: float
 
     @property
     def px_per_m(self) -> float:
         """Pixels per metre: square root of the scale of areas."""
         return math.sqrt(abs(float(np.linalg.det(self.matrix[:2, :2]))))
+
+    @property
+    def distortion(self) -> float:
+        """Deviation from the shape in the rules: the larger of log stretch and shear."""
+        local = self.matrix[:2, :2]
+        along, across = np.hypot(*local[:, 0]), np.hypot(*local[:, 1])
+        return float(max(abs(math.log(along / across)), abs(local[:, 0] @ local[:, 1]) / (along * across)))
 
 
 def pose_matrix(pose: Pose) -> NDArray[np.float64]:
@@ -104,7 +109,7 @@ def fit(grey: NDArray[np.float32], template: Template, matrix: NDArray[np.float6
         freedom: degrees of freedom: 4 similarity, 6 affine.
     """
     pieces = _cut(template)
-    offsets, strengths, jacobian = np.zeros(0), np.zeros(0), np.zeros((0, freedom))
+    jacobian = np.zeros((0, freedom))
     for reach in _REACHES_PX:
         offsets, strengths = _seen(grey, pieces, matrix, reach)
         jacobian = _jacobian(pieces, matrix, freedom)
@@ -113,37 +118,16 @@ def fit(grey: NDArray[np.float32], template: Template, matrix: NDArray[np.float6
             break
         matrix = matrix @ (np.eye(3) + np.tensordot(motion, _MOTIONS[: len(motion)], axes=1))
     offsets, strengths = _seen(grey, pieces, matrix, _REACHES_PX[-1])
-    return _with_quality(template, pieces, matrix, offsets, strengths, jacobian)
-
-
-def _with_quality(
-    template: Template,
-    pieces: _Pieces,
-    matrix: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-    strengths: NDArray[np.float64],
-    jacobian: NDArray[np.float64],
-) -> Fit:
-    """Compute coverage, standard deviation and distortion of a fitted template."""
     near = (strengths > 0) & (np.abs(offsets) <= _NEAR_PX)
-    n_lines = len(template.lines) + len(template.arcs)
-    total = np.bincount(pieces.line, pieces.lengths, n_lines)
-    covered = np.bincount(pieces.line, pieces.lengths * near, n_lines)
-    residual = float(np.sqrt(np.mean(offsets[near] ** 2))) if near.any() else math.inf
+    total = np.bincount(pieces.line, pieces.lengths)
+    covered = np.bincount(pieces.line, pieces.lengths * near)
     log_sd = math.inf
-    if near.sum() > jacobian.shape[1]:
+    if near.sum() > freedom:
         normal = jacobian[near].T @ jacobian[near]
         if np.linalg.cond(normal) < 1e12:
-            covariance = max(residual, 0.1) ** 2 * np.linalg.inv(normal)
-            log_sd = math.sqrt(covariance[2, 2])
-    coverage = float(covered.sum() / total.sum())
-    return Fit(matrix, coverage, covered / total, log_sd, _distortion(matrix))
-
-
-def _distortion(matrix: NDArray[np.float64]) -> float:
-    local = matrix[:2, :2]
-    along, across = np.hypot(*local[:, 0]), np.hypot(*local[:, 1])
-    return float(max(abs(math.log(along / across)), abs(local[:, 0] @ local[:, 1]) / (along * across)))
+            residual = float(np.sqrt(np.mean(offsets[near] ** 2)))
+            log_sd = math.sqrt((max(residual, 0.1) ** 2 * np.linalg.inv(normal))[2, 2])
+    return Fit(matrix, float(covered.sum() / total.sum()), covered / total, log_sd)
 
 
 def _seen(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -162,32 +161,6 @@ def _turned_sums(grey: NDArray[np.float32], start: Pose, angle: float, half_x: i
     return sums.ravel()
 
 
-class _Lines(NamedTuple):
-    """Segments of a template for matching: painted lines and blanks.
-
-    Attributes:
-        metres: ``[lines, 4]`` end points.
-        shares: ``[lines]`` shares of the score, negative for blanks.
-        along: ``[lines]`` whether a segment runs along the court.
-        long: indices of the long painted lines, which select the candidates.
-    """
-
-    metres: NDArray[np.float64]
-    shares: NDArray[np.float64]
-    along: NDArray[np.bool_]
-    long: NDArray[np.intp]
-
-
-@cache
-def _lines(template: Template) -> _Lines:
-    lines = np.array([*template.lines, *template.blank])
-    metres = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
-    wanted = np.arange(len(lines)) < len(template.lines)
-    shares = np.where(wanted, metres / metres[wanted].sum(), -metres / metres[~wanted].sum())
-    (long,) = np.nonzero(wanted & (metres >= _LONG * template.length_m))
-    return _Lines(lines, shares, lines[:, 1] == lines[:, 3], long)
-
-
 class _Ends(NamedTuple):
     """Indices into the cumulative sums for the segments of a template at and around the patch's centre.
 
@@ -210,7 +183,11 @@ class _Ends(NamedTuple):
         cls, template: Template, sizes: NDArray[np.float64], places: NDArray[np.intp], half_x: int, half_y: int
     ) -> _Ends:
         """Compute the indices of a template for every size."""
-        lines, shares, along, long = _lines(template)
+        lines = np.array([*template.lines, *template.blank])
+        metres = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
+        wanted, along = np.arange(len(lines)) < len(template.lines), lines[:, 1] == lines[:, 3]
+        shares = np.where(wanted, metres / metres[wanted].sum(), -metres / metres[~wanted].sum())
+        (long,) = np.nonzero(wanted & (metres >= _LONG * template.length_m))
         pixels = np.rint(lines[None] * sizes[:, None, None]).astype(np.intp)
         x1, y1, x2, y2 = np.moveaxis(pixels, 2, 0)
         pitch = 2 * half_x + 2

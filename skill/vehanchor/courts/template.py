@@ -7,7 +7,6 @@ middle. The templates are therefore smaller by half a line's usual width.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -81,7 +80,6 @@ def _tennis() -> Template:
     return Template("tennis", 23.77, 10.97, tuple(lines), tuple(blank))
 
 
-@cache
 def _basketball(kind: str) -> Template:
     length, width, key_length, key_width, arc, from_side = {
         "basketball_fiba": (28.0, 15.0, 5.8, 4.9, 6.75, 0.9),
