@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.analysis.pipeline import analyse_view, search_raster
 from vehanchor.analysis.scale import ScaleAnalysis
-from vehanchor.analysis.stored import stored_classes
+from vehanchor.analysis.stored import STORED_CLASSES
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import InvalidParameterError, VehAnchorError
@@ -124,13 +124,13 @@ def _of_full_search(chosen: Search) -> dict[str, Any]:
 
 
 def _dumped(searched: SearchedImage) -> Any:
-    return Codec(stored_classes()).dump(
+    return Codec(STORED_CLASSES).dump(
         (searched.detections, searched.image, list(searched.resolved.items()), searched.prior)
     )
 
 
 def _loaded(stored: Any) -> SearchedImage:
-    detections, image, resolved, prior = Codec(stored_classes()).load(stored)
+    detections, image, resolved, prior = Codec(STORED_CLASSES).load(stored)
     return SearchedImage(detections, image, dict(resolved), prior)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.analysis.pipeline import analyse_view
-from vehanchor.analysis.stored import stored_classes
+from vehanchor.analysis.stored import STORED_CLASSES
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.rulers.registry import ruler_class
@@ -60,7 +60,7 @@ class StoredPhotograph:
 
 def photograph_codec() -> Codec:
     """Codec of ``StoredPhotograph`` for journals."""
-    return Codec({**stored_classes(), "photograph_findings": StoredPhotograph})
+    return Codec({**STORED_CLASSES, "photograph_findings": StoredPhotograph})
 
 
 @dataclass(frozen=True, eq=False)

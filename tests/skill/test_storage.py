@@ -18,14 +18,13 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.skill.cut_off import CALIBRATION
-from vehanchor.analysis.stored import stored_classes
+from vehanchor.analysis.stored import STORED_CLASSES
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
-from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.ruler import assumed, point_witness, prior_witness
 from vehanchor.scale.density import flat, lognormal
 from vehanchor.scale.posterior import Mark, Witness
@@ -260,7 +259,7 @@ def test_a_journal_can_start_nothing(found: object) -> None:
     ids=lambda witness: witness.kind,
 )
 def test_all_witnesses_of_the_rulers_can_be_stored(witness: Witness) -> None:
-    codec = Codec(stored_classes())
+    codec = Codec(STORED_CLASSES)
     found = codec.load(json.loads(json.dumps(codec.dump(witness))))
     assert type(found) is Witness
     assert found.interval == witness.interval
@@ -268,15 +267,6 @@ def test_all_witnesses_of_the_rulers_can_be_stored(witness: Witness) -> None:
     assert [lack.reason for lack in found.lacks] == [lack.reason for lack in witness.lacks]
     assert np.array_equal(found.density, witness.density)
     assert np.array_equal(found.wrong, flat())
-
-
-def test_a_witness_that_a_ruler_declares_can_be_stored(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Widths(Witness):
-        """Witness of a ruler's own."""
-
-    monkeypatch.setattr(GivenHeight, "stored_classes", {"tests.widths": Widths})
-    codec = Codec(stored_classes())
-    assert isinstance(codec.load(codec.dump(Widths("height", n=0))), Widths)
 
 
 def test_a_refused_flush_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,14 +10,12 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
-from vehanchor.records.ruler_kinds import RULERS
-from vehanchor.rulers.registry import ruler_class
 from vehanchor.scale.lengths import Interval
 from vehanchor.scale.posterior import Lack, Mark, Witness
 from vehanchor.scale.reliability import Shared
 from vehanchor.tilt.camera_tilt import CameraTilt
 
-_CLASSES: dict[str, type[Any]] = {
+STORED_CLASSES: dict[str, type[Any]] = {
     "camera_metadata": CameraMetadata,
     "camera_tilt": CameraTilt,
     "detections": Detections,
@@ -35,9 +33,4 @@ _CLASSES: dict[str, type[Any]] = {
     "scene_level": SceneLevel,
     "scene_scale_prior": SceneScalePrior,
 }
-
-
-def stored_classes() -> dict[str, type[Any]]:
-    """Classes of intermediate results by their stored names, with those that rulers declare."""
-    declared = {name: kind for each in RULERS for name, kind in ruler_class(each).stored_classes.items()}
-    return declared | _CLASSES
+"""Classes of intermediate results by their stored names."""

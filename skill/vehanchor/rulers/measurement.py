@@ -37,7 +37,7 @@ def measure_all(view: View, known: Sequence[Witness] | None = None) -> tuple[Wit
     Returns:
         The witnesses; those of boxes first.
     """
-    rulers = [ruler for ruler in active_rulers(view.options.rulers) if not ruler.of_flights]
+    rulers = active_rulers(view.options.rulers)
     first = known
     if first is None:
         first = _measured([ruler for ruler in rulers if not ruler.measured_last], view)

@@ -38,7 +38,6 @@ class Positions(Ruler):
     colour = "#56B4E9"
     reads_metadata = True
     uses_plane = True
-    of_flights = True
 
     def measure(self, view: View) -> Witness | None:  # noqa: ARG002
         """Measure nothing: a single image has no baseline."""

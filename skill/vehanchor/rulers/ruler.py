@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -17,7 +16,7 @@ from vehanchor.scale.posterior import Lack, Mark, Witness
 from vehanchor.scale.reliability import CALLER
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -105,8 +104,6 @@ class Ruler:
         uses_plane: it measures on ``View.plane``. If False, it is left out in a tilted view.
         measured_last: ``View.expected``, by the rulers before it, tells it cars from parts of cars in a tilted view.
         sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other rulers.
-        of_flights: it measures the photographs of a flight together, never a single image.
-        stored_classes: classes of its witnesses by their names in journals; a name never changes.
     """
 
     kind: ClassVar[str]
@@ -120,8 +117,6 @@ class Ruler:
     uses_plane: ClassVar[bool] = False
     measured_last: ClassVar[bool] = False
     sets_scale: ClassVar[bool] = True
-    of_flights: ClassVar[bool] = False
-    stored_classes: ClassVar[Mapping[str, type[Witness]]] = MappingProxyType({})
 
     def measure(self, view: View) -> Witness | None:
         """Measure the scale; in a tilted view, the scale of the image's centre.
