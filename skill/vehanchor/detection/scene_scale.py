@@ -103,7 +103,7 @@ class SceneScalePrior:
 
     @cached_property
     def _size_odds(self) -> NDArray[np.float64]:
-        per_log = blurred(self.density, (1.0, 0.0, _SIZES_LOG_SD)) / (GRID[1] - GRID[0])
+        per_log = blurred(self.density, _SIZES_LOG_SD) / (GRID[1] - GRID[0])
         odds = np.log(np.maximum(per_log * _OPEN_LOG_WIDTH, _LEAST_PROBABILITY))
         return np.asarray(np.clip(odds, -_MOST_SIZE_ODDS, _MOST_SIZE_ODDS))
 

@@ -18,9 +18,9 @@ from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale, Notice
 from vehanchor.records.known_scale import known_scale
 from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.camera import height_log_sd
 from vehanchor.rulers.stated_scale import stated_witness
 from vehanchor.scale.defaults import USABLE_CHANCE
-from vehanchor.scale.height import height_log_sd
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.posterior import answer
 from vehanchor.scale.reliability import RELIABILITY

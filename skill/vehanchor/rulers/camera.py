@@ -15,7 +15,6 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.ruler import Ruler, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
-from vehanchor.scale.height import height_log_sd
 from vehanchor.scale.reliability import RELIABILITY, Shared
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 LENS, HEIGHT = "lens", "height above take-off"
 """Errors that the metadata share with a stated height."""
 
+_HEIGHT_SD_M = 2.0  # barometer, and take-off from a hand or roof
 _MAX_HEIGHT_M = 20_000.0
 _MAX_TILT_DEG = 85.0
 _MAX_DIGITAL_ZOOM = 1.01
@@ -117,6 +117,11 @@ def coarsening(tilt_deg: float) -> tuple[float, float]:
     """
     tilt = math.radians(tilt_deg)
     return math.cos(tilt) ** -1.5, 1.5 * math.tan(tilt) * math.radians(TILT_SD_DEG)
+
+
+def height_log_sd(height_m: float) -> float:
+    """Compute the standard deviation of the log of a height above take-off, as one above the ground."""
+    return math.hypot(RELIABILITY[Camera.kind].log_sd, _HEIGHT_SD_M / height_m)
 
 
 def _tilted(tilt_deg: float, *, unusable: bool = False) -> Notice:

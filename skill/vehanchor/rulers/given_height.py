@@ -25,10 +25,6 @@ _NO_LENS_OF_A_CROP = (
     "no focal length of the whole photograph holds for it, and the given height is not usable. If yours is that "
     "of the crop, leave out the metadata"
 )
-_NO_FOCAL_LENGTH = Notice(
-    code=NoticeCode.CAMERA_UNUSABLE,
-    message="The given height is not usable: the file has no usable focal length. Also give its 35 mm equivalent.",
-)
 
 
 class GivenHeight(Ruler):
@@ -57,20 +53,13 @@ class GivenHeight(Ruler):
         elif camera is not None:
             seen = lens(image, camera)
         if seen is None:
-            return unusable(self.kind, _NO_FOCAL_LENGTH)
+            return _unusable("the file has no usable focal length. Also give its 35 mm equivalent")
         coarser, tilt_log_sd = coarsening(0.0 if view.plane is None else view.plane.tilt_deg)
         gsd = chosen.height_m / seen.pixels * coarser
         said = f"The given height, {chosen.height_basis}, gives {{}}: {chosen.height_m:g} m and {seen.source}."
         said += " This is the scale of the image's centre." if view.plane else ""
         if not on_grid(gsd):
-            return unusable(
-                self.kind,
-                Notice(
-                    code=NoticeCode.CAMERA_UNUSABLE,
-                    message=f"The given height is not usable: {chosen.height_m:g} m and {seen.source} would give "
-                    f"{gsd:.3g} m/px.",
-                ),
-            )
+            return _unusable(f"{chosen.height_m:g} m and {seen.source} would give {gsd:.3g} m/px")
         reliability = RELIABILITY["assumed" if chosen.height_basis == "assumed" else "measured height"]
         log_sd = reliability.log_sd
         if chosen.height_tolerance_m is not None:
@@ -85,6 +74,11 @@ class GivenHeight(Ruler):
             marks=[mark_of_height(image, chosen.height_m)],
         )
         return assumed(found) if chosen.height_basis == "assumed" else found
+
+
+def _unusable(why: str) -> Witness:
+    message = f"The given height is not usable: {why}."
+    return unusable(GivenHeight.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
 
 
 def _repeats(view: View, height_m: float) -> bool:

@@ -54,17 +54,18 @@ class KnownLengths(Ruler):
             return None
         drawn = [_drawn(line, view) for line in lines]
         groups = _groups(drawn)
-        measured = [group for group in groups if group[0].line.basis == "measured"]
-        basis = "measured" if measured else "assumed"
-        each = [_witness(group, view.options.reference.region) for group in measured or groups]
-        found = each[0] if len(each) == 1 else _combined(each)
+        each = [_witness(group, view.options.reference.region) for group in groups]
+        measured = [one for one, group in zip(each, groups, strict=True) if group[0].line.basis == "measured"]
+        basis, heard = "measured" if measured else "assumed", measured or each
+        # each may be wrong by itself; contradictions show as several modes
+        found = heard[0] if len(heard) == 1 else _of_density(product(*(one.density for one in heard)), 0.0)
         given = f"The {len(lines)} given lines, {basis}, give" if len(lines) > 1 else f"The given line, {basis}, gives"
         assert found.gsd_m_per_px is not None
         assert found.interval is not None
         found = replace(
             found,
             n=len(lines),
-            notices=_lines_disagree(groups, [_witness(group, view.options.reference.region) for group in groups]),
+            notices=_lines_disagree(groups, each),
             said=f"{given} {in_words(found.gsd_m_per_px, found.interval)}."
             + (" This is the scale of the image's centre." if view.plane else ""),
             marks=tuple(Mark(one.ends, _label(one.line)) for one in drawn),
@@ -134,11 +135,6 @@ def _witness(drawn: Sequence[_Drawn], region: str | None) -> Witness:
         for each in possible
     ]
     return _of_density(sum(densities, np.zeros(1)), chance_wrong)
-
-
-def _combined(lines: Sequence[Witness]) -> Witness:
-    """Multiply lines, each of which may be wrong by itself; contradictions show as several modes."""
-    return _of_density(product(*(each.density for each in lines)), 0.0)
 
 
 def _of_density(right: NDArray[np.float64], chance_wrong: float) -> Witness:

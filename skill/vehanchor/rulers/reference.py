@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.countries import COUNTRY_CODES, COUNTRY_REGIONS, country_length
-from vehanchor.scale.reliability import FLEETS, KNOWN_REGION, LOOKS_LOG_SD
+from vehanchor.scale.reliability import KNOWN_REGION, LOOKS_LOG_MEAN, LOOKS_LOG_SD
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,25 +30,16 @@ class ReferenceLength(NamedTuple):
     Attributes:
         length_m: metres.
         source: source of the length.
-        errors: of its log, a mixture of normals: weight, mean and standard deviation of each.
+        log_sd: standard deviation of its log between places.
+        log_mean: mean error of its log.
         by_looks: log of the factor on the vehicles' lengths by their appearance; None if these are not used.
     """
 
     length_m: float
     source: ReferenceSource
-    errors: tuple[tuple[float, float, float], ...]
+    log_sd: float
+    log_mean: float = 0.0
     by_looks: float | None = None
-
-    @classmethod
-    def of(cls, length_m: float, sd_m: float, source: ReferenceSource) -> ReferenceLength:
-        """Make a reference length with a standard deviation between places, metres."""
-        return cls(length_m, source, ((1.0, 0.0, sd_m / length_m),))
-
-    @property
-    def log_sd(self) -> float:
-        """Standard deviation of its log between places."""
-        mean = sum(weight * mean for weight, mean, _ in self.errors)
-        return math.sqrt(sum(weight * (sd**2 + (each - mean) ** 2) for weight, each, sd in self.errors))
 
 
 def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) -> ReferenceLength:
@@ -71,30 +62,31 @@ def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) 
     """
     if given.calibration is not None:
         given.calibration.check_detector(card.name, card.sha256)
-        measured = given.calibration
-        return ReferenceLength.of(measured.reference_length_m, measured.reference_length_sd_m, "calibration")
+        length_m, sd_m = given.calibration.reference_length_m, given.calibration.reference_length_sd_m
+        return ReferenceLength(length_m, "calibration", sd_m / length_m)
+    sd_m = card.reference_length_sd_m
     if given.reference_length_m is not None:
-        return ReferenceLength.of(given.reference_length_m, _KNOWN_LENGTH * card.reference_length_sd_m, "given")
+        return ReferenceLength(given.reference_length_m, "given", _KNOWN_LENGTH * sd_m / given.reference_length_m)
     if card.bodies is not None and looks is not None:
         return _by_looks(card.bodies, looks, given.region)
     if given.region is not None:
         length_m = _region_length(given.region, card.region_lengths_m)
-        return ReferenceLength.of(length_m, KNOWN_REGION * card.reference_length_sd_m, "region")
-    return ReferenceLength.of(card.reference_length_m, card.reference_length_sd_m, "model")
+        return ReferenceLength(length_m, "region", KNOWN_REGION * sd_m / length_m)
+    return ReferenceLength(card.reference_length_m, "model", sd_m / card.reference_length_m)
 
 
 def _by_looks(bodies: BodyLengths, looks: Looks, region: str | None) -> ReferenceLength:
     """Read the reference length from appearances, and move it towards that of a region."""
     log_length = float(looks.log_lengths.mean())
     if region is None:
-        return ReferenceLength(math.exp(log_length), "appearance", FLEETS, 0.0)
+        return ReferenceLength(math.exp(log_length), "appearance", LOOKS_LOG_SD, LOOKS_LOG_MEAN, 0.0)
     usual = math.log(bodies.reference_length_m)
     fleet = (len(looks) * log_length + _USUAL_CARS * usual) / (len(looks) + _USUAL_CARS)
     spread = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
     share = LOOKS_LOG_SD**2 / (LOOKS_LOG_SD**2 + spread**2)
     moved = share * (math.log(_region_length(region, bodies.region_lengths_m)) - fleet)
-    errors = tuple((weight, (1 - share) * mean, math.sqrt(1 - share) * sd) for weight, mean, sd in FLEETS)
-    return ReferenceLength(math.exp(log_length + moved), "region", errors, moved)
+    log_sd, log_mean = math.sqrt(1 - share) * LOOKS_LOG_SD, (1 - share) * LOOKS_LOG_MEAN
+    return ReferenceLength(math.exp(log_length + moved), "region", log_sd, log_mean, moved)
 
 
 def _region_length(name: str, known: Mapping[str, float]) -> float:

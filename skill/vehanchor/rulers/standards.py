@@ -57,11 +57,6 @@ class Standard(NamedTuple):
     source: str
     variants: tuple[Variant, ...]
 
-    @property
-    def label(self) -> str:
-        """Name in messages."""
-        return self.name.replace("_", " ")
-
     def lengths_in(self, place: str | None) -> tuple[Variant, ...]:
         """Select the lengths of a country or region, with weights that add up to 1; all lengths if none is of it."""
         chosen = [each for each in self.variants if place and each.is_of(place)] or self.variants

@@ -16,7 +16,14 @@ from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import GRID, blurred, flat, lognormal, on_grid, product
-from vehanchor.scale.lengths import dominant_group, guard_length, inlier_mask, modal_length, statistical_log_sds
+from vehanchor.scale.lengths import (
+    LEAST_SCORE,
+    dominant_group,
+    guard_length,
+    inlier_mask,
+    modal_length,
+    statistical_log_sds,
+)
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.scale.reliability import CAR_LOG_SD, RELIABILITY, uncalibrated_wrong, unresolved
@@ -24,7 +31,7 @@ from vehanchor.scale.votes import UNCALIBRATED, vehicle_likelihood
 from vehanchor.tilt.rectified import rectified
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
@@ -37,10 +44,8 @@ if TYPE_CHECKING:
     from vehanchor.scale.paper import PaperScale
     from vehanchor.scale.votes import Votes
 
-_LEAST_SCORE = 1e-3  # floor of the scores, so that a detection counts
 _LOOK_ALIKE_LENGTHS = 1.5  # of cars: vans, caravans, lorries, containers, boats; a choice
 _LOOK_ALIKE_LOG_SD = 0.4  # of the scale, if the vehicles are look-alikes; a choice
-_COARSEST = 2.9  # metres per pixel, on the grid
 _CLEAR_SCORE = 1.0  # of a car that nobody doubts
 
 
@@ -107,7 +112,7 @@ def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float6
         kept, rival_share = inlier_mask(found, lengths.alpha), 0.0
     else:
         weights = _expected_weights(found, expected)
-        weights = np.where(stated, 1.0, weights) * np.maximum(detections.scores, _LEAST_SCORE) ** 2
+        weights = np.where(stated, 1.0, weights) * np.maximum(detections.scores, LEAST_SCORE) ** 2
         group = dominant_group(found, weights, stated)
         kept, rival_share = group.members.copy(), group.rival_share
         kept[kept] = inlier_mask(found[kept], lengths.alpha)
@@ -138,27 +143,31 @@ class VehicleWitness(Witness):
 
     Attributes:
         fleet: the vehicles.
+        card: of the detector.
         reference: ``L_ref`` and its source.
         mode_length_px: ``P_mode``; None without vehicles.
         aggregation: statistic of the lengths.
-        length_range_px: shortest and longest vehicle in the model's training data.
-        guard_length_px: ``P_thresh`` of the resolution guard.
         resolved: share of the pixels' resolution at which there is detail.
         doubted: whether the vehicles may be look-alikes, the image stretched, or the vehicles too coarse.
     """
 
     fleet: Fleet
+    card: DetectorCard
     reference: ReferenceLength
     mode_length_px: float | None
     aggregation: Aggregation
-    length_range_px: tuple[float, float]
-    guard_length_px: float
     resolved: float
     doubted: bool = False
+
+    @property
+    def guard_length_px(self) -> float:
+        """``P_thresh`` of the resolution guard."""
+        return guard_length(self.reference.length_m, self.card.min_length_px)
 
     @cached_property
     def paper(self) -> PaperScale:
         """Scale by the published method; a search needs none of it."""
+        shortest_px, longest_px = self.card.length_range_px
         return paper_scale(
             self.fleet.lengths,
             self.fleet.scores,
@@ -166,15 +175,14 @@ class VehicleWitness(Witness):
             (self.reference.length_m, self.reference.log_sd * self.reference.length_m),
             seen_scale=self.fleet.working_scale or 1.0,
             guard_length_px=self.guard_length_px,
-            length_range_px=self.length_range_px,
+            length_range_px=(max(self.card.min_length_px, shortest_px), longest_px),
         )
 
     @property
     def statistical_log_sds(self) -> tuple[float, float]:
         """Log standard deviations of the mode under resampling and of the fleet's spread; there must be vehicles."""
         assert self.mode_length_px is not None
-        scores = self.fleet.scores if self.aggregation == "weighted_kde" else None
-        return statistical_log_sds(self.fleet.lengths, self.mode_length_px, scores=scores)
+        return statistical_log_sds(self.fleet.lengths, self.fleet.scores, self.mode_length_px, self.aggregation)
 
 
 class Vehicles(Ruler):
@@ -199,43 +207,68 @@ class Vehicles(Ruler):
         """
         card, plane = view.card, view.plane
         detections = view.detections if plane is None else rectified(view.detections, plane)
-        fleet = select(detections, view.options.lengths, _expected(view))
-        reference = reference_length(card, view.options.reference, fleet.looks)
-        guard_px, seen_scale = guard_length(reference.length_m, card.min_length_px), fleet.working_scale or 1.0
+        expected = view.expected if view.prior is None or plane is not None else view.prior.density
+        fleet = select(detections, view.options.lengths, expected)
         mode_px, aggregation = None, view.options.lengths.aggregation or card.aggregation
-        if len(fleet.lengths):
+        if fleet.kept.any():
             mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, aggregation)
-        gsd = None if mode_px is None else reference.length_m / mode_px
-        resolved = view.resolved_share(fleet.centres, seen_scale)
-        seen_px = (mode_px or 0.0) * seen_scale  # in pixels of the copy that the model saw
-        doubts = _doubts(fleet, None if plane else detections.stretch)
-        coarseness = guard_px / (seen_px * resolved) if seen_px else 0.0
-        votes = _Votes(
-            fleet, card, reference, coarseness, doubts, only_kept=plane is not None and view.expected is not None
-        )
-        unresolved_only = seen_px >= guard_px > seen_px * resolved
-        return VehicleWitness(
+        seen_scale = fleet.working_scale or 1.0
+        found = VehicleWitness(
             self.kind,
-            gsd,
-            votes.density() if len(fleet.lengths) else None,
-            votes.chance_wrong,
-            votes.wrong(gsd),
             n=len(fleet.lengths),
-            notices=(
-                *_capped(detections),
-                *([_detail_missing(seen_px, resolved, guard_px)] if unresolved_only else []),
-                *(_DOUBTS[doubt] for doubt in doubts),
-            ),
-            lacks=votes.lacks() if len(fleet.lengths) else (),
+            notices=_capped(detections),
             fleet=fleet,
-            reference=reference,
+            card=card,
+            reference=reference_length(card, view.options.reference, fleet.looks),
             mode_length_px=mode_px,
             aggregation=aggregation,
-            length_range_px=(max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
-            guard_length_px=guard_px,
-            resolved=resolved,
-            doubted=bool(doubts) or votes.chance_wrong > _Votes(fleet, card, reference).chance_wrong,
+            resolved=view.resolved_share(fleet.centres, seen_scale),
         )
+        if mode_px is None:
+            return found
+        alone = fleet.is_stated or (plane is not None and view.expected is not None)
+        return _with_votes(found, mode_px * seen_scale, None if plane else detections.stretch, only_kept=alone)
+
+
+def _with_votes(found: VehicleWitness, seen_px: float, stretch: float | None, *, only_kept: bool) -> VehicleWitness:
+    """Add the evidence of the vehicles' votes, and doubts about it.
+
+    Args:
+        found: the vehicles.
+        seen_px: their modal length in pixels of the copy that the model saw.
+        stretch: as in ``Detections``.
+        only_kept: whether the fleet alone votes: in a tilted view, the other boxes are parts of cars.
+    """
+    assert found.mode_length_px is not None
+    gsd, guard_px = found.reference.length_m / found.mode_length_px, found.guard_length_px
+    doubts = _doubts(found.fleet, stretch)
+    votes = _Votes(found.fleet, found.card, found.reference, guard_px / (seen_px * found.resolved), doubts, only_kept)
+    likelihood = votes.likelihood(found.fleet.detections.scores)
+    unresolved_only = seen_px >= guard_px > seen_px * found.resolved
+    return replace(
+        found,
+        gsd_m_per_px=gsd,
+        right=votes.density(likelihood),
+        chance_wrong=votes.chance_wrong,
+        wrong=_look_alike_density(gsd) if NoticeCode.LOOK_ALIKES in doubts else flat(),
+        notices=(
+            *found.notices,
+            *([_detail_missing(seen_px, found.resolved, guard_px)] if unresolved_only else []),
+            *(_DOUBTS[doubt] for doubt in doubts),
+        ),
+        lacks=votes.lacks(likelihood),
+        doubted=bool(doubts) or votes.coarseness > 1.0,
+    )
+
+
+def _look_alike_density(gsd_m_per_px: float) -> NDArray[np.float64]:
+    """Make the density ``[g]`` of the scale if the vehicles are look-alikes: longer than cars.
+
+    It lies near the vehicles' scale, so that a prior which agrees with that does not remove the doubt.
+    """
+    if not on_grid(gsd_m_per_px):
+        return flat()
+    return (lognormal(min(gsd_m_per_px * _LOOK_ALIKE_LENGTHS, math.exp(GRID[-1])), _LOOK_ALIKE_LOG_SD) + flat()) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,57 +281,35 @@ class _Votes:
         reference: ``L_ref``.
         coarseness: ``P_thresh`` over the vehicles' resolved length; above 1 they are too coarse.
         doubts: that the vehicles are cars of true proportions.
-        only_kept: whether the fleet alone votes: in a tilted view, the other boxes are parts of cars.
+        only_kept: whether the fleet alone votes.
     """
 
     fleet: Fleet
     card: DetectorCard
     reference: ReferenceLength
-    coarseness: float = 0.0
-    doubts: tuple[NoticeCode, ...] = ()
-    only_kept: bool = False
+    coarseness: float
+    doubts: tuple[NoticeCode, ...]
+    only_kept: bool
 
     @property
     def chance_wrong(self) -> float:
         """0..1, chance that the vehicles do not tell the scale."""
         if self.card.votes is None:
             likely = UNCALIBRATED.log_odds(self.fleet.scores) > 0
-            chances = [uncalibrated_wrong(int(likely.sum()))]
+            chance = uncalibrated_wrong(int(likely.sum()))
         else:
-            chances = [RELIABILITY["vehicles"].chance_wrong]
+            chance = RELIABILITY["vehicles"].chance_wrong
         if NoticeCode.LOOK_ALIKES in self.doubts:
-            chances.append(RELIABILITY["vehicles, look-alikes"].chance_wrong)
+            chance = max(chance, RELIABILITY["vehicles, look-alikes"].chance_wrong)
         rival_odds = self.fleet.rival_share**2  # that the other group is the fleet; a choice
-        rival_wrong = rival_odds / (1.0 + rival_odds)
-        return 1.0 - (1.0 - max(*chances, rival_wrong)) * (1.0 - unresolved(self.coarseness).chance_wrong)
+        chance = max(chance, rival_odds / (1.0 + rival_odds))
+        return 1.0 - (1.0 - chance) * (1.0 - unresolved(self.coarseness).chance_wrong)
 
-    def wrong(self, gsd_m_per_px: float | None) -> NDArray[np.float64]:
-        """Return the density ``[g]`` of the scale if the vehicles are wrong.
+    def likelihood(self, scores: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute the density ``[g]`` of the scale for a known fleet, with these scores ``[n]``.
 
-        Flat without doubts. Look-alikes are longer than cars; their scale lies near the vehicles' scale, so that a
-        prior which agrees with it does not remove the doubt.
+        The boxes' lengths in metres, if they are cars, are those by their looks, or the reference.
         """
-        if gsd_m_per_px is None or not on_grid(gsd_m_per_px) or NoticeCode.LOOK_ALIKES not in self.doubts:
-            return flat()
-        return (lognormal(min(gsd_m_per_px * _LOOK_ALIKE_LENGTHS, _COARSEST), _LOOK_ALIKE_LOG_SD) + flat()) / 2
-
-    @cached_property
-    def _likelihood(self) -> NDArray[np.float64]:
-        return self._likelihood_of(self.fleet.detections.scores)
-
-    def _likelihood_of(self, scores: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute the density ``[g]`` of the scale for a known reference length, with these scores ``[n]``."""
-        found = self.fleet.detections
-        alone = self.only_kept or self.fleet.is_stated
-        voting = self.fleet.kept if alone else np.ones(len(self.fleet.kept), bool)
-        lengths_m, log_sds = self._lengths_m
-        return vehicle_likelihood(
-            found.boxes[voting, 2], scores[voting], lengths_m[voting], self._model, log_sds[voting]
-        )
-
-    @cached_property
-    def _lengths_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lengths ``[n]`` in metres if the boxes are cars, by their looks or the reference, and their log errors."""
         found = self.fleet.detections
         lengths_m, log_sds = np.full(len(found.boxes), self.reference.length_m), np.full(len(found.boxes), CAR_LOG_SD)
         if self.reference.by_looks is not None and found.looks is not None:
@@ -307,51 +318,37 @@ class _Votes:
             log_sds[:seen] = found.looks.log_sds
         if found.corrections is not None:
             log_sds = np.hypot(log_sds, found.corrections.pointed_log_sds)
-        return lengths_m, log_sds
+        voting = self.fleet.kept if self.only_kept else slice(None)
+        return vehicle_likelihood(
+            found.boxes[voting, 2], scores[voting], lengths_m[voting], self._model, log_sds[voting]
+        )
 
     @property
     def _model(self) -> Votes:
         return self.card.votes or UNCALIBRATED
 
-    def density(self) -> NDArray[np.float64]:
-        """Compute the density ``[g]`` of the scale, widened by the errors of the fleet and of too coarse vehicles."""
-        return self._widened(self._likelihood, self.reference.errors)
+    def density(self, likelihood: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Widen a likelihood ``[g]`` by the errors of the fleet and of too coarse vehicles."""
+        log_sd = math.hypot(self.reference.log_sd, unresolved(self.coarseness).log_sd)
+        return blurred(likelihood, log_sd, self.reference.log_mean)
 
-    def _widened(
-        self, likelihood: NDArray[np.float64], errors: Sequence[tuple[float, float, float]] = ((1.0, 0.0, 0.0),)
-    ) -> NDArray[np.float64]:
-        coarse_log_sd = unresolved(self.coarseness).log_sd
-        return blurred(likelihood, *((weight, mean, math.hypot(sd, coarse_log_sd)) for weight, mean, sd in errors))
-
-    def lacks(self) -> tuple[Lack, ...]:
+    def lacks(self, likelihood: NDArray[np.float64]) -> tuple[Lack, ...]:
         """List what would raise the vehicles' weight: detail, cars without doubt, one car more, a known fleet."""
-        sharp = blurred(self._likelihood, *self.reference.errors)
-        clear = self._likelihood_of(np.where(self.fleet.kept, _CLEAR_SCORE, self.fleet.detections.scores))
+        clear = self.likelihood(np.where(self.fleet.kept, _CLEAR_SCORE, self.fleet.detections.scores))
         car_px = np.median(self.fleet.lengths)
-        one_more = product(
-            self._likelihood, vehicle_likelihood([car_px], [_CLEAR_SCORE], self.reference.length_m, self._model)
-        )
-        known_doubts = tuple(doubt for doubt in self.doubts if doubt != NoticeCode.LOOK_ALIKES)
-        sharp_wrong = replace(self, coarseness=0.0).chance_wrong
-        alike_wrong = replace(self, doubts=known_doubts).chance_wrong
-        alone_wrong = replace(self, fleet=replace(self.fleet, rival_share=0.0)).chance_wrong
-        errors = self.reference.errors
-        without: list[tuple[Reason, NDArray[np.float64], float]] = [
-            ("too_coarse", sharp, sharp_wrong),
-            ("not_cars", self._widened(clear, errors), alike_wrong),
-            ("disagree", self.density(), alone_wrong),
-            ("too_few", self._widened(one_more, errors), self.chance_wrong),
-            ("imprecise", self._widened(self._likelihood), self.chance_wrong),
+        another = vehicle_likelihood([car_px], [_CLEAR_SCORE], self.reference.length_m, self._model)
+        cars = tuple(doubt for doubt in self.doubts if doubt != NoticeCode.LOOK_ALIKES)
+        without: list[tuple[Reason, _Votes, NDArray[np.float64]]] = [
+            ("too_coarse", replace(self, coarseness=0.0), likelihood),
+            ("not_cars", replace(self, doubts=cars), clear),
+            ("disagree", replace(self, fleet=replace(self.fleet, rival_share=0.0)), likelihood),
+            ("too_few", self, product(likelihood, another)),
+            ("imprecise", replace(self, reference=self.reference._replace(log_sd=0.0, log_mean=0.0)), likelihood),
         ]
         return tuple(
-            Lack(reason, Witness(Vehicles.kind, None, density, chance_wrong))
-            for reason, density, chance_wrong in without
+            Lack(reason, Witness(Vehicles.kind, None, votes.density(density), votes.chance_wrong))
+            for reason, votes, density in without
         )
-
-
-def _expected(view: View) -> NDArray[np.float64] | None:
-    """Choose the density of the scale that identifies cars: the prior, or in a tilted view that of other rulers."""
-    return view.expected if view.prior is None or view.plane is not None else view.prior.density
 
 
 _DOUBTS = {
@@ -374,7 +371,7 @@ def _doubts(fleet: Fleet, stretch: float | None) -> tuple[NoticeCode, ...]:
 
     A caller who states that most of the vehicles are cars resolves the doubt that they are look-alikes.
     """
-    if fleet.detections.scales is None or not len(fleet.lengths):
+    if fleet.detections.scales is None:
         return ()
     return (
         *([NoticeCode.STRETCHED] if stretch is not None and abs(stretch) > 1.0 else []),
@@ -382,16 +379,14 @@ def _doubts(fleet: Fleet, stretch: float | None) -> tuple[NoticeCode, ...]:
     )
 
 
-def _capped(detections: Detections) -> list[Notice]:
+def _capped(detections: Detections) -> tuple[Notice, ...]:
     if not detections.n_capped_tiles:
-        return []
-    return [
-        Notice(
-            code=NoticeCode.DETECTIONS_CAPPED,
-            message=f"{detections.n_capped_tiles} of {detections.n_tiles} tiles reached the model's largest "
-            "number of boxes: vehicles may be missing. Export the model without nms=True, or use smaller tiles.",
-        )
-    ]
+        return ()
+    message = (
+        f"{detections.n_capped_tiles} of {detections.n_tiles} tiles reached the model's largest number of boxes: "
+        "vehicles may be missing. Export the model without nms=True, or use smaller tiles."
+    )
+    return (Notice(code=NoticeCode.DETECTIONS_CAPPED, message=message),)
 
 
 def _detail_missing(seen_px: float, resolved: float, guard_px: float) -> Notice:

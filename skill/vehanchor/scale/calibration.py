@@ -271,16 +271,16 @@ def calibrate(
             below the resolution guard (paper, equation 6), where measured lengths are too short.
     """
     with_vehicles = _with_vehicles(images, source)
+    counts = [len(image.boxes) for image in with_vehicles]
+    median_gsd = float(np.median(np.repeat([image.gsd_m_per_px for image in with_vehicles], counts)))
+    truth_log_sd = float(np.median(np.repeat([image.gsd_log_sd for image in with_vehicles], counts)))
     length = modal_length_m(with_vehicles)
-    truth_log_sd = _truth_log_sd(with_vehicles)
     spread_m = math.hypot(length.sd_m, region_sd_m / 2, truth_log_sd * length.mode_m)
     _check_lengths(length.mode_m, spread_m)
     lengths_px = np.concatenate([image.boxes[:, 2] for image in with_vehicles])
     weights, smoothing = _weights(with_vehicles, lengths_px)
     mode_px = kde_mode(lengths_px, weights, smoothing=smoothing)
     shortest_px = guard_length(length.mode_m, min_length_px)
-    scales = np.repeat([i.gsd_m_per_px for i in with_vehicles], [len(i.boxes) for i in with_vehicles])
-    median_gsd = float(np.median(scales))
     if mode_px < shortest_px:
         raise CalibrationRefusedError(
             f"the imagery is too coarse: vehicles are {mode_px:.1f} px long at {median_gsd:.3g} m/px, below the "
@@ -301,11 +301,6 @@ def calibrate(
         detector=detector,
         detector_sha256=detector_sha256,
     )
-
-
-def _truth_log_sd(images: Sequence[SurveyedImage]) -> float:
-    """Compute the median, over the vehicles, of the log standard deviation of their image's scale."""
-    return float(np.median(np.repeat([i.gsd_log_sd for i in images], [len(i.boxes) for i in images])))
 
 
 def _widened(length: ModalLength, log_sd: float) -> tuple[float, float]:

@@ -22,7 +22,7 @@ GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_ST
 """``[g]`` natural logs of metres per pixel."""
 
 LEAST_PROBABILITY = 1e-300  # of a cell, so that it has a log
-_KERNEL_REACH_SDS = 6.0
+KERNEL_REACH_SDS = 6.0
 
 
 def flat() -> NDArray[np.float64]:
@@ -54,24 +54,23 @@ def normalised(density: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(density / density.sum())
 
 
-def blurred(density: NDArray[np.float64], *normals: tuple[float, float, float]) -> NDArray[np.float64]:
-    """Add an error of the log scale: a mixture of normals.
+def blurred(density: NDArray[np.float64], log_sd: float, log_mean: float = 0.0) -> NDArray[np.float64]:
+    """Add a normal error of the log scale.
 
     Args:
         density: ``[g]`` probabilities.
-        *normals: weight, mean and standard deviation of each; one of less than a tenth of a cell is taken as exact.
+        log_sd: standard deviation of the error; less than a sixtieth of a cell is taken as exact.
+        log_mean: its mean.
 
     Returns:
         ``[g]`` probabilities.
     """
-    reach = max(abs(mean) + _KERNEL_REACH_SDS * log_sd for _, mean, log_sd in normals)
+    reach = abs(log_mean) + KERNEL_REACH_SDS * log_sd
     if reach < LOG_STEP / 10:
         return density
     cells = math.ceil(reach / LOG_STEP)
     errors = np.arange(-cells, cells + 1) * LOG_STEP
-    kernel = np.zeros(len(errors))
-    for weight, mean, log_sd in normals:
-        kernel += weight * normalised(np.exp(-0.5 * ((errors - mean) / max(log_sd, LOG_STEP)) ** 2))
+    kernel = normalised(np.exp(-0.5 * ((errors - log_mean) / max(log_sd, LOG_STEP)) ** 2))
     padded = np.pad(density, cells, mode="edge")  # a flat floor stays flat
     return normalised(np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0))
 

@@ -22,7 +22,7 @@ _GROUP_LOG_STEP = 0.01
 _GRID_STEP = 0.2  # of a bandwidth; the maximum is then refined between grid points
 _MAY_BE_HIGHEST = 0.98  # of the highest point of the grid, which lies up to a tenth of a bandwidth beside its peak
 WEIGHTED_SMOOTHING = 2.0  # of Scott's bandwidth; on the train split 1.5 to 3 do alike, 1 jumps between peaks
-_LEAST_SCORE = 1e-3  # some models give scores of 0
+LEAST_SCORE = 1e-3  # some models give scores of 0
 _BOOTSTRAP_REPLICATES = 400
 _BOOTSTRAP_SEED = 20260
 _FLEET_LOG_SD = 0.40  # error of an estimate from one car, false alarms included, fitted on the held-out tenth
@@ -218,7 +218,7 @@ def vehicle_weights(lengths: ArrayLike, scores: ArrayLike) -> NDArray[np.float64
     Returns:
         ``[n]`` positive.
     """
-    score = np.maximum(np.asarray(scores, dtype=np.float64), _LEAST_SCORE)
+    score = np.maximum(np.asarray(scores, dtype=np.float64), LEAST_SCORE)
     return np.asarray(score**2 * np.asarray(lengths, dtype=np.float64))
 
 
@@ -291,53 +291,27 @@ def _bootstrap_log_sd(
     return float(np.sqrt(np.mean(np.log(modes / mode) ** 2)))
 
 
-def statistical_log_sds(lengths: ArrayLike, mode_px: float, *, scores: ArrayLike | None = None) -> tuple[float, float]:
+def statistical_log_sds(
+    lengths: ArrayLike, scores: ArrayLike, mode_px: float, aggregation: Aggregation
+) -> tuple[float, float]:
     """Compute the part of the scale's uncertainty that more vehicles reduce.
 
     Args:
         lengths: ``[n]`` lengths behind ``mode_px``, pixels, n >= 1.
+        scores: ``[n]`` detection scores.
         mode_px: ``P_mode``.
-        scores: ``[n]`` detection scores for ``weighted_kde``; else None.
+        aggregation: its statistic; ``weighted_kde`` uses the scores.
 
     Returns:
-        Log standard deviations of two independent causes: the mode under resampling, and the fleet's own spread.
+        Log standard deviations of two independent causes: the mode under resampling, and the fleet's own spread
+        divided by the root of the number of cars. The second one stays large if a few cars agree by chance.
     """
     values = np.asarray(lengths, dtype=np.float64)
     weights, smoothing = np.ones(len(values)), 1.0
-    if scores is not None:
+    if aggregation == "weighted_kde":
         weights, smoothing = vehicle_weights(values, scores), WEIGHTED_SMOOTHING
     resampling = _bootstrap_log_sd(values, mode_px, weights, smoothing) if len(values) >= MIN_KDE_VEHICLES else 0.0
     return resampling, _FLEET_LOG_SD / np.sqrt(len(values))
-
-
-def gsd_interval(
-    lengths: ArrayLike,
-    mode_px: float,
-    reference_length_m: float,
-    reference_log_sd: float,
-    *,
-    scores: ArrayLike | None = None,
-) -> Interval:
-    """Compute the 95 % interval of the GSD.
-
-    The log of the GSD is taken as normal. Its variance is the sum of three independent causes: the mode under
-    resampling (bootstrap, fixed seed), the fleet's own spread divided by the number of cars, and the reference length
-    between regions. The second term keeps the interval wide if a few cars agree by chance.
-
-    Args:
-        lengths: ``[n]`` lengths behind ``mode_px``, pixels.
-        mode_px: ``P_mode``.
-        reference_length_m: ``L_ref``.
-        reference_log_sd: standard deviation of its log between regions.
-        scores: ``[n]`` detection scores for ``weighted_kde``; else None.
-
-    Returns:
-        Metres per pixel, low and high.
-    """
-    resampling, fleet = statistical_log_sds(lengths, mode_px, scores=scores)
-    reach = float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + reference_log_sd**2)))
-    gsd = reference_length_m / mode_px
-    return Interval(gsd / reach, gsd * reach)
 
 
 def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:

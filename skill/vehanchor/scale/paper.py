@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from vehanchor.scale.lengths import MIN_KDE_VEHICLES, gsd_interval
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES, Z95, Interval, statistical_log_sds
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from vehanchor.scale.defaults import Aggregation
-    from vehanchor.scale.lengths import Interval
 
 FALLBACK_CONFIDENCE = 0.5  # paper, section III-E: with less a planner must fall back
 GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
@@ -89,12 +88,13 @@ def paper_scale(
     if mode_px is None:
         return PaperScale(None, None, 0.0, Terms(), guarded=False)
     length_m, log_sd = reference_m[0], reference_m[1] / reference_m[0]
-    weighted = score if aggregation == "weighted_kde" else None
+    gsd, (resampling, fleet) = length_m / mode_px, statistical_log_sds(values, score, mode_px, aggregation)
+    reach = float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + log_sd**2)))  # of a lognormal 95 % interval
     terms = confidence_terms(values, score, mode_px * seen_scale, length_range_px)
     guarded = mode_px * seen_scale < guard_length_px
     return PaperScale(
-        length_m / mode_px,
-        gsd_interval(values, mode_px, length_m, log_sd, scores=weighted),
+        gsd,
+        Interval(gsd / reach, gsd * reach),
         composite(terms, guarded=guarded),
         terms,
         guarded,

@@ -9,7 +9,7 @@ the image. At nadir ``n = (0, 0, 1)``, and the only scale is ``h / f``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,7 +61,8 @@ class GroundPlane:
         Raises:
             TooObliqueError: the ray of a corner descends at less than ten degrees.
         """
-        if float(self._descents(self._corners).min()) < LEAST_DESCENT:
+        rays = self._rays(self._corners)
+        if float((rays @ self.down / np.linalg.norm(rays, axis=1)).min()) < LEAST_DESCENT:
             raise TooObliqueError(
                 f"the camera was tilted by {self.tilt_deg:.0f} degrees: the horizon is in the image or close to it, "
                 "and no scale holds there. Crop the image to the near ground"
@@ -172,9 +173,7 @@ class GroundPlane:
                 f"an object {height_m:g} m above the ground lies above the camera, which is {self.height_m:.0f} m up: "
                 "give a lower height"
             )
-        return GroundPlane(
-            self.gsd_m_per_px * left, self.tilt_deg, self.focal_px, self.width_px, self.height_px, self.roll_deg
-        )
+        return replace(self, gsd_m_per_px=self.gsd_m_per_px * left)
 
     def _above(self, ground: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert points ``[n, 3]`` on the ground to pixels of a nadir view, from the image's centre."""
@@ -194,11 +193,6 @@ class GroundPlane:
         places = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         middle = np.array([self.width_px / 2, self.height_px / 2])
         return np.column_stack([(places - middle) / self.focal_px, np.ones(len(places))])
-
-    def _descents(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute the cosine of each ray's angle from straight down."""
-        rays = self._rays(points)
-        return np.asarray(rays @ self.down / np.linalg.norm(rays, axis=1))
 
     def _checked(self, descents: NDArray[np.float64]) -> NDArray[np.float64]:
         if len(descents) and float(descents.min()) < LEAST_DESCENT:

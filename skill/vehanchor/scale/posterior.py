@@ -34,7 +34,7 @@ from vehanchor.scale.lengths import Interval
 from vehanchor.scale.reliability import MOST_SURE, Shared
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -195,10 +195,10 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
         The answer; None without a witness that can set a scale.
     """
     heard = [each for each in witnesses if each.found]
-    parts = _components(heard)
-    found = _judged(heard, parts)
+    found = judged(heard)
     if found is None:
         return None
+    parts = _components(heard)
     whole = _log_product(parts)
     p_wrong = [float(np.exp(_log_product(parts, (k,)) - whole.max()).sum()) for k in range(len(heard))]
     total = float(np.exp(whole - whole.max()).sum())
@@ -213,13 +213,10 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
 def judged(witnesses: Sequence[Witness]) -> Answer | None:
     """Compute value, interval and chance alone; see ``answer``."""
     heard = [each for each in witnesses if each.found]
-    return _judged(heard, _components(heard))
-
-
-def _judged(heard: Sequence[Witness], parts: Sequence[_Component]) -> Answer | None:
     setting = [k for k, each in enumerate(heard) if each.sets_scale]
     if not setting:
         return None
+    parts = _components(heard)
     whole = _log_product(parts)
     posterior = np.exp(whole - whole.max())
     none_right = np.exp(_log_product(parts, setting) - whole.max())
@@ -247,20 +244,14 @@ def _unconfirmed(heard: Sequence[Witness], value: float, chance: float) -> float
 def _gains(heard: Sequence[Witness], chance: float) -> dict[Reason, float]:
     """Compute the rise of the chance without each doubt, lack or contradiction; only those that raise it."""
     gains: dict[Reason, float] = {}
-    for reason, others in _without_each_doubt(heard):
-        better = judged(others)
-        if better is not None:
-            gains[reason] = max(gains.get(reason, 0.0), better.chance - chance)
-    rising = [(reason, gain) for reason, gain in gains.items() if gain > _LEAST_GAIN]
-    return dict(sorted(rising, key=lambda each: -each[1]))
-
-
-def _without_each_doubt(heard: Sequence[Witness]) -> Iterator[tuple[Reason, list[Witness]]]:
     for k, each in enumerate(heard):
         others = [*heard[:k], *heard[k + 1 :]]
-        for lack in each.lacks:
-            yield lack.reason, [*others, lack.without]
-        yield "disagree", others
+        better = [(lack.reason, judged([*others, lack.without])) for lack in each.lacks]
+        for reason, found in (*better, ("disagree", judged(others))):
+            gain = 0.0 if found is None else found.chance - chance
+            if gain > max(gains.get(reason, 0.0), _LEAST_GAIN):
+                gains[reason] = gain
+    return dict(sorted(gains.items(), key=lambda each: -each[1]))
 
 
 def _leading(heard: Sequence[Witness]) -> int:
@@ -286,6 +277,23 @@ class _Component(NamedTuple):
     factors: Mapping[int, NDArray[np.float64]]
     common: tuple[Shared, ...]
 
+    @classmethod
+    def of(cls, members: Mapping[int, Witness]) -> _Component:
+        """Separate the errors of one member from those of more."""
+        named: dict[str, list[Shared]] = {}
+        for each in (shared for witness in members.values() for shared in witness.shared):
+            named.setdefault(each.name, []).append(each)
+        common = tuple(
+            Shared(name, max(each.log_sd for each in some), max(each.chance_wrong for each in some))
+            for name, some in sorted(named.items())
+            if len(some) > 1
+        )
+        factors = {
+            k: witness.factor([each for each in witness.shared if len(named[each.name]) == 1])
+            for k, witness in members.items()
+        }
+        return cls(members, factors, common)
+
     def density(self, floored: Collection[int]) -> NDArray[np.float64]:
         """Compute the factor ``[g]``; of the members in ``floored`` only the part that says nothing is kept."""
         kept = [each.floor(self.factors[k]) if k in floored else self.factors[k] for k, each in self.members.items()]
@@ -300,30 +308,13 @@ def _components(heard: Sequence[Witness]) -> list[_Component]:
     groups: list[dict[int, Witness]] = []
     for k, each in enumerate(heard):
         names = {shared.name for shared in each.shared}
-        linked = [group for group in groups if names & {s.name for one in group.values() for s in one.shared}]
         merged = {k: each}
-        for group in linked:
-            merged |= group
-            groups.remove(group)
+        for group in list(groups):
+            if names & {shared.name for one in group.values() for shared in one.shared}:
+                merged |= group
+                groups.remove(group)
         groups.append(dict(sorted(merged.items())))
-    return [_component(group) for group in groups]
-
-
-def _component(members: Mapping[int, Witness]) -> _Component:
-    named: dict[str, list[Shared]] = {}
-    for witness in members.values():
-        for each in witness.shared:
-            named.setdefault(each.name, []).append(each)
-    common = tuple(
-        Shared(name, max(each.log_sd for each in some), max(each.chance_wrong for each in some))
-        for name, some in sorted(named.items())
-        if len(some) > 1
-    )
-    own = {
-        k: witness.factor([each for each in witness.shared if len(named[each.name]) == 1])
-        for k, witness in members.items()
-    }
-    return _Component(members, own, common)
+    return [_Component.of(group) for group in groups]
 
 
 def _mixed(density: NDArray[np.float64], shared: Sequence[Shared], wrong: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -335,7 +326,7 @@ def _mixed(density: NDArray[np.float64], shared: Sequence[Shared], wrong: NDArra
 def _blurred(density: NDArray[np.float64], shared: Sequence[Shared]) -> NDArray[np.float64]:
     """Blur a density ``[g]`` of any sum by errors."""
     total = float(density.sum())
-    return total * blurred(density / total, (1.0, 0.0, math.hypot(*(each.log_sd for each in shared))))
+    return total * blurred(density / total, math.hypot(*(each.log_sd for each in shared)))
 
 
 def _log_product(parts: Sequence[_Component], floored: Collection[int] = ()) -> NDArray[np.float64]:

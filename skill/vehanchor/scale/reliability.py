@@ -34,10 +34,10 @@ LOOKS_LOG_SD = 0.055
 """Standard deviation of the log of a fleet's length by its looks, between places: 0.047 between 13 places,
 of which the network has learned from six."""
 
-FLEETS: tuple[tuple[float, float, float], ...] = ((1.0, -0.015, LOOKS_LOG_SD),)
-"""Error of the reference length by looks: weight, mean and standard deviation of the log. Cars of 13 places are 2.8 %
-shorter than they look; half of it is taken off. Any mean of -0.03 to 0 and spread of 0.04 to 0.06 makes 1,089 to 1,099
-of 1,255 photographs usable, 8 to 11 of them wrong; with less than 0.05 fewer than 95 of 100 intervals hold."""
+LOOKS_LOG_MEAN = -0.015
+"""Mean error of that log: cars of 13 places are 2.8 % shorter than they look; half of it is taken off. Any mean of
+-0.03 to 0 and spread of 0.04 to 0.06 makes 1,089 to 1,099 of 1,255 photographs usable, 8 to 11 of them wrong; with a
+spread below 0.05 fewer than 95 of 100 intervals hold."""
 
 KNOWN_REGION = 0.85
 """Share of the model's spread of reference lengths that remains within a region: with it, 95 of 100 intervals hold on
@@ -61,7 +61,7 @@ RELIABILITY: dict[str, Reliability] = {
     "courts": Reliability(0.006, 0.08, 8, "1 of 8 finds in 1,006 random photographs is false; 30 known ones"),
     "parking_bays": Reliability(0.09, 0.12, 35, "5 of 35 finds are more than a fifth off"),
     "camera": Reliability(
-        0.12, _NOT_MEASURED, 0, "height above take-off; a choice, because no independent truth is at hand"
+        0.12, _NOT_MEASURED, 0, "height above take-off, 10 to 15 % between the ground there and below; a choice"
     ),
     "camera, tilt unknown": Reliability(0.10, 0.25, 0, "a choice"),
     "positions": Reliability(0.02, _NOT_MEASURED, 0, "a choice; 31 pairs of photographs agree within 2 %"),

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.scale.density import GRID, LOG_STEP, flat, normalised
+from vehanchor.scale.density import GRID, KERNEL_REACH_SDS, LOG_STEP, flat, normalised
 from vehanchor.scale.reliability import CAR_LOG_SD
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-_KERNEL_REACH_SDS = 6.0
 _LEAST_ODDS, _MOST_ODDS = -7.0, 5.3  # log odds of a car, 1 in 1,000 to 199 in 200: no box is certain
 _ODDS_STEP, _SD_STEP = 0.25, 0.01  # votes are binned by odds and spread: the cost hardly depends on their number
 
@@ -66,7 +65,7 @@ def vehicle_likelihood(
     total = np.zeros(len(GRID))
     for level, log_sd in sorted(set(zip(odds[inside].tolist(), spreads[inside].tolist(), strict=True))):
         chosen = inside & (odds == level) & (spreads == log_sd)
-        reach = int(np.ceil(_KERNEL_REACH_SDS * log_sd / LOG_STEP))
+        reach = int(np.ceil(KERNEL_REACH_SDS * log_sd / LOG_STEP))
         offsets = np.arange(-reach, reach + 1) * LOG_STEP / log_sd
         normal = np.exp(-0.5 * offsets**2) / (log_sd * np.sqrt(2 * np.pi))
         counts = np.bincount(cells[chosen], minlength=len(GRID)).astype(np.float64)

@@ -20,7 +20,7 @@ from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, REGIONS, country_length
-from vehanchor.scale.reliability import FLEETS
+from vehanchor.scale.reliability import LOOKS_LOG_SD
 
 _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
 
@@ -117,7 +117,7 @@ def test_an_unknown_place_names_the_nearest(card: DetectorCard, region: str, exp
 def test_a_named_region_narrows_a_fleet_that_is_read_by_its_looks(card: DetectorCard) -> None:
     seen = Looks(np.full(30, math.log(4.4)), np.full(30, 0.07), np.full(30, 4.0))
     read, named = (reference_length(card, Reference(region=region), seen) for region in (None, "NP"))
-    assert (read.source, read.errors, named.source) == ("appearance", FLEETS, "region")
+    assert (read.source, read.log_sd, named.source) == ("appearance", LOOKS_LOG_SD, "region")
     assert read.length_m == pytest.approx(4.4)
     assert card.bodies is not None
     assert card.bodies.region_lengths_m["south_asia"] < named.length_m < 4.4

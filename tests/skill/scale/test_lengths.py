@@ -10,13 +10,13 @@ from scipy.stats import gaussian_kde
 from vehanchor.errors import InvalidParameterError, TooObliqueError
 from vehanchor.scale.density import GRID, LOG_STEP, blurred, lognormal, mass_within
 from vehanchor.scale.lengths import (
-    gsd_interval,
     guard_length,
     inlier_mask,
     kde_density,
     kde_mode,
     modal_density,
     modal_length,
+    statistical_log_sds,
 )
 from vehanchor.scale.paper import FALLBACK_CONFIDENCE, PaperScale, composite, confidence_terms, paper_scale
 from vehanchor.scale.plane import GroundPlane
@@ -101,11 +101,10 @@ def test_the_weighted_mode_has_the_interval_of_its_own_density() -> None:
     lengths = np.concatenate([rng.normal(30, 1.0, 40), rng.normal(20, 2.0, 38)])
     scores = np.concatenate([np.full(40, 0.9), np.full(38, 0.2)])
     mode, _ = modal_length(lengths, scores, "weighted_kde")
-    plain, weighted = (
-        gsd_interval(lengths, mode, 4.6, 0.0),
-        gsd_interval(lengths, mode, 4.6, 0.0, scores=scores),
+    assert (
+        statistical_log_sds(lengths, scores, mode, "weighted_kde")[0]
+        < statistical_log_sds(lengths, scores, mode, "kde")[0]
     )
-    assert np.log(weighted.high / weighted.low) < np.log(plain.high / plain.low)
 
 
 def test_fewer_than_five_lengths_fall_back_to_the_median() -> None:
@@ -121,21 +120,20 @@ def test_fewer_than_five_lengths_fall_back_to_the_median() -> None:
 @settings(max_examples=30)
 def test_the_interval_holds_the_estimate_and_scales_with_it(n: int, factor: float) -> None:
     lengths = _fleet(n, n)
-    mode, _ = modal_length(lengths, np.ones(n))
-    low, high = gsd_interval(lengths, mode, 4.6, 0.07)
-    assert 0 < low < 4.6 / mode < high
-    scaled = gsd_interval(lengths * factor, mode * factor, 4.6, 0.07)
-    assert scaled.low == pytest.approx(low / factor, rel=5e-3)  # a length on a histogram cell's edge may round
-    assert gsd_interval(lengths, mode, 4.6, 0.07) == (low, high)
+    found, scaled = (_paper(each.tolist(), [0.9] * n) for each in (lengths, factor * lengths))
+    assert found.gsd_m_per_px is not None
+    assert found.interval is not None
+    assert scaled.interval is not None
+    assert 0 < found.interval.low < found.gsd_m_per_px < found.interval.high
+    # a length on a histogram cell's edge may round
+    assert scaled.interval.low == pytest.approx(found.interval.low / factor, rel=5e-3)
+    assert _paper(lengths.tolist(), [0.9] * n) == found
 
 
 def test_few_vehicles_never_give_a_narrow_interval() -> None:
-    def width(n: int) -> float:
-        low, high = gsd_interval(np.full(n, 30.0), 30.0, 4.6, 0.0)
-        return high / low
-
-    assert width(1) > 1.4
-    assert width(1) > width(2) > width(5) > width(50) > 1.0
+    first, second, fifth, last = (statistical_log_sds([30.0] * n, [0.9] * n, 30.0, "kde")[1] for n in (1, 2, 5, 50))
+    assert first > 0.17
+    assert first > second > fifth > last > 0.0
 
 
 _VOTES = Votes(-2.0, 5.0)
@@ -159,7 +157,7 @@ def test_a_box_of_a_low_score_says_less_than_one_of_a_high_score() -> None:
 
 @given(st.floats(0.02, 1.0), st.floats(0.02, 0.3), st.floats(0.0, 0.3), st.floats(-0.2, 0.2))
 def test_an_error_adds_its_mean_and_its_variance(gsd: float, log_sd: float, more: float, mean: float) -> None:
-    wide = blurred(lognormal(gsd, log_sd), (1.0, mean, more))
+    wide = blurred(lognormal(gsd, log_sd), more, mean)
     centre = float(np.sum(wide * GRID))
     assert wide.sum() == pytest.approx(1)
     assert centre == pytest.approx(np.log(gsd) + mean, abs=0.05)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from vehanchor.scale.density import blurred, flat, lognormal, normalised, on_grid
 from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judged
-from vehanchor.scale.reliability import CALLER, FLEETS, Shared
+from vehanchor.scale.reliability import CALLER, LOOKS_LOG_MEAN, LOOKS_LOG_SD, Shared
 from vehanchor.scale.votes import Votes, vehicle_likelihood
 
 VOTES = Votes(-13.76, 17.4)
@@ -25,7 +25,7 @@ def _point(gsd: float, log_sd: float = 0.015, chance_wrong: float = 0.05, kind: 
 def _cars(n: int, gsd: float = 0.12, *, spread: float = 0.1, score: float = 0.95) -> Witness:
     lengths = 4.5 / gsd * np.exp(spread * np.linspace(-1, 1, n) if n > 1 else np.zeros(1))
     votes = vehicle_likelihood(lengths, np.full(n, score), 4.5, VOTES)
-    return Witness("vehicles", gsd, blurred(votes, *FLEETS), 0.01)
+    return Witness("vehicles", gsd, blurred(votes, LOOKS_LOG_SD, LOOKS_LOG_MEAN), 0.01)
 
 
 def _prior(gsd: float, log_sd: float = 0.22) -> Witness:
