@@ -23,7 +23,7 @@ from vehanchor.models.files import read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import bundled_courts
-from vehanchor.scale.density import credible_interval
+from vehanchor.scale.density import quantile
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -76,7 +76,7 @@ def coarse_factors(raster: Raster, prior: SceneScalePrior | None) -> list[int]:
     factors = [factor for factor in _FACTORS if side // factor >= _MIN_SIDE_PX]
     if prior is None or raster.width_px * raster.height_px <= _MOST_PIXELS_ALL_FACTORS:
         return factors
-    median = credible_interval(prior.density, probability=0.0).low
+    median = quantile(prior.density, 0.5)
     return [min(factors, key=lambda factor: abs(math.log(median * factor / _BEST_GSD_M_PER_PX)))] if factors else []
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from vehanchor.rulers.bay_rows import find_bay_rows
 from vehanchor.rulers.ruler import Ruler, point_witness
 from vehanchor.rulers.standards import lengths_of
-from vehanchor.scale.density import credible_interval, on_grid
+from vehanchor.scale.density import credible_interval, on_grid, quantile
 from vehanchor.scale.lengths import Interval
 from vehanchor.scale.posterior import Mark
 from vehanchor.scale.reliability import PAINT, RELIABILITY
@@ -116,7 +116,7 @@ def _prior_range(view: View) -> Interval | None:
     """Compute the range of scales to search; None in a tilted view, without a prior, or outside the resolved scales."""
     if view.prior is None or view.plane is not None:
         return None
-    middle = credible_interval(view.prior.density, 0.0).low
+    middle = quantile(view.prior.density, 0.5)
     low, high = credible_interval(view.prior.density, _PRIOR_SHARE)
     low, high = max(low, middle / _FARTHEST, _RESOLVED.low), min(high, middle * _FARTHEST, _RESOLVED.high)
     return Interval(low, high) if low < high else None

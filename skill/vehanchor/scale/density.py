@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LOG_STEP = 0.005
-TOLERANCE = 0.2  # largest relative error with which a planner can use a scale
+TOLERANCE = 0.2  # largest ``|estimated - true| / true`` with which a planner can use a scale
 _FINEST, _COARSEST = 0.003, 3.0  # metres per pixel
 GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_STEP)
 """``[g]`` natural logs of metres per pixel."""
@@ -104,18 +104,17 @@ def credible_interval(density: NDArray[np.float64], probability: float = 0.95) -
     return Interval(quantile(density, tail), quantile(density, 1.0 - tail))
 
 
-def mass_within(density: NDArray[np.float64], gsd_m_per_px: float, tolerance: float = TOLERANCE) -> float:
-    """Compute the mass of the scales from which an estimate differs by at most a relative tolerance.
+def mass_within(density: NDArray[np.float64], gsd_m_per_px: float) -> float:
+    """Compute the mass of the scales from which an estimate differs by at most 20 %.
 
     Args:
         density: ``[g]`` probabilities of the true scale; their sum may be below 1.
         gsd_m_per_px: the estimated scale.
-        tolerance: largest ``|estimated - true| / true``.
 
     Returns:
         At most the sum of the density.
     """
-    low, high = np.log(gsd_m_per_px / (1 + tolerance)), np.log(gsd_m_per_px / (1 - tolerance))
+    low, high = np.log(gsd_m_per_px / (1 + TOLERANCE)), np.log(gsd_m_per_px / (1 - TOLERANCE))
     below = np.concatenate([[0.0], np.cumsum(density)])
     edges = np.concatenate([GRID - LOG_STEP / 2, [GRID[-1] + LOG_STEP / 2]])
     return float(np.interp(high, edges, below) - np.interp(low, edges, below))

@@ -17,7 +17,7 @@ from vehanchor.options.option import Limits
 from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.scale.density import credible_interval
+from vehanchor.scale.density import quantile
 from vehanchor.scale.lengths import Z95
 from vehanchor_flight.features import find_features
 from vehanchor_flight.live.filter import FilterState, Measurement, Motion, corrected, predicted
@@ -137,7 +137,7 @@ class LiveEstimator:
         """Give the scale by the filter, else by the prior."""
         if self._state is not None:
             return self._state.gsd_m_per_px
-        return None if self._prior is None else credible_interval(self._prior.density, probability=0.0).low
+        return None if self._prior is None else quantile(self._prior.density, 0.5)
 
     def _replace_cars(self, analysis: ScaleAnalysis, window: Window, factor: int) -> None:
         """Replace the known cars inside a window by those that were found there."""

@@ -167,10 +167,10 @@ def test_an_error_adds_its_mean_and_its_variance(gsd: float, log_sd: float, more
 def test_the_mass_within_a_tolerance_is_that_of_the_true_scales_it_allows() -> None:
     density = np.zeros(len(GRID))
     density[np.argmin(np.abs(GRID - np.log(0.1)))] = 1.0
-    assert mass_within(density, 0.119, 0.2) == pytest.approx(1, abs=LOG_STEP)
-    assert mass_within(density, 0.122, 0.2) == pytest.approx(0, abs=1e-9)
-    assert mass_within(density, 0.081, 0.2) == pytest.approx(1, abs=1e-9)
-    assert mass_within(density, 0.079, 0.2) == pytest.approx(0, abs=1e-9)
+    assert mass_within(density, 0.119) == pytest.approx(1, abs=LOG_STEP)
+    assert mass_within(density, 0.122) == pytest.approx(0, abs=1e-9)
+    assert mass_within(density, 0.081) == pytest.approx(1, abs=1e-9)
+    assert mass_within(density, 0.079) == pytest.approx(0, abs=1e-9)
 
 
 _RANGE = (12.0, 64.0)
