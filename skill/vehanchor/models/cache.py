@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-import threading
-from collections import OrderedDict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
 
@@ -37,36 +35,31 @@ def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
         max_models: maximum number of cached results; the least recently used is dropped first.
 
     Returns:
-        A decorator for a function whose positional arguments, and whose keyword arguments that are ``os.PathLike``, are
-        ONNX files. All its other arguments must be hashable. Exceptions are not cached.
+        A decorator for a function whose arguments that are ``os.PathLike`` are ONNX files; it gets their absolute
+        paths. All its arguments must be hashable. Exceptions are not cached.
     """
 
     def decorate(load: Callable[P, T]) -> Callable[P, T]:
-        kept: OrderedDict[Any, tuple[tuple[_FileState, ...], T]] = OrderedDict()
-        lock = threading.Lock()
+        @functools.lru_cache(max_models)
+        def loaded(states: tuple[_FileState, ...], args: tuple[Any, ...], named: tuple[tuple[str, Any], ...]) -> T:
+            del states
+            return load(*args, **dict(named))
 
         @functools.wraps(load)
         def cached(*args: P.args, **kwargs: P.kwargs) -> T:
-            named = {name: value for name, value in kwargs.items() if isinstance(value, os.PathLike)}
-            # Links are not resolved: external weights lie beside the given name, not beside the link's target.
-            files = tuple(Path(str(file)).absolute() for file in (*args, *named.values()))
-            key = files, tuple(named), frozenset((name, kwargs[name]) for name in kwargs if name not in named)
+            given, named = [_absolute(each) for each in args], {name: _absolute(each) for name, each in kwargs.items()}
+            files = [each for each in (*given, *named.values()) if isinstance(each, Path)]
             states = tuple(state for file in files for state in _states(file))
-            with lock:
-                if key in kept and kept[key][0] == states:
-                    kept.move_to_end(key)
-                    return kept[key][1]
-            loaded = load(*args, **kwargs)  # without the lock: one slow model must not hold up the others
-            with lock:
-                kept[key] = states, loaded
-                kept.move_to_end(key)
-                while len(kept) > max_models:
-                    kept.popitem(last=False)
-            return loaded
+            return loaded(states, tuple(given), tuple(named.items()))
 
         return cached
 
     return decorate
+
+
+def _absolute(value: Any) -> Any:
+    # Links are not resolved: external weights lie beside the given name, not beside the link's target.
+    return Path(value).absolute() if isinstance(value, os.PathLike) else value
 
 
 def _states(file: Path) -> list[_FileState]:
