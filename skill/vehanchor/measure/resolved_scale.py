@@ -16,7 +16,7 @@ from vehanchor.imagery.metadata.lens import equivalent_lens, lens
 from vehanchor.measure.spread import Spread
 from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale, Notice
-from vehanchor.records.known_scale import known_scale
+from vehanchor.records.gsd_estimate import known_scale
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.stated_scale import stated_witness
 from vehanchor.scale.defaults import USABLE_CHANCE
