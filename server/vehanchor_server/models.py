@@ -36,7 +36,7 @@ SLOW_IMPORTS = (
     "vehanchor_server.tools.registry",
     "vehanchor_server.calls.jpeg",
     "vehanchor.engine",
-    "vehanchor.pictures.area",
+    "vehanchor.pictures.measured",
 )
 """Modules that a first call would wait for."""
 

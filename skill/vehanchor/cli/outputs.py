@@ -95,7 +95,7 @@ def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
         elif name in _SHAPES:
             geojson.write_measured(path, analysis)
         elif name == "mask":
-            from vehanchor.pictures.area import full_mask
+            from vehanchor.pictures.measured import full_mask
 
             write_picture(path, full_mask(analysis, analysis.reading.limits.max_pixels))
         elif name == "plot":

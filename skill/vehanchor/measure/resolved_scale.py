@@ -312,10 +312,10 @@ def _raised(found: ResolvedScale, object_height_m: float, camera: _CameraAbove) 
     """
     if found.gsd_m_per_px is None or object_height_m == 0:
         return found
+    focal_px = found.plane.focal_px if found.plane is not None else camera.lens and camera.lens.pixels
     if found.plane is not None:
-        focal_px, height = found.plane.focal_px, found.plane.height_m
+        height = found.plane.height_m
     else:
-        focal_px = camera.lens and camera.lens.pixels
         height = found.gsd_m_per_px * focal_px if focal_px else camera.height_m or math.inf
     share = object_height_m / height
     if share >= 1:
