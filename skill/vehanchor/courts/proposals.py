@@ -18,8 +18,7 @@ from vehanchor.courts.template import BASKETBALL, TENNIS
 from vehanchor.detection.limits import WINDOWED_PIXELS
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_preview, read_reduced_window, tile_grid
-from vehanchor.models.cache import file_cached
-from vehanchor.models.files import read_model
+from vehanchor.models.files import file_cached, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import COURTS

@@ -20,8 +20,7 @@ from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise
 from vehanchor.detection.detections import Objects
 from vehanchor.detection.verifier import Verifier
 from vehanchor.errors import ModelContractError
-from vehanchor.models.cache import file_cached
-from vehanchor.models.files import models_sha256, read_model
+from vehanchor.models.files import file_cached, models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import auxiliary_model

@@ -18,8 +18,7 @@ import numpy as np
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
-from vehanchor.models.cache import file_cached
-from vehanchor.models.files import read_model
+from vehanchor.models.files import file_cached, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import SCENE_SCALE

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageTooLargeError, ModelContractError
 from vehanchor.imagery.raster import Window, outer_sides
-from vehanchor.models.cache import file_cached
-from vehanchor.models.files import models_sha256, read_model
+from vehanchor.models.files import file_cached, models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import metadata_number, open_session
 from vehanchor.options import ImageLimits

@@ -14,8 +14,7 @@ from onnx.external_data_helper import set_external_data
 from tests.sam_models import keep_weights_beside, write_sam2
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.models import zoo
-from vehanchor.models.cache import file_cached
-from vehanchor.models.files import external_locations, models_sha256, read_model
+from vehanchor.models.files import external_locations, file_cached, models_sha256, read_model
 from vehanchor.models.zoo import (
     DEFAULT_DETECTOR,
     SEGMENTER,
