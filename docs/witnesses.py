@@ -18,7 +18,7 @@ from research.scenes import Scene, render_scene
 from vehanchor import Engine
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.boxes import box_corners
-from vehanchor.pictures.ruler_plot import plot_rulers
+from vehanchor.pictures.plot import plot_rulers
 from vehanchor.records.text import significant
 
 if TYPE_CHECKING:

@@ -124,8 +124,7 @@ def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
     """Search an image with the default options, at a low threshold."""
     ground = load_scene_scale()
     with open_raster(image) as raster:
-        scene = None if ground is None else ground.predict(raster)
-        found = search(raster, detector, Search(min_score=_LEAST_SCORE), prior=scene)
+        found = search(raster, detector, Search(min_score=_LEAST_SCORE), prior=ground.predict(raster))
         return Sighted(found.boxes, found.scores, raster.width_px * raster.height_px / 1e6)
 
 

@@ -102,7 +102,6 @@ def main() -> None:
     parser.add_argument("--network", type=Path)
     options = add_record_option(parser).parse_args()
     ground = SceneScaleNetwork(options.network) if options.network else load_scene_scale()
-    assert ground is not None
     by_set: dict[str, list[Told]] = {}
     for images in (oriented_images(DATA / "vehicles"), upright_images(DATA / "upright")):
         for name, path, length_px in images:

@@ -13,11 +13,9 @@ from vehanchor.errors import VehAnchorError
 from vehanchor.models.files import read_model
 from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 from vehanchor.models.zoo import (
-    bundled_segmenter,
-    chips_beside,
+    auxiliary_model,
     resolve_model,
     resolve_segmenter,
-    verifier_beside,
 )
 from vehanchor_server.errors import CallError
 
@@ -38,7 +36,7 @@ SLOW_IMPORTS = (
     "vehanchor_server.tools.registry",
     "vehanchor_server.calls.jpeg",
     "vehanchor.engine",
-    "vehanchor.pictures.area",
+    "vehanchor.pictures.measured",
 )
 """Modules that a first call would wait for."""
 
@@ -61,11 +59,9 @@ class Models:
         self._calibration: Calibration | None = None
         self._loaded: set[str] = set()
         self._failures: dict[str, str] = {}
-        self._required = ["detector"]
+        self._required = ["detector", "segmenter"]
         if settings.calibration is not None:
             self._required.append("calibration")
-        if settings.segmenter is not None or bundled_segmenter() is not None:
-            self._required.append("segmenter")  # otherwise measure_area reports that there is none
 
     @property
     def ready(self) -> bool:
@@ -84,9 +80,8 @@ class Models:
         for resolve in (lambda: (resolve_model(settings.detector),), lambda: resolve_segmenter(settings.segmenter)):
             with contextlib.suppress(VehAnchorError):  # loading will report a missing file
                 found += resolve()
-        beside = (verifier_beside, chips_beside)
-        auxiliary = [other for path in found[:1] for find in beside if (other := find(path))]
-        found += [*auxiliary, *([settings.calibration] if settings.calibration is not None else [])]
+        auxiliary = (auxiliary_model(path, kind) for path in found[:1] for kind in ("verifier", "chips"))
+        found += [*filter(None, auxiliary), *([settings.calibration] if settings.calibration is not None else [])]
         for path in [path for path in found if path.suffix == ".onnx"]:
             with contextlib.suppress(VehAnchorError):
                 found += read_model(path).weights

@@ -184,7 +184,7 @@ def arguments(data: bytes) -> None:
 
 def graph(data: bytes) -> None:
     """Find the files in which an ONNX graph keeps its weights."""
-    external_locations(data + b"location")
+    external_locations(b"\x6a\x00\x0a\x08location\x12" + data)
 
 
 def _memory() -> str | None:

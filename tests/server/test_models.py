@@ -13,7 +13,6 @@ import pytest
 from tests.sam_models import SamFiles
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
-from vehanchor_server import models as models_module
 from vehanchor_server.errors import CallError
 from vehanchor_server.models import Models
 from vehanchor_server.settings import Settings
@@ -88,20 +87,6 @@ def test_a_segmenter_that_cannot_be_loaded_is_not_ready(settings: Settings, segm
     wait_for(lambda: models.failure)
     assert models.failure == "model_contract"
     assert not models.ready
-
-
-def test_an_installation_without_a_segmenter_is_ready_all_the_same(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(models_module, "bundled_segmenter", lambda: None)
-    monkeypatch.setattr("vehanchor.models.zoo.bundled_segmenter", lambda: None)
-    models = Models(replace(settings, segmenter=None))
-    models.preload()
-    wait_for(lambda: models.ready)
-    with pytest.raises(CallError, match=r"model_unavailable: .*\(model_not_found\).*--segmenter"):
-        models.segmenter()
-    assert models.ready
-    assert models.failure is None
 
 
 def test_the_calibration_sets_the_reference_length_of_callers_who_know_nothing_better(

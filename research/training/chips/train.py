@@ -22,7 +22,7 @@ from research.training.chips.readings import load
 from research.training.chips.stream import NOT_A_CAR, Batch, Bodies, ChipStream
 from research.training.loop import Recipe, Schedule, load_average, train
 from research.training.warm_start import load_exported
-from vehanchor.models.zoo import chips_beside, resolve_model
+from vehanchor.models.zoo import auxiliary_model, resolve_model
 
 _RATE, _BATCH = 1.2e-3, 64
 _SMOOTHING = 0.02  # labels are wrong now and then
@@ -122,7 +122,7 @@ def main() -> None:
     bodies = Bodies(*(each[learned] for each in bodies))
     stream = ChipStream(options.stores, read.take(learned), bodies, options.seed)
     network = ChipNet()
-    bundled = chips_beside(resolve_model())
+    bundled = auxiliary_model(resolve_model(), "chips")
     if options.begin:
         load_average(network, options.begin)
     elif bundled and not options.fresh:

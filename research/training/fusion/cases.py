@@ -25,7 +25,7 @@ from research.training.detector.data import is_dev
 from research.training.detector.places import is_held_out, places
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import chips_beside, resolve_model, verifier_beside
+from vehanchor.models.zoo import auxiliary_model, resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.dota import SMALL_VEHICLE, read_labels
@@ -209,9 +209,8 @@ def copied(detector: Path, folder: Path) -> Path:
     copy = folder / detector.name
     if not copy.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        beside = {"verifier": verifier_beside, "chips": chips_beside}
-        for kind, find in beside.items():
-            found = find(detector)
+        for kind in ("verifier", "chips"):
+            found = auxiliary_model(detector, kind)
             if found is not None:
                 shutil.copy(found, folder / f"{detector.stem}.{kind}.onnx")
         shutil.copy(detector, copy)

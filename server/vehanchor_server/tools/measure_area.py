@@ -97,7 +97,7 @@ def _measure(
     """
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.area import analyse_objects
-    from vehanchor.pictures.area import cut_to_objects, draw_area
+    from vehanchor.pictures.measured import cut_to_objects, draw_area
     from vehanchor_server.app_page.panel import drawing_of
 
     prompts = [_prompt(target) for target in asked.subject]  # refuse invalid prompts before the work

@@ -98,7 +98,7 @@ def _measure(
     """
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.distance import analyse_paths, read_path
-    from vehanchor.pictures.distance import cut_to_lines, draw_distance
+    from vehanchor.pictures.measured import cut_to_lines, draw_distance
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in asked.subject]
     options, scale = resolve_source(asked.given, services, job)

@@ -56,12 +56,12 @@ class AreaAnalysis(MeasuredAnalysis):
     prompt: Prompt
 
     def _cut(self) -> Cut:
-        from vehanchor.pictures.area import cut_to_objects
+        from vehanchor.pictures.measured import cut_to_objects
 
         return cut_to_objects([self])
 
     def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
-        from vehanchor.pictures.area import draw_area
+        from vehanchor.pictures.measured import draw_area
 
         return draw_area(image, self, cut=cut)
 
@@ -72,7 +72,7 @@ class AreaAnalysis(MeasuredAnalysis):
             OutputError: the image is too large for a mask in memory.
         """
         from vehanchor.options import Reading
-        from vehanchor.pictures.area import full_mask
+        from vehanchor.pictures.measured import full_mask
 
         return full_mask(self, (self.reading or Reading()).limits.max_pixels)[:, :, 0] > 0
 
@@ -116,12 +116,12 @@ class DistanceAnalysis(MeasuredAnalysis):
     measurement: DistanceMeasurement
 
     def _cut(self) -> Cut:
-        from vehanchor.pictures.distance import cut_to_lines
+        from vehanchor.pictures.measured import cut_to_lines
 
         return cut_to_lines([self.measurement])
 
     def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
-        from vehanchor.pictures.distance import draw_distance
+        from vehanchor.pictures.measured import draw_distance
 
         return draw_distance(image, self, cut=cut)
 

@@ -114,8 +114,7 @@ def search_raster(
     tilt = metadata_tilt(facts, options)  # refuses an image with the horizon before the work
     kinds = {ruler.kind for ruler in rulers}
     if prior is None and SceneScale.kind in kinds:
-        network = load_scene_scale(detector.runtime)
-        prior = None if network is None else network.predict(raster)
+        prior = load_scene_scale(detector.runtime).predict(raster)
     resolved = partial(resolved_share, raster)
     view = View(facts, NOT_SEARCHED, detector.card, options, resolved, raster, detector.runtime, prior, tilt)
     if not any(ruler.needs_search for ruler in rulers):

@@ -56,7 +56,7 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
     """
     if path is None:
         return None
-    from vehanchor.records.known_scale import known_scale
+    from vehanchor.records.gsd_estimate import known_scale
 
     try:
         record: Any = json.loads(path.read_text(encoding="utf-8"))

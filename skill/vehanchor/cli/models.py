@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -77,12 +76,9 @@ def list_models(
     """List the bundled detectors and the segmenter."""
     with exit_on_error():
         from vehanchor.engine import Engine
-        from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, bundled_segmenter
+        from vehanchor.models.zoo import DEFAULT_DETECTOR, SEGMENTER, bundled_models
 
-        files = bundled_models()
-        if not files and not as_json:
-            print("no bundled models: pass the path of an ONNX file with --detector", file=sys.stderr)
-        for name, path in files.items():
+        for name, path in bundled_models().items():
             default = name == DEFAULT_DETECTOR
             engine = Engine(path)
             try:
@@ -98,9 +94,7 @@ def list_models(
             else:
                 facts = [("file", str(path)), *_card_facts(engine, sha_digits=_SHORT_SHA)]
                 print_table(facts_table(f"{name} (default)" if default else name, facts))
-        halves = bundled_segmenter()
-        if halves is not None:
-            _list_segmenter(*halves, as_json=as_json)
+        _list_segmenter(*SEGMENTER, as_json=as_json)
 
 
 def _list_segmenter(encoder: Path, decoder: Path, *, as_json: bool) -> None:

@@ -84,18 +84,16 @@ def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
         OutputError: a file cannot be written.
         ImageError: the photograph cannot be read again.
     """
-    from vehanchor.export import geojson
+    from vehanchor.export.geojson import write_shapes
     from vehanchor.pictures.scale import write_picture
 
     for name, path in outputs.items():
         if name == "overlay":
             write_picture(path, analysis.overlay())
-        elif name == "boxes":
-            geojson.write_boxes(path, analysis)
         elif name in _SHAPES:
-            geojson.write_measured(path, analysis)
+            write_shapes(path, analysis)
         elif name == "mask":
-            from vehanchor.pictures.area import full_mask
+            from vehanchor.pictures.measured import full_mask
 
             write_picture(path, full_mask(analysis, analysis.reading.limits.max_pixels))
         elif name == "plot":

@@ -103,8 +103,8 @@ def find_courts(raster: Raster, prior: SceneScalePrior | None = None, runtime: R
         At most four courts, the highest score first. Half hidden courts and courts at the image's edge are left out.
     """
     network = load_court_network(runtime)
-    factors = [] if network is None else coarse_factors(raster, prior)
-    proposals = [each for factor in factors for each in (network.propose(raster, factor) if network else ())]
+    factors = coarse_factors(raster, prior)
+    proposals = [each for factor in factors for each in network.propose(raster, factor)]
     return courts_among(raster, proposals, n_sizes=len(factors))
 
 

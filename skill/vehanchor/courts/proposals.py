@@ -18,11 +18,10 @@ from vehanchor.courts.template import BASKETBALL, TENNIS
 from vehanchor.detection.limits import WINDOWED_PIXELS
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_preview, read_reduced_window, tile_grid
-from vehanchor.models.cache import file_cached
-from vehanchor.models.files import read_model
+from vehanchor.models.files import file_cached, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import bundled_courts
+from vehanchor.models.zoo import COURTS
 from vehanchor.scale.density import quantile
 
 if TYPE_CHECKING:
@@ -125,11 +124,11 @@ class CourtNetwork(LoadedModel):
         return found
 
 
-def load_court_network(runtime: Runtime | None = None) -> CourtNetwork | None:
-    """Load the bundled network once for each runtime, on one thread; None if this installation has none."""
+def load_court_network(runtime: Runtime | None = None) -> CourtNetwork:
+    """Load the bundled network once for each runtime, on one thread."""
     # one thread: the network is small, and must not occupy all cores of a single-threaded worker
-    path, chosen = bundled_courts(), replace(runtime or Runtime(), threads=1)
-    return None if path is None else _loaded(path, runtime=chosen.idle).under(chosen)
+    chosen = replace(runtime or Runtime(), threads=1)
+    return _loaded(COURTS, runtime=chosen.idle).under(chosen)
 
 
 @file_cached(max_models=2)

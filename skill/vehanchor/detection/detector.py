@@ -20,11 +20,10 @@ from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise
 from vehanchor.detection.detections import Objects
 from vehanchor.detection.verifier import Verifier
 from vehanchor.errors import ModelContractError
-from vehanchor.models.cache import file_cached
-from vehanchor.models.files import models_sha256, read_model
+from vehanchor.models.files import file_cached, models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import chips_beside, verifier_beside
+from vehanchor.models.zoo import auxiliary_model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,9 +106,9 @@ class Detector(LoadedModel):
         self.path, self.runtime = Path(path), runtime or Runtime()
         file = read_model(self.path)
         self._session = open_session(self.path, content=file.content, runtime=self.runtime)
-        verifier_path = verifier if verifier is not None else verifier_beside(self.path)
+        verifier_path = verifier if verifier is not None else auxiliary_model(self.path, "verifier")
         self.verifier = None if verifier_path is None else Verifier(verifier_path, runtime=self.runtime)
-        chips_path = chips if chips is not None else chips_beside(self.path)
+        chips_path = chips if chips is not None else auxiliary_model(self.path, "chips")
         self.chips = None if chips_path is None else ChipNetwork(chips_path, runtime=self.runtime)
         self.card = read_detector_card(
             self.path,
@@ -261,7 +260,9 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
         ModelError: as ``Detector``.
     """
     file, chosen = Path(path), runtime or Runtime()
-    loaded = _loaded(file, verifier=verifier_beside(file), chips=chips_beside(file), runtime=chosen.idle)
+    loaded = _loaded(
+        file, verifier=auxiliary_model(file, "verifier"), chips=auxiliary_model(file, "chips"), runtime=chosen.idle
+    )
     return loaded.under(chosen)
 
 

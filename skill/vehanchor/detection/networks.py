@@ -6,7 +6,7 @@ import hashlib
 from typing import TYPE_CHECKING
 
 from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.zoo import bundled_courts, bundled_scene_scale
+from vehanchor.models.zoo import COURTS, SCENE_SCALE
 
 if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
@@ -20,6 +20,6 @@ def networks_sha256(card: DetectorCard) -> str:
     digest = hashlib.sha256()
     for checksum in (card.sha256, card.verifier_sha256, card.chips_sha256):
         digest.update(f"{checksum}\n".encode())
-    for path in (bundled_scene_scale(), bundled_courts()):
-        digest.update(models_sha256(read_model(path)).encode() if path else b"\n")
+    for path in (SCENE_SCALE, COURTS):
+        digest.update(models_sha256(read_model(path)).encode())
     return digest.hexdigest()

@@ -18,11 +18,10 @@ import numpy as np
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
-from vehanchor.models.cache import file_cached
-from vehanchor.models.files import read_model
+from vehanchor.models.files import file_cached, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import bundled_scene_scale
+from vehanchor.models.zoo import SCENE_SCALE
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import GRID, blurred, flat
 
@@ -218,10 +217,10 @@ class SceneScaleNetwork(LoadedModel):
         return SceneScalePrior(tuple(levels), self.calibration)
 
 
-def load_scene_scale(runtime: Runtime | None = None) -> SceneScaleNetwork | None:
-    """Load the bundled network once for each runtime; None if this installation has none."""
-    path, chosen = bundled_scene_scale(), runtime or Runtime()
-    return None if path is None else _loaded(path, runtime=chosen.idle).under(chosen)
+def load_scene_scale(runtime: Runtime | None = None) -> SceneScaleNetwork:
+    """Load the bundled network once for each runtime."""
+    chosen = runtime or Runtime()
+    return _loaded(SCENE_SCALE, runtime=chosen.idle).under(chosen)
 
 
 @file_cached(max_models=2)

@@ -37,23 +37,15 @@ def check_geojson_path(path: str | Path) -> Path:
     return check_output_path(path, (SUFFIX,), kind="GeoJSON", also="ogr2ogr and geopandas convert it to other formats")
 
 
-def write_boxes(path: str | Path, analysis: ScaleAnalysis) -> Path:
-    """Write the vehicles of an analysis; return the path.
+def write_shapes(path: str | Path, analysis: ScaleAnalysis | AreaAnalysis | DistanceAnalysis) -> Path:
+    """Write the vehicles of a scale, or the measured outline or line with its size; return the path.
 
     Raises:
         OutputError: as ``check_geojson_path``, or the file cannot be written.
     """
-    return write_features(path, [(each, analysis.ground) for each in analysis.__geo_interface__["features"]])
-
-
-def write_measured(path: str | Path, analysis: AreaAnalysis | DistanceAnalysis) -> Path:
-    """Write the measured outline or line with its size; return the path.
-
-    Raises:
-        OutputError: as ``check_geojson_path``, or the file cannot be written.
-    """
-    feature = analysis.__geo_interface__
-    return write_features(path, [(feature, analysis.ground)] if feature["geometry"]["coordinates"] else [])
+    found = analysis.__geo_interface__
+    features = [each for each in found.get("features", [found]) if each["geometry"]["coordinates"]]
+    return write_features(path, [(each, analysis.ground) for each in features])
 
 
 def write_features(path: str | Path, placed: Sequence[tuple[dict[str, Any], Ground | None]]) -> Path:

@@ -23,12 +23,7 @@ from vehanchor.records import (
 from vehanchor.segmentation.doubts import mask_notices
 from vehanchor.segmentation.prompt import prompt_in_image
 from vehanchor.segmentation.segmenter import Segmenter
-from vehanchor.segmentation.shape import (
-    inscribed_circle,
-    outline_parts,
-    perimeter,
-    rotated_extents,
-)
+from vehanchor.segmentation.shape import inscribed_circle, outline_parts, perimeter, rotated_extents
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,9 +33,7 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
     from vehanchor.measure.resolved_scale import ResolvedScale, ScaleInput
-    from vehanchor.measure.spread import Spread
     from vehanchor.options import Frame
-    from vehanchor.scale.lengths import Interval
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
 
@@ -73,20 +66,18 @@ def analyse_objects(
     options.frame.check(raster.width_px, raster.height_px)
     prompts = [prompt_in_image(each, options.frame, raster.width_px, raster.height_px) for each in prompts]
     # Masks first: they are faster than the search, and an invalid prompt fails early.
-    limits = options.reading.limits
-    masks = segmenter.segment_all(raster, prompts, limits=limits)
+    masks = segmenter.segment_all(raster, prompts, limits=options.reading.limits)
     found = resolve_scale(raster, scale, options, object_height_m=object_height_m)
-    records = [
-        _conclude(raster, mask, prompt, segmenter.card, options, found)
-        for prompt, mask in zip(prompts, masks, strict=True)
-    ]
     return tuple(
-        AreaAnalysis(record, mask, prompt, scale=found.analysis, nadir=found.plane is None)
-        for record, prompt, mask in zip(records, prompts, masks, strict=True)
+        AreaAnalysis(
+            _conclude(raster, mask, prompt, segmenter.card, options, found),
+            mask,
+            prompt,
+            scale=found.analysis,
+            nadir=found.plane is None,
+        )
+        for prompt, mask in zip(prompts, masks, strict=True)
     )
-
-
-# --- The record ------------------------------------------------------------------------------------------------------
 
 
 def _conclude(
@@ -104,15 +95,19 @@ def _conclude(
     gsd, estimate = scale.gsd_m_per_px, scale.estimate
     outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
     measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, not a size of zero
-    size = _Size()
+    area = diameter = _Size()
     if measured is not None and circle is not None:
-        size = _size(n_px, outline_px, circle.diameter, measured, scale.spread, card.area_log_sd(prompt, found))
+        area_m2, diameter_m = n_px * measured**2, circle.diameter * measured  # the paper, section III-G
+        area_sd = card.area_log_sd(prompt, found)
+        diameter_sd = _diameter_log_sd(area_sd, n_px, outline_px, circle.diameter)
+        area = _Size(area_m2, *scale.spread.times(2).plus(area_sd).around(area_m2))
+        diameter = _Size(diameter_m, *scale.spread.plus(diameter_sd).around(diameter_m))
     box = _box(found)
     return AreaMeasurement(
         status="low_confidence" if scale.status == "ok" and card.is_doubtful(found) else scale.status,
-        area_m2=size.area_m2,
-        area_ci95_low_m2=size.area_interval and size.area_interval.low,
-        area_ci95_high_m2=size.area_interval and size.area_interval.high,
+        area_m2=area.value,
+        area_ci95_low_m2=area.low,
+        area_ci95_high_m2=area.high,
         confidence=scale.confidence,
         gsd_m_per_px=gsd,
         n_vehicles=None if estimate is None else estimate.n_vehicles,
@@ -123,9 +118,9 @@ def _conclude(
         perimeter_m=measured and outline_px * measured,
         length_m=measured and length_px * measured,
         width_m=measured and width_px * measured,
-        inscribed_diameter_m=size.diameter_m,
-        inscribed_diameter_ci95_low_m=size.diameter_interval and size.diameter_interval.low,
-        inscribed_diameter_ci95_high_m=size.diameter_interval and size.diameter_interval.high,
+        inscribed_diameter_m=diameter.value,
+        inscribed_diameter_ci95_low_m=diameter.low,
+        inscribed_diameter_ci95_high_m=diameter.high,
         inscribed_center=None if circle is None else ImagePoint(x_px=circle.x + left, y_px=circle.y + top),
         bounding_box=box,
         alternatives=tuple(_other_object(each, scale) for each in found.alternatives),
@@ -137,32 +132,16 @@ def _conclude(
         estimate=estimate,
         segmenter=card.name,
         segmenter_sha256=card.sha256,
-        warnings=(
-            *scale.notices,
-            *mask_notices(raster, found, prompt, card, width_px),
-        ),
+        warnings=(*scale.notices, *mask_notices(raster, found, prompt, card, width_px)),
     )
 
 
 class _Size(NamedTuple):
-    """Area and inscribed circle in metres with their 95 % intervals; None without a scale or a mask."""
+    """Size in metres or square metres with its 95 % interval; None without a scale or a mask."""
 
-    area_m2: float | None = None
-    area_interval: Interval | None = None
-    diameter_m: float | None = None
-    diameter_interval: Interval | None = None
-
-
-def _size(n_px: int, outline_px: float, diameter_px: float, gsd: float, scale: Spread, mask_log_sd: float) -> _Size:
-    """Compute ``A = N_px * GSD^2`` (paper, section III-G) and the largest circle inside."""
-    area, diameter = n_px * gsd**2, diameter_px * gsd
-    diameter_log_sd = _diameter_log_sd(mask_log_sd, n_px, outline_px, diameter_px)
-    return _Size(
-        area,
-        scale.times(2).plus(mask_log_sd).around(area),
-        diameter,
-        scale.plus(diameter_log_sd).around(diameter),
-    )
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
 
 
 def _diameter_log_sd(area_log_sd: float, area_px: float, perimeter_px: float, diameter_px: float) -> float:
@@ -191,8 +170,7 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolyg
         return OutlineRing(points=tuple(ImagePoint(x_px=float(x) + left, y_px=float(y) + top) for x, y in points))
 
     return tuple(
-        OutlinePolygon(exterior=ring(part.exterior), holes=tuple(ring(hole) for hole in part.holes))
-        for part in outline_parts(mask)
+        OutlinePolygon(exterior=ring(part.exterior), holes=tuple(map(ring, part.holes))) for part in outline_parts(mask)
     )
 
 

@@ -13,14 +13,14 @@ from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliq
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens
-from vehanchor.measure.spread import Spread
 from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale, Notice
-from vehanchor.records.known_scale import known_scale
+from vehanchor.records.gsd_estimate import known_scale
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera import height_log_sd
 from vehanchor.rulers.stated_scale import stated_witness
 from vehanchor.scale.defaults import USABLE_CHANCE
+from vehanchor.scale.lengths import Z95, Interval
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.posterior import answer
 from vehanchor.scale.reliability import RELIABILITY
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
-    from vehanchor.options.rulers import StatedScale
     from vehanchor.records import GsdEstimate, ScaleSource, Status
 
 _COARSE_M_PER_PX = 3.0
@@ -46,7 +45,41 @@ ScaleInput: TypeAlias = "Callable[[Raster, ScaleOptions], ScaleAnalysis] | float
 """The known scale, or the analysis that finds it."""
 
 
-class CameraAbove(NamedTuple):
+class Spread(NamedTuple):
+    """Uncertainty of a positive quantity: standard deviations of its log.
+
+    The interval of a scale is often skewed. A symmetric standard deviation would move both of its ends, so a distance
+    would contradict the scale that it rests on. Errors of other sources are added to each side.
+
+    Attributes:
+        below: towards smaller values.
+        above: towards larger values.
+    """
+
+    below: float = 0.0
+    above: float = 0.0
+
+    @classmethod
+    def of_interval(cls, value: float | None, low: float | None, high: float | None) -> Spread:
+        """Convert a 95 % interval; without one, both sides are 0; with a value at an end, that side is."""
+        if not (value and low and high):
+            return cls()
+        return cls(max(math.log(value / low), 0.0) / Z95, max(math.log(high / value), 0.0) / Z95)
+
+    def times(self, factor: float) -> Spread:
+        """Return the spread of a power of the quantity, or of the quantity with its relative error multiplied."""
+        return Spread(self.below * factor, self.above * factor)
+
+    def plus(self, log_sd: float) -> Spread:
+        """Add an independent symmetric error to each side."""
+        return Spread(math.hypot(self.below, log_sd), math.hypot(self.above, log_sd))
+
+    def around(self, value: float) -> Interval:
+        """Return the 95 % interval around a value."""
+        return Interval(value * math.exp(-Z95 * self.below), value * math.exp(Z95 * self.above))
+
+
+class _CameraAbove(NamedTuple):
     """Data for the height of the camera: a stated height, or a lens that gives the height from the scale.
 
     Attributes:
@@ -79,8 +112,8 @@ class ResolvedScale:
     spread: Spread
     confidence: float | None
     source: ScaleSource
-    analysis: ScaleAnalysis | None
-    notices: tuple[Notice, ...]
+    analysis: ScaleAnalysis | None = None
+    notices: tuple[Notice, ...] = ()
     plane: GroundPlane | None = None
     known: KnownScale | None = None
 
@@ -175,51 +208,54 @@ def resolve_scale(
         TooObliqueError: the horizon is visible, or nearly so; or the object is higher than the camera.
         VehAnchorError: as ``Engine.estimate``.
     """
-    camera = None if object_height_m is None else camera_above(raster, options, object_height_m)
-    found = _on_the_ground(raster, scale, options)
-    return found if camera is None or object_height_m is None else raised(found, object_height_m, camera)
+    if object_height_m is None:
+        return _on_the_ground(raster, scale, options)
+    camera = _camera_above(raster, options, object_height_m)
+    return _raised(_on_the_ground(raster, scale, options), object_height_m, camera)
 
 
 def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> ResolvedScale:
     stated = options.rulers.stated_scale
-    if stated is not None and stated.basis == "measured":
-        return _stated(raster, stated, options)
+    if stated is not None and stated.basis == "measured":  # it leads, and the image is not searched
+        found = answer([stated_witness(stated)])
+        assert found is not None
+        gsd, name = stated.gsd_m_per_px, "the stated scale is"
+        spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
+        return _given(raster, options, ResolvedScale(gsd, spread, found.chance, "given"), name)
     if callable(scale):
         analysis = scale(raster, options)
-        found = analysis.estimate
-        spread = Spread()
-        if found.gsd_m_per_px is not None:
-            spread = Spread.of_interval(found.gsd_m_per_px, found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
-        plane = plane_of_record(found)
+        record = analysis.estimate
+        plane, notices = plane_of_record(record), record.warnings
         return ResolvedScale(
-            found.gsd_m_per_px, spread, found.confidence, "estimated", analysis, found.warnings, plane, found.scale
+            record.gsd_m_per_px, _spread(record), record.confidence, "estimated", analysis, notices, plane, record.scale
         )
-    told = notices_of(raster.warnings)
-    own = raster.georeference_gsd_m_per_px
-    if isinstance(scale, KnownScale):
-        seen = image_id(raster)
-        if seen != scale.image_id:
-            raise ScaleMismatchError(
-                f"the scale was measured on another image ({scale.image_id}), this one is {seen}: estimate the scale "
-                "of this image, or leave scale out"
-            )
-        spread = Spread.of_interval(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
-        notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the scale given back is"))
-        plane = _given_plane(raster, scale) or _plane(raster, options, scale.gsd_m_per_px)
-        return ResolvedScale(scale.gsd_m_per_px, spread, scale.confidence, "reused", None, notices, plane, scale)
-    notices = (*told, *_unit_notice(scale, own), *georeference_notice(own, scale, "the given scale is"))
-    return ResolvedScale(scale, Spread(), None, "given", None, notices, _plane(raster, options, scale))
+    if not isinstance(scale, KnownScale):
+        return _given(raster, options, ResolvedScale(scale, Spread(), None, "given"), "the given scale is")
+    seen = image_id(raster)
+    if seen != scale.image_id:
+        raise ScaleMismatchError(
+            f"the scale was measured on another image ({scale.image_id}), this one is {seen}: estimate the scale "
+            "of this image, or leave scale out"
+        )
+    reused = ResolvedScale(
+        scale.gsd_m_per_px, _spread(scale), scale.confidence, "reused", plane=_given_plane(raster, scale), known=scale
+    )
+    return _given(raster, options, reused, "the scale given back is")
 
 
-def _stated(raster: Raster, stated: StatedScale, options: ScaleOptions) -> ResolvedScale:
-    """Take a measured scale from elsewhere: it leads, and the image is not searched."""
-    found = answer([stated_witness(stated)])
-    assert found is not None
-    gsd, own = stated.gsd_m_per_px, raster.georeference_gsd_m_per_px
-    notices = (*notices_of(raster.warnings), *_unit_notice(gsd, own))
-    notices = (*notices, *georeference_notice(own, gsd, "the stated scale is"))
-    spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
-    return ResolvedScale(gsd, spread, found.chance, "given", None, notices, _plane(raster, options, gsd))
+def _spread(scale: KnownScale | GsdEstimate) -> Spread:
+    return Spread.of_interval(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
+
+
+def _given(raster: Raster, options: ScaleOptions, found: ResolvedScale, name: str) -> ResolvedScale:
+    """Complete a scale from the caller: the plane by the image's metadata, and warnings about image and scale."""
+    gsd, own = found.gsd_m_per_px, raster.georeference_gsd_m_per_px
+    assert gsd is not None
+    unit = _unit_notice(gsd, own) if found.source == "given" else ()
+    notices = (*notices_of(raster.warnings), *unit, *georeference_notice(own, gsd, name))
+    image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
+    tilt = metadata_tilt(image, options) if found.plane is None else None
+    return replace(found, notices=notices, plane=tilt.plane(image, gsd) if tilt else found.plane)
 
 
 def _unit_notice(gsd_m_per_px: float, own_m_per_px: float | None) -> tuple[Notice, ...]:
@@ -236,13 +272,6 @@ def _unit_notice(gsd_m_per_px: float, own_m_per_px: float | None) -> tuple[Notic
     )
 
 
-def _plane(raster: Raster, options: ScaleOptions, gsd_m_per_px: float | None) -> GroundPlane | None:
-    """Make the ground plane of a tilted camera from the scale at the image's centre."""
-    image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
-    tilt = None if gsd_m_per_px is None else metadata_tilt(image, options)
-    return None if tilt is None or gsd_m_per_px is None else tilt.plane(image, gsd_m_per_px)
-
-
 def _given_plane(raster: Raster, scale: KnownScale) -> GroundPlane | None:
     """Make the ground plane of an earlier estimate."""
     if scale.plane is None:
@@ -253,7 +282,7 @@ def _given_plane(raster: Raster, scale: KnownScale) -> GroundPlane | None:
     return plane
 
 
-def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) -> CameraAbove:
+def _camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) -> _CameraAbove:
     """Collect data for the camera's height before the work.
 
     Raises:
@@ -272,10 +301,10 @@ def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) 
         )
     given = RELIABILITY["measured height"].log_sd
     spread = given if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
-    return CameraAbove(seen, height, spread)
+    return _CameraAbove(seen, height, spread)
 
 
-def raised(found: ResolvedScale, object_height_m: float, camera: CameraAbove) -> ResolvedScale:
+def _raised(found: ResolvedScale, object_height_m: float, camera: _CameraAbove) -> ResolvedScale:
     """Convert the scale of the ground to a height above it, nearer to the camera.
 
     Raises:

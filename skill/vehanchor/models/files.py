@@ -1,36 +1,27 @@
-"""Files of an ONNX model: the graph, and the external weights of large exports.
-
-The graph itself names the file of every tensor that is stored outside it (``onnx.proto``:
-``TensorProto.external_data``). This module reads only those fields, because the ``onnx`` package is not a dependency.
-"""
+"""Files of an ONNX model: the graph, and the external weights of large exports; a cache while they are unchanged."""
 
 from __future__ import annotations
 
+import functools
 import hashlib
-from collections import deque
+import os
+import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
 
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+    from collections.abc import Callable
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 _BLOCK_BYTES = 1 << 20
-_VARINT, _EIGHT_BYTES, _COUNTED, _FOUR_BYTES = 0, 1, 2, 5  # protobuf wire types
-_MODEL, _GRAPH, _NODE, _ATTRIBUTE, _SPARSE, _FUNCTION, _TENSOR = range(7)
-# Message -> its fields that lead to tensors, by number (onnx.proto, stable since IR version 3).
-_CHILDREN: dict[int, dict[int, int]] = {
-    _MODEL: {7: _GRAPH, 25: _FUNCTION},
-    _GRAPH: {1: _NODE, 5: _TENSOR, 15: _SPARSE},
-    _NODE: {5: _ATTRIBUTE},
-    _ATTRIBUTE: {5: _TENSOR, 6: _GRAPH, 10: _TENSOR, 11: _GRAPH, 22: _SPARSE, 23: _SPARSE},
-    _SPARSE: {1: _TENSOR, 2: _TENSOR},
-    _FUNCTION: {7: _NODE, 11: _ATTRIBUTE},
-    _TENSOR: {},
-}
-_EXTERNAL_DATA, _ENTRY_KEY, _ENTRY_VALUE = 13, 1, 2
+_LENGTH = rb"[\x80-\xff]?[\x00-\x7f]"  # protobuf's number below 16,384: seven bits per byte, lowest first
+_LOCATION = re.compile(rb"\x6a" + _LENGTH + rb"\x0a\x08location\x12(" + _LENGTH + rb")")
+"""Start of an entry of ``TensorProto.external_data`` (onnx.proto, field 13) with the key ``location``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +39,6 @@ class ModelFile:
     weights: tuple[Path, ...]
 
 
-def check_model_file(path: Path) -> None:
-    """Check that a model file exists.
-
-    Raises:
-        ModelNotFoundError: there is no such file.
-    """
-    if not path.is_file():
-        raise ModelNotFoundError(
-            f"no model file at {path}; pass the path of an ONNX file, or see 'vehanchor models list'"
-        )
-
-
 def read_model(path: Path) -> ModelFile:
     """Read a model's file and find its external weights.
 
@@ -67,7 +46,10 @@ def read_model(path: Path) -> ModelFile:
         ModelNotFoundError: the file, or one of its external weights, is missing.
         ModelContractError: the file cannot be read.
     """
-    check_model_file(path)
+    if not path.is_file():
+        raise ModelNotFoundError(
+            f"no model file at {path}; pass the path of an ONNX file, or see 'vehanchor models list'"
+        )
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -92,53 +74,84 @@ def models_sha256(*models: ModelFile) -> str:
 
 
 def external_locations(content: bytes) -> tuple[str, ...]:
-    """List the files of a graph's external weights, relative to its folder, each once; empty for other files."""
-    if b"location" not in content:  # key of every such entry; most models have none and need no walk
-        return ()
+    """List the files of a graph's external weights, relative to its folder, each once; empty for other files.
+
+    The graph itself names the file of every tensor that is stored outside it. The entries are found by their bytes,
+    wherever the tensor lies in the graph, because the ``onnx`` package is not a dependency.
+    """
     found: dict[str, None] = {}
-    queue = deque([(_MODEL, memoryview(content))])
-    while queue:
-        kind, message = queue.popleft()
-        for number, body in _counted_fields(message):
-            if number in _CHILDREN[kind]:
-                queue.append((_CHILDREN[kind][number], body))
-            elif kind == _TENSOR and number == _EXTERNAL_DATA:
-                entry = {key: bytes(text).decode("utf-8", "replace") for key, text in _counted_fields(body)}
-                if entry.get(_ENTRY_KEY) == "location":
-                    found[entry.get(_ENTRY_VALUE, "")] = None
+    for entry in _LOCATION.finditer(content):
+        length = sum((byte & 0x7F) << 7 * place for place, byte in enumerate(entry[1]))
+        found[content[entry.end() : entry.end() + length].decode("utf-8", "replace")] = None
     return tuple(found)
 
 
-def _counted_fields(message: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield numbers and bodies of a message's strings and sub-messages, up to its end or the first invalid field."""
-    position = 0
+class _FileState(NamedTuple):
+    """Properties by which a changed file is detected."""
+
+    path: Path
+    size_bytes: int
+    mtime_ns: int
+    inode: int
+
+
+def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Cache what a function loads from model files, until one of the files changes.
+
+    Files, including those with external weights, are identified by absolute path, size, time and inode. A replaced
+    model is therefore loaded again, and a relative path after ``chdir`` is another file.
+
+    Args:
+        max_models: maximum number of cached results; the least recently used is dropped first.
+
+    Returns:
+        A decorator for a function whose arguments that are ``os.PathLike`` are ONNX files; it gets their absolute
+        paths. All its arguments must be hashable. Exceptions are not cached.
+    """
+
+    def decorate(load: Callable[P, T]) -> Callable[P, T]:
+        @functools.lru_cache(max_models)
+        def loaded(states: tuple[_FileState, ...], args: tuple[Any, ...], named: tuple[tuple[str, Any], ...]) -> T:
+            del states
+            return load(*args, **dict(named))
+
+        @functools.wraps(load)
+        def cached(*args: P.args, **kwargs: P.kwargs) -> T:
+            given, named = [_absolute(each) for each in args], {name: _absolute(each) for name, each in kwargs.items()}
+            files = [each for each in (*given, *named.values()) if isinstance(each, Path)]
+            states = tuple(state for file in files for state in _states(file))
+            return loaded(states, tuple(given), tuple(named.items()))
+
+        return cached
+
+    return decorate
+
+
+def _absolute(value: Any) -> Any:
+    # Links are not resolved: external weights lie beside the given name, not beside the link's target.
+    return Path(value).absolute() if isinstance(value, os.PathLike) else value
+
+
+def _states(file: Path) -> list[_FileState]:
+    """List the states of a model's file and of its external weights, without missing files."""
+    state = _state(file)
+    if state is None:
+        return []
+    beside = (_state(file.parent / location) for location in _locations(state))
+    return [state, *(weights for weights in beside if weights is not None)]
+
+
+def _state(file: Path) -> _FileState | None:
     try:
-        while position < len(message):
-            tag, position = _varint(message, position)
-            wire = tag & 7
-            if wire == _VARINT:
-                _, position = _varint(message, position)
-            elif wire == _COUNTED:
-                length, position = _varint(message, position)
-                yield tag >> 3, message[position : position + length]
-                position += length
-            elif wire in (_EIGHT_BYTES, _FOUR_BYTES):
-                position += 8 if wire == _EIGHT_BYTES else 4
-            else:
-                return
-    except IndexError:  # truncated; opening the model reports it
-        return
+        found = file.stat()
+    except (OSError, ValueError):  # ValueError: a NUL in the name
+        return None
+    return _FileState(file, found.st_size, found.st_mtime_ns, found.st_ino)
 
 
-def _varint(message: memoryview, position: int) -> tuple[int, int]:
-    """Read a number of seven bits per byte, lowest first; return it with the position after it."""
-    value = shift = 0
-    while True:
-        byte = message[position]
-        position += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, position
-        shift += 7
-        if shift > 63:
-            raise IndexError("longer than any number of 64 bits")
+@functools.lru_cache(maxsize=32)
+def _locations(state: _FileState) -> tuple[str, ...]:
+    try:
+        return external_locations(state.path.read_bytes())
+    except OSError:  # for example a folder; loading reports it
+        return ()

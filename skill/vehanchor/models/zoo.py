@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from vehanchor.errors import ModelNotFoundError
 
 DEFAULT_DETECTOR = "vehicles"
-_SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
-_VERIFIER = "verifier.onnx"  # for the default detector
-_CHIPS = "chips.onnx"  # for the default detector
-_SCENE_SCALE = "scene-scale.onnx"
-_COURTS = "courts.onnx"
-_NO_DETECTORS = (*_SEGMENTER, _VERIFIER, _CHIPS, _SCENE_SCALE, _COURTS)
 _BUNDLED = Path(__file__).parent / "bundled"
+SEGMENTER = _BUNDLED / "segmenter-encoder.onnx", _BUNDLED / "segmenter-decoder.onnx"
+SCENE_SCALE, COURTS = _BUNDLED / "scene-scale.onnx", _BUNDLED / "courts.onnx"
+_NO_DETECTORS = {"verifier.onnx", "chips.onnx", *(path.name for path in (*SEGMENTER, SCENE_SCALE, COURTS))}
 
 
 def bundled_models() -> dict[str, Path]:
@@ -22,50 +20,18 @@ def bundled_models() -> dict[str, Path]:
     return {path.stem: path for path in files if path.name not in _NO_DETECTORS}
 
 
-def verifier_beside(detector: Path) -> Path | None:
-    """Find the verifier of a detector; None without one.
+def auxiliary_model(detector: Path, kind: Literal["verifier", "chips"]) -> Path | None:
+    """Find the verifier or the chip network of a detector; None without one.
 
     Args:
-        detector: file of the detector. The default detector's verifier is bundled; any other's lies beside it, for
+        detector: file of the detector. The default detector's models are bundled; any other's lie beside it, for
             example ``mine.verifier.onnx`` beside ``mine.onnx``.
+        kind: which of them.
     """
-    return _beside(detector, _VERIFIER, "verifier")
-
-
-def chips_beside(detector: Path) -> Path | None:
-    """Find the chip network of a detector; None without one.
-
-    Args:
-        detector: file of the detector. The default detector's network is bundled; any other's lies beside it, for
-            example ``mine.chips.onnx`` beside ``mine.onnx``.
-    """
-    return _beside(detector, _CHIPS, "chips")
-
-
-def _beside(detector: Path, bundled: str, kind: str) -> Path | None:
-    """Find a detector's auxiliary model; ``bundled`` names the default detector's."""
     path = detector.with_name(f"{detector.stem}.{kind}.onnx")
     if detector.resolve() == (_BUNDLED / f"{DEFAULT_DETECTOR}.onnx").resolve():
-        path = _BUNDLED / bundled
+        path = _BUNDLED / f"{kind}.onnx"
     return path if path.is_file() else None
-
-
-def bundled_scene_scale() -> Path | None:
-    """Find the bundled scene-scale network; None if this installation has none."""
-    path = _BUNDLED / _SCENE_SCALE
-    return path if path.is_file() else None
-
-
-def bundled_courts() -> Path | None:
-    """Find the bundled court network; None if this installation has none."""
-    path = _BUNDLED / _COURTS
-    return path if path.is_file() else None
-
-
-def bundled_segmenter() -> tuple[Path, Path] | None:
-    """Find encoder and decoder of the bundled segmenter; None if this installation has none."""
-    encoder, decoder = (_BUNDLED / name for name in _SEGMENTER)
-    return (encoder, decoder) if encoder.is_file() and decoder.is_file() else None
 
 
 def resolve_model(model: str | Path | None = None) -> Path:
@@ -93,20 +59,10 @@ def resolve_segmenter(files: tuple[str | Path, str | Path] | None = None) -> tup
     """Find encoder and decoder of a segmenter by their paths; None gives the bundled one.
 
     Raises:
-        ModelNotFoundError: a path is not a file, or no segmenter is bundled.
+        ModelNotFoundError: a path is not a file.
     """
     if files is None:
-        bundled = bundled_segmenter()
-        if bundled is None:
-            raise ModelNotFoundError(
-                f"this installation has no bundled segmenter in {_BUNDLED}; bring one, MobileSAM for example: export "
-                "its encoder with samexporter ('python -m samexporter.export_encoder --checkpoint mobile_sam.pt "
-                "--model-type mobile --use-preprocess --output encoder.onnx'), its decoder with MobileSAM's own script "
-                "('python scripts/export_onnx_model.py --checkpoint mobile_sam.pt --model-type vit_t "
-                "--output decoder.onnx'), "
-                "and pass both: segmenter=('encoder.onnx', 'decoder.onnx') or --segmenter encoder.onnx decoder.onnx"
-            )
-        return bundled
+        return SEGMENTER
     encoder, decoder = (Path(file) for file in files)
     for path in (encoder, decoder):
         if not path.is_file():

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from vehanchor.pictures.lettering import FONT, font_scale
 from vehanchor.pictures.scale import read_reduced
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
 _LINES = 11  # approximate number along the longer side
 _LIGHT = 0.35  # opacity of the white lines
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
 _TEXT_SHARE = 95  # longer side over the height of capitals
 _MIN_TEXT_PX, _MAX_TEXT_PX = 8, 14
 
@@ -88,9 +88,8 @@ def _lighten(line: NDArray[np.uint8]) -> None:
 
 def _write(rgb: NDArray[np.uint8], text: str, origin: tuple[int, int], capital_px: int) -> None:
     """Write white text with a black rim, which is legible on any background."""
-    scale = capital_px / float(cv2.getTextSize("M", _FONT, 1.0, 1)[0][1])
     cover = np.zeros(rgb.shape[:2], np.uint8)
-    cv2.putText(cover, text, origin, _FONT, scale, 255, 1, cv2.LINE_AA)
+    cv2.putText(cover, text, origin, FONT, font_scale(capital_px), 255, 1, cv2.LINE_AA)
     rim = cv2.dilate(cover, np.ones((3, 3), np.uint8))
     rgb[:] = np.rint(rgb * (1 - rim[:, :, None] / 255.0)).astype(np.uint8)
     rgb[:] = np.maximum(rgb, cover[:, :, None])

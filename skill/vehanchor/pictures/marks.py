@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from vehanchor.pictures.lettering import text_px, text_width, write_on
+from vehanchor.pictures.placement import SUBPIXEL_BITS, fixed_point, line_px
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +22,6 @@ Rgb: TypeAlias = tuple[int, int, int]
 
 MARK_RGB = (0, 190, 138)  # Okabe and Ito's bluish green, lighter
 _RIM_RGB = (22, 24, 28)
-_SUBPIXEL_BITS = 4
 _LETTERS = 0.8  # height of capitals over that of the caption
 
 
@@ -39,20 +39,17 @@ def draw_marks(
         place: of the image in the picture.
         colour: RGB colour of the lines.
     """
-    line = int(np.clip(round(max(picture.shape[:2]) / 500), 1, 3))
+    line = line_px(picture)
     labels = []
     for mark in marks:
         # The origin of marks is the corner of the first pixel, OpenCV's is its centre.
         points = place.at(mark.points) - 0.5
         if (points.max(axis=0) < 0).any() or (points.min(axis=0) > picture.shape[1::-1]).any():
             continue  # outside a cut
-        fixed_point = np.rint(points * (1 << _SUBPIXEL_BITS)).astype(np.int32)
-        for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
-            cv2.polylines(picture, [fixed_point], mark.closed, ink, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
-        if len(points) == 1:
-            _draw_cross(picture, points[0], line, colour)
-        elif not mark.closed:
-            _draw_ends(picture, points, line, colour)
+        strokes = _cross(points[0], line) if len(points) == 1 else [] if mark.closed else _ends(points, line)
+        for at, closed in ((points, mark.closed), *((stroke, False) for stroke in strokes)):
+            for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
+                cv2.polylines(picture, [fixed_point(at)], closed, ink, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
         if mark.label:
             labels.append((mark.label, points[:2].mean(axis=0) if mark.closed else _middle(points)))
     for label, middle in labels:
@@ -66,31 +63,19 @@ def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([np.interp(way[-1] / 2, way, points[:, axis]) for axis in (0, 1)])
 
 
-def _draw_ends(picture: NDArray[np.uint8], points: NDArray[np.float64], line: int, colour: Rgb) -> None:
-    """Draw short strokes across the ends, as in a dimensioned drawing."""
+def _ends(points: NDArray[np.float64], line: int) -> list[NDArray[np.float64]]:
+    """Make short strokes across the ends, as in a dimensioned drawing."""
+    strokes = []
     for end, along in ((points[0], points[1] - points[0]), (points[-1], points[-1] - points[-2])):
         across = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9) * (3.0 + 2 * line)
-        _draw_stroke(picture, end, across, line, colour)
+        strokes.append(np.array([end - across, end + across]))
+    return strokes
 
 
-def _draw_cross(picture: NDArray[np.uint8], middle: NDArray[np.float64], line: int, colour: Rgb) -> None:
-    """Draw a cross for a ruler without a line."""
+def _cross(middle: NDArray[np.float64], line: int) -> list[NDArray[np.float64]]:
+    """Make the arms of a cross, for a ruler without a line."""
     reach = 6.0 + 3 * line
-    for arm in ((reach, 0.0), (0.0, reach)):
-        _draw_stroke(picture, middle, np.array(arm), line, colour)
-
-
-def _draw_stroke(
-    picture: NDArray[np.uint8],
-    middle: NDArray[np.float64],
-    half: NDArray[np.float64],
-    line: int,
-    colour: Rgb,
-) -> None:
-    """Draw a short line centred on a point; ``half`` is its half-length vector."""
-    stroke = np.rint(np.array([middle - half, middle + half]) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
-    for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
-        cv2.polylines(picture, [stroke], False, ink, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+    return [np.array([middle - arm, middle + arm]) for arm in np.diag([reach, reach])]
 
 
 def _write_label(picture: NDArray[np.uint8], label: str, middle: NDArray[np.float64]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from vehanchor.detection.boxes import box_corners
 from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
-from vehanchor.pictures.placement import Placement
+from vehanchor.pictures.placement import SUBPIXEL_BITS, Placement, line_px
 from vehanchor.records.text import advice_for, by_hand_text, count, scale_text, significant
 from vehanchor.storage.atomic import check_output_path, whole_file
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.drawable import DrawableScale
     from vehanchor.pictures.placement import Cut
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
 """Texts of one line, each with the colour of the swatch before it."""
@@ -39,7 +40,6 @@ _BAR_SHARE = 0.2  # approximate length of the scale bar as a share of the pictur
 _NUMBER_SHARE, _NUMBER_RANGE_PX = 0.5, (8, 16)  # capitals of vehicles' numbers: share of a drawn width, and pixels
 _MANY_VEHICLES, _NUMBERED_PX = 100, 30.0  # more vehicles than that, drawn shorter, have no numbers
 _HALO_MIN_PX = 22.0  # least drawn length of vehicles for a dark line under the coloured one
-_SUBPIXEL_BITS = 4
 _PANEL_RGB = (22, 24, 28)
 _TEXT_RGB = (238, 238, 238)
 _JPEG_QUALITY = 92
@@ -63,21 +63,66 @@ def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale, cut: Cut | N
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
     estimate = analysis.estimate
+    canvas = open_canvas(image, estimate, analysis, cut)
+    bar = estimate.gsd_m_per_px if estimate.status == "ok" and estimate.tilt is None else None
+    return canvas.finished(bar, _caption_lines(analysis))
+
+
+class Canvas(NamedTuple):
+    """Picture to draw into.
+
+    Attributes:
+        picture: ``[h, w, 3]`` RGB, a copy of the image at display size.
+        place: of the image in the picture.
+    """
+
+    picture: NDArray[np.uint8]
+    place: Placement
+
+    def finished(self, gsd_m_per_px: float | None, lines: list[CaptionLine]) -> NDArray[np.uint8]:
+        """Add margins to a narrow picture, a scale bar for a scale, and the caption: ``[h', w', 3]`` RGB."""
+        height, width = self.picture.shape[:2]
+        across = max(0, _MIN_CANVAS_PX - width)
+        down = max(0, 5 * text_px(width + across) - height)
+        sides = down // 2, down - down // 2, across // 2, across - across // 2
+        picture = np.asarray(
+            cv2.copyMakeBorder(self.picture, *sides, cv2.BORDER_CONSTANT, value=_PANEL_RGB), dtype=np.uint8
+        )
+        if gsd_m_per_px is not None:
+            draw_scale_bar(picture, gsd_m_per_px / float(self.place.scale[0]))
+        return np.concatenate([picture, caption_panel(picture.shape[1], lines)])
+
+
+def open_canvas(
+    image: NDArray[np.uint8],
+    record: GsdEstimate | AreaMeasurement | DistanceMeasurement,
+    scale: DrawableScale | None,
+    cut: Cut | None,
+) -> Canvas:
+    """Copy an image at display size and draw the evidence of its scale.
+
+    Args:
+        image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of either.
+        record: of that image.
+        scale: analysis of the scale; None without one.
+        cut: the part to show; None for all of the image.
+    """
     picture = fit_for_eyes(image) if cut is None else cut.sized(image)
-    whole = Window(0, 0, estimate.image_width_px, estimate.image_height_px)
+    whole = Window(0, 0, record.image_width_px, record.image_height_px)
     place = Placement.of(picture, whole if cut is None else cut.part)
-    draw_vehicles(picture, analysis, place)
-    draw_marks(picture, analysis.marks, place)
-    picture = with_margins(picture)
-    if estimate.gsd_m_per_px is not None and estimate.status == "ok" and estimate.tilt is None:
-        draw_scale_bar(picture, estimate.gsd_m_per_px / float(place.scale[0]))
-    return np.concatenate([picture, caption_panel(picture.shape[1], _caption_lines(analysis))])
+    if scale is not None:
+        draw_vehicles(picture, scale, place)
+        draw_marks(picture, scale.marks, place)
+    return Canvas(picture, place)
 
 
 def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Copy an image at display size: small ones are enlarged, large ones reduced."""
     height, width = image.shape[:2]
-    factor = _picture_factor(width, height)
+    longest = max(width, height)
+    factor = MAX_SIDE_PX / longest
+    if longest <= MAX_SIDE_PX:
+        factor = min(max(1.0, MIN_WIDTH_PX / width), factor)
     size = max(1, round(width * factor)), max(1, round(height * factor))
     if size == (width, height):
         return np.array(image)  # a copy, because it is drawn into
@@ -144,14 +189,6 @@ def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:
     return target
 
 
-def _picture_factor(width_px: int, height_px: int) -> float:
-    """Compute the size of the picture over that of the image."""
-    longest = max(width_px, height_px)
-    if longest > MAX_SIDE_PX:
-        return MAX_SIDE_PX / longest
-    return min(max(1.0, MIN_WIDTH_PX / width_px), MAX_SIDE_PX / longest)
-
-
 def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, place: Placement) -> None:
     """Draw kept vehicles in blue, outliers crossed in orange, and their numbers.
 
@@ -163,19 +200,17 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, place: Pl
     boxes = analysis.detections.boxes
     if not len(boxes):
         return
-    # The origin of boxes is the corner of the first pixel, OpenCV's is its centre.
-    corners = place.at(box_corners(boxes)) - 0.5
-    fixed_point = np.rint(corners * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+    corners = place.fine(box_corners(boxes))
     drawn_length = float(np.median(boxes[:, 2]) * place.scale.mean())
-    line = int(np.clip(round(min(max(picture.shape[:2]) / 500, drawn_length / 16)), 1, 3))
-    kept, dropped = fixed_point[analysis.kept], fixed_point[~analysis.kept]
+    line = line_px(picture, drawn_length / 16)
+    kept, dropped = corners[analysis.kept], corners[~analysis.kept]
     crosses = np.ascontiguousarray(np.concatenate([dropped[:, [0, 2]], dropped[:, [1, 3]]]))
     layers = [(kept, True, KEPT_RGB, line), (dropped, True, DROPPED_RGB, line), (crosses, False, DROPPED_RGB, 1)]
     if drawn_length >= _HALO_MIN_PX:
-        layers = [(fixed_point, True, _PANEL_RGB, line + 2), *layers]
+        layers = [(corners, True, _PANEL_RGB, line + 2), *layers]
     for shapes, closed, colour, thickness in layers:
         if len(shapes):
-            cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+            cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
     _write_numbers(picture, analysis.detections, place)
 
 
@@ -193,21 +228,6 @@ def _write_numbers(picture: NDArray[np.uint8], detections: Detections, place: Pl
         if covered.size and not covered.any():
             covered[:] = True
             write_on(picture, text, (left, baseline), capital)
-
-
-def with_margins(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Add margins to a narrow picture, for the scale bar and the caption."""
-    across, down = _margins(picture.shape[1], picture.shape[0])
-    if not across and not down:
-        return picture
-    sides = down // 2, down - down // 2, across // 2, across - across // 2
-    return cv2.copyMakeBorder(picture, *sides, cv2.BORDER_CONSTANT, value=_PANEL_RGB).astype(np.uint8, copy=False)
-
-
-def _margins(width_px: int, height_px: int) -> tuple[int, int]:
-    """Compute the missing columns and rows of a picture."""
-    across = max(0, _MIN_CANVAS_PX - width_px)
-    return across, max(0, 5 * text_px(width_px + across) - height_px)
 
 
 def _round_length(metres: float) -> float:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from vehanchor.records.area import AreaMeasurement, FrameArea, OtherObject
-from vehanchor.records.distance import DistanceMeasurement
-from vehanchor.records.geometry import BoundingBox, ImagePoint, OutlinePolygon, OutlineRing
 from vehanchor.records.gsd_estimate import (
     ConfidenceTerms,
     EstimateDetails,
     FrameScale,
     GsdEstimate,
+    KnownPlane,
+    KnownScale,
     ReferenceSource,
     RulerScale,
     SceneScaleEstimate,
@@ -17,8 +16,17 @@ from vehanchor.records.gsd_estimate import (
     TiltEstimate,
     VehiclesByHand,
 )
-from vehanchor.records.known_scale import KnownPlane, KnownScale
-from vehanchor.records.measurement import ScaleSource
+from vehanchor.records.measurement import (
+    AreaMeasurement,
+    BoundingBox,
+    DistanceMeasurement,
+    FrameArea,
+    ImagePoint,
+    OtherObject,
+    OutlinePolygon,
+    OutlineRing,
+    ScaleSource,
+)
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION
 from vehanchor.scale.defaults import Reason

@@ -29,18 +29,10 @@ _MOST_WIDER = 1.25  # largest side of a shared crop over that of the prompt's ow
 
 
 def crop_side(prompt: Prompt) -> int:
-    """Compute the side of a box's crop, pixels."""
-    return max(_MIN_CROP_PX, _context_px(prompt))
-
-
-def point_crop_side(prompt: Prompt) -> int:
-    """Compute the side of the smallest crop in which points are tried, pixels."""
-    return max(_MIN_POINT_CROP_PX, _context_px(prompt))
-
-
-def _context_px(prompt: Prompt) -> int:
+    """Compute the side of a box's crop, or of the smallest one in which points are tried, pixels."""
     x1, y1, x2, y2 = prompt.extent
-    return math.ceil(_BOX_CONTEXT * max(x2 - x1, y2 - y1))
+    least = _MIN_POINT_CROP_PX if prompt.box is None else _MIN_CROP_PX
+    return max(least, math.ceil(_BOX_CONTEXT * max(x2 - x1, y2 - y1)))
 
 
 def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_px: int) -> Window:

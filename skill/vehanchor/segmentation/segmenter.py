@@ -14,19 +14,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageTooLargeError, ModelContractError
 from vehanchor.imagery.raster import Window, outer_sides
-from vehanchor.models.cache import file_cached
-from vehanchor.models.files import models_sha256, read_model
+from vehanchor.models.files import file_cached, models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import metadata_number, open_session
 from vehanchor.options import ImageLimits
-from vehanchor.segmentation.alternatives import distinct
 from vehanchor.segmentation.contracts import recognise_contract
 from vehanchor.segmentation.crop import (
     MAX_POINT_CROP_PX,
     crop_side,
     crop_window,
     place_mask,
-    point_crop_side,
     read_resized,
     shares_window,
 )
@@ -48,6 +45,9 @@ MASK_AREA_LOG_SD = 0.1  # default: standard deviation of log(mask area / true ar
 # The same for points whose masks agree, and for all others: research/results/notes.md has the trial.
 _POINT_AREA_LOG_SD, _DOUBTED_POINT_AREA_LOG_SD = 0.25, 1.3
 _LEAST_AGREEING = 3  # masks that show the same object; research/results/notes.md has the trial
+_SAME_IOU = 0.7  # masks that overlap more show the same object; research/results/notes.md has the trial
+_MAX_OBJECTS = 3
+_DEFAULT_LIMITS = ImageLimits()
 
 
 @dataclass(frozen=True)
@@ -111,9 +111,7 @@ class Segmentation:
     def bounding_box(self) -> Box | None:
         """Smallest box of whole pixels around the mask, in pixels of the image; None for an empty mask."""
         bounds, left, top = mask_bounds(self.mask), self.window.x_px, self.window.y_px
-        if bounds is None:
-            return None
-        return bounds.x1 + left, bounds.y1 + top, bounds.x2 + left, bounds.y2 + top
+        return bounds and (bounds.x1 + left, bounds.y1 + top, bounds.x2 + left, bounds.y2 + top)
 
 
 class Segmenter(LoadedModel):
@@ -167,13 +165,13 @@ class Segmenter(LoadedModel):
         bound._contract = self._contract.under(call)
         return bound
 
-    def segment(self, raster: Raster, prompt: Prompt, *, limits: ImageLimits | None = None) -> Segmentation:
+    def segment(self, raster: Raster, prompt: Prompt, *, limits: ImageLimits = _DEFAULT_LIMITS) -> Segmentation:
         """Segment the object that a prompt names.
 
         Args:
             raster: the image.
             prompt: box or points inside the image, in its pixels.
-            limits: ``max_pixels`` bounds the crop; None for the defaults.
+            limits: ``max_pixels`` bounds the crop.
 
         Returns:
             The mask with its window.
@@ -190,7 +188,7 @@ class Segmenter(LoadedModel):
         raster: Raster,
         prompts: Sequence[Prompt],
         *,
-        limits: ImageLimits | None = None,
+        limits: ImageLimits = _DEFAULT_LIMITS,
     ) -> tuple[Segmentation, ...]:
         """Segment the objects that prompts name; neighbours of similar size share an encoding.
 
@@ -219,10 +217,10 @@ class Segmenter(LoadedModel):
                     found[k] = self._decode(view, prompts[k])
         return tuple(found[k] for k in range(len(prompts)))
 
-    def _segment_points(self, raster: Raster, prompt: Prompt, limits: ImageLimits | None) -> Segmentation:
+    def _segment_points(self, raster: Raster, prompt: Prompt, limits: ImageLimits) -> Segmentation:
         """Choose among the masks of several crops, and refine the chosen one by its bounding box and the points."""
         masks = self._masks_at(raster, prompt, limits)
-        chosen, *others = distinct(masks)
+        chosen, *others = _distinct(masks)
         chosen = replace(chosen, alternatives=tuple(others), is_agreed=len(masks) >= _LEAST_AGREEING and not others)
         box = chosen.bounding_box
         if box is None or min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
@@ -232,10 +230,10 @@ class Segmenter(LoadedModel):
         best = refined if refined.mask.any() else chosen
         return replace(chosen, mask=best.mask, window=best.window, score=min(chosen.score, best.score))
 
-    def _masks_at(self, raster: Raster, prompt: Prompt, limits: ImageLimits | None) -> list[Segmentation]:
+    def _masks_at(self, raster: Raster, prompt: Prompt, limits: ImageLimits) -> list[Segmentation]:
         """Segment points in growing crops; keep masks that end inside, of one crop at least."""
         found: list[Segmentation] = []
-        side = point_crop_side(prompt)
+        side = crop_side(prompt)
         while True:
             window = crop_window(prompt, raster.width_px, raster.height_px, side)
             if found and (side > MAX_POINT_CROP_PX or not _allowed(window, limits)):
@@ -247,15 +245,13 @@ class Segmenter(LoadedModel):
                 return found
             side *= 2
 
-    def _encode(
-        self,
-        raster: Raster,
-        prompt: Prompt,
-        side_px: int,
-        limits: ImageLimits | None,
-    ) -> _View:
+    def _encode(self, raster: Raster, prompt: Prompt, side_px: int, limits: ImageLimits) -> _View:
         window = crop_window(prompt, raster.width_px, raster.height_px, side_px)
-        _check_window(window, limits or ImageLimits())
+        if not _allowed(window, limits):
+            raise ImageTooLargeError(
+                f"the object's surroundings are {window.width_px} x {window.height_px} px, the limit is "
+                f"{limits.max_pixels} pixels; give a smaller box, or measure in a reduced copy of the image"
+            )
         size = window.width_px, window.height_px
         image = read_resized(raster, window, self._contract.input_size(*size))
         return _View(window, self._contract.encode(image, size))
@@ -284,19 +280,44 @@ def _loaded(encoder_path: Path, decoder_path: Path, *, runtime: Runtime) -> Segm
     return Segmenter(encoder_path, decoder_path, runtime=runtime)
 
 
-def _allowed(window: Window, limits: ImageLimits | None) -> bool:
-    return window.width_px * window.height_px <= (limits or ImageLimits()).max_pixels
-
-
-def _check_window(window: Window, limits: ImageLimits) -> None:
-    if not _allowed(window, limits):
-        raise ImageTooLargeError(
-            f"the object's surroundings are {window.width_px} x {window.height_px} px, the limit is "
-            f"{limits.max_pixels} pixels; give a smaller box, or measure in a reduced copy of the image"
-        )
+def _allowed(window: Window, limits: ImageLimits) -> bool:
+    return window.width_px * window.height_px <= limits.max_pixels
 
 
 def _runs_into_inner_side(found: Segmentation, raster: Raster) -> bool:
     """Test whether the mask touches a side of its window that is not an edge of the image."""
     outer = outer_sides(found.window, raster.width_px, raster.height_px)
     return touches_edge(found.mask, (not outer[0], not outer[1], not outer[2], not outer[3]))
+
+
+def _distinct(found: Sequence[Segmentation]) -> list[Segmentation]:
+    """Choose the masks of different objects, at most three.
+
+    Args:
+        found: masks in windows of one image, one at least.
+
+    Returns:
+        The mask with the best score, the first of equal ones, then those of other objects by falling score; empty masks
+        only if there is nothing else.
+    """
+    kept: list[Segmentation] = []
+    for each in sorted(found, key=lambda each: (bool(each.mask.any()), each.score), reverse=True):
+        if not kept or (each.mask.any() and all(_overlap(each, other) < _SAME_IOU for other in kept)):
+            kept.append(each)
+    return kept[:_MAX_OBJECTS]
+
+
+def _overlap(one: Segmentation, other: Segmentation) -> float:
+    """Compute the intersection over union of two masks that are not empty."""
+    first, second = one.window, other.window
+    left, top = max(first.x_px, second.x_px), max(first.y_px, second.y_px)
+    right = min(first.x_px + first.width_px, second.x_px + second.width_px)
+    bottom = min(first.y_px + first.height_px, second.y_px + second.height_px)
+    if left >= right or top >= bottom:
+        return 0.0
+    parts = [
+        mask[top - at.y_px : bottom - at.y_px, left - at.x_px : right - at.x_px]
+        for mask, at in ((one.mask, first), (other.mask, second))
+    ]
+    common = int((parts[0] & parts[1]).sum())
+    return common / (int(one.mask.sum()) + int(other.mask.sum()) - common)

@@ -8,8 +8,7 @@ half pixels. Corners, side midpoints and centres of the squares are points of th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
@@ -25,8 +24,7 @@ _TOLERANCE_GROWTH = 1.6
 _RIM = 2  # empty lattice points around a mask, which OpenCV needs for contours; even, so that corners stay even
 
 
-@dataclass(frozen=True)
-class PixelBounds:
+class PixelBounds(NamedTuple):
     """Smallest box of whole pixels around a mask, in pixels from the array's corner."""
 
     x1: int
@@ -35,8 +33,7 @@ class PixelBounds:
     y2: int
 
 
-@dataclass(frozen=True)
-class Circle:
+class Circle(NamedTuple):
     """Circle, in pixels from the array's corner."""
 
     x: float
@@ -44,12 +41,16 @@ class Circle:
     diameter: float
 
 
-@dataclass(frozen=True, eq=False)
-class OutlinePart:
+class OutlinePart(NamedTuple):
     """Outline of one piece: rings ``[n, 2]`` of x, y in pixels around the piece and around each hole."""
 
     exterior: NDArray[np.float64]
     holes: tuple[NDArray[np.float64], ...]
+
+    @property
+    def rings(self) -> tuple[NDArray[np.float64], ...]:
+        """All rings, the exterior first."""
+        return self.exterior, *self.holes
 
 
 def mask_bounds(mask: NDArray[np.bool_]) -> PixelBounds | None:
@@ -88,9 +89,8 @@ def perimeter(mask: NDArray[np.bool_]) -> float:
     direction and for circles of 50 px radius, 2 % at 15 px, 5 % at 5 px.
     """
     traced = _traced(mask)
-    cell_px = traced[0].cell_px if traced else 1  # above 1 for a reduced mask, whose steps are larger
-    parts = _simplified(traced, PERIMETER_TOLERANCE_PX * cell_px)
-    rings = [ring for part in parts for ring in (part.exterior, *part.holes)]
+    parts = _simplified(traced, PERIMETER_TOLERANCE_PX * traced.cell_px)  # a reduced mask has larger steps
+    rings = [ring for part in parts for ring in part.rings]
     return float(sum(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum() for ring in rings))
 
 
@@ -146,17 +146,14 @@ def outline_parts(mask: NDArray[np.bool_], max_points: int = MAX_OUTLINE_POINTS)
     exceed the limit, the smallest are left out. The largest piece comes first.
     """
     n_rings = max_points // 4  # a ring keeps four points at any tolerance
-    traced = [replace(part, holes=part.holes[:n_rings]) for part in _traced(mask)[:n_rings]]
+    traced = _traced(mask)
+    traced = traced._replace(parts=[rings[: n_rings + 1] for rings in traced.parts[:n_rings]])
     tolerance = 0.5
     parts = _simplified(traced, tolerance)
-    while _n_points(parts) > max_points and tolerance < max(mask.shape):
+    while sum(len(ring) for part in parts for ring in part.rings) > max_points and tolerance < max(mask.shape):
         tolerance *= _TOLERANCE_GROWTH
         parts = _simplified(traced, tolerance)
     return _within(parts, max_points)
-
-
-def _n_points(parts: tuple[OutlinePart, ...]) -> int:
-    return sum(len(ring) for part in parts for ring in (part.exterior, *part.holes))
 
 
 def _within(parts: tuple[OutlinePart, ...], max_points: int) -> tuple[OutlinePart, ...]:
@@ -202,46 +199,34 @@ def _side_middles(cells: NDArray[np.uint8]) -> NDArray[np.int32]:
     return np.concatenate(points).astype(np.int32)
 
 
-@dataclass(frozen=True, eq=False)
-class _TracedPart:
-    """Corners of one piece's rings, ``[n, 1, 2]`` in steps of half a cell from ``origin``."""
+class _Traced(NamedTuple):
+    """Rings of each piece, the exterior first: corners ``[n, 1, 2]`` in steps of half a cell from ``origin``."""
 
-    exterior: NDArray[np.int32]
-    holes: tuple[NDArray[np.int32], ...]
+    parts: list[list[NDArray[np.int32]]]
     origin: NDArray[np.float64]
     cell_px: int
 
 
-def _traced(mask: NDArray[np.bool_]) -> list[_TracedPart]:
+def _traced(mask: NDArray[np.bool_]) -> _Traced:
     """Trace outlines along the pixels' sides; pieces and their holes by falling size."""
     bounds = mask_bounds(mask)
     if bounds is None:
-        return []
+        return _Traced([], np.zeros(2), 1)
     cells = _cut(mask, bounds)
     cell_px = max(1, math.ceil(math.sqrt(cells.size / _LATTICE_PX)))
     if cell_px > 1:
         cells = np.ascontiguousarray(cells[cell_px // 2 :: cell_px, cell_px // 2 :: cell_px])
     lattice = np.pad(_closed_lattice(cells), _RIM)
-    rings, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    if hierarchy is None:
-        return []
-    origin = np.array([bounds.x1, bounds.y1]) - _RIM / 2 * cell_px
-    links = hierarchy.reshape(-1, 4)  # next, previous, first child, parent
-    exact = [_with_corners(np.asarray(ring, dtype=np.int32).reshape(-1, 2)) for ring in rings]
-    size = [cv2.contourArea(ring) for ring in exact]
-    children: dict[int, list[int]] = {index: [] for index, link in enumerate(links) if link[3] < 0}
-    for index, link in enumerate(links):
-        if link[3] >= 0:
-            children[int(link[3])].append(index)
-    return [
-        _TracedPart(
-            exact[outer],
-            tuple(exact[k] for k in sorted(children[outer], key=size.__getitem__, reverse=True)),
-            origin,
-            cell_px,
-        )
-        for outer in sorted(children, key=size.__getitem__, reverse=True)
-    ]
+    found, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    rings = [_with_corners(np.asarray(ring, dtype=np.int32).reshape(-1, 2)) for ring in found]
+    # The last link of a ring is its parent, or negative for an exterior. Without rings there is no hierarchy.
+    parents = [] if hierarchy is None else hierarchy.reshape(-1, 4)[:, 3].tolist()
+    by_size = sorted(range(len(rings)), key=lambda k: cv2.contourArea(rings[k]), reverse=True)
+    parts = {k: [rings[k]] for k in by_size if parents[k] < 0}
+    for k in by_size:
+        if parents[k] >= 0:
+            parts[parents[k]].append(rings[k])
+    return _Traced(list(parts.values()), np.array([bounds.x1, bounds.y1]) - _RIM / 2 * cell_px, cell_px)
 
 
 def _with_corners(ring: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -255,19 +240,15 @@ def _with_corners(ring: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.ascontiguousarray(doubled[kept]).reshape(-1, 1, 2)
 
 
-def _simplified(traced: list[_TracedPart], tolerance_px: float) -> tuple[OutlinePart, ...]:
+def _simplified(traced: _Traced, tolerance_px: float) -> tuple[OutlinePart, ...]:
     """Simplify rings (Douglas and Peucker); a ring with fewer than three points left becomes its upright box."""
 
-    def ring(part: _TracedPart, points: NDArray[np.int32]) -> NDArray[np.float64]:
-        simple = cv2.approxPolyDP(points, 2 * tolerance_px / part.cell_px, True).reshape(-1, 2)
-        chosen = simple if len(simple) >= 3 else _upright_box(points.reshape(-1, 2))
-        return part.origin + chosen * (part.cell_px / 2)
+    def simplified(ring: NDArray[np.int32]) -> NDArray[np.float64]:
+        simple = cv2.approxPolyDP(ring, 2 * tolerance_px / traced.cell_px, True).reshape(-1, 2)
+        if len(simple) < 3:
+            (x1, y1), (x2, y2) = ring.min(axis=(0, 1)), ring.max(axis=(0, 1))
+            simple = np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])
+        return traced.origin + simple * (traced.cell_px / 2)
 
-    return tuple(
-        OutlinePart(ring(part, part.exterior), tuple(ring(part, hole) for hole in part.holes)) for part in traced
-    )
-
-
-def _upright_box(points: NDArray[np.int32]) -> NDArray[np.int32]:
-    (x1, y1), (x2, y2) = points.min(axis=0), points.max(axis=0)
-    return np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]], dtype=np.int32)
+    rings = [[simplified(ring) for ring in part] for part in traced.parts]
+    return tuple(OutlinePart(exterior, tuple(holes)) for exterior, *holes in rings)

@@ -108,7 +108,7 @@ class LiveEstimator:
 
     def _search(self, raster: Raster) -> ScaleAnalysis:
         """Search one window of the frame, and correct the state by its vehicles."""
-        if self._network is not None and self._prior_moved >= _PRIOR_FRAMES:
+        if self._prior_moved >= _PRIOR_FRAMES:
             self._prior, self._prior_moved = self._network.predict(raster), 0.0
         factor = reduction_factor(self._expected_gsd(), raster.width_px, raster.height_px)
         window = next_window(raster.width_px, raster.height_px, factor, self._turn, self._cars)

@@ -6,8 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from vehanchor.records.gsd_estimate import GsdEstimate, Status
-from vehanchor.records.known_scale import KnownScale
+from vehanchor.records.gsd_estimate import GsdEstimate, KnownScale, Status
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 from vehanchor.scale.defaults import Reason

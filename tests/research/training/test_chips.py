@@ -36,7 +36,7 @@ from research.training.warm_start import load_exported
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_ROWS, KINDS, ChipNetwork
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import chips_beside, resolve_model
+from vehanchor.models.zoo import auxiliary_model, resolve_model
 
 pytestmark = pytest.mark.slow
 
@@ -191,7 +191,7 @@ def test_the_file_answers_as_the_network_and_takes_half_of_its_space(tmp_path: P
 
 
 def test_training_begins_from_the_bundled_file() -> None:
-    path = chips_beside(resolve_model())
+    path = auxiliary_model(resolve_model(), "chips")
     assert path is not None
     network = ChipNet()
     chips = np.random.default_rng(0).integers(0, 255, (16, CHIP_ROWS, CHIP_COLUMNS, 3), np.uint8)

@@ -20,7 +20,6 @@ from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path, error_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
-from vehanchor_server import models as models_module
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -173,13 +172,10 @@ async def test_without_a_target_there_is_nothing_to_measure(server: MCPServer[ob
     assert "targets: it is required" in text_of(result)
 
 
-@pytest.mark.parametrize("named", ["paths that lead nowhere", "none, and none is bundled"])
 async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
-    settings: Settings, images: Path, named: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    settings: Settings, images: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("vehanchor.models.zoo.bundled_segmenter", lambda: None)
-    monkeypatch.setattr(models_module, "bundled_segmenter", lambda: None)
-    files = (Path("/nowhere/secret.onnx"), Path("/nowhere/decoder.onnx")) if named.startswith("paths") else None
+    files = Path("/nowhere/secret.onnx"), Path("/nowhere/decoder.onnx")
     async with Client(create_server(create_services(replace(settings, segmenter=files)))) as client:
         result = await client.call_tool("measure_area", pool_in(images / "pool.png"))
         estimate = await client.call_tool("estimate_gsd", by_path(images / "pool.png"))
@@ -187,5 +183,5 @@ async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
         "model_unavailable: this server's segmenter cannot be loaded (model_not_found). Its operator must check "
         "--segmenter."
     )
-    assert ("/nowhere/secret.onnx" if files else "pass both: ") in caplog.text
+    assert "/nowhere/secret.onnx" in caplog.text
     assert not estimate.is_error

@@ -339,7 +339,7 @@ def test_models_list_shows_what_ships(run: Any) -> None:
     assert result.exit_code == 0
     for fact in (f"{model_zoo.DEFAULT_DETECTOR} (default)", "4.65 m", "Apache-2.0", "9 to 120 px", "not a detector"):
         assert fact in result.stdout
-    other, default = _lines(run("models", "list", "--json"))
+    other, default, _ = _lines(run("models", "list", "--json"))
     assert other["error"]["code"] == "model_contract"
     assert (default["default"], default["reference_length_m"], len(default["sha256"])) == (True, 4.65, 64)
 
@@ -357,13 +357,6 @@ def test_models_list_shows_the_segmenter_that_ships(run: Any) -> None:
     assert segmenter["contract"] == "sam"
     assert len(segmenter["sha256"]) == 64
     assert "segmenter of measure" in run("models", "list").stdout
-
-
-def test_models_list_without_any(run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
-    result = run("models", "list")
-    assert (result.exit_code, result.stdout) == (0, "")
-    assert "no bundled models" in result.stderr
 
 
 def test_models_info_shows_the_whole_card(run: Any) -> None:

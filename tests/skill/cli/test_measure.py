@@ -12,7 +12,6 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import write_sam
 from vehanchor import measure_area, records
 from vehanchor.cli import app as cli
-from vehanchor.models import zoo as model_zoo
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -165,13 +164,3 @@ def test_warnings_follow_the_table(run: Any) -> None:
     assert result.exit_code == 0
     assert "warning[target_small]: " in result.stderr
     assert run("cars.png", "--box", "440", "300", "450", "310", "--gsd", "0.2", "--json").stderr == ""
-
-
-def test_without_a_bundled_segmenter_it_says_how_to_bring_one(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
-    result = CliRunner().invoke(cli.app, ["measure", str(folder / "cars.png"), "--box", *BOX, "--gsd", "0.2"])
-    assert result.exit_code == 2
-    assert result.stderr.startswith("error[model_not_found]: ")
-    assert "MobileSAM" in result.stderr

@@ -164,7 +164,6 @@ class _WithOverviews(Raster):
 @pytest.mark.parametrize(("side_px", "by_overviews"), [(3992, False), (4000, True)])
 def test_courts_of_a_large_image_are_looked_for_on_its_overviews(side_px: int, by_overviews: bool) -> None:
     network = load_court_network(Runtime(threads=1))
-    assert network is not None
     raster = _WithOverviews(side_px)
     assert network.propose(raster, 8) == []
     assert (raster.n_overviews > 0) is by_overviews

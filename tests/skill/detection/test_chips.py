@@ -22,7 +22,7 @@ from vehanchor.detection.search import search
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import chips_beside, resolve_model
+from vehanchor.models.zoo import auxiliary_model, resolve_model
 from vehanchor.options import ScaleOptions, Search
 
 _PAINTED = {"vehanchor.length_range_px": "9,64", "vehanchor.search_scales": "1", "vehanchor.min_score": "0.5"}
@@ -31,7 +31,7 @@ _SIZE_PX = 1000, 800
 
 @pytest.fixture(scope="module")
 def bundled() -> ChipNetwork:
-    path = chips_beside(resolve_model())
+    path = auxiliary_model(resolve_model(), "chips")
     assert path is not None
     return ChipNetwork(path, runtime=Runtime(threads=1))
 

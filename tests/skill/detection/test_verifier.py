@@ -17,7 +17,7 @@ from vehanchor.detection.search import search
 from vehanchor.detection.verifier import CHIP_PX, Verifier, surroundings
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.models.zoo import bundled_models, resolve_model, verifier_beside
+from vehanchor.models.zoo import auxiliary_model, bundled_models, resolve_model
 from vehanchor.options import Search
 
 _METADATA = {
@@ -65,7 +65,7 @@ def test_a_card_without_meaning_is_refused(key: str, text: str | None) -> None:
 
 
 def test_the_bundled_detector_has_one_and_it_is_no_detector() -> None:
-    path = verifier_beside(resolve_model())
+    path = auxiliary_model(resolve_model(), "verifier")
     assert path is not None
     assert path.stem not in bundled_models()
     verifier = Verifier(path)

@@ -11,8 +11,7 @@ from tests.sam_models import EMPTY, write_sam
 from vehanchor import analyse_area, estimate_gsd, measure_area
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import FrameError, PromptError
-from vehanchor.pictures.area import cut_to_objects, draw_area
-from vehanchor.pictures.measured import MEASURED_RGB
+from vehanchor.pictures.measured import MEASURED_RGB, cut_to_objects, draw_area
 from vehanchor.records import AreaMeasurement
 from vehanchor.segmentation.segmenter import Segmenter
 

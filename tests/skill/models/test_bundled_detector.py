@@ -15,7 +15,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import (
     DEFAULT_DETECTOR,
-    chips_beside,
+    auxiliary_model,
     resolve_model,
 )
 from vehanchor.records import GsdEstimate
@@ -86,7 +86,7 @@ def test_the_shipped_file_is_the_one_that_was_measured() -> None:
     assert sha256 in (ROOT / "research/results/scale.json").read_text(encoding="utf-8")
     assert sha256 in path.with_suffix(".md").read_text(encoding="utf-8")
     assert path.stat().st_size <= 8_000_000
-    chips = chips_beside(path)
+    chips = auxiliary_model(path, "chips")
     assert chips is not None
     sha256 = hashlib.sha256(chips.read_bytes()).hexdigest()
     assert sha256 in chips.with_suffix(".md").read_text(encoding="utf-8")

@@ -14,13 +14,12 @@ from onnx.external_data_helper import set_external_data
 from tests.sam_models import keep_weights_beside, write_sam2
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.models import zoo
-from vehanchor.models.cache import file_cached
-from vehanchor.models.files import check_model_file, external_locations, models_sha256, read_model
+from vehanchor.models.files import external_locations, file_cached, models_sha256, read_model
 from vehanchor.models.zoo import (
     DEFAULT_DETECTOR,
+    SEGMENTER,
+    auxiliary_model,
     bundled_models,
-    bundled_segmenter,
-    chips_beside,
     resolve_model,
     resolve_segmenter,
 )
@@ -45,6 +44,7 @@ def test_weights_are_found_wherever_a_graph_can_hold_a_tensor() -> None:
     function.node[0].attribute[0].t.external_data[0].value = "füße.bin"
     model = helper.make_model(graph, functions=[function])
     expected = {"constant.bin", "one.bin", "two.bin", "branch.bin", "sparse.bin", "main.bin", "füße.bin"}
+    model.metadata_props.add(key="location", value="of the photographs")
     assert set(external_locations(model.SerializeToString())) == expected
 
 
@@ -81,7 +81,7 @@ def test_a_file_that_cannot_be_read_is_no_model(tmp_path: Path, monkeypatch: pyt
 
 
 def test_the_bundled_models_keep_their_weights_in_their_file() -> None:
-    for path in (*bundled_models().values(), *(bundled_segmenter() or ())):
+    for path in (*bundled_models().values(), *SEGMENTER):
         assert read_model(path).weights == ()
 
 
@@ -89,8 +89,7 @@ class Loaded:
     """A stand-in for a model: what its file held."""
 
     def __init__(self, path: Path, threads: int | None) -> None:
-        check_model_file(path)
-        self.content, self.threads = path.read_bytes(), threads
+        self.content, self.threads = read_model(path).content, threads
 
 
 @file_cached(max_models=2)
@@ -170,7 +169,7 @@ def bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An installation's folder of models with one of each kind, and a second detector."""
     folder = tmp_path / "bundled"
     folder.mkdir()
-    for name in ("vehicles", "boats", "chips", "segmenter-encoder", "segmenter-decoder"):
+    for name in ("vehicles", "boats", "chips", "segmenter-encoder"):
         (folder / f"{name}.onnx").touch()
     (folder / "vehicles.md").touch()
     monkeypatch.setattr(zoo, "_BUNDLED", folder)
@@ -197,27 +196,18 @@ def test_a_detector_is_given_by_its_name_or_its_path(bundled: Path, tmp_path: Pa
 
 
 def test_the_chip_network_lies_beside_its_detector(bundled: Path, tmp_path: Path) -> None:
-    assert chips_beside(bundled / "vehicles.onnx") == bundled / "chips.onnx"
-    assert chips_beside(bundled / "boats.onnx") is None
+    assert auxiliary_model(bundled / "vehicles.onnx", "chips") == bundled / "chips.onnx"
+    assert auxiliary_model(bundled / "boats.onnx", "chips") is None
     own = tmp_path / "own.onnx"
-    assert chips_beside(own) is None
+    assert auxiliary_model(own, "chips") is None
     (tmp_path / "own.chips.onnx").touch()
-    assert chips_beside(own) == tmp_path / "own.chips.onnx"
+    assert auxiliary_model(own, "chips") == tmp_path / "own.chips.onnx"
     (bundled / "chips.onnx").unlink()
-    assert chips_beside(bundled / "vehicles.onnx") is None
+    assert auxiliary_model(bundled / "vehicles.onnx", "chips") is None
 
 
-def test_a_segmenter_is_bundled_whole_or_not_at_all(bundled: Path) -> None:
-    pair = bundled / "segmenter-encoder.onnx", bundled / "segmenter-decoder.onnx"
-    assert bundled_segmenter() == resolve_segmenter() == pair
-    pair[0].unlink()
-    assert bundled_segmenter() is None
-    with pytest.raises(ModelNotFoundError, match="no bundled segmenter"):
-        resolve_segmenter()
-
-
-def test_a_segmenter_is_given_by_both_its_paths(bundled: Path, tmp_path: Path) -> None:
-    del bundled
+def test_a_segmenter_is_given_by_both_its_paths(tmp_path: Path) -> None:
+    assert all(path.is_file() for path in resolve_segmenter())
     encoder, decoder = tmp_path / "encoder.onnx", tmp_path / "decoder.onnx"
     encoder.touch()
     with pytest.raises(ModelNotFoundError, match=r"decoder\.onnx"):

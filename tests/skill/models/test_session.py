@@ -142,11 +142,6 @@ def test_providers_are_a_list_a_name_or_nothing() -> None:
             Runtime(providers=wrong)  # type: ignore[arg-type]
 
 
-_XEON = "processor\t: 0\nmodel name\t: Intel(R) Xeon(R)\nflags\t\t: fpu sse avx512f avx512_vnni\n\nprocessor\t: 1\n"
-_OLD = "processor\t: 0\nflags\t\t: fpu sse avx2 avx512f\nvmx flags\t: avx512_vnni\n"
-_GRAVITON = "processor\t: 0\nBogoMIPS\t: 243.75\nFeatures\t: fp asimd asimddp\n"
-
-
 _IMAGE = np.zeros((128, 128, 3), np.uint8)
 
 

@@ -19,9 +19,17 @@ from tests.records import CASES, KEPT, records_of
 from vehanchor.batch.row import ALL_COLUMNS
 from vehanchor.errors import MissingExtraError, PromptError
 from vehanchor.measure.distance import read_path
-from vehanchor.records import SCHEMA_VERSION, EstimateDetails, GsdEstimate, Notice
+from vehanchor.records import (
+    SCHEMA_VERSION,
+    AreaMeasurement,
+    EstimateDetails,
+    GsdEstimate,
+    ImagePoint,
+    Notice,
+    OutlinePolygon,
+    OutlineRing,
+)
 from vehanchor.records.flat import flat_columns, flat_row
-from vehanchor.records.interop import as_frame, outline_geometry
 from vehanchor.records.text import significant, with_interval
 from vehanchor.segmentation.prompt import read_prompt
 
@@ -54,19 +62,12 @@ def test_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> No
         _estimate().to_frame()
 
 
-def test_a_table_has_a_row_a_record() -> None:
-    pytest.importorskip("pandas")
-    record = _estimate()
-    table = record.to_frame()
-    assert (len(table), table.gsd_m_per_px[0]) == (1, record.gsd_m_per_px)
-    assert len(as_frame([record, record])) == 2
-
-
 def test_columns_and_their_types_are_the_same_for_every_record_of_a_type() -> None:
     pytest.importorskip("pandas")
     full, nothing = _estimate(), make_analysis(np.zeros((0, 5)), 600, 300).estimate
     assert (full.gsd_m_per_px is None, nothing.gsd_m_per_px is None) == (False, True)
     assert list(flat_row(full)) == list(flat_row(nothing)) == list(flat_columns(GsdEstimate))
+    assert (len(full.to_frame()), full.to_frame().gsd_m_per_px[0]) == (1, full.gsd_m_per_px)
     assert full.to_frame().dtypes.equals(nothing.to_frame().dtypes)
     assert full.to_frame()["ruler_vehicles_gsd_m_per_px"][0] == full.rulers[0].gsd_m_per_px
     image = np.zeros((100, 200, 3), np.uint8)
@@ -96,11 +97,11 @@ def test_a_notebook_shows_a_record_without_trusting_its_texts() -> None:
 
 
 def test_an_outline_is_a_geometry_with_closed_rings_and_holes() -> None:
-    def ring(*corners: tuple[float, float]) -> dict[str, object]:
-        return {"points": [{"x_px": x, "y_px": y} for x, y in corners]}
+    def ring(*corners: tuple[float, float]) -> OutlineRing:
+        return OutlineRing(points=tuple(ImagePoint(x_px=x, y_px=y) for x, y in corners))
 
-    piece = {"exterior": ring((0, 0), (9, 0), (9, 9), (0, 9)), "holes": [ring((2, 2), (4, 2), (4, 4))]}
-    geometry = outline_geometry([piece])
+    piece = OutlinePolygon(exterior=ring((0, 0), (9, 0), (9, 9), (0, 9)), holes=(ring((2, 2), (4, 2), (4, 4)),))
+    geometry = AreaMeasurement.model_construct(outline=(piece,)).__geo_interface__
     assert geometry["type"] == "MultiPolygon"
     ((exterior, hole),) = geometry["coordinates"]
     assert exterior[0] == exterior[-1] == [0, 0]

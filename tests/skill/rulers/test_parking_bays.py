@@ -68,11 +68,9 @@ def test_without_rows_or_without_pixels_or_without_a_prior_there_is_no_evidence(
 def test_an_empty_car_park_has_a_scale() -> None:
     scene = render_scene(0.2, width_px=700, height_px=700, seed=5, n_vehicles=0, layout="parking")
     with open_raster(scene.image) as raster:
-        network = load_scene_scale()
-        assert network is not None
         facts = ImageFacts(700, 700)
         view = View(facts, NOT_SEARCHED, made_card(5.0), ScaleOptions(), lambda *_: 1.0, raster=raster)
-        witness = measured(ParkingBays(), replace(view, prior=network.predict(raster)))
+        witness = measured(ParkingBays(), replace(view, prior=load_scene_scale().predict(raster)))
     assert witness.gsd_m_per_px == pytest.approx(0.2, rel=0.06)
     assert witness.interval is not None
     assert witness.interval.low < 0.2 < witness.interval.high

@@ -35,13 +35,8 @@ def full_mask(found: Segmentation, image: NDArray[np.uint8]) -> NDArray[np.bool_
 
 def is_rectangle(mask: NDArray[np.bool_], rectangle: tuple[int, int, int, int]) -> bool:
     """Whether a mask is a rectangle to the pixel, but for the corners that interpolation between cells rounds off."""
-    bounds = mask_bounds(mask)
     area = (rectangle[2] - rectangle[0]) * (rectangle[3] - rectangle[1])
-    return (
-        bounds is not None
-        and (bounds.x1, bounds.y1, bounds.x2, bounds.y2) == rectangle
-        and int(mask.sum()) >= 0.98 * area
-    )
+    return mask_bounds(mask) == rectangle and int(mask.sum()) >= 0.98 * area
 
 
 def picture(width: int, height: int, rectangle: tuple[int, int, int, int]) -> NDArray[np.uint8]:

@@ -30,7 +30,6 @@ from vehanchor.segmentation.contracts import Encoding, MaskLogits, SamContract
 from vehanchor.segmentation.crop import place_mask
 from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt, prompt_in_image, read_prompt
 from vehanchor.segmentation.segmenter import Segmenter
-from vehanchor.segmentation.shape import mask_bounds
 
 
 def test_the_card_names_both_files(tmp_path: Path) -> None:
@@ -178,9 +177,7 @@ def test_the_crop_of_a_point_grows_until_the_object_is_in_it(segmenter: Segmente
     found = segmented(segmenter, image, Prompt(points=((1500.0, 1300.0, True),)))
     assert found.window.width_px == pytest.approx(2 * 1200, rel=0.05)
     assert found.alternatives == ()
-    bounds = mask_bounds(full_mask(found, image))
-    assert bounds is not None
-    assert (bounds.x1, bounds.y1, bounds.x2, bounds.y2) == pytest.approx((1000, 1100, 2200, 1612), abs=40)
+    assert found.bounding_box == pytest.approx((1000, 1100, 2200, 1612), abs=40)
     everything = segmented(
         segmenter, np.full((1300, 1300, 3), OBJECT_RGB, np.uint8), Prompt(points=((450.0, 650.0, True),))
     )
@@ -191,9 +188,7 @@ def test_the_crop_of_a_point_grows_until_the_object_is_in_it(segmenter: Segmente
 def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(segmenter: Segmenter) -> None:
     image = np.full((2500, 3000, 3), OBJECT_RGB, np.uint8)
     box = (100.9, 60.1, 2850.1, 2300.9)
-    bounds = mask_bounds(segmented(segmenter, image, Prompt(box=box)).mask)
-    assert bounds is not None
-    assert [bounds.x1, bounds.y1, bounds.x2, bounds.y2] == [101, 60, 2850, 2301]
+    assert segmented(segmenter, image, Prompt(box=box)).bounding_box == (101, 60, 2850, 2301)
     with pytest.raises(ImageTooLargeError, match="smaller box"):
         segmented(segmenter, image, Prompt(box=box), limits=ImageLimits(max_pixels=1_000_000))
 

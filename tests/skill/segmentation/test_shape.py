@@ -150,7 +150,7 @@ def _filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The pixels whose centres are inside the outline."""
     canvas = np.zeros(mask.shape, np.uint8)
     for part in outline_parts(mask):
-        rings = [np.rint((ring - 0.5) * 256).astype(np.int32) for ring in (part.exterior, *part.holes)]
+        rings = [np.rint((ring - 0.5) * 256).astype(np.int32) for ring in part.rings]
         inside = np.zeros(mask.shape, np.uint8)
         cv2.fillPoly(inside, rings[:1], 1, shift=8)
         for hole in rings[1:]:
@@ -171,7 +171,7 @@ def test_the_outline_of_a_rectangle_with_a_hole_runs_along_its_pixels_sides() ->
 @pytest.mark.parametrize("mask", [_disc(150), _disc(100) & ~_disc(40), _rectangle(200, 60, 33)])
 def test_the_outline_of_a_smooth_object_is_true_with_200_points(mask: NDArray[np.bool_]) -> None:
     parts = outline_parts(mask)
-    assert sum(len(ring) for part in parts for ring in (part.exterior, *part.holes)) <= 200
+    assert sum(len(ring) for part in parts for ring in part.rings) <= 200
     filled = _filled(mask)
     assert (filled & mask).sum() / (filled | mask).sum() > 0.97
 
@@ -182,8 +182,8 @@ def test_a_ragged_mask_still_has_at_most_200_points(scale: int) -> None:
     mask = np.kron(noise, np.ones((scale, scale))).astype(bool)
     parts = outline_parts(mask)
     assert parts
-    assert sum(len(ring) for part in parts for ring in (part.exterior, *part.holes)) <= 200
-    assert all(len(ring) >= 3 for part in parts for ring in (part.exterior, *part.holes))
+    assert sum(len(ring) for part in parts for ring in part.rings) <= 200
+    assert all(len(ring) >= 3 for part in parts for ring in part.rings)
     many = np.zeros((400, 400), dtype=bool)
     many[::4, ::4] = True
     assert 0 < sum(len(part.exterior) for part in outline_parts(many)) <= 200

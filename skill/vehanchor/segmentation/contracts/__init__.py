@@ -1,6 +1,6 @@
 """Contracts of promptable segmenters in ONNX files, recognised by the names of their inputs and outputs.
 
-To add one, write a file with one class and add the class to ``CONTRACTS`` (registry.py).
+To add one, write a file with one class and add the class to ``CONTRACTS``.
 
 Coordinates: a crop's first pixel spans 0 to 1. All these graphs take pixel indices, as SAM does, and add half a pixel
 of the model's input. Each contract therefore subtracts that half.
@@ -13,7 +13,62 @@ decoders exported with ``--return-single-mask`` choose by the same rule.
 
 from __future__ import annotations
 
-from vehanchor.segmentation.contracts.base import Encoding, MaskLogits, SamContract
-from vehanchor.segmentation.contracts.registry import CONTRACTS, recognise_contract
+from typing import TYPE_CHECKING, Any
+
+from vehanchor.errors import ModelContractError
+from vehanchor.segmentation.contracts.base import DTYPES, Encoding, MaskLogits, SamContract
+from vehanchor.segmentation.contracts.efficient_sam import EfficientSam
+from vehanchor.segmentation.contracts.sam import Sam
+from vehanchor.segmentation.contracts.sam2 import Sam2
+from vehanchor.segmentation.contracts.transformers import Transformers
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor.models.session import Session
 
 __all__ = ["CONTRACTS", "Encoding", "MaskLogits", "SamContract", "recognise_contract"]
+
+CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers, EfficientSam)
+"""All contracts."""
+
+_OPTIONAL_INPUTS = frozenset({"mask_input", "has_mask_input", "orig_im_size"})  # of decoders
+
+
+def recognise_contract(encoder: Session, decoder: Session, input_px: int | None = None) -> SamContract:
+    """Recognise the contract of an encoder and a decoder by the names of their inputs and outputs.
+
+    Args:
+        encoder: session of the image encoder.
+        decoder: session of the mask decoder.
+        input_px: side of the model's input from its metadata; None if they have none.
+
+    Returns:
+        The contract, ready to run.
+
+    Raises:
+        ModelContractError: no contract fits the names, or the shapes are not supported.
+    """
+    found = [_names(names()) for names in (encoder.get_inputs, encoder.get_outputs)]
+    found += [_names(names()) for names in (decoder.get_inputs, decoder.get_outputs)]
+    for kind in CONTRACTS:
+        wanted = kind.encoder_inputs, kind.encoder_outputs, kind.decoder_inputs, frozenset(kind.decoder_outputs)
+        # Further inputs of the decoder must be among the optional ones.
+        if found[0] == wanted[0] and all(names <= have for names, have in zip(wanted[1:], found[1:], strict=True)):
+            extra = found[2] - wanted[2] - _OPTIONAL_INPUTS
+            types = {item.type for session in (encoder, decoder) for item in session.get_inputs()}
+            if not extra and types <= DTYPES.keys():
+                return kind(encoder, decoder, input_px)
+    swapped = " (are encoder and decoder swapped?)" if found[2] in [kind.encoder_inputs for kind in CONTRACTS] else ""
+    listed = "; ".join(
+        f"{what} {', '.join(sorted(names)) or 'nothing'}"
+        for what, names in zip(("encoder in:", "encoder out:", "decoder in:", "decoder out:"), found, strict=True)
+    )
+    *kinds, last = (kind.described for kind in CONTRACTS)
+    raise ModelContractError(
+        f"not a promptable segmenter of a known kind{swapped}: {listed}. Expected {', '.join(kinds)}, or {last}"
+    )
+
+
+def _names(items: Sequence[Any]) -> frozenset[str]:
+    return frozenset(item.name for item in items)

@@ -77,7 +77,9 @@ class SamContract(LoadedModel, ABC):
         encoder_inputs: all inputs of the encoder.
         encoder_outputs: required outputs of the encoder.
         decoder_inputs: required inputs of the decoder.
-        decoder_outputs: required outputs of the decoder.
+        decoder_outputs: required outputs of the decoder: the masks and their scores.
+        embedding: name of the coarsest embedding.
+        mean_sd: of the encoder's input, in 0..255.
         input_px: side of the model's input, pixels.
 
     Args:
@@ -94,7 +96,9 @@ class SamContract(LoadedModel, ABC):
     encoder_inputs: ClassVar[frozenset[str]]
     encoder_outputs: ClassVar[frozenset[str]]
     decoder_inputs: ClassVar[frozenset[str]]
-    decoder_outputs: ClassVar[frozenset[str]]
+    decoder_outputs: ClassVar[tuple[str, str]]
+    embedding: ClassVar[str] = "image_embeddings"
+    mean_sd: tuple[NDArray[np.float32], NDArray[np.float32]] = MEAN_RGB, SD_RGB
 
     def __init__(self, encoder: Session, decoder: Session, input_px: int | None) -> None:
         self._encoder, self._decoder = encoder, decoder
@@ -123,8 +127,8 @@ class SamContract(LoadedModel, ABC):
 
     def _embedding_side(self) -> int | None:
         """Read the side of the coarsest embedding from the encoder's or the decoder's shapes."""
-        name = "image_embeddings"
-        return fixed_side(self._encoder.get_outputs(), name) or fixed_side(self._decoder.get_inputs(), name)
+        items = [*self._encoder.get_outputs(), *self._decoder.get_inputs()]
+        return fixed_side(items, self.embedding)
 
     def _check_image_shape(self) -> None:
         shape = self._image.shape
@@ -137,9 +141,10 @@ class SamContract(LoadedModel, ABC):
                 "px: only square inputs can be used"
             )
 
-    @abstractmethod
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """Compute the width and height to which a crop is resized before ``encode``."""
+        """Compute the width and height to which a crop is resized before ``encode``: it is stretched to a square."""
+        del width_px, height_px
+        return self.input_px, self.input_px
 
     def encode(
         self,
@@ -155,11 +160,12 @@ class SamContract(LoadedModel, ABC):
         outputs = self._run(self._encoder, {self._image.name: self._prepared(image)})
         return Encoding(outputs, (image.shape[1], image.shape[0]), crop_size)
 
-    @abstractmethod
     def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Convert the resized crop to the encoder's input."""
+        mean, sd = self.mean_sd
+        normal: NDArray[np.float32] = ((image.astype(np.float32) - mean) / sd).transpose(2, 0, 1)[None]
+        return normal
 
-    @abstractmethod
     def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
         """Decode the mask for one prompt.
 
@@ -174,6 +180,22 @@ class SamContract(LoadedModel, ABC):
             PromptError: this model cannot read the prompt.
             ModelContractError: the outputs are not masks with scores.
         """
+        across, down = (side / crop for side, crop in zip(encoding.size, encoding.crop_size, strict=True))
+        outputs = self._run(self._decoder, self._feeds(encoding, prompt, (across, down)))
+        masks, (width, height) = self._masks(outputs, encoding.size)
+        grid, score = self._chosen(masks, outputs[self.decoder_outputs[1]], prompt)
+        rows, columns = grid.shape
+        return MaskLogits(grid, score, (columns / width * across, rows / height * down))
+
+    @abstractmethod
+    def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
+        """Build the decoder's inputs; ``scale`` is the size of the encoder's picture over that of the crop."""
+
+    def _masks(
+        self, outputs: Mapping[str, NDArray[Any]], size: tuple[int, int]
+    ) -> tuple[NDArray[Any], tuple[int, int]]:
+        """Choose the output with the masks; return it with the width and height of the input that it covers."""
+        return outputs[self.decoder_outputs[0]], size
 
     def _run(
         self,
@@ -212,22 +234,6 @@ class SamContract(LoadedModel, ABC):
         return grids[index].astype(np.float32), float(np.clip(flat[index], 0.0, 1.0))
 
 
-class StretchedContract(SamContract):
-    """Contract of models for which the crop is stretched to a square."""
-
-    def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """Return the side of the square, for any shape of the crop."""
-        del width_px, height_px
-        return self.input_px, self.input_px
-
-    def _scale(self, crop_size: tuple[int, int]) -> tuple[float, float]:
-        return self.input_px / crop_size[0], self.input_px / crop_size[1]
-
-    def _covering(self, grid: NDArray[np.float32], score: float, crop_size: tuple[int, int]) -> MaskLogits:
-        square = self.input_px, self.input_px
-        return MaskLogits(grid, score, cells_per_px(grid, square, self._scale(crop_size)))
-
-
 def resized_side(side_px: int, scale: float) -> int:
     """Scale a side and round it half up, as SAM does, to at least one pixel."""
     return max(1, int(side_px * scale + 0.5))
@@ -239,14 +245,6 @@ def fixed_side(items: Sequence[Any], name: str) -> int | None:
         if item.name == name and len(item.shape) == 4 and isinstance(item.shape[-1], int):
             return int(item.shape[-1])
     return None
-
-
-def cells_per_px(
-    grid: NDArray[np.float32], covered: tuple[int, int], scale: tuple[float, float]
-) -> tuple[float, float]:
-    """Compute a grid's cells per pixel of the crop, from the input pixels that it covers."""
-    rows, columns = grid.shape
-    return columns / covered[0] * scale[0], rows / covered[1] * scale[1]
 
 
 def corner_prompt(

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,9 +15,7 @@ from vehanchor.errors import ModelContractError, PromptError
 from vehanchor.segmentation.contracts.base import (
     SAM_STRIDE_PX,
     Encoding,
-    MaskLogits,
     SamContract,
-    cells_per_px,
     corner_prompt,
     resized_side,
 )
@@ -39,7 +37,8 @@ class EfficientSam(SamContract):
     encoder_inputs = frozenset({"batched_images"})
     encoder_outputs = frozenset({"image_embeddings"})
     decoder_inputs = frozenset({"image_embeddings", "batched_point_coords", "batched_point_labels", "orig_im_size"})
-    decoder_outputs = frozenset({"output_masks", "iou_predictions"})
+    decoder_outputs = "output_masks", "iou_predictions"
+    mean_sd = np.zeros(3, np.float32), np.full(3, 255, np.float32)
 
     def _found_input_px(self) -> int:
         side = self._embedding_side()
@@ -59,29 +58,19 @@ class EfficientSam(SamContract):
         scale = min(1.0, self.input_px / max(width_px, height_px))  # the graph enlarges small crops
         return resized_side(width_px, scale), resized_side(height_px, scale)
 
-    def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
-        """Decode up to six points on the object, or a box; see ``SamContract.decode``."""
+    def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
+        """Build inputs for up to six points on the object, or a box."""
         if not all(include for _, _, include in prompt.points):
             raise PromptError("EfficientSAM reads no points outside the object: leave them out, or use another model")
         if len(prompt.points) > _MAX_POINTS:
             raise PromptError(f"EfficientSAM reads at most {_MAX_POINTS} points, got {len(prompt.points)}")
         width, height = encoding.size
-        scale = width / encoding.crop_size[0], height / encoding.crop_size[1]
         # The graph scales the coordinates to its input and then adds half an input pixel.
         half = 0.5 / self.input_px
         coords, labels = corner_prompt(prompt, scale, shift=(half * width, half * height))
-        outputs = self._run(
-            self._decoder,
-            {
-                "image_embeddings": encoding.outputs["image_embeddings"],
-                "batched_point_coords": np.array(coords, np.float32).reshape(1, 1, -1, 2),
-                "batched_point_labels": np.array(labels, np.float32).reshape(1, 1, -1),
-                "orig_im_size": np.array([height, width], np.int64),
-            },
-        )
-        grid, score = self._chosen(outputs["output_masks"], outputs["iou_predictions"], prompt)
-        return MaskLogits(grid, score, cells_per_px(grid, (width, height), scale))
-
-    def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        scaled: NDArray[np.float32] = image.astype(np.float32).transpose(2, 0, 1)[None] / np.float32(255.0)
-        return scaled
+        return {
+            "image_embeddings": encoding.outputs["image_embeddings"],
+            "batched_point_coords": np.array(coords, np.float32).reshape(1, 1, -1, 2),
+            "batched_point_labels": np.array(labels, np.float32).reshape(1, 1, -1),
+            "orig_im_size": np.array([height, width], np.int64),
+        }

@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,14 +16,14 @@ from vehanchor.segmentation.contracts.base import (
     MEAN_RGB,
     SD_RGB,
     Encoding,
-    MaskLogits,
     SamContract,
-    cells_per_px,
     corner_prompt,
     resized_side,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from vehanchor.segmentation.prompt import Prompt
@@ -39,7 +39,7 @@ class Sam(SamContract):
     encoder_inputs = frozenset({"input_image"})
     encoder_outputs = frozenset({"image_embeddings"})
     decoder_inputs = frozenset({"image_embeddings", "point_coords", "point_labels"})
-    decoder_outputs = frozenset({"masks", "iou_predictions"})
+    decoder_outputs = "masks", "iou_predictions"
 
     def _check_image_shape(self) -> None:
         shape = self._image.shape
@@ -52,29 +52,25 @@ class Sam(SamContract):
         scale = self.input_px / max(width_px, height_px)
         return resized_side(width_px, scale), resized_side(height_px, scale)
 
-    def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
-        """Decode with SAM's padding point; see ``SamContract.decode``."""
+    def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
         width, height = encoding.size
-        scale = width / encoding.crop_size[0], height / encoding.crop_size[1]
         coords, labels = corner_prompt(prompt, scale, shift=0.5)
-        coords, labels = [*coords, (0.0, 0.0)], [*labels, _PADDING]
-        outputs = self._run(
-            self._decoder,
-            {
-                "image_embeddings": encoding.outputs["image_embeddings"],
-                "point_coords": np.array([coords], np.float32),
-                "point_labels": np.array([labels], np.float32),
-                "orig_im_size": np.array([height, width], np.float32),
-                **self._no_mask_prompt(),
-            },
-        )
-        masks, covered = outputs["masks"], (width, height)
+        return {
+            "image_embeddings": encoding.outputs["image_embeddings"],
+            "point_coords": np.array([[*coords, (0.0, 0.0)]], np.float32),
+            "point_labels": np.array([[*labels, _PADDING]], np.float32),
+            "orig_im_size": np.array([height, width], np.float32),
+            **self._no_mask_prompt(),
+        }
+
+    def _masks(
+        self, outputs: Mapping[str, NDArray[Any]], size: tuple[int, int]
+    ) -> tuple[NDArray[Any], tuple[int, int]]:
         coarse = outputs.get("low_res_masks")
         if coarse is not None and coarse.ndim == 4:  # exports with extra metrics use the name for other outputs
             # Exact and small; some traced exports freeze a landscape shape into "masks".
-            masks, covered = coarse, (self.input_px, self.input_px)
-        grid, score = self._chosen(masks, outputs["iou_predictions"], prompt)
-        return MaskLogits(grid, score, cells_per_px(grid, covered, scale))
+            return coarse, (self.input_px, self.input_px)
+        return super()._masks(outputs, size)
 
     def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Convert the picture to the encoder's input: unpadded if the graph pads, else padded with its zero."""

@@ -7,31 +7,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.segmentation.contracts.base import (
-    MEAN_RGB,
-    SD_RGB,
-    Encoding,
-    MaskLogits,
-    StretchedContract,
-    corner_prompt,
-    fixed_side,
-)
+from vehanchor.segmentation.contracts.base import Encoding, SamContract, corner_prompt
 from vehanchor.segmentation.prompt import Prompt
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from vehanchor.models.session import Session
 
-_SAM3_LEVEL = np.float32(127.5)  # SAM 3: mean and sd 0.5 of 0..1
+_SAM3_LEVEL = np.full(3, 127.5, np.float32)  # SAM 3: mean and sd 0.5 of 0..1
 _SAM3_STRIDE_PX = 14  # of its embedding
 _SAM3_INPUT_PX = 1008
 
 
-class Transformers(StretchedContract):
+class Transformers(SamContract):
     """Contract of SAM 2 and the SAM 3 tracker."""
 
     name = "transformers"
@@ -39,39 +32,27 @@ class Transformers(StretchedContract):
     encoder_inputs = frozenset({"pixel_values"})
     encoder_outputs = frozenset({f"image_embeddings.{level}" for level in range(3)})
     decoder_inputs = encoder_outputs | {"input_points", "input_labels", "input_boxes"}
-    decoder_outputs = frozenset({"pred_masks", "iou_scores"})
+    decoder_outputs = "pred_masks", "iou_scores"
+    embedding = "image_embeddings.2"
 
-    def _embedding_side(self) -> int | None:
-        name = "image_embeddings.2"
-        return fixed_side(self._encoder.get_outputs(), name) or fixed_side(self._decoder.get_inputs(), name)
+    def __init__(self, encoder: Session, decoder: Session, input_px: int | None) -> None:
+        super().__init__(encoder, decoder, input_px)
+        side = self._embedding_side()
+        if self.input_px == (_SAM3_INPUT_PX if side is None else side * _SAM3_STRIDE_PX):
+            self.mean_sd = _SAM3_LEVEL, _SAM3_LEVEL
 
     def _found_input_px(self) -> int:
         if self._embedding_side() == _SAM3_INPUT_PX // _SAM3_STRIDE_PX:
             return _SAM3_INPUT_PX
         return super()._found_input_px()
 
-    def _is_sam3(self) -> bool:
-        side = self._embedding_side()
-        return self.input_px == (_SAM3_INPUT_PX if side is None else side * _SAM3_STRIDE_PX)
-
-    def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
-        """Decode with separate inputs for boxes and points; see ``SamContract.decode``."""
-        crop_size = encoding.crop_size
-        scale = self._scale(crop_size)
+    def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
+        """Build separate inputs for boxes and points."""
         coords, labels = corner_prompt(Prompt(points=prompt.points), scale, shift=0.5)
         corners, _ = corner_prompt(Prompt(box=prompt.box), scale, shift=0.5)
-        outputs = self._run(
-            self._decoder,
-            {
-                **encoding.outputs,
-                "input_points": np.array(coords, np.float32).reshape(1, 1, -1, 2),
-                "input_labels": np.array(labels, np.int64).reshape(1, 1, -1),
-                "input_boxes": np.array(corners, np.float32).reshape(1, -1, 4),
-            },
-        )
-        return self._covering(*self._chosen(outputs["pred_masks"], outputs["iou_scores"], prompt), crop_size)
-
-    def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        mean, sd = (_SAM3_LEVEL, _SAM3_LEVEL) if self._is_sam3() else (MEAN_RGB, SD_RGB)
-        normal: NDArray[np.float32] = ((image.astype(np.float32) - mean) / sd).transpose(2, 0, 1)[None]
-        return normal
+        return {
+            **encoding.outputs,
+            "input_points": np.array(coords, np.float32).reshape(1, 1, -1, 2),
+            "input_labels": np.array(labels, np.int64).reshape(1, 1, -1),
+            "input_boxes": np.array(corners, np.float32).reshape(1, -1, 4),
+        }
