@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from vehanchor.detection.card import AuxiliaryCard, read_auxiliary_card
+from vehanchor.detection.card import AuxiliaryCard, read_card
 from vehanchor.errors import ModelContractError
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
@@ -60,7 +60,7 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
                 f"{', '.join(self.outputs)}, as {self.trained_by} writes them"
             )
         metadata = self._session.get_modelmeta().custom_metadata_map
-        self.card = read_auxiliary_card(self.card_type, self.path, models_sha256(file), metadata)  # type: ignore[assignment]
+        self.card = read_card(self.card_type, self.path, models_sha256(file), metadata)  # type: ignore[assignment]
 
     def predict(self, chips: NDArray[np.float32]) -> list[NDArray[np.float64]]:
         """Run the network on chips.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from research.scenes import render_scene
 from tests.models import BODIES, blank_image, paint_vehicles, write_chip_network, write_detector
 from vehanchor import analyse_scale
-from vehanchor.detection.card import ChipCard, read_auxiliary_card
+from vehanchor.detection.card import ChipCard, read_card
 from vehanchor.detection.chips import CHIP_LENGTH_PX, ChipAnswers, ChipNetwork, bodies, candidate_chips, looks
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector, load_detector
@@ -133,7 +133,7 @@ def test_a_card_without_meaning_is_refused_by_name(key: str, text: str | None) -
     if text is not None:
         metadata[f"vehanchor.{key}"] = text
     with pytest.raises(ModelContractError, match=rf"m\.chips\.onnx.*vehanchor\.{key}"):
-        read_auxiliary_card(ChipCard, Path("m.chips.onnx"), "1" * 64, metadata)
+        read_card(ChipCard, Path("m.chips.onnx"), "1" * 64, metadata)
 
 
 def test_a_chip_network_that_comes_changes_or_goes_is_noticed(tmp_path: Path) -> None:

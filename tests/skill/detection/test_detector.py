@@ -15,7 +15,7 @@ from vehanchor.detection.card import (
     REFERENCE_LENGTH_M,
     ChipCard,
     DetectorCard,
-    read_auxiliary_card,
+    read_card,
     read_detector_card,
 )
 from vehanchor.detection.classes import vehicle_classes
@@ -221,9 +221,7 @@ def test_names_may_be_a_list_or_nothing() -> None:
 
 def test_a_chip_network_made_for_another_detector_is_refused() -> None:
     metadata = {"vehanchor.detector": "foreign", "vehanchor.weights": "1,1,0", "vehanchor.least_score": "0.1"}
-    chips = read_auxiliary_card(
-        ChipCard, Path("m.chips.onnx"), "1" * 64, {**metadata, "vehanchor.bodies": json.dumps(BODIES)}
-    )
+    chips = read_card(ChipCard, Path("m.chips.onnx"), "1" * 64, {**metadata, "vehanchor.bodies": json.dumps(BODIES)})
     with pytest.raises(ModelContractError, match=r"'foreign'.*'mine'"):
         read_detector_card(_PATH, "0" * 64, {"vehanchor.name": "mine"}, chips=chips)
 

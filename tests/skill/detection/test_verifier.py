@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from research.scenes import render_scene
-from vehanchor.detection.card import VerifierCard, read_auxiliary_card, read_detector_card
+from vehanchor.detection.card import VerifierCard, read_card, read_detector_card
 from vehanchor.detection.detections import Objects
 from vehanchor.detection.detector import load_detector
 from vehanchor.detection.search import search
@@ -43,7 +43,7 @@ def test_a_chip_lies_along_its_candidate(length: float, angle: float) -> None:
 
 
 def test_the_card_takes_the_scores_of_the_verifier() -> None:
-    verifier = read_auxiliary_card(VerifierCard, Path("verifier.onnx"), "b" * 64, _METADATA)
+    verifier = read_card(VerifierCard, Path("verifier.onnx"), "b" * 64, _METADATA)
     own = {"vehanchor.name": "vehicles", "vehanchor.min_score": "0.4"}
     card = read_detector_card(Path("vehicles.onnx"), "a" * 64, own, verifier=verifier)
     assert (card.min_score, card.verifier_sha256) == (0.5, "b" * 64)
@@ -61,7 +61,7 @@ def test_a_card_without_meaning_is_refused(key: str, text: str | None) -> None:
     if text is not None:
         metadata[f"vehanchor.{key}"] = text
     with pytest.raises(ModelContractError, match=f"vehanchor.{key}"):
-        read_auxiliary_card(VerifierCard, Path("verifier.onnx"), "b" * 64, metadata)
+        read_card(VerifierCard, Path("verifier.onnx"), "b" * 64, metadata)
 
 
 def test_the_bundled_detector_has_one_and_it_is_no_detector() -> None:
