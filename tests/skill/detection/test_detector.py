@@ -19,9 +19,7 @@ from vehanchor.detection.card import (
     read_detector_card,
 )
 from vehanchor.detection.classes import vehicle_classes
-from vehanchor.detection.contracts import recognise_contract
-from vehanchor.detection.contracts.end_to_end import EndToEnd
-from vehanchor.detection.contracts.raw import Raw
+from vehanchor.detection.contracts import EndToEnd, Raw, recognise_contract
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
 from vehanchor.errors import (
