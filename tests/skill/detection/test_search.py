@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
+from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, level_shares, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
-from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares
+from vehanchor.detection.scheduler import TileScheduler
 from vehanchor.detection.search import ImageSearch, search
 from vehanchor.detection.tile_prior import tile_prior_map
 from vehanchor.errors import InvalidParameterError
@@ -184,7 +184,7 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
 def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_photograph(
     searching: Detector, monkeypatch: pytest.MonkeyPatch, length_px: float, large_px: int, left_out: bool
 ) -> None:
-    monkeypatch.setattr("vehanchor.detection.limits.ANYTIME_PIXELS", 1_000_000)
+    monkeypatch.setattr("vehanchor.detection.scheduler.ANYTIME_PIXELS", 1_000_000)
     monkeypatch.setattr("vehanchor.detection.search.LARGE_PIXELS", large_px)
     image = blank_image(1600, 1400)
     paint_vehicles(image, [[100 + 130 * k, 120 + 125 * k, length_px, 20, 0.4] for k in range(10)])
@@ -313,18 +313,14 @@ def test_the_range_of_vehicle_lengths_does_not_bound_other_objects(tmp_path: Pat
     assert np.rint(courts[:, 2] / 2).tolist().count(20.0) == 1
 
 
-def _places(side: int, factors: tuple[int, ...] = (1, 2)) -> list[TilePlace]:
-    return [
-        TilePlace(factor, tile)
-        for factor in factors
-        for tile in tile_grid(side // factor, side // factor, tile_px=64, stride_px=48)
-    ]
-
-
 @settings(max_examples=25)
 @given(st.integers(16, 500), st.integers(1, 9), st.randoms(use_true_random=False))
 def test_every_tile_is_taken_once_whatever_the_others_showed(side: int, at_once: int, random: object) -> None:
-    places = _places(side, (1, 2, 4))
+    places = [
+        (factor, tile)
+        for factor in (1, 2, 4)
+        for tile in tile_grid(side // factor, side // factor, tile_px=64, stride_px=48)
+    ]
     rng = np.random.default_rng(random.randrange(1000))  # type: ignore[attr-defined]
     order = TileScheduler(
         places, rng.random(len(places)), level_shares({1: (9, 64), 2: (25, 64), 4: (25, np.inf)}, None)

@@ -97,7 +97,7 @@ def test_a_search_verifies_fewer_candidates_a_tile_once_it_has_found_many_vehicl
         return scored(self, pixels, found, size_odds=size_odds)
 
     monkeypatch.setattr(Verifier, "scored", counted)
-    monkeypatch.setattr("vehanchor.detection.search.ANYTIME_PIXELS", 1)
+    monkeypatch.setattr("vehanchor.detection.scheduler.ANYTIME_PIXELS", 1)
     for name, value in (("_MOST_VERIFIED", 60), ("_LEAST_VERIFIED", 10)):
         monkeypatch.setattr(f"vehanchor.detection.search.{name}", value)
     verified, found = {}, {}
