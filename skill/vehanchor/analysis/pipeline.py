@@ -47,7 +47,7 @@ from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judged, sharing
 from vehanchor.scale.reliability import NO_ONE_SCALE
-from vehanchor.tilt.camera_tilt import metadata_tilt, tilt_notice
+from vehanchor.tilt.camera_tilt import known_plane, metadata_tilt, tilt_notice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -313,7 +313,7 @@ def _known_scale(
         confidence=confidence,
         image_id=view.image.image_id,
         model_id=model_id(view.card),
-        plane=None if view.tilt is None else view.tilt.known_plane(),
+        plane=None if view.tilt is None else known_plane(view.tilt),
     )
 
 

@@ -144,7 +144,7 @@ def test_a_focal_length_that_nobody_tells_is_that_of_most_drones_and_the_source_
     )
     assert told is not None
     assert told.source == "metadata"
-    assert told.focal_px == pytest.approx(tilt.focal_px)
+    assert told.focal_length_px == pytest.approx(tilt.focal_length_px)
 
 
 def test_a_horizon_in_sight_is_refused() -> None:
