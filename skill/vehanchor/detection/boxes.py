@@ -172,7 +172,7 @@ def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     radii_a, radii_b = (np.hypot(rows[:, 2], rows[:, 3]) / 2 for rows in (first, second))
     for column, box, radius in zip(out.T, second, radii_b, strict=True):
         near = np.hypot(*(first[:, :2] - box[:2]).T) < radii_a + radius  # no other circumscribed circles intersect
-        column[near] = pair_iou(first[near], np.broadcast_to(box, (np.count_nonzero(near), 5)))
+        column[near] = pair_iou(first[near], np.broadcast_to(box, first[near].shape))
     return out
 
 

@@ -5,6 +5,7 @@ One code path reads the bundled model and any YOLOv8, YOLO11 or YOLO26 OBB file 
 
 from __future__ import annotations
 
+import hashlib
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,8 +16,7 @@ import numpy as np
 from vehanchor.detection.boxes import canonical_boxes
 from vehanchor.detection.card import read_detector_card
 from vehanchor.detection.chips import ChipNetwork
-from vehanchor.detection.classes import vehicle_classes
-from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract
+from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract, vehicle_classes
 from vehanchor.detection.detections import Objects
 from vehanchor.detection.verifier import Verifier
 from vehanchor.errors import ModelContractError
@@ -24,7 +24,7 @@ from vehanchor.models.cache import file_cached
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import chips_beside, verifier_beside
+from vehanchor.models.zoo import bundled_courts, bundled_scene_scale, chips_beside, verifier_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.detection.card import DetectorCard
 
 _PADDING_LEVEL = 114  # grey level of Ultralytics' padding
 _ANGLE_LIMIT = 1e4  # radians; larger angles are invalid
@@ -268,3 +269,16 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
 @file_cached(max_models=4)
 def _loaded(path: Path, *, verifier: Path | None, chips: Path | None, runtime: Runtime) -> Detector:
     return Detector(path, verifier=verifier, chips=chips, runtime=runtime)
+
+
+def networks_sha256(card: DetectorCard) -> str:
+    """SHA-256 of the detector and of its auxiliary, scene-scale and court networks.
+
+    A result is stale once one of them has changed.
+    """
+    digest = hashlib.sha256()
+    for checksum in (card.sha256, card.verifier_sha256, card.chips_sha256):
+        digest.update(f"{checksum}\n".encode())
+    for path in (bundled_scene_scale(), bundled_courts()):
+        digest.update(models_sha256(read_model(path)).encode() if path else b"\n")
+    return digest.hexdigest()

@@ -16,8 +16,7 @@ from vehanchor import analyse_scale
 from vehanchor.detection.card import ChipCard, read_card
 from vehanchor.detection.chips import CHIP_LENGTH_PX, ChipAnswers, ChipNetwork, bodies, candidate_chips, looks
 from vehanchor.detection.detections import Detections
-from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.detection.networks import networks_sha256
+from vehanchor.detection.detector import Detector, load_detector, networks_sha256
 from vehanchor.detection.search import search
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.imagery.sources.opening import open_raster

@@ -18,8 +18,7 @@ from vehanchor.detection.card import (
     read_card,
     read_detector_card,
 )
-from vehanchor.detection.classes import vehicle_classes
-from vehanchor.detection.contracts import EndToEnd, Raw, recognise_contract
+from vehanchor.detection.contracts import EndToEnd, Raw, recognise_contract, vehicle_classes
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
 from vehanchor.errors import (
