@@ -134,19 +134,16 @@ def _is_settled(found: Answer) -> bool:
     return found.usable or (found.reason == "imprecise" and found.chance < USABLE_CHANCE - _CHANCE_MARGIN)
 
 
-def is_narrow(check: Convergence, rule: StopRule) -> bool:
-    """Test whether more tiles would change the interval and the value too little, doubts aside."""
-    narrow = check.statistical_log_sd < rule.share * max(check.fleet_log_sd, _LEAST_FLEET_LOG_SD)
-    return narrow and check.change_log_sd <= rule.change
-
-
 def has_converged(checks: Sequence[Convergence], rule: StopRule) -> bool:
-    """Test whether more tiles cannot change the scale.
+    """Test whether more tiles would change the interval and the value too little, without doubts.
 
     Args:
         checks: results of all checks so far.
         rule: stopping rule.
     """
     return len(checks) >= rule.checks and all(
-        not each.doubted and is_narrow(each, rule) for each in checks[-rule.checks :]
+        not each.doubted
+        and each.statistical_log_sd < rule.share * max(each.fleet_log_sd, _LEAST_FLEET_LOG_SD)
+        and each.change_log_sd <= rule.change
+        for each in checks[-rule.checks :]
     )
