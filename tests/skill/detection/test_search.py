@@ -77,7 +77,7 @@ def test_every_length_counts_at_some_level_and_at_two_around_their_border(
 # --- The search ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("factor", "mean"), [(1, 30.0), (2, 45.0), (4, 45.0), (8, 40.0)])
+@pytest.mark.parametrize(("factor", "mean"), [(1, 30.0), (4, 45.0)])
 def test_vehicles_are_found_at_the_level_that_fits_them_in_pixels_of_the_image(
     searching: Detector, factor: int, mean: float
 ) -> None:
@@ -114,16 +114,6 @@ def test_lengths_outside_a_levels_range_do_not_count(searching: Detector) -> Non
         image, _ = _painted(factor, [length] * 12, columns=4)
         with open_raster(image) as raster:
             assert len(search(raster, searching).boxes) == 0
-
-
-def test_tiles_of_a_reduced_copy_find_each_vehicle_once_and_none_cut(searching: Detector) -> None:
-    image, painted = _painted(2, _fleet(45.0, 42), columns=7)
-    with open_raster(image) as raster:
-        one = search(raster, searching)
-        many = search(raster, searching, Search(tile_px=160, stride_px=96))
-    assert many.n_tiles > one.n_tiles
-    assert len(one.boxes) == len(many.boxes) == len(painted) == 42
-    np.testing.assert_allclose(np.sort(many.boxes[:, 2]), np.sort(painted[:, 2]), atol=0.02)
 
 
 def test_progress_counts_the_tiles_of_all_levels_and_may_stop_in_any(searching: Detector) -> None:
@@ -208,10 +198,11 @@ def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_p
 
 
 def test_the_order_of_the_visits_does_not_show_in_what_was_found(searching: Detector) -> None:
-    image, _ = _painted(2, _fleet(45.0, 42), columns=7)
+    image, painted = _painted(2, _fleet(45.0, 42), columns=7)
     with open_raster(image) as raster:
         full = search(raster, searching, Search(tile_px=160, stride_px=96, effort="full"))
         ordered = search(raster, searching, Search(tile_px=160, stride_px=96, max_tiles=10_000))
+    np.testing.assert_allclose(np.sort(full.boxes[:, 2]), np.sort(painted[:, 2]), atol=0.02)  # each once, none cut
     assert full.boxes.tobytes() == ordered.boxes.tobytes()
     assert full.scores.tobytes() == ordered.scores.tobytes()
     assert (ordered.n_tiles, ordered.stopped_because) == (full.n_tiles, "all_searched")
@@ -253,7 +244,7 @@ def _street(width: int, height: int, seed: int = 0) -> tuple[NDArray[np.uint8], 
     return image, paint_vehicles(image, boxes)
 
 
-@pytest.mark.parametrize(("width", "height", "tile"), [(700, 500, 256), (513, 300, 256), (300, 900, 320)])
+@pytest.mark.parametrize(("width", "height", "tile"), [(513, 300, 256), (300, 900, 320)])
 def test_tiles_find_each_vehicle_once_in_image_coordinates(tmp_path: Path, width: int, height: int, tile: int) -> None:
     image, painted = _street(width, height)
     detector = Detector(write_detector(tmp_path / "m.onnx"))
