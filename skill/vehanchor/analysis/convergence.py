@@ -103,7 +103,9 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
     rule = stop_rule(view.options.search.effort, view.image.width_px * view.image.height_px)
     checks: list[Convergence] = []
     for unseen_share in search:
-        check = convergence(replace(view, detections=search.found()))._replace(unseen_share=unseen_share)
+        check = convergence(replace(view, detections=search.result(ended=False, check_stretch=False)))._replace(
+            unseen_share=unseen_share
+        )
         if check.density is not None:
             search.leave_out(check.density)
         checks.append(check)

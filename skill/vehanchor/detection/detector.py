@@ -223,7 +223,7 @@ class Detector(LoadedModel):
         return TileDetections(self._checked(vehicles, tile.pixels), self._checked(others, tile.pixels), ran_out)
 
     def _checked(self, found: Objects, tile: NDArray[np.uint8]) -> Objects:
-        """Select the boxes that can be objects of a tile.
+        """Select the boxes that are no larger than a tile and centred in it, and convert them to canonical form.
 
         Raises:
             ModelContractError: there are more boxes than any detector has anchors.
@@ -235,17 +235,11 @@ class Detector(LoadedModel):
                 f"the detector {self.path} puts out {len(found)} boxes for {width} x {height} px: at most {most} have "
                 "place there"
             )
-        return _within(found, width, height)
-
-
-def _within(found: Objects, width_px: int, height_px: int) -> Objects:
-    """Select the boxes that are no larger than the tile and centred in it, and convert them to canonical form."""
-    boxes = found.boxes
-    diagonal_px = math.hypot(width_px, height_px)
-    sane = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:4] > 0).all(axis=1) & (np.abs(boxes[:, 4]) < _ANGLE_LIMIT)
-    sane &= (boxes[:, 2:4] <= diagonal_px).all(axis=1)
-    sane &= (boxes[:, 0] >= 0) & (boxes[:, 0] <= width_px) & (boxes[:, 1] >= 0) & (boxes[:, 1] <= height_px)
-    return Objects(canonical_boxes(boxes[sane]), np.clip(found.scores[sane], 0.0, 1.0), found.classes[sane])
+        boxes = found.boxes
+        sane = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:4] > 0).all(axis=1) & (np.abs(boxes[:, 4]) < _ANGLE_LIMIT)
+        sane &= (boxes[:, 2:4] <= math.hypot(width, height)).all(axis=1)
+        sane &= ((boxes[:, :2] >= 0) & (boxes[:, :2] <= [width, height])).all(axis=1)
+        return Objects(canonical_boxes(boxes[sane]), np.clip(found.scores[sane], 0.0, 1.0), found.classes[sane])
 
 
 def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:

@@ -93,7 +93,7 @@ class ImageSearch:
     """Search of an image, which visits tiles while it is iterated over.
 
     An iteration yields the expected share of the vehicles in the tiles that are not visited, at growing intervals; its
-    caller may then ask what was ``found``, ``leave_out`` resolutions, or ``stop``. Arguments as in ``search``.
+    caller may then ask for the ``result`` so far, ``leave_out`` resolutions, or ``stop``. Arguments as in ``search``.
     """
 
     def __init__(self, raster: Raster, detector: Detector, options: Search, prior: SceneScalePrior | None) -> None:
@@ -279,16 +279,13 @@ class ImageSearch:
         # The range of lengths applies to vehicles only.
         return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= self._min_score))
 
-    def found(self) -> Detections:
-        """Merge the detections so far, without the chip network."""
-        return self._merge(ended=False, check_stretch=False)
+    def result(self, *, ended: bool = True, check_stretch: bool = True) -> Detections:
+        """Merge the detections of all visited tiles, independent of the order of the visits.
 
-    def result(self, *, check_stretch: bool = True) -> Detections:
-        """Merge the detections of a search that has ended; ``check_stretch`` as in ``search``."""
-        return self._merge(ended=True, check_stretch=check_stretch)
-
-    def _merge(self, *, ended: bool, check_stretch: bool) -> Detections:
-        """Merge the detections of all visited tiles, independent of the order of the visits."""
+        Args:
+            ended: whether the search has ended; before, the chip network is not asked.
+            check_stretch: as in ``search``.
+        """
         parts = [self._found[k] for k in sorted(self._found)]
         visited = [self.visits[k][0].factor for k in sorted(self._found)]
         factors = np.repeat(visited, [len(part.vehicles) for part in parts])
