@@ -29,11 +29,7 @@ def made_card(reference_length_m: float = 5.045, min_length_px: float = 0.0) -> 
         class_names={0: "small vehicle"},
         reference_length_m=reference_length_m,
         reference_length_sd_m=0.2,
-        region_lengths_m={},
-        length_range_px=(9.0, 120.0),
         min_length_px=min_length_px,
-        min_score=0.1,
-        licence=None,
     )
 
 

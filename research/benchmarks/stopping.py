@@ -23,9 +23,8 @@ from research.results.record import add_record_option, header, recording
 from vehanchor.analysis.convergence import convergence, has_converged, stop_rule
 from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.detector import load_detector
-from vehanchor.detection.levels import search_levels
-from vehanchor.detection.limits import LARGE_PIXELS, next_pause, search_limits
-from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares
+from vehanchor.detection.levels import level_shares, search_levels
+from vehanchor.detection.scheduler import LARGE_PIXELS, TileScheduler, first_pause, most_tiles, next_pause
 from vehanchor.detection.search import search
 from vehanchor.detection.tile_prior import car_prior, tile_prior_of
 from vehanchor.imagery.facts import ImageFacts
@@ -127,22 +126,20 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
     """Search a mosaic by the real order and rule."""
     card, side = detector.card, mosaic.side
     levels = search_levels(side, side, card.length_range_px, search_scales=True)
-    places = [TilePlace(level.factor, tile) for level in levels for tile in tile_grid(level.width_px, level.height_px)]
+    places = [(level.factor, tile) for level in levels for tile in tile_grid(level.width_px, level.height_px)]
     ranges = {each.factor: (max(card.length_range_px[0], each.shortest_px), each.longest_px) for each in levels}
-    promises = np.array([tile_prior_of(mosaic.tile_prior, place.window, place.factor) for place in places])
+    promises = np.array([tile_prior_of(mosaic.tile_prior, tile, factor) for factor, tile in places])
     order = TileScheduler(places, promises, level_shares(ranges, lognormal(GSD_M, _SCENE_LOG_SD)))
     n_pixels = max(side * side, LARGE_PIXELS)
-    rule, limits = stop_rule(options.search.effort, n_pixels), search_limits(options.search, n_pixels, len(places))
+    rule = stop_rule(options.search.effort, n_pixels)
     view = partial(View, ImageFacts(side, side), card=card, options=options, resolved_share=lambda *_: 1.0)
-    found, visited, due, checks = np.zeros(len(mosaic.boxes), bool), 0, limits.first_pause, []
-    most, done = min(len(places), limits.max_tiles or len(places)), False
+    found, visited, due, checks = np.zeros(len(mosaic.boxes), bool), 0, first_pause(options.search, n_pixels), []
+    most, done = most_tiles(options.search, n_pixels, len(places)), False
     while visited < most and not done:
         for k in order.next_tiles(min(4, most - visited)):
-            place, n_new = places[k], 0
-            if place.factor == 1:
-                inside = (
-                    np.abs(mosaic.boxes[:, :2] - [place.window.x_px + 512, place.window.y_px + 512]).max(axis=1) < 505
-                )
+            (factor, tile), n_new = places[k], 0
+            if factor == 1:
+                inside = np.abs(mosaic.boxes[:, :2] - [tile.x_px + 512, tile.y_px + 512]).max(axis=1) < 505
                 n_new = int(inside.sum())
                 found |= inside
             order.report(k, n_new)

@@ -16,7 +16,7 @@ from vehanchor.analysis.pipeline import analyse_view, search_raster
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.analysis.stored import STORED_CLASSES
 from vehanchor.detection.detections import Detections
-from vehanchor.detection.networks import networks_sha256
+from vehanchor.detection.detector import networks_sha256
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import ImageFacts

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.analysis.pipeline import analyse_view, search_raster
-from vehanchor.detection.networks import networks_sha256
+from vehanchor.detection.detector import networks_sha256
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions

@@ -31,7 +31,7 @@ from research.scenes import render_scene
 from tests import bombs
 from tests.skill.imagery import files as blocks
 from vehanchor import estimate_gsd
-from vehanchor.detection.card import ChipCard, VerifierCard, read_auxiliary_card, read_detector_card
+from vehanchor.detection.card import ChipCard, VerifierCard, read_card, read_detector_card
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES
@@ -121,7 +121,7 @@ def card(data: bytes) -> None:
         read_detector_card(*file, metadata)
     for kind in (ChipCard, VerifierCard):
         with contextlib.suppress(VehAnchorError):
-            read_auxiliary_card(kind, *file, metadata)
+            read_card(kind, *file, metadata)
 
 
 def metadata(data: bytes) -> None:

@@ -23,7 +23,11 @@ _SEARCHING = {
     "vehanchor.search_scales": "1",
     "vehanchor.reference_length_sd_m": "0.5",  # so that hundreds of vehicles do, not thousands
 }
-_LARGE_PIXELS = ("detection.limits.LARGE_PIXELS", "detection.search.LARGE_PIXELS", "analysis.convergence.LARGE_PIXELS")
+_LARGE_PIXELS = (
+    "detection.scheduler.LARGE_PIXELS",
+    "detection.search.LARGE_PIXELS",
+    "analysis.convergence.LARGE_PIXELS",
+)
 _TILES: dict[str, Any] = {"tile_px": 128, "stride_px": 96}
 
 
@@ -35,7 +39,7 @@ def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
 @pytest.fixture(scope="module", autouse=True)
 def _large() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patches:
-        for name in ("detection.limits.ANYTIME_PIXELS", "detection.search.ANYTIME_PIXELS", *_LARGE_PIXELS):
+        for name in ("detection.scheduler.ANYTIME_PIXELS", *_LARGE_PIXELS):
             patches.setattr(f"vehanchor.{name}", 1_000_000)
         yield
 

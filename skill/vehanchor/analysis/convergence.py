@@ -17,7 +17,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.detection.limits import LARGE_PIXELS
+from vehanchor.detection.scheduler import LARGE_PIXELS
 from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
@@ -103,7 +103,9 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
     rule = stop_rule(view.options.search.effort, view.image.width_px * view.image.height_px)
     checks: list[Convergence] = []
     for unseen_share in search:
-        check = convergence(replace(view, detections=search.found()))._replace(unseen_share=unseen_share)
+        check = convergence(replace(view, detections=search.result(ended=False, check_stretch=False)))._replace(
+            unseen_share=unseen_share
+        )
         if check.density is not None:
             search.leave_out(check.density)
         checks.append(check)
@@ -134,19 +136,16 @@ def _is_settled(found: Answer) -> bool:
     return found.usable or (found.reason == "imprecise" and found.chance < USABLE_CHANCE - _CHANCE_MARGIN)
 
 
-def is_narrow(check: Convergence, rule: StopRule) -> bool:
-    """Test whether more tiles would change the interval and the value too little, doubts aside."""
-    narrow = check.statistical_log_sd < rule.share * max(check.fleet_log_sd, _LEAST_FLEET_LOG_SD)
-    return narrow and check.change_log_sd <= rule.change
-
-
 def has_converged(checks: Sequence[Convergence], rule: StopRule) -> bool:
-    """Test whether more tiles cannot change the scale.
+    """Test whether more tiles would change the interval and the value too little, without doubts.
 
     Args:
         checks: results of all checks so far.
         rule: stopping rule.
     """
     return len(checks) >= rule.checks and all(
-        not each.doubted and is_narrow(each, rule) for each in checks[-rule.checks :]
+        not each.doubted
+        and each.statistical_log_sd < rule.share * max(each.fleet_log_sd, _LEAST_FLEET_LOG_SD)
+        and each.change_log_sd <= rule.change
+        for each in checks[-rule.checks :]
     )

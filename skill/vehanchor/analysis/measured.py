@@ -7,15 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.analysis.analysis import Analysis, import_supervision
+from vehanchor.analysis.scale import Analysis, ScaleAnalysis, import_supervision
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.imagery.metadata.georeference import Ground
-    from vehanchor.imagery.sources.opening import ImageSource
-    from vehanchor.options import Reading
     from vehanchor.pictures.placement import Cut
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
     from vehanchor.segmentation.prompt import Prompt
@@ -28,16 +24,10 @@ class MeasuredAnalysis(Analysis):
 
     Attributes:
         scale: the analysis of the scale; None for a known scale.
-        image: source to read the image from again; None for a stream.
-        reading: options of reading; None for the defaults.
-        ground: position of the image on the ground; None without a georeference.
         nadir: whether the camera points straight down, so that one scale holds everywhere.
     """
 
     scale: ScaleAnalysis | None
-    image: ImageSource | None = None
-    reading: Reading | None = None
-    ground: Ground | None = None
     nadir: bool = True
 
 
@@ -71,10 +61,9 @@ class AreaAnalysis(MeasuredAnalysis):
         Raises:
             OutputError: the image is too large for a mask in memory.
         """
-        from vehanchor.options import Reading
         from vehanchor.pictures.measured import full_mask
 
-        return full_mask(self, (self.reading or Reading()).limits.max_pixels)[:, :, 0] > 0
+        return full_mask(self, self.reading.limits.max_pixels)[:, :, 0] > 0
 
     def to_supervision(self) -> Any:
         """Convert the object for supervision.

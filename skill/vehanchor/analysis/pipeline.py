@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehanchor.analysis.convergence import search_until_settled
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.corrections import corrected
-from vehanchor.detection.detections import NOT_SEARCHED, Detections
+from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import InvalidParameterError
@@ -47,7 +47,7 @@ from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judged, sharing
 from vehanchor.scale.reliability import NO_ONE_SCALE
-from vehanchor.tilt.camera_tilt import metadata_tilt, tilt_notice
+from vehanchor.tilt.camera_tilt import known_plane, metadata_tilt, tilt_notice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -227,12 +227,10 @@ def _record(view: View, witnesses: Sequence[Witness], decided: _Decided, warning
     gsd, interval = decided.gsd_m_per_px, decided.interval
     return GsdEstimate(
         status="no_scale" if gsd is None else "low_confidence" if decided.reason else "ok",
-        gsd_m_per_px=gsd,
+        **_with_ci95(gsd, interval),
         confidence=decided.confidence,
         n_vehicles=None if vehicles is None else vehicles.n,
         mode_length_px=None if vehicles is None else vehicles.mode_length_px,
-        gsd_ci95_low_m_per_px=interval and interval.low,
-        gsd_ci95_high_m_per_px=interval and interval.high,
         reason=decided.reason,
         leading_ruler=decided.leading,
         rulers=decided.rulers,
@@ -249,13 +247,14 @@ def _record(view: View, witnesses: Sequence[Witness], decided: _Decided, warning
 
 
 def _details(view: View, vehicles: VehicleWitness | None, witnesses: Sequence[Witness]) -> EstimateDetails:
-    searched = view.detections
+    searched, told = view.detections, view.detections.corrections
+    scene = next((each for each in witnesses if each.kind == SceneScale.kind and each.found), None)
     paper, reference = (None, None) if vehicles is None else (vehicles.paper, vehicles.reference)
     return EstimateDetails(
         preset=view.options.method.preset,
-        scene_scale=next((_scene_scale(each) for each in witnesses if each.kind == SceneScale.kind), None),
+        scene_scale=None if scene is None else SceneScaleEstimate(**_with_ci95(scene.gsd_m_per_px, scene.interval)),
         n_detections=None if vehicles is None else len(vehicles.fleet.detections.boxes),
-        by_hand=_by_hand(searched),
+        by_hand=told and VehiclesByHand(dropped=told.n_dropped, added=told.n_added),
         working_scale=None if vehicles is None else vehicles.fleet.working_scale,
         tiles_searched=searched.n_tiles,
         tiles_total=searched.n_tiles_total or searched.n_tiles,
@@ -271,22 +270,13 @@ def _details(view: View, vehicles: VehicleWitness | None, witnesses: Sequence[Wi
     )
 
 
-def _by_hand(detections: Detections) -> VehiclesByHand | None:
-    told = detections.corrections
-    return told and VehiclesByHand(dropped=told.n_dropped, added=told.n_added)
-
-
 def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:
-    ruler, interval = ruler_class(witness.kind), witness.interval
-    assert witness.gsd_m_per_px is not None
-    assert interval is not None
+    ruler = ruler_class(witness.kind)
     return RulerScale(
         kind=witness.kind,
         label=ruler.label,
         sets_scale=ruler.sets_scale,
-        gsd_m_per_px=witness.gsd_m_per_px,
-        gsd_ci95_low_m_per_px=interval.low,
-        gsd_ci95_high_m_per_px=interval.high,
+        **_with_ci95(witness.gsd_m_per_px, witness.interval),
         n=witness.n,
         p_right=min(1.0, p_right),
         probably_right=p_right >= PROBABLY_RIGHT,
@@ -312,15 +302,15 @@ def _known_scale(
         confidence=confidence,
         image_id=view.image.image_id,
         model_id=model_id(view.card),
-        plane=None if view.tilt is None else view.tilt.known_plane(),
+        plane=None if view.tilt is None else known_plane(view.tilt),
     )
 
 
-def _scene_scale(prior: Witness) -> SceneScaleEstimate | None:
-    if prior.gsd_m_per_px is None or prior.interval is None:
-        return None
-    low, high = prior.interval
-    return SceneScaleEstimate(gsd_m_per_px=prior.gsd_m_per_px, gsd_ci95_low_m_per_px=low, gsd_ci95_high_m_per_px=high)
+def _with_ci95(gsd: float | None, interval: tuple[float, float] | None, factor: float = 1.0) -> dict[str, Any]:
+    """Fields of a scale and its interval, times a factor; all None without a scale."""
+    low, high = interval or (None, None)
+    values = {"gsd_m_per_px": gsd, "gsd_ci95_low_m_per_px": low, "gsd_ci95_high_m_per_px": high}
+    return {name: value and value * factor for name, value in values.items()}
 
 
 def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
@@ -356,11 +346,8 @@ def frame_scale(
     """Compute the scale in the caller's copy of an image with this width; None without a copy."""
     if frame.size is None:
         return None
-    factor = width_px / frame.size[0]
     return FrameScale(
         width_px=frame.size[0],
         height_px=frame.size[1],
-        gsd_m_per_px=None if gsd is None else gsd * factor,
-        gsd_ci95_low_m_per_px=None if interval is None else interval[0] * factor,
-        gsd_ci95_high_m_per_px=None if interval is None else interval[1] * factor,
+        **_with_ci95(gsd, interval, width_px / frame.size[0]),
     )

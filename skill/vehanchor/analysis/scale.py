@@ -1,4 +1,4 @@
-"""Scale with its evidence, drawing and export."""
+"""Analyses: records with their evidence, drawing and export; here that of a scale."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.analysis.analysis import Analysis, import_supervision
+from vehanchor.detection.boxes import box_corners
+from vehanchor.errors import InvalidParameterError, MissingExtraError
+from vehanchor.imagery.sources.opening import ImageSource, open_raster
+from vehanchor.options import Reading
 from vehanchor.rulers.vehicles import measured_vehicles
 
 if TYPE_CHECKING:
@@ -16,12 +19,78 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.metadata.georeference import Ground
-    from vehanchor.imagery.sources.opening import ImageSource
-    from vehanchor.options import Reading
     from vehanchor.pictures.placement import Cut
     from vehanchor.records import GsdEstimate
     from vehanchor.rulers.vehicles import VehicleWitness
     from vehanchor.scale.posterior import Answer, Mark, Witness
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Analysis:
+    """Analysis that can be drawn over its image; the image is read again.
+
+    Attributes:
+        image: source to read the image from again; None for a stream.
+        reading: options of reading.
+        ground: position of the image on the ground; None without a georeference.
+    """
+
+    image: ImageSource | None = None
+    reading: Reading = Reading()  # noqa: RUF009 - frozen
+    ground: Ground | None = None
+
+    def overlay(self, image: ImageSource | None = None) -> NDArray[np.uint8]:
+        """Draw the result and a scale bar over the image; a measurement shows its part of the image with a margin.
+
+        Args:
+            image: source to read the image from; None for the first source, unless it is a stream.
+
+        Returns:
+            ``[h, w, 3]`` RGB, as written by ``--overlay``.
+
+        Raises:
+            InvalidParameterError: the source cannot be read twice, and no image is given.
+            ImageError: the image can no longer be read.
+        """
+        from vehanchor.pictures.scale import read_reduced
+
+        source = self.image if image is None else image
+        if source is None:
+            raise InvalidParameterError("the analysis does not have its image: give it, as overlay(image)")
+        reading = self.reading
+        with open_raster(source, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+            cut = self._cut()
+            return self._draw(read_reduced(raster, cut and cut.part), cut)
+
+    def _cut(self) -> Cut | None:
+        """Choose the part of the image to draw; None for all of it."""
+        return None
+
+    def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
+        """Draw the result over ``[h, w, 3]`` RGB: the image, the part of ``cut``, or a reduced copy of either."""
+        raise NotImplementedError
+
+    def _repr_png_(self) -> bytes | None:
+        """Draw the overlay for notebooks; None if the image cannot be read again."""
+        if self.image is None:
+            return None
+        import cv2
+
+        _, encoded = cv2.imencode(".png", np.ascontiguousarray(self.overlay()[:, :, ::-1]))
+        return encoded.tobytes()
+
+
+def import_supervision() -> Any:
+    """Import supervision.
+
+    Raises:
+        MissingExtraError: supervision or one of its dependencies is not installed.
+    """
+    try:
+        import supervision
+    except ImportError as error:
+        raise MissingExtraError(f"to_supervision needs supervision ({error}): pip install supervision") from None
+    return supervision
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,18 +101,12 @@ class ScaleAnalysis(Analysis):
         estimate: the record.
         witnesses: of all rulers.
         detections: all vehicles found, in pixels of the image: ``boxes`` and ``scores``, best first.
-        image: source to read the image from again; None for a stream.
-        reading: options of reading; None for the defaults.
-        ground: position of the image on the ground; None without a georeference.
         answer: decision on the scale; None without a scale, and in the preset ``paper``.
     """
 
     estimate: GsdEstimate
     witnesses: tuple[Witness, ...]
     detections: Detections
-    image: ImageSource | None = None
-    reading: Reading | None = None
-    ground: Ground | None = None
     answer: Answer | None = None
 
     @property
@@ -96,8 +159,6 @@ class ScaleAnalysis(Analysis):
             MissingExtraError: supervision is not installed.
         """
         sv = import_supervision()
-        from vehanchor.detection.boxes import box_corners
-
         corners = box_corners(self.detections.boxes)
         return sv.Detections(
             xyxy=np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).astype(np.float32),
@@ -114,8 +175,6 @@ class ScaleAnalysis(Analysis):
     @property
     def __geo_interface__(self) -> dict[str, Any]:
         """Vehicles as a GeoJSON FeatureCollection, for geopandas and shapely; pixels, y down."""
-        from vehanchor.detection.boxes import box_corners
-
         boxes, scores = self.detections.boxes, self.detections.scores
         features = [
             {

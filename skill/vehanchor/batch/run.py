@@ -17,8 +17,7 @@ from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.row import ALL_COLUMNS, COLUMNS, BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, MadeRow, Task
-from vehanchor.detection.detector import Detector
-from vehanchor.detection.networks import networks_sha256
+from vehanchor.detection.detector import Detector, networks_sha256
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.sources.files import find_images
 from vehanchor.models.runtime import Runtime

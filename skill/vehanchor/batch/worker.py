@@ -12,8 +12,7 @@ import cv2
 
 from vehanchor.analysis.pipeline import analyse_raster, checked_detector
 from vehanchor.batch.row import BatchRow
-from vehanchor.detection.detector import Detector
-from vehanchor.detection.networks import networks_sha256
+from vehanchor.detection.detector import Detector, networks_sha256
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime

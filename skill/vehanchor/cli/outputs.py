@@ -122,10 +122,9 @@ def _write_metric(analysis: ScaleAnalysis, outputs: Mapping[str, Path]) -> None:
     """Write the photograph with a scale bar, and in full size with the size of its pixels."""
     from vehanchor.export.geotiff import write_metric_copy
     from vehanchor.imagery.sources.opening import open_raster
-    from vehanchor.options import Reading
     from vehanchor.pictures.scale import draw_scale_bar, fit_for_eyes, read_reduced, write_picture
 
-    gsd, reading = analysis.estimate.gsd_m_per_px, analysis.reading or Reading()
+    gsd, reading = analysis.estimate.gsd_m_per_px, analysis.reading
     assert gsd is not None
     assert analysis.image is not None
     with open_raster(analysis.image, bands=reading.bands, limits=reading.limits) as raster:

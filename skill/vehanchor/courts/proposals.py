@@ -15,7 +15,7 @@ import numpy as np
 
 from vehanchor.courts.match import Pose
 from vehanchor.courts.template import BASKETBALL, TENNIS
-from vehanchor.detection.limits import WINDOWED_PIXELS
+from vehanchor.detection.scheduler import WINDOWED_PIXELS
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_preview, read_reduced_window, tile_grid
 from vehanchor.models.files import file_cached, read_model

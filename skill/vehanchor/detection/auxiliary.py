@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from vehanchor.detection.card import AuxiliaryCard, read_auxiliary_card
+from vehanchor.detection.card import AuxiliaryCard, read_card
 from vehanchor.errors import ModelContractError
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
@@ -60,13 +60,13 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
                 f"{', '.join(self.outputs)}, as {self.trained_by} writes them"
             )
         metadata = self._session.get_modelmeta().custom_metadata_map
-        self.card = read_auxiliary_card(self.card_type, self.path, models_sha256(file), metadata)  # type: ignore[assignment]
+        self.card = read_card(self.card_type, self.path, models_sha256(file), metadata)  # type: ignore[assignment]
 
-    def predict(self, chips: NDArray[np.float32]) -> list[NDArray[np.float64]]:
+    def predict(self, chips: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
         """Run the network on chips.
 
         Args:
-            chips: ``[n, c, h, w]``.
+            chips: ``[n, h, w, 3]`` uint8 RGB.
 
         Returns:
             The outputs in their order, ``[n, ...]`` each.
@@ -75,8 +75,10 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
             ModelContractError: the network fails, or does not give finite numbers for each chip.
             OutOfMemoryError: there is too little memory for it now.
         """
-        described = f"the {self.named} {self.path} fails on {list(chips.shape)}"
-        results = run_session(self._session, list(self.outputs), {_INPUT: chips}, self.runtime, described)
+        planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
+        batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
+        described = f"the {self.named} {self.path} fails on {list(batch.shape)}"
+        results = run_session(self._session, list(self.outputs), {_INPUT: batch}, self.runtime, described)
         numbers = [np.asarray(each, np.float64) for each in results]
         shapes = [(len(chips), *shape) for shape in self.outputs.values()]
         if [each.shape for each in numbers] != shapes or not all(np.isfinite(each).all() for each in numbers):

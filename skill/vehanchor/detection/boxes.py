@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.detection.near_pairs import near_pairs
-
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
@@ -171,18 +169,11 @@ def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """
     first, second = canonical_boxes(a), canonical_boxes(b)
     out = np.zeros((len(first), len(second)))
-    i, j = _touching_pairs(first, second).T
-    out[i, j] = pair_iou(first[i], second[j])
+    radii_a, radii_b = (np.hypot(rows[:, 2], rows[:, 3]) / 2 for rows in (first, second))
+    for column, box, radius in zip(out.T, second, radii_b, strict=True):
+        near = np.hypot(*(first[:, :2] - box[:2]).T) < radii_a + radius  # no other circumscribed circles intersect
+        column[near] = pair_iou(first[near], np.broadcast_to(box, first[near].shape))
     return out
-
-
-def _touching_pairs(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Find the pairs (i, j) whose circumscribed circles intersect; no other boxes can overlap."""
-    radius_a, radius_b = (np.hypot(rows[:, 2], rows[:, 3]) / 2 for rows in (first, second))
-    i, j = near_pairs(first[:, :2], second[:, :2], radius_a.max(initial=0.0) + radius_b.max(initial=0.0))
-    gap = np.linalg.norm(first[i, :2] - second[j, :2], axis=1)
-    meet = np.flatnonzero(gap < radius_a[i] + radius_b[j])
-    return np.column_stack([i[meet], j[meet]])
 
 
 def box_axes(boxes: NDArray[np.float64]) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ast
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic_core import from_json
 
 from vehanchor.errors import ModelContractError
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
@@ -23,21 +23,42 @@ _STRIDE_PX = 32  # of every YOLO's coarsest layer
 _MAX_LENGTH_PX = 1024.0  # side of a tile
 _MAX_TEXT = 1 << 20  # characters of one entry; a thousand class names take a fiftieth
 _MAX_STRIDE_PX = 1024  # side of a tile; input sides are padded to whole strides
+_KEYS = {"class_names": "names", "licence": "license", "stride_px": "stride"}
+"""Keys in the metadata that Ultralytics writes; any other field's key is ``vehanchor.<field>``."""
 
+
+def _literal(text: Any) -> Any:
+    """Read names by index from the repr of a Python dict or list, as Ultralytics writes it."""
+    if not isinstance(text, str):
+        return text
+    try:
+        value = ast.literal_eval(text or "{}")
+    except (SyntaxError, TypeError, MemoryError, RecursionError):  # the last two for too many brackets
+        raise ValueError("no Python value") from None
+    return dict(enumerate(value)) if isinstance(value, (list, tuple)) else value
+
+
+def _rising(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] >= value[1]:
+        raise ValueError("not rising")
+    return value
+
+
+_LENGTHS = f"{LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m"
+_JSON = BeforeValidator(lambda text: from_json(text) if isinstance(text, str) else text)
+_LIST = BeforeValidator(lambda text: text.split(",") if isinstance(text, str) else text)
 _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
 _VehicleSpread = Annotated[float, Field(ge=0, le=LARGEST_VEHICLE_M)]
 _LengthPx = Annotated[float, Field(gt=0, le=_MAX_LENGTH_PX)]
-_NotNegative = Annotated[float, Field(ge=0)]
-_LeastLengthPx = Annotated[float, Field(ge=0, le=_MAX_LENGTH_PX)]
-_Share = Annotated[float, Field(ge=0, le=1)]
+_Share = Annotated[float, Field(ge=0, le=1, description="a number from 0 to 1")]
 _Weight = Annotated[float, Field(ge=0, le=1000)]
 _ClassIndex = Annotated[int, Field(ge=0)]
 
 
 class _Card(BaseModel):
-    """Frozen record of finite numbers, validated without conversion."""
+    """Frozen record of finite numbers; fields with a description are in the metadata, as text."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, coerce_numbers_to_str=True)
 
 
 _CardT = TypeVar("_CardT", bound=_Card)
@@ -81,30 +102,29 @@ class DetectorCard(_Card):
         votes: calibration of the boxes' votes; None if it was never fitted, as for other people's models.
     """
 
-    name: str
+    name: Annotated[str, Field(description="a name")]
     sha256: str
-    class_names: dict[_ClassIndex, str]
-    reference_length_m: _VehicleLength
-    reference_length_sd_m: _VehicleSpread
-    region_lengths_m: dict[str, _VehicleLength]
-    length_range_px: tuple[_LengthPx, _LengthPx]
-    min_length_px: _LeastLengthPx
-    min_score: _Share
-    licence: str | None
-    search_scales: bool = False
-    aggregation: Aggregation = "kde"
-    stride_px: Annotated[int, Field(ge=1, le=_MAX_STRIDE_PX)] = _STRIDE_PX
+    class_names: Annotated[
+        dict[_ClassIndex, str], BeforeValidator(_literal), Field(description="a Python dict of class names")
+    ] = {}
+    reference_length_m: Annotated[_VehicleLength, Field(description=_LENGTHS)] = REFERENCE_LENGTH_M
+    reference_length_sd_m: Annotated[_VehicleSpread, Field(description="metres >= 0")] = REFERENCE_LENGTH_SD_M
+    region_lengths_m: Annotated[
+        dict[str, _VehicleLength], _JSON, Field(description=f"a JSON object of lengths, {_LENGTHS}")
+    ] = {}
+    length_range_px: Annotated[
+        tuple[_LengthPx, _LengthPx], _LIST, AfterValidator(_rising), Field(description="pixels, 'shortest,longest'")
+    ] = LENGTH_RANGE_PX
+    min_length_px: Annotated[float, Field(ge=0, le=_MAX_LENGTH_PX, description="pixels >= 0")] = 0.0
+    min_score: _Share = MIN_SCORE
+    licence: Annotated[str | None, Field(description="a name")] = None
+    search_scales: Annotated[bool, Field(description="0 or 1")] = False
+    aggregation: Annotated[Aggregation, Field(description=f"one of {', '.join(get_args(Aggregation))}")] = "kde"
+    stride_px: Annotated[int, Field(ge=1, le=_MAX_STRIDE_PX, description="a whole number >= 1")] = _STRIDE_PX
     bodies: BodyLengths | None = None
     verifier_sha256: str | None = None
     chips_sha256: str | None = None
-    votes: Votes | None = None
-
-    @field_validator("length_range_px")
-    @classmethod
-    def _rising(cls, value: tuple[float, float]) -> tuple[float, float]:
-        if value[0] >= value[1]:
-            raise ValueError("expected the shortest length before the longest")
-        return value
+    votes: Annotated[Votes | None, _JSON, Field(description="a JSON object of the fields of Votes")] = None
 
 
 class AuxiliaryCard(_Card):
@@ -116,10 +136,7 @@ class AuxiliaryCard(_Card):
     """
 
     sha256: str
-    detector: str
-
-
-_AuxiliaryCardT = TypeVar("_AuxiliaryCardT", bound=AuxiliaryCard)
+    detector: Annotated[str, Field(description="a detector's name")]
 
 
 class VerifierCard(AuxiliaryCard):
@@ -132,7 +149,11 @@ class VerifierCard(AuxiliaryCard):
         min_score: candidates with a lower combined score are dropped.
     """
 
-    weights: tuple[_Weight, _Weight, float] | tuple[_Weight, _Weight, float, _Weight]
+    weights: Annotated[
+        tuple[_Weight, _Weight, float] | tuple[_Weight, _Weight, float, _Weight],
+        _LIST,
+        Field(description="three or four numbers, 'detector,verifier,bias,size'"),
+    ]
     least_score: _Share
     min_score: _Share
 
@@ -147,131 +168,43 @@ class ChipCard(AuxiliaryCard):
         bodies: lengths of cars' bodies.
     """
 
-    weights: tuple[_Weight, _Weight, float]
+    weights: Annotated[tuple[_Weight, _Weight, float], _LIST, Field(description="three numbers, 'search,chips,bias'")]
     least_score: _Share
-    bodies: BodyLengths
+    bodies: Annotated[
+        BodyLengths,
+        _JSON,
+        Field(description=f"a JSON object of {', '.join(BodyLengths.model_fields)}: lengths of {_LENGTHS}"),
+    ]
 
 
-def _class_names(text: str) -> dict[int, str]:
-    """Read names by index from the repr of a Python dict or list, as Ultralytics writes it."""
-    value = ast.literal_eval(text) if text else {}
-    if not isinstance(value, (dict, list, tuple)):
-        raise TypeError(f"a {type(value).__name__}")
-    return {int(index): str(name) for index, name in (value.items() if isinstance(value, dict) else enumerate(value))}
+def read_card(kind: type[_CardT], path: Path, sha256: str, metadata: Mapping[str, str], **defaults: str) -> _CardT:
+    """Read the model card of a file.
 
+    Args:
+        kind: type of the card.
+        path: path of the file.
+        sha256: checksum of the file.
+        metadata: metadata of the file.
+        **defaults: values of fields that the metadata may lack.
 
-def _switch(text: str) -> bool:
-    return {0.0: False, 1.0: True}[float(text)]
+    Returns:
+        The card.
 
-
-def _whole(text: str) -> int:
-    number = float(text)
-    if number != int(number):
-        raise ValueError("not whole")
-    return int(number)
-
-
-def _range(text: str) -> tuple[float, ...]:
-    return tuple(map(float, text.split(",")))
-
-
-def _region_lengths(text: str) -> dict[str, Any]:
-    return dict(json.loads(text).items())
-
-
-def _bodies(text: str) -> BodyLengths:
-    return BodyLengths(**json.loads(text))
-
-
-def _votes(text: str) -> Votes:
-    stated = json.loads(text)
-    return Votes(float(stated["share_at_zero"]), float(stated["share_slope"]))
-
-
-# Python's parsers raise MemoryError or RecursionError for too many brackets.
-_UNREADABLE = (
-    ValueError,
-    SyntaxError,
-    TypeError,
-    LookupError,
-    AttributeError,
-    ArithmeticError,
-    RecursionError,
-    MemoryError,
-)
-
-# Field -> key of the metadata, function that reads its text, and description of the expected text.
-_Entry = tuple[str, Callable[[str], Any], str]
-_DETECTOR_ENTRIES: dict[str, _Entry] = {
-    "name": ("vehanchor.name", str, "a name"),
-    "class_names": ("names", _class_names, "a Python dict of class names"),
-    "reference_length_m": ("vehanchor.reference_length_m", float, "a number > 0"),
-    "reference_length_sd_m": ("vehanchor.reference_length_sd_m", float, "a number >= 0"),
-    "region_lengths_m": ("vehanchor.region_lengths_m", _region_lengths, "a JSON object of lengths"),
-    "length_range_px": ("vehanchor.length_range_px", _range, "two numbers, 'shortest,longest'"),
-    "min_length_px": ("vehanchor.min_length_px", float, "a number >= 0"),
-    "min_score": ("vehanchor.min_score", float, "a number from 0 to 1"),
-    "licence": ("license", str, "a name"),
-    "search_scales": ("vehanchor.search_scales", _switch, "0 or 1"),
-    "aggregation": ("vehanchor.aggregation", str, "a name"),
-    "stride_px": ("stride", _whole, "a whole number >= 1"),
-    "votes": ("vehanchor.votes", _votes, "a JSON object of the fields of Votes"),
-}
-_FOR_DETECTOR: dict[str, _Entry] = {"detector": ("vehanchor.detector", str, "a detector's name")}
-_VERIFIER_ENTRIES: dict[str, _Entry] = {
-    **_FOR_DETECTOR,
-    "weights": ("vehanchor.weights", _range, "three or four numbers, 'detector,verifier,bias,size'"),
-    "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
-    "min_score": ("vehanchor.min_score", float, "a number from 0 to 1"),
-}
-_CHIP_ENTRIES: dict[str, _Entry] = {
-    **_FOR_DETECTOR,
-    "weights": ("vehanchor.weights", _range, "three numbers, 'search,chips,bias'"),
-    "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
-    "bodies": (
-        "vehanchor.bodies",
-        _bodies,
-        f"a JSON object of {', '.join(BodyLengths.model_fields)}: lengths of {LEAST_VEHICLE_M:g} to "
-        f"{LARGEST_VEHICLE_M:g} m",
-    ),
-}
-_AUXILIARY_ENTRIES: dict[type[AuxiliaryCard], dict[str, _Entry]] = {
-    VerifierCard: _VERIFIER_ENTRIES,
-    ChipCard: _CHIP_ENTRIES,
-}
-
-
-def _read_entries(path: Path, metadata: Mapping[str, str], entries: Mapping[str, _Entry]) -> dict[str, Any]:
-    """Read the fields whose keys are in the metadata."""
-    values = {}
-    for field, (key, read, expected) in entries.items():
-        if key in metadata:
-            try:
-                if len(metadata[key]) > _MAX_TEXT:
-                    raise ValueError("too long")
-                values[field] = read(metadata[key])
-            except _UNREADABLE:
-                raise ModelContractError(
-                    f"{path}: metadata {key!r} is {metadata[key][:80]!r}: expected {expected}"
-                ) from None
-    return values
-
-
-def _validated(
-    kind: type[_CardT],
-    path: Path,
-    metadata: Mapping[str, str],
-    entries: Mapping[str, _Entry],
-    values: Mapping[str, Any],
-) -> _CardT:
-    try:
-        return kind(**values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key, _, expected = entries[str(first["loc"][0])]
-        if key not in metadata:
-            raise ModelContractError(f"{path} has no metadata {key!r}: expected {expected}") from None
-        raise ModelContractError(f"{path}: metadata {key!r} is {metadata[key][:80]!r}: {first['msg']}") from None
+    Raises:
+        ModelContractError: an entry is missing or invalid.
+    """
+    keys = {
+        name: _KEYS.get(name, f"vehanchor.{name}") for name, field in kind.model_fields.items() if field.description
+    }
+    stated = {name: metadata[key] for name, key in keys.items() if key in metadata}
+    wrong = next((name for name, text in stated.items() if len(text) > _MAX_TEXT), None)
+    if wrong is None:
+        try:
+            return kind(**{**defaults, **stated, "sha256": sha256})
+        except ValidationError as error:
+            wrong = str(error.errors()[0]["loc"][0])
+    found = f"metadata {keys[wrong]!r} is {stated[wrong][:80]!r}" if wrong in stated else f"no metadata {keys[wrong]!r}"
+    raise ModelContractError(f"{path}: {found}: expected {kind.model_fields[wrong].description}")
 
 
 def read_detector_card(
@@ -296,49 +229,18 @@ def read_detector_card(
     Raises:
         ModelContractError: an entry is invalid, or an auxiliary model belongs to another detector.
     """
-    values: dict[str, Any] = {
-        "name": path.stem,
-        "class_names": {},
-        "reference_length_m": REFERENCE_LENGTH_M,
-        "reference_length_sd_m": REFERENCE_LENGTH_SD_M,
-        "length_range_px": LENGTH_RANGE_PX,
-        "min_length_px": 0.0,
-        "min_score": MIN_SCORE,
-        "licence": None,
-        **_read_entries(path, metadata, _DETECTOR_ENTRIES),
-    }
-    lengths = {name: values["reference_length_m"] * ratio for name, ratio in _REGION_RATIOS.items()}
+    card = read_card(DetectorCard, path, sha256, metadata, name=path.stem)
+    lengths = {name: card.reference_length_m * ratio for name, ratio in _REGION_RATIOS.items()}
     regions = {name: length for name, length in lengths.items() if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M}
-    values["region_lengths_m"] = regions | values.get("region_lengths_m", {})
+    values: dict[str, Any] = {"region_lengths_m": regions | card.region_lengths_m}
     for network, kind in ((verifier, "verifier"), (chips, "chip network")):
-        if network is not None and network.detector != values["name"]:
+        if network is not None and network.detector != card.name:
             raise ModelContractError(
-                f"the {kind} of {path} was made for the detector {network.detector!r}, and this is "
-                f"{values['name']!r}: remove its file, or state this name in its metadata 'vehanchor.detector'"
+                f"the {kind} of {path} was made for the detector {network.detector!r}, and this is {card.name!r}: "
+                "remove its file, or state this name in its metadata 'vehanchor.detector'"
             )
     if verifier is not None:
         values |= {"min_score": verifier.min_score, "verifier_sha256": verifier.sha256}
     if chips is not None:
         values |= {"bodies": chips.bodies, "chips_sha256": chips.sha256}
-    return _validated(DetectorCard, path, metadata, _DETECTOR_ENTRIES, {**values, "sha256": sha256})
-
-
-def read_auxiliary_card(
-    kind: type[_AuxiliaryCardT], path: Path, sha256: str, metadata: Mapping[str, str]
-) -> _AuxiliaryCardT:
-    """Read the model card of an auxiliary model.
-
-    Args:
-        kind: type of the card.
-        path: path of the file.
-        sha256: checksum of the file.
-        metadata: metadata of the file.
-
-    Returns:
-        The card.
-
-    Raises:
-        ModelContractError: an entry is missing or invalid.
-    """
-    entries = _AUXILIARY_ENTRIES[kind]
-    return _validated(kind, path, metadata, entries, _read_entries(path, metadata, entries) | {"sha256": sha256})
+    return card.model_copy(update=values)

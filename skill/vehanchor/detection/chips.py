@@ -141,11 +141,6 @@ def _cut(boxes: NDArray[np.float64], image_px: tuple[int, int]) -> NDArray[np.bo
     return np.asarray(beyond.any(axis=(1, 3)).T)
 
 
-def chips_of(pixels: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Cut chips ``[n, 64, 96, 3]`` of boxes in pixels; see ``surroundings``."""
-    return middle(surroundings(pixels, boxes, CHIP_COLUMNS, CHIP_LENGTH_PX))
-
-
 def middle(squares: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Cut the middle rows of square chips ``[n, 96, 96, 3]``."""
     return squares[:, _CUT_ROWS : _CUT_ROWS + CHIP_ROWS]
@@ -161,13 +156,13 @@ def candidate_chips(raster: Raster, boxes: NDArray[np.float64]) -> NDArray[np.ui
     Returns:
         ``[n, 64, 96, 3]`` uint8 RGB.
     """
-    chips = np.empty((len(boxes), CHIP_ROWS, CHIP_COLUMNS, 3), np.uint8)
+    chips = [np.zeros((0, CHIP_ROWS, CHIP_COLUMNS, 3), np.uint8)]
     shorter = min(raster.width_px, raster.height_px)
-    for chip, box in zip(chips, boxes, strict=True):
+    for box in boxes:
         factor = 2 ** max(0, math.floor(math.log2(min(box[2] / _LEAST_LENGTH_PX, shorter))))
         pixels, inside = read_around(raster, box, factor, _REACH)
-        chip[:] = chips_of(pixels, np.asarray(inside, np.float64).reshape(1, 5))[0]
-    return chips
+        chips.append(middle(surroundings(pixels, inside, CHIP_COLUMNS, CHIP_LENGTH_PX)))
+    return np.concatenate(chips)
 
 
 class ChipNetwork(AuxiliaryModel[ChipCard]):
@@ -202,10 +197,8 @@ class ChipNetwork(AuxiliaryModel[ChipCard]):
 
     def _seen(self, chips: NDArray[np.uint8], along: int, across: int) -> list[NDArray[np.float64]]:
         """Answers for mirrored chips: each end, or each side, is seen on the other side."""
-        planes = np.ascontiguousarray(chips[:, ::across, ::along].transpose(0, 3, 1, 2))
-        logit, kinds, edges, edge_log_sd, turn, log_metres, metres_log_sd = self.predict(
-            np.divide(planes, np.float32(255), dtype=np.float32)
-        )
+        seen = self.predict(chips[:, ::across, ::along])
+        logit, kinds, edges, edge_log_sd, turn, log_metres, metres_log_sd = seen
         odds = np.exp(kinds - kinds.max(axis=1, keepdims=True))
         order = [*((0, 1) if along > 0 else (1, 0)), *((2, 3) if across > 0 else (3, 2))]
         return [

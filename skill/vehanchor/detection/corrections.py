@@ -46,7 +46,10 @@ def corrected(
     if by_hand.given is None:
         return detections
     found = len(detections.boxes)
-    _check_numbers(by_hand.drop, found)
+    missing = [each for each in by_hand.drop if each > found]
+    if missing:
+        have = f"they are 1 to {found}" if found else "none was found"
+        raise InvalidParameterError(f"drop has number {missing[0]}, which is no vehicle of this image: {have}")
     numbers = np.arange(1, found + 1)
     added, pointed_log_sds = _added_boxes(by_hand, frame, size_px)
     overlaps = oriented_iou(detections.boxes, added).max(axis=1, initial=0.0) > nms_iou
@@ -55,12 +58,13 @@ def corrected(
 
     looks, classes = detections.looks, detections.classes
     if classes is not None:
-        classes = np.concatenate([classes[kept], np.full(n_added, _commonest(classes), np.intp)])
+        commonest = int(np.bincount(classes).argmax()) if len(classes) else 0
+        classes = np.concatenate([classes[kept], np.full(n_added, commonest, np.intp)])
     return replace(
         detections,
         boxes=np.concatenate([detections.boxes[kept], added]),
-        scores=_joined(detections.scores[kept], n_added, _STATED_SCORE),
-        scales=None if detections.scales is None else _joined(detections.scales[kept], n_added, 1.0),
+        scores=np.concatenate([detections.scores[kept], np.full(n_added, _STATED_SCORE)]),
+        scales=None if detections.scales is None else np.concatenate([detections.scales[kept], np.ones(n_added)]),
         looks=None if looks is None else looks.take(kept[: len(looks)]),
         classes=classes,
         corrections=Corrections(
@@ -70,17 +74,6 @@ def corrected(
             n_added=n_added,
         ),
     )
-
-
-def _joined(found: NDArray[np.float64], n_added: int, value: float) -> NDArray[np.float64]:
-    return np.concatenate([found, np.full(n_added, value)])
-
-
-def _check_numbers(numbers: tuple[int, ...], found: int) -> None:
-    missing = [each for each in numbers if each > found]
-    if missing:
-        have = f"they are 1 to {found}" if found else "none was found"
-        raise InvalidParameterError(f"drop has number {missing[0]}, which is no vehicle of this image: {have}")
 
 
 def _added_boxes(
@@ -104,7 +97,3 @@ def _added_boxes(
         one, other = twice[0] + 1
         raise InvalidParameterError(f"add {one} and add {other} are one vehicle: give each vehicle once")
     return boxes, np.sqrt(2) * _POINTED_SD_PX * unit.mean() / lengths
-
-
-def _commonest(classes: NDArray[np.intp]) -> int:
-    return int(np.bincount(classes).argmax()) if len(classes) else 0

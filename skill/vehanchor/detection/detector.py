@@ -5,6 +5,7 @@ One code path reads the bundled model and any YOLOv8, YOLO11 or YOLO26 OBB file 
 
 from __future__ import annotations
 
+import hashlib
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,15 +16,14 @@ import numpy as np
 from vehanchor.detection.boxes import canonical_boxes
 from vehanchor.detection.card import read_detector_card
 from vehanchor.detection.chips import ChipNetwork
-from vehanchor.detection.classes import vehicle_classes
-from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract
+from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract, vehicle_classes
 from vehanchor.detection.detections import Objects
 from vehanchor.detection.verifier import Verifier
 from vehanchor.errors import ModelContractError
 from vehanchor.models.files import file_cached, models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import auxiliary_model
+from vehanchor.models.zoo import COURTS, SCENE_SCALE, auxiliary_model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.detection.card import DetectorCard
 
 _PADDING_LEVEL = 114  # grey level of Ultralytics' padding
 _ANGLE_LIMIT = 1e4  # radians; larger angles are invalid
@@ -221,7 +222,7 @@ class Detector(LoadedModel):
         return TileDetections(self._checked(vehicles, tile.pixels), self._checked(others, tile.pixels), ran_out)
 
     def _checked(self, found: Objects, tile: NDArray[np.uint8]) -> Objects:
-        """Select the boxes that can be objects of a tile.
+        """Select the boxes that are no larger than a tile and centred in it, and convert them to canonical form.
 
         Raises:
             ModelContractError: there are more boxes than any detector has anchors.
@@ -233,17 +234,11 @@ class Detector(LoadedModel):
                 f"the detector {self.path} puts out {len(found)} boxes for {width} x {height} px: at most {most} have "
                 "place there"
             )
-        return _within(found, width, height)
-
-
-def _within(found: Objects, width_px: int, height_px: int) -> Objects:
-    """Select the boxes that are no larger than the tile and centred in it, and convert them to canonical form."""
-    boxes = found.boxes
-    diagonal_px = math.hypot(width_px, height_px)
-    sane = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:4] > 0).all(axis=1) & (np.abs(boxes[:, 4]) < _ANGLE_LIMIT)
-    sane &= (boxes[:, 2:4] <= diagonal_px).all(axis=1)
-    sane &= (boxes[:, 0] >= 0) & (boxes[:, 0] <= width_px) & (boxes[:, 1] >= 0) & (boxes[:, 1] <= height_px)
-    return Objects(canonical_boxes(boxes[sane]), np.clip(found.scores[sane], 0.0, 1.0), found.classes[sane])
+        boxes = found.boxes
+        sane = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:4] > 0).all(axis=1) & (np.abs(boxes[:, 4]) < _ANGLE_LIMIT)
+        sane &= (boxes[:, 2:4] <= math.hypot(width, height)).all(axis=1)
+        sane &= ((boxes[:, :2] >= 0) & (boxes[:, :2] <= [width, height])).all(axis=1)
+        return Objects(canonical_boxes(boxes[sane]), np.clip(found.scores[sane], 0.0, 1.0), found.classes[sane])
 
 
 def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
@@ -269,3 +264,16 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
 @file_cached(max_models=4)
 def _loaded(path: Path, *, verifier: Path | None, chips: Path | None, runtime: Runtime) -> Detector:
     return Detector(path, verifier=verifier, chips=chips, runtime=runtime)
+
+
+def networks_sha256(card: DetectorCard) -> str:
+    """SHA-256 of the detector and of its auxiliary, scene-scale and court networks.
+
+    A result is stale once one of them has changed.
+    """
+    digest = hashlib.sha256()
+    for checksum in (card.sha256, card.verifier_sha256, card.chips_sha256):
+        digest.update(f"{checksum}\n".encode())
+    for path in (SCENE_SCALE, COURTS):
+        digest.update(models_sha256(read_model(path)).encode())
+    return digest.hexdigest()

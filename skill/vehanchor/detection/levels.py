@@ -1,4 +1,4 @@
-"""Search levels: the resolutions at which an image is searched, and the vehicle lengths accepted at each."""
+"""Search levels: the resolutions at which an image is searched, the vehicle lengths accepted, and the share of each."""
 
 from __future__ import annotations
 
@@ -6,10 +6,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor.scale.density import GRID
+
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
 SEARCH_FACTORS = (1, 2, 4, 8)  # the levels 1/2, 1/4 and 1/8 add a third to the pixels
+_SHARE_OF_ALL = 0.2  # share of the tiles that is split evenly, because the scene-scale prior may be wrong
 MIN_LEVEL_SIDE_PX = 96  # reduced images with a shorter side are not searched: they would show one or two cars
 LEVEL_OVERLAP = 1.25  # factor by which the length ranges of two levels overlap, for cars at their limit
 
@@ -77,3 +83,43 @@ def search_levels(
         )
         for factor in factors
     ]
+
+
+def level_chances(
+    length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64]
+) -> dict[int, float]:
+    """Compute the probability that cars fit each resolution.
+
+    Args:
+        length_ranges_px: shortest and longest accepted vehicle at each resolution, pixels of the reduced image.
+        density: ``[g]`` probabilities of the scale on ``vehanchor.scale.density.GRID``.
+
+    Returns:
+        Probabilities by factor. They need not sum to 1: neighbouring resolutions overlap, and at some scales cars fit
+        none.
+    """
+    lengths = CAR_LENGTH_M / np.exp(GRID)
+    return {
+        factor: float(density[(lengths >= low * factor) & (lengths <= high * factor)].sum())
+        for factor, (low, high) in length_ranges_px.items()
+    }
+
+
+def level_shares(
+    length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64] | None
+) -> dict[int, float]:
+    """Compute each resolution's share of the tiles: by the probability that cars fit it, plus an even part.
+
+    Args:
+        length_ranges_px: as in ``level_chances``.
+        density: as in ``level_chances``; None without a prior.
+
+    Returns:
+        Shares by factor; their sum is 1.
+    """
+    even = 1.0 / len(length_ranges_px)
+    chances = {} if density is None else level_chances(length_ranges_px, density)
+    total = sum(chances.values())
+    if total <= 0:
+        return dict.fromkeys(length_ranges_px, even)
+    return {factor: (1 - _SHARE_OF_ALL) * mass / total + _SHARE_OF_ALL * even for factor, mass in chances.items()}

@@ -11,9 +11,11 @@ import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
+import pydantic.dataclasses
+from pydantic import ConfigDict, Field
 
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.raster import Window
@@ -42,6 +44,7 @@ _MOST_SIZE_ODDS = 2.0  # in either direction, because the prior may be wrong
 _BATCH = 8  # tiles per run: 24 take three times the memory and as much time
 _SHARP_GSD_M_PER_PX, _SHARP_LOG_WIDTH = 0.15, 0.15  # few places below this scale are in the training data
 _FINER_LOG_REACH = 0.8  # by which a new place is finer at most
+_Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class SceneLevel(NamedTuple):
@@ -58,7 +61,7 @@ class SceneLevel(NamedTuple):
     log_probs: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@pydantic.dataclasses.dataclass(frozen=True, config=ConfigDict(allow_inf_nan=False))
 class SceneCalibration:
     """Calibration from a network's predictions to a density (``research/training/scene_scale/calibrate.py``).
 
@@ -75,12 +78,12 @@ class SceneCalibration:
     """
 
     first_log_gsd: float
-    log_step: float
-    temperature: float = 1.0
-    doubt: float = 0.0
+    log_step: Annotated[float, Field(gt=0)]
+    temperature: Annotated[float, Field(gt=0)] = 1.0
+    doubt: _Share = 0.0
     levels: float = 0.0
-    floor: float = 0.02
-    finer: float = 0.0
+    floor: _Share = 0.02
+    finer: _Share = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,11 +252,7 @@ def read_tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
 
 def _read_calibration(path: Path, metadata: Mapping[str, str]) -> SceneCalibration:
     try:
-        first, step = (float(number) for number in json.loads(metadata["vehanchor.scene_bins"]))
-        stated = json.loads(metadata["vehanchor.scene_calibration"])
-        read = SceneCalibration(first, step, **{name: float(value) for name, value in stated.items()})
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
-        raise ModelContractError(f"{path}: the metadata vehanchor.scene_* cannot be read: {error}") from None
-    if not (step > 0 and read.temperature > 0 and 0 <= read.doubt < 1 and 0 <= read.floor < 1 and 0 <= read.finer < 1):
-        raise ModelContractError(f"{path}: the metadata vehanchor.scene_* has no meaning: {read}")
-    return read
+        bins, stated = (json.loads(metadata[f"vehanchor.scene_{name}"]) for name in ("bins", "calibration"))
+        return SceneCalibration(*bins, **stated)
+    except (KeyError, ValueError, TypeError) as error:
+        raise ModelContractError(f"{path}: the metadata vehanchor.scene_* cannot be used: {error}") from None

@@ -1,4 +1,4 @@
-"""Scheduler of a large image's tiles, so that cars are found early.
+"""Scheduler of a large image's tiles, so that cars are found early, and limits of their number.
 
 Each resolution continues with its most likely tile: first by the tile prior, later by the vehicles in neighbouring
 tiles. Every fourth tile comes from a fixed order that spreads over the image. A resolution's share of the tiles follows
@@ -7,12 +7,9 @@ from the probability that cars fit it. The order depends only on the image.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-
-from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.density import GRID
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -20,107 +17,73 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Window
+    from vehanchor.options.method import Search
 
-_SHARE_OF_ALL = 0.2  # share of the tiles that is split evenly, because the scene-scale prior may be wrong
+ANYTIME_PIXELS = 4_000_000
+"""Smaller images are searched at every resolution that may show cars, unless tiles or seconds are limited."""
+
+LARGE_PIXELS = 32_000_000
+"""In larger images the interval decides when a search ends, in smaller ones the change of the value."""
+
+WINDOWED_PIXELS = 16_000_000
+"""Larger images are read ahead and previewed from overviews, because most of them are decoded in windows."""
+
+_FAST_TILES, _FAST_LEAST_TILES = 0.05, 24  # at most, of all tiles; in small images
+_FIRST_PAUSE, _FIRST_PAUSE_LARGE = 4, 16  # tiles
+_GROWTH = 1.25  # of the number of visited tiles between pauses, so that few checks can end a search by chance
 _SPREAD_EVERY = 4  # one tile in four comes from the fixed order
 _PRIOR_TILES = 2.0  # weight of the tile prior, in neighbours
 _FULL_TILE = 4  # number of vehicles at which a tile counts in full
 _NEAR_TILES = 1.1  # largest distance between the corners of neighbours, in tile sides
-PLASTIC = (0.7548776662466927, 0.5698402909980532)
+_CELL_LENGTHS = 3.0  # side of a cell in median lengths: nearly all boxes of one vehicle are in one cell
+_PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 """Roberts' sequence R2, of the plastic number: multiples of the two modulo 1 spread evenly over a plane."""
 
 
-class TilePlace(NamedTuple):
-    """Tile at one resolution.
-
-    Attributes:
-        factor: reduction factor.
-        window: in pixels of the reduced image.
-    """
-
-    factor: int
-    window: Window
+def most_tiles(options: Search, n_pixels: int, n_tiles: int) -> int:
+    """Limit the number of tiles, of all tiles at all resolutions of an image."""
+    most = min(n_tiles, options.max_tiles or n_tiles)
+    if options.effort == "fast" and n_pixels >= ANYTIME_PIXELS:
+        most = min(most, max(_FAST_LEAST_TILES, round(_FAST_TILES * n_tiles)))
+    return most
 
 
-def level_chances(
-    length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64]
-) -> dict[int, float]:
-    """Compute the probability that cars fit each resolution.
-
-    Args:
-        length_ranges_px: shortest and longest accepted vehicle at each resolution, pixels of the reduced image.
-        density: ``[g]`` probabilities of the scale on ``vehanchor.scale.density.GRID``.
-
-    Returns:
-        Probabilities by factor. They need not sum to 1: neighbouring resolutions overlap, and at some scales cars fit
-        none.
-    """
-    lengths = CAR_LENGTH_M / np.exp(GRID)
-    return {
-        factor: float(density[(lengths >= low * factor) & (lengths <= high * factor)].sum())
-        for factor, (low, high) in length_ranges_px.items()
-    }
+def first_pause(options: Search, n_pixels: int) -> int | None:
+    """Number of visited tiles at which a caller may first end the search of an image; None for never."""
+    if options.effort == "full" or n_pixels < ANYTIME_PIXELS:
+        return None
+    return _FIRST_PAUSE if n_pixels < LARGE_PIXELS else _FIRST_PAUSE_LARGE
 
 
-def level_shares(
-    length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64] | None
-) -> dict[int, float]:
-    """Compute each resolution's share of the tiles: by the probability that cars fit it, plus an even part.
-
-    Args:
-        length_ranges_px: as in ``level_chances``.
-        density: as in ``level_chances``; None without a prior.
-
-    Returns:
-        Shares by factor; their sum is 1.
-    """
-    even = 1.0 / len(length_ranges_px)
-    chances = {} if density is None else level_chances(length_ranges_px, density)
-    total = sum(chances.values())
-    if total <= 0:
-        return dict.fromkeys(length_ranges_px, even)
-    return {factor: (1 - _SHARE_OF_ALL) * mass / total + _SHARE_OF_ALL * even for factor, mass in chances.items()}
-
-
-def spread_order(places: Sequence[TilePlace]) -> NDArray[np.intp]:
-    """Order tiles of one resolution so that any number of the first ones spreads over the image.
-
-    Args:
-        places: the tiles.
-
-    Returns:
-        Their indices.
-    """
-    columns = {x: k for k, x in enumerate(sorted({place.window.x_px for place in places}))}
-    rows = {y: k for k, y in enumerate(sorted({place.window.y_px for place in places}))}
-    at = np.array([(columns[place.window.x_px], rows[place.window.y_px]) for place in places], dtype=np.float64)
-    return np.argsort((0.5 + at @ np.array(PLASTIC)) % 1.0, kind="stable")
+def next_pause(n_visited: int) -> int:
+    """Compute the number of visited tiles at the next pause: 4 more, then a quarter more each time."""
+    return max(n_visited + 4, round(n_visited * _GROWTH))
 
 
 class TileScheduler:
     """Chooses the next tiles from the vehicles in the visited ones.
 
     Args:
-        places: all tiles of the image.
+        tiles: reduction factor of each tile of the image, and its window in pixels of the reduced image.
         priors: ``[n]`` probability that each tile shows cars, from a preview of the image.
         shares: share of the tiles for each resolution, by factor; tiles of other resolutions are never taken.
     """
 
-    def __init__(self, places: Sequence[TilePlace], priors: NDArray[np.float64], shares: Mapping[int, float]) -> None:
-        self._factors = np.array([place.factor for place in places])
-        self._corners = np.array([(place.window.x_px, place.window.y_px) for place in places], dtype=np.float64)
-        self._reach = np.array([max(place.window.width_px, place.window.height_px) for place in places]) * _NEAR_TILES
-        self._hits, self._seen = _PRIOR_TILES * priors, np.full(len(places), _PRIOR_TILES)
+    def __init__(
+        self, tiles: Sequence[tuple[int, Window]], priors: NDArray[np.float64], shares: Mapping[int, float]
+    ) -> None:
+        self._factors = np.array([factor for factor, _ in tiles])
+        self._corners = np.array([(window.x_px, window.y_px) for _, window in tiles], dtype=np.float64)
+        self._reach = np.array([max(window.width_px, window.height_px) for _, window in tiles]) * _NEAR_TILES
+        self._hits, self._seen = _PRIOR_TILES * priors, np.full(len(tiles), _PRIOR_TILES)
         self._shares = dict(shares)
         self._waiting = np.isin(self._factors, list(self._shares))
         self._taken = dict.fromkeys(self._shares, 0)
-        self._spread: dict[int, list[int]] = {}
-        self._rank = np.zeros(len(places), dtype=np.intp)
+        self._rank = np.zeros(len(tiles))  # in the fixed order of a resolution
         for factor in self._shares:
-            members = np.flatnonzero(self._factors == factor)
-            ordered = members[spread_order([places[int(k)] for k in members])]
-            self._spread[factor] = [int(k) for k in ordered[::-1]]
-            self._rank[ordered] = np.arange(len(ordered))
+            members = self._factors == factor
+            at = np.column_stack([np.unique(side, return_inverse=True)[1] for side in self._corners[members].T])
+            self._rank[members] = (0.5 + at @ _PLASTIC) % 1.0
 
     def next_tiles(self, count: int) -> list[int]:
         """Take up to ``count`` tiles; none are left when all are taken."""
@@ -150,19 +113,32 @@ class TileScheduler:
         return float(expected[self._waiting].sum() / max(expected.sum(), 1e-9))
 
     def _next(self) -> int:
-        factor = self._next_factor()
-        self._taken[factor] += 1
-        if self._taken[factor] % _SPREAD_EVERY == 0:
-            while True:
-                tile = self._spread[factor].pop()
-                if self._waiting[tile]:
-                    return tile
-        waiting = np.flatnonzero(self._waiting & (self._factors == factor))
-        tile_prior = np.round(self._hits[waiting] / self._seen[waiting], 9)
-        best = waiting[tile_prior == tile_prior.max()]
-        return int(best[np.argmin(self._rank[best])])
-
-    def _next_factor(self) -> int:
-        """Choose the resolution that is furthest behind its share."""
+        """Choose a tile of the resolution that is furthest behind its share."""
         open_factors = [factor for factor in self._shares if (self._waiting & (self._factors == factor)).any()]
-        return min(open_factors, key=lambda factor: ((self._taken[factor] + 1) / self._shares[factor], factor))
+        factor = min(open_factors, key=lambda each: ((self._taken[each] + 1) / self._shares[each], each))
+        self._taken[factor] += 1
+        chosen = np.flatnonzero(self._waiting & (self._factors == factor))
+        if self._taken[factor] % _SPREAD_EVERY:
+            likely = np.round(self._hits[chosen] / self._seen[chosen], 9)
+            chosen = chosen[likely == likely.max()]
+        return int(chosen[np.argmin(self._rank[chosen])])
+
+
+def position_sample(boxes: NDArray[np.float64], least: int) -> NDArray[np.intp]:
+    """Choose the candidates of some small cells, which spread evenly over a tile.
+
+    The choice depends on the positions alone, so that it favours no score and no size. Boxes of one vehicle stay
+    together, so that non-maximum suppression sees them all.
+
+    Args:
+        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)`` in pixels of the tile.
+        least: cells are added until they hold so many candidates.
+
+    Returns:
+        Their indices in ascending order; all of them if there are no more than ``least``.
+    """
+    if len(boxes) <= least:
+        return np.arange(len(boxes))
+    cells = np.floor(boxes[:, :2] / (_CELL_LENGTHS * np.median(boxes[:, 2])))
+    rank = (cells @ _PLASTIC) % 1.0
+    return np.flatnonzero(rank <= np.partition(rank, least - 1)[least - 1])

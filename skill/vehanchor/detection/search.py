@@ -20,18 +20,18 @@ import numpy as np
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.chips import looked_at
 from vehanchor.detection.detections import Detections, Objects
-from vehanchor.detection.levels import search_levels
-from vehanchor.detection.limits import (
-    ANYTIME_PIXELS,
+from vehanchor.detection.levels import level_chances, level_shares, search_levels
+from vehanchor.detection.nms import oriented_nms
+from vehanchor.detection.proportions import stretch, stretch_of_few
+from vehanchor.detection.scheduler import (
     LARGE_PIXELS,
     WINDOWED_PIXELS,
+    TileScheduler,
+    first_pause,
+    most_tiles,
     next_pause,
-    search_limits,
+    position_sample,
 )
-from vehanchor.detection.nms import oriented_nms
-from vehanchor.detection.position_sample import position_sample
-from vehanchor.detection.proportions import stretch, stretch_of_few
-from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_chances, level_shares
 from vehanchor.detection.tile_prior import tile_prior_map, tile_prior_of
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.tiles import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_window, tile_grid
@@ -93,7 +93,7 @@ class ImageSearch:
     """Search of an image, which visits tiles while it is iterated over.
 
     An iteration yields the expected share of the vehicles in the tiles that are not visited, at growing intervals; its
-    caller may then ask what was ``found``, ``leave_out`` resolutions, or ``stop``. Arguments as in ``search``.
+    caller may then ask for the ``result`` so far, ``leave_out`` resolutions, or ``stop``. Arguments as in ``search``.
     """
 
     def __init__(self, raster: Raster, detector: Detector, options: Search, prior: SceneScalePrior | None) -> None:
@@ -119,29 +119,27 @@ class ImageSearch:
             for tile in tile_grid(level.width_px, level.height_px, tile_px=tile_px, stride_px=stride_px)
         ]
         n_pixels = raster.width_px * raster.height_px
-        self._limits = search_limits(options, n_pixels, len(self.visits))
+        self._every_level, self._max_seconds = options.effort == "full", options.max_seconds or math.inf
+        self._most = most_tiles(options, n_pixels, len(self.visits))
+        self._pause = first_pause(options, n_pixels)
         self._found: dict[int, TileDetections] = {}
-        # in small images all vehicles are counted
-        self._samples, self._n_skipped = n_pixels >= ANYTIME_PIXELS and options.effort != "full", 0
+        self._n_skipped = 0
         self._because: Stopped | None = None
         self._left_out: frozenset[int] = frozenset()
 
     def __iter__(self) -> Iterator[float]:
         """Visit tiles until the limits or the caller end the search."""
         tell, total = self._detector.runtime.tell, len(self.visits)
-        if self._limits.everything:
+        if self._every_level and self._most == total and self._max_seconds == math.inf:
             order = self._reading_order()
             for k, tile in self._read(order):
                 tell(self.n_visited, len(order))
                 self._visit(k, tile)
         else:
             yield from self._likely_first(tell)
-        self._because = self._because or ("all_searched" if self.n_visited == total else self._unfinished)
+        unfinished: Stopped = "max_tiles" if self.n_visited == self._most else "converged"
+        self._because = self._because or ("all_searched" if self.n_visited == total else unfinished)
         tell(total, total)
-
-    @property
-    def _unfinished(self) -> Stopped:
-        return "max_tiles" if self.n_visited == self._limits.max_tiles else "converged"
 
     def stop(self) -> None:
         """End the search: more tiles cannot change the scale."""
@@ -149,9 +147,7 @@ class ImageSearch:
 
     def _likely_first(self, tell: Callable[[int, int], None]) -> Iterator[float]:
         """Visit likely resolutions and tiles first, until the limits or the caller end the search."""
-        started, due = time.monotonic(), self._limits.first_pause
-        total, limits = len(self.visits), self._limits
-        most = min(total, limits.max_tiles or total)
+        started, due, most = time.monotonic(), self._pause, self._most
         for factors in self._levels_by_chance():
             order = self._order(factors)
             if self.n_visited and self.n_vehicles >= _ENOUGH_VEHICLES:
@@ -167,10 +163,10 @@ class ImageSearch:
                 if not tiles:
                     break
                 for k, tile in self._read(tiles):
-                    if self.n_visited and time.monotonic() - started > (limits.max_seconds or math.inf):
+                    if self.n_visited and time.monotonic() - started > self._max_seconds:
                         self._because = "max_seconds"
                         return None
-                    tell(self.n_visited, total)
+                    tell(self.n_visited, len(self.visits))
                     order.report(k, self._visit(k, tile))
                 pause = due is not None and due <= self.n_visited < most
                 due = next_pause(self.n_visited) if pause else due
@@ -191,11 +187,11 @@ class ImageSearch:
 
     def _order(self, factors: Collection[int]) -> TileScheduler:
         """Schedule the tiles of some resolutions by the tile prior and the scene-scale prior."""
-        places = [TilePlace(level.factor, tile) for level, tile in self.visits]
-        priors = np.array([tile_prior_of(self._cells, place.window, place.factor) for place in places])
+        tiles = [(level.factor, tile) for level, tile in self.visits]
+        priors = np.array([tile_prior_of(self._cells, tile, factor) for factor, tile in tiles])
         density = None if self._prior is None else self._prior.density
         ranges = {factor: lengths for factor, lengths in self._length_ranges_px().items() if factor in factors}
-        return TileScheduler(places, priors, level_shares(ranges, density))
+        return TileScheduler(tiles, priors, level_shares(ranges, density))
 
     @cached_property
     def _cells(self) -> NDArray[np.float64]:
@@ -205,7 +201,7 @@ class ImageSearch:
         """Group the resolutions: first those that may show cars, last those at which the prior excludes them."""
         ranges = self._length_ranges_px()
         everything = frozenset(ranges)
-        if self._prior is None or self._limits.every_level:
+        if self._prior is None or self._every_level:
             return [everything]
         chances = level_chances(ranges, self._prior.density)
         likely = frozenset(factor for factor, chance in chances.items() if chance >= _LEAST_CHANCE)
@@ -273,7 +269,7 @@ class ImageSearch:
         vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
         if verifier:
             candidates = len(vehicles)
-            if self._samples:
+            if self._pause is not None:  # in small images all vehicles are counted
                 most = _MOST_VERIFIED if self.n_vehicles < _MANY_VEHICLES else _LEAST_VERIFIED
                 vehicles = vehicles.take(position_sample(vehicles.boxes, most))
             self._n_skipped += candidates - len(vehicles)
@@ -283,16 +279,13 @@ class ImageSearch:
         # The range of lengths applies to vehicles only.
         return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= self._min_score))
 
-    def found(self) -> Detections:
-        """Merge the detections so far, without the chip network."""
-        return self._merge(ended=False, check_stretch=False)
+    def result(self, *, ended: bool = True, check_stretch: bool = True) -> Detections:
+        """Merge the detections of all visited tiles, independent of the order of the visits.
 
-    def result(self, *, check_stretch: bool = True) -> Detections:
-        """Merge the detections of a search that has ended; ``check_stretch`` as in ``search``."""
-        return self._merge(ended=True, check_stretch=check_stretch)
-
-    def _merge(self, *, ended: bool, check_stretch: bool) -> Detections:
-        """Merge the detections of all visited tiles, independent of the order of the visits."""
+        Args:
+            ended: whether the search has ended; before, the chip network is not asked.
+            check_stretch: as in ``search``.
+        """
         parts = [self._found[k] for k in sorted(self._found)]
         visited = [self.visits[k][0].factor for k in sorted(self._found)]
         factors = np.repeat(visited, [len(part.vehicles) for part in parts])

@@ -41,42 +41,29 @@ def surroundings(
         ``[n, side, side, 3]`` uint8: the box is centred, its axis along the columns. Outside the pixels their border
         is repeated.
     """
-    parts = _parts(np.asarray(boxes, np.float64).reshape(-1, 5), pixels.shape[1], pixels.shape[0], side_px, length_px)
-    chips = np.empty((len(parts.matrices), side_px, side_px, 3), np.uint8)
-    bounds, sizes = parts.bounds.tolist(), parts.sizes.tolist()
+    rows = np.asarray(boxes, np.float64).reshape(-1, 5)
+    bounds, sizes, matrices = _parts(rows, pixels.shape[1], pixels.shape[0], side_px, length_px)
+    chips = np.empty((len(rows), side_px, side_px, 3), np.uint8)
     for chip, (left, top, right, bottom), (width, height), matrix in zip(
-        chips, bounds, sizes, parts.matrices, strict=True
+        chips, bounds.tolist(), sizes.tolist(), matrices, strict=True
     ):
         part = pixels[top:bottom, left:right]
         if (height, width) != part.shape[:2]:
             part = np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-        cv2.warpAffine(
-            part,
-            matrix,
-            (side_px, side_px),
-            dst=chip,
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        cv2.warpAffine(part, matrix, (side_px, side_px), dst=chip, flags=flags, borderMode=cv2.BORDER_REPLICATE)
     return chips
 
 
-class _Parts(NamedTuple):
-    """Parts of the image from which chips are cut.
+def _parts(
+    boxes: NDArray[np.float64], width_px: int, height_px: int, side_px: int, length_px: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """Compute the parts of the image from which chips are cut, at once; a loop over boxes takes longer than the cuts.
 
-    Attributes:
-        bounds: ``[n, 4]`` left, top, right and bottom of each part.
-        sizes: ``[n, 2]`` width and height to which each part is reduced.
-        matrices: ``[n, 2, 3]`` from the chip to the reduced part.
+    Returns:
+        ``[n, 4]`` left, top, right and bottom of each part; ``[n, 2]`` width and height to which it is reduced; and
+        ``[n, 2, 3]`` matrices from the chip to the reduced part.
     """
-
-    bounds: NDArray[np.intp]
-    sizes: NDArray[np.intp]
-    matrices: NDArray[np.float64]
-
-
-def _parts(boxes: NDArray[np.float64], width_px: int, height_px: int, side_px: int, length_px: float) -> _Parts:
-    """Compute the parts for all boxes at once; a loop over boxes takes longer than cutting the chips."""
     centres, angles = boxes[:, :2], boxes[:, 4]
     step = boxes[:, 2] / length_px  # pixels per pixel of the chip
     reach = (0.75 * side_px * step + 2)[:, None]  # beyond the corners of the turned chip
@@ -92,7 +79,7 @@ def _parts(boxes: NDArray[np.float64], width_px: int, height_px: int, side_px: i
     matrices = np.concatenate([turn * ratio[:, :, None], (origin * ratio)[:, :, None]], axis=2)
     # Continuous coordinates have pixel centres at +0.5.
     matrices[:, :, 2] += matrices[:, :, :2] @ (0.5, 0.5) - 0.5
-    return _Parts(np.concatenate([first, last], axis=1), sizes, matrices)
+    return np.concatenate([first, last], axis=1), sizes, matrices
 
 
 class Weights(NamedTuple):
@@ -127,13 +114,7 @@ class Verifier(AuxiliaryModel[VerifierCard]):
     outputs: ClassVar = {"logit": ()}
     card_type = VerifierCard
 
-    def scored(
-        self,
-        pixels: NDArray[np.uint8],
-        found: Objects,
-        *,
-        size_odds: ArrayLike = 0.0,
-    ) -> Objects:
+    def scored(self, pixels: NDArray[np.uint8], found: Objects, *, size_odds: ArrayLike = 0.0) -> Objects:
         """Replace the scores of candidates by the combined scores.
 
         Args:
@@ -149,6 +130,4 @@ class Verifier(AuxiliaryModel[VerifierCard]):
 
     def logits(self, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
         """Predict the logits of cars ``[n]`` from chips ``[n, 48, 48, 3]``, see ``surroundings``."""
-        planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
-        batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
-        return self.predict(batch)[0]
+        return self.predict(chips)[0]

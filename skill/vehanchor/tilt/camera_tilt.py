@@ -30,7 +30,7 @@ _LEAST_SCORE = 0.5
 _LOG_SD = 0.11  # of the square root of box areas within one fleet
 _FACTOR = 4.0  # largest ratio of a car's length to the median, in either direction
 _INDEPENDENT, _MOST_INDEPENDENT = 0.5, 40.0  # share and number of cars that count: neighbours are alike; a choice
-_LEAST_INFORMATION = 1e-6
+_LITTLE = 1e-6 * np.eye(3)  # information: cars in a row say little
 _STEPS = 30  # of the reweighted fit, which then changes no digit that is shown; ``scipy.optimize`` loads for 0.2 s
 _SURE_SDS = 2.33  # 99 of 100
 _EXPONENT = 1.5  # d log(square root of a car's area) / d tan(tilt): the inverse of ``vehanchor.scale.plane``'s pixels
@@ -42,22 +42,18 @@ class CameraTilt(NamedTuple):
     Attributes:
         tilt_deg: angle between its axis and straight down.
         roll_deg: direction of the tilt in the image, clockwise from its upper side.
-        focal_px: focal length, pixels of the image.
+        focal_length_px: pixels of the image.
         source: of the angle, in words.
     """
 
     tilt_deg: float
     roll_deg: float
-    focal_px: float
+    focal_length_px: float
     source: str
 
     def plane(self, image: ImageFacts, gsd_m_per_px: float = 1.0) -> GroundPlane:
         """Ground plane of an image, with a scale at its centre."""
-        return GroundPlane(gsd_m_per_px, self.tilt_deg, self.focal_px, image.width_px, image.height_px, self.roll_deg)
-
-    def known_plane(self) -> KnownPlane:
-        """Tilt as a known scale carries it."""
-        return KnownPlane(tilt_deg=self.tilt_deg, roll_deg=self.roll_deg, focal_length_px=self.focal_px)
+        return _plane(self, image.width_px, image.height_px, gsd_m_per_px)
 
     def record(self, image: ImageFacts, gsd_m_per_px: float | None) -> TiltEstimate:
         """Tilt as records show it, with the range of scales if the scale at the centre is known."""
@@ -68,7 +64,7 @@ class CameraTilt(NamedTuple):
             tilt_ci95_low_deg=max(0.0, self.tilt_deg - reach),
             tilt_ci95_high_deg=min(90.0, self.tilt_deg + reach),
             roll_deg=self.roll_deg,
-            focal_length_px=self.focal_px,
+            focal_length_px=self.focal_length_px,
             source=self.source,
             gsd_least_m_per_px=least,
             gsd_largest_m_per_px=largest,
@@ -129,7 +125,7 @@ def focal_length(image: ImageFacts, options: ScaleOptions) -> tuple[float, bool]
 def plane_of_record(record: GsdEstimate) -> GroundPlane | None:
     """Ground plane of an estimated image; None for an image taken at nadir, or without a scale."""
     tilt, gsd = record.tilt, record.gsd_m_per_px
-    return None if tilt is None or gsd is None else _plane(tilt, record, gsd)
+    return None if tilt is None or gsd is None else _plane(tilt, record.image_width_px, record.image_height_px, gsd)
 
 
 def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | None) -> TiltEstimate:
@@ -140,18 +136,18 @@ def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | No
         record: of that image.
         gsd_m_per_px: the other scale; None for none.
     """
-    least, largest = (None, None) if gsd_m_per_px is None else _plane(tilt, record, gsd_m_per_px).gsd_range
+    plane = plane_of_record(record.model_copy(update={"gsd_m_per_px": gsd_m_per_px, "tilt": tilt}))
+    least, largest = (None, None) if plane is None else plane.gsd_range
     return tilt.model_copy(update={"gsd_least_m_per_px": least, "gsd_largest_m_per_px": largest})
 
 
-def known_plane(tilt: TiltEstimate) -> KnownPlane:
-    """Tilt of a record as a known scale carries it."""
+def known_plane(tilt: CameraTilt | TiltEstimate) -> KnownPlane:
+    """Tilt as a known scale carries it."""
     return KnownPlane(tilt_deg=tilt.tilt_deg, roll_deg=tilt.roll_deg, focal_length_px=tilt.focal_length_px)
 
 
-def _plane(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float) -> GroundPlane:
-    size = record.image_width_px, record.image_height_px
-    return GroundPlane(gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, *size, tilt.roll_deg)
+def _plane(tilt: CameraTilt | TiltEstimate, width_px: int, height_px: int, gsd_m_per_px: float) -> GroundPlane:
+    return GroundPlane(gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, width_px, height_px, tilt.roll_deg)
 
 
 class SizeTrend(NamedTuple):
@@ -204,9 +200,7 @@ def size_trend(detections: Detections, width_px: int, height_px: int, focal_px: 
     information = np.eye(3)
     for _ in range(_STEPS):
         weights = 1.0 / (1.0 + ((design @ plane - sizes) / _LOG_SD) ** 2)
-        information = design.T @ (design * weights[:, None]) + _LEAST_INFORMATION * np.eye(
-            3
-        )  # cars in a row say little
+        information = design.T @ (design * weights[:, None]) + _LITTLE
         plane = np.linalg.solve(information, design.T @ (weights * sizes))
     counted = min(_INDEPENDENT, _MOST_INDEPENDENT / len(boxes))
     covariance = _LOG_SD**2 / counted * np.linalg.inv(information)[1:, 1:]
@@ -230,8 +224,14 @@ def tilt_notice(image: ImageFacts, options: ScaleOptions, detections: Detections
     if image.georeference_gsd_m_per_px is not None:
         return ()
     if camera is not None and camera.off_nadir_deg is not None:
-        tilted = camera.off_nadir_deg > NADIR_TOLERANCE_DEG and taken_ratio(image, camera) is None
-        return (_crop_of_tilted(camera.off_nadir_deg),) if tilted else ()
+        if camera.off_nadir_deg <= NADIR_TOLERANCE_DEG or taken_ratio(image, camera) is not None:
+            return ()
+        message = (
+            f"By its metadata the camera was tilted by {camera.off_nadir_deg:.0f} degrees, and the image is a crop at "
+            "an unknown place of that picture. It is measured as if taken at nadir: scales differ over it, and areas "
+            "and lengths may be wrong. Give the original file."
+        )
+        return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
     trend = size_trend(detections, image.width_px, image.height_px, focal_length(image, options)[0])
     if trend is None or not trend.is_tilt:
         return ()
@@ -253,12 +253,3 @@ def _whole_cars(detections: Detections, width_px: int, height_px: int) -> NDArra
     inside &= (boxes[:, 1] > reach) & (boxes[:, 1] < height_px - reach)
     ratio = boxes[:, 2] / np.median(boxes[:, 2])
     return np.asarray(boxes[inside & (ratio < _FACTOR) & (ratio > 1 / _FACTOR)])
-
-
-def _crop_of_tilted(off_nadir_deg: float) -> Notice:
-    message = (
-        f"By its metadata the camera was tilted by {off_nadir_deg:.0f} degrees, and the image is a crop at an unknown "
-        "place of that picture. It is measured as if taken at nadir: scales differ over it, and areas and lengths may "
-        "be wrong. Give the original file."
-    )
-    return Notice(code=NoticeCode.TILT_SUSPECTED, message=message)

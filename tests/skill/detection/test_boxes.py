@@ -87,9 +87,10 @@ def _oracle_nms(boxes: NDArray[np.float64], scores: NDArray[np.float64], thresho
     return kept
 
 
-@given(st.lists(NEARBY_BOX, min_size=1, max_size=14), st.sampled_from([0.2, 0.45, 0.7]))
+@given(st.lists(NEARBY_BOX, max_size=14), st.sampled_from([0.2, 0.45, 0.7]))
+@settings(max_examples=40)
 def test_nms_equals_the_oracle(rows: list[tuple[float, ...]], threshold: float) -> None:
-    boxes = canonical_boxes(rows)
+    boxes = canonical_boxes(np.array(rows).reshape(-1, 5))
     scores = np.linspace(0.9, 0.1, len(boxes))
     ious = [polygon_iou(boxes[i], boxes[j]) for i in range(len(boxes)) for j in range(i)]
     assume(all(abs(iou - threshold) >= 5e-3 for iou in ious))  # a tie within float32: either answer is right
@@ -136,10 +137,6 @@ def test_equal_scores_are_ordered_by_position_not_by_input_order() -> None:
     boxes = np.array([[0, 0, 10, 4, 0], [1, 0, 10, 4, 0]], dtype=float)
     assert oriented_nms(boxes, [0.5, 0.5]).tolist() == [0]
     assert oriented_nms(boxes[::-1], [0.5, 0.5]).tolist() == [1]
-
-
-def test_nms_of_nothing_is_nothing() -> None:
-    assert oriented_nms(np.zeros((0, 5)), []).tolist() == []
 
 
 @pytest.mark.slow

@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from research.scenes import render_scene
 from tests.models import BODIES, blank_image, paint_vehicles, write_chip_network, write_detector
 from vehanchor import analyse_scale
-from vehanchor.detection.card import ChipCard, read_auxiliary_card
 from vehanchor.detection.chips import CHIP_LENGTH_PX, ChipAnswers, ChipNetwork, bodies, candidate_chips, looks
 from vehanchor.detection.detections import Detections
-from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.detection.networks import networks_sha256
+from vehanchor.detection.detector import Detector, load_detector, networks_sha256
 from vehanchor.detection.search import search
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.imagery.sources.opening import open_raster
@@ -107,35 +105,6 @@ def test_another_network_is_refused(tmp_path: Path) -> None:
         ChipNetwork(tmp_path / "none.onnx")
 
 
-_CARD = {
-    "vehanchor.detector": "m",
-    "vehanchor.weights": "1,1,0",
-    "vehanchor.least_score": "0.15",
-    "vehanchor.bodies": json.dumps(BODIES),
-}
-
-
-@pytest.mark.parametrize(
-    ("key", "text"),
-    [
-        ("detector", None),
-        ("weights", "1,2"),
-        ("weights", "-1,1,0"),
-        ("weights", "one,two,three"),
-        ("bodies", None),
-        ("bodies", json.dumps({**BODIES, "reference_length_m": 0.0})),
-        ("bodies", json.dumps({**BODIES, "region_lengths_m": {"europe": "long"}})),
-        ("bodies", json.dumps({"length_m": 4.0})),
-    ],
-)
-def test_a_card_without_meaning_is_refused_by_name(key: str, text: str | None) -> None:
-    metadata = {name: value for name, value in _CARD.items() if name != f"vehanchor.{key}"}
-    if text is not None:
-        metadata[f"vehanchor.{key}"] = text
-    with pytest.raises(ModelContractError, match=rf"m\.chips\.onnx.*vehanchor\.{key}"):
-        read_auxiliary_card(ChipCard, Path("m.chips.onnx"), "1" * 64, metadata)
-
-
 def test_a_chip_network_that_comes_changes_or_goes_is_noticed(tmp_path: Path) -> None:
     path = write_detector(tmp_path / "m.onnx")
     assert load_detector(path).chips is None
@@ -151,6 +120,7 @@ def test_a_chip_network_that_comes_changes_or_goes_is_noticed(tmp_path: Path) ->
     assert load_detector(path).chips is None
 
 
+@pytest.mark.slow
 def test_the_bundled_network_measures_rendered_cars(bundled: ChipNetwork) -> None:
     scene = render_scene(0.08, width_px=700, height_px=700, seed=4, layout="urban")
     cars = [car for car in scene.vehicles if car.kind == "small-vehicle" and not car.difficult]

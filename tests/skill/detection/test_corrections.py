@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from tests.analyses import analyse_found, made_card
-from tests.yards import EQUAL_CARS, paint_yard
+from tests.models import blank_image
 from vehanchor import Engine
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch.run import run_batch
 from vehanchor.detection.corrections import corrected
 from vehanchor.detection.detections import Detections, Looks
+from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
-from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 
 _SIDE = 4000
@@ -116,23 +116,11 @@ def test_a_number_that_does_not_exist_says_how_many_there_are() -> None:
         _corrected(_found([]), drop=[1])
 
 
-# --- With the bundled model ------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def engine() -> Engine:
-    return Engine(resolve_model())
-
-
-@pytest.fixture(scope="module")
-def hire_cars() -> Any:
-    return paint_yard("equal cars", EQUAL_CARS[0] / 25, 500, seed=1)
-
-
-def test_what_belongs_to_one_image_or_needs_a_search_is_refused(engine: Engine, hire_cars: Any, tmp_path: Path) -> None:
+def test_what_belongs_to_one_image_or_needs_a_search_is_refused(detector: Detector, tmp_path: Path) -> None:
+    engine, image = Engine(detector), blank_image(100, 80)
     with pytest.raises(InvalidParameterError, match="add belongs to one image"):
         run_batch([str(tmp_path)], tmp_path / "t.csv", options=ScaleOptions.of({"add": [(0, 0, 9, 0)]}))
     with pytest.raises(InvalidParameterError, match="drop needs the ruler vehicles"):
-        engine.estimate(hire_cars, rulers=("known_length",), drop=[1])
+        engine.estimate(image, rulers=("known_length",), drop=[1])
     with pytest.raises(InvalidParameterError, match="give gsd_m_per_px or drop, not both"):
-        engine.measure_distance(hire_cars, [(0, 0), (50, 0)], gsd_m_per_px=0.1, drop=[1])
+        engine.measure_distance(image, [(0, 0), (50, 0)], gsd_m_per_px=0.1, drop=[1])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import (
     FACTORS,
     MOST_TILES,
@@ -19,11 +18,7 @@ from vehanchor.detection.scene_scale import (
     scene_density,
     tile_windows,
 )
-from vehanchor.detection.search import search
-from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import resolve_model
-from vehanchor.options import Search
+from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import GRID, credible_interval
 
 _CALIBRATION = SceneCalibration(np.log(0.01), 0.08, floor=0.02)
@@ -45,15 +40,10 @@ def test_a_sharp_place_may_be_finer_than_it_looks(gsd: float, wider: float) -> N
     assert high == pytest.approx(plain.high, rel=0.03)
 
 
-def test_the_grounds_word_moves_the_scores_of_the_bundled_detector(car_park: NDArray[np.uint8]) -> None:
-    detector = Detector(resolve_model(), runtime=Runtime(threads=1))
-    with open_raster(car_park[:400, :400]) as raster:
-        alone, right, wrong = (
-            search(raster, detector, Search(min_score=0.3, search_scales=False), prior=ground).scores
-            for ground in (None, _ground(0.12, 0.15), _ground(0.5, 0.15))
-        )
-    assert len(alone) > 20
-    assert np.median(right[:20]) > np.median(alone[:20]) > np.median(wrong[:20])
+def test_a_length_that_fits_the_scene_has_the_better_odds() -> None:
+    fits, long, longer = _ground(0.1, 0.15).size_odds(CAR_LENGTH_M / np.array([0.1, 0.07, 0.01]))
+    assert fits > 1 > long > longer == -2
+    assert _ground(0.1, 0.15).scaled(2.0).size_odds([CAR_LENGTH_M / 0.2]) == pytest.approx(fits, rel=1e-3)  # of a grid
 
 
 @pytest.mark.parametrize(("width", "height"), [(160, 160), (256, 256), (1000, 700), (4096, 4096), (9000, 200)])
