@@ -113,7 +113,7 @@ def _auth(settings: Settings) -> AuthSettings:
         return AuthSettings.model_validate({"issuer_url": address, "resource_server_url": None})
     return AuthSettings.model_validate(  # from strings, so that an issuer without a path gains no slash
         {
-            "issuer_url": settings.oidc[0],
+            "issuer_url": settings.issuer[0],
             "resource_server_url": address,
             "validate_token_resource": False,  # the verifier checks the audience
         }

@@ -74,8 +74,10 @@ def test_token_files_that_protect_nothing_are_refused(tmp_path: Path, content: b
 
 def test_settings_choose_the_verifier() -> None:
     assert token_verifier(Settings()) is None
-    oidc = token_verifier(Settings(oidc=(ISSUER, AUDIENCE)))
-    assert isinstance(oidc, OidcVerifier)
+    for age, expected_s in (("", 86400), ("#max-age=90", 90)):
+        oidc = token_verifier(Settings(oidc=(ISSUER + age, AUDIENCE)))
+        assert isinstance(oidc, OidcVerifier)
+        assert (oidc._issuer, oidc._max_key_age_s) == (ISSUER, expected_s)
 
 
 class Issuer:
@@ -107,7 +109,7 @@ class Issuer:
         return jwt.encode(body, self.key if key is None else key, alg, headers={"kid": kid or self.kid})
 
     def verifier(self) -> OidcVerifier:
-        return OidcVerifier(ISSUER, AUDIENCE, get_json=self.get_json)
+        return OidcVerifier(ISSUER, AUDIENCE, max_key_age_s=100, get_json=self.get_json)
 
 
 @pytest.fixture(scope="module")
@@ -268,7 +270,7 @@ async def test_a_dripping_issuer_has_so_much_time_and_so_many_bytes(
         dripping = f"http://127.0.0.1:{listener.getsockname()[1]}"
         if pause_s:
             monkeypatch.setattr("vehanchor_server.transport.auth.FETCH_S", 1.0)
-        verifier = OidcVerifier(ISSUER, AUDIENCE, get_json=lambda _: _get_json(dripping))
+        verifier = OidcVerifier(ISSUER, AUDIENCE, max_key_age_s=100, get_json=lambda _: _get_json(dripping))
         with anyio.fail_after(10):
             assert await verifier.verify_token(issuer.token()) is None
     assert word in caplog.text
