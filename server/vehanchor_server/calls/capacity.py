@@ -120,22 +120,20 @@ class Capacity:
         Raises:
             CallError: ``server_stopping``, if the work was stopped by ``close``.
         """
-        ended = threading.Event()
 
         def guarded() -> tuple[T | None, Exception | None]:  # as a value: it must not collide with a cancellation
             try:
                 return work(), None
             except Exception as error:
                 return None, error
-            finally:
-                ended.set()
 
         async with anyio.create_task_group() as group:
-            group.start_soon(_request_when_cancelled, stop, ended)
+            group.start_soon(_request_when_cancelled, stop)
             value, error = await anyio.to_thread.run_sync(guarded, limiter=anyio.CapacityLimiter(1))
+            was_stopped = stop.requested
             group.cancel_scope.cancel()
         await anyio.lowlevel.checkpoint_if_cancelled()
-        if error is not None and stop.requested:  # CallStoppedError, or the error of a terminated model
+        if error is not None and was_stopped:  # CallStoppedError, or the error of a terminated model
             raise CallError("server_stopping", "the server is shutting down. Try again in a while.")
         if error is not None:
             raise error
@@ -148,9 +146,8 @@ class Capacity:
             stop.request()
 
 
-async def _request_when_cancelled(stop: Stop, ended: threading.Event) -> None:
+async def _request_when_cancelled(stop: Stop) -> None:
     try:
         await anyio.sleep_forever()
     finally:
-        if not ended.is_set():
-            stop.request()
+        stop.request()  # changes nothing after the work

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel
 
@@ -15,27 +15,22 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.job import Job
     from vehanchor_server.calls.reply import Reply
     from vehanchor_server.images.argument import AnyImage
-    from vehanchor_server.parts import Parts
+    from vehanchor_server.services import Services
 
 Record = TypeVar("Record", bound=BaseModel)
 
 
-class Work(Generic[Record]):
-    """A kind of work on an image; the decorator ``work`` creates one from a module-level function.
+class Work(Protocol[Record]):
+    """Function of services, job, opened image and question; other images are a fifth argument.
 
     Attributes:
-        function: function of services, job, opened image and question; other images are a fifth argument.
         record: type of the records in the reply.
     """
 
-    def __init__(self, function: Callable[..., Reply[Record]], record: type[Record]) -> None:
-        self.function = function
-        self.record = record
-        self.__module__ = function.__module__
+    record: type[Record]
 
-    def __reduce__(self) -> str:
-        """Pickle by name, like a function."""
-        return self.function.__name__
+    def __call__(self, *arguments: Any) -> Reply[Record]:
+        """Do the work."""
 
 
 def work(record: type[Record]) -> Callable[[Callable[..., Reply[Record]]], Work[Record]]:
@@ -44,7 +39,13 @@ def work(record: type[Record]) -> Callable[[Callable[..., Reply[Record]]], Work[
     Args:
         record: type of the records in the reply.
     """
-    return lambda function: Work(function, record)
+
+    def decorate(function: Any) -> Work[Record]:
+        function.record = record
+        decorated: Work[Record] = function
+        return decorated
+
+    return decorate
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Task(Generic[Record]):
     more: tuple[tuple[AnyImage, bytes | None], ...] = ()
 
 
-def perform(services: Parts, task: Task[Record], job: Job) -> Reply[Record]:
+def perform(services: Services, task: Task[Record], job: Job) -> Reply[Record]:
     """Open the image and do the work in this thread.
 
     Raises:
@@ -77,4 +78,4 @@ def perform(services: Parts, task: Task[Record], job: Job) -> Reply[Record]:
         services.sources.open(task.image, task.fetched) as source,
         library_errors(source),
     ):
-        return task.work.function(services, job, source, task.question, *((task.more,) if task.more else ()))
+        return task.work(services, job, source, task.question, *((task.more,) if task.more else ()))

@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 from urllib.parse import urlsplit
 
+import anyio.to_thread
 import uvicorn
 from mcp.server.auth.settings import AuthSettings
 from mcp.server.transport_security import TransportSecuritySettings
@@ -71,13 +72,16 @@ def end_with(app: Starlette, services: Services) -> None:
 
     @asynccontextmanager
     async def whole(app: Starlette) -> AsyncIterator[Any]:
-        services.preload()
+        loading = services.preload()
         try:
             async with lifespan(app) as state:
                 yield state
         finally:
             services.close()
-            services.models.end_preload()
+            loading.cancel()
+            await anyio.to_thread.run_sync(
+                loading.join
+            )  # ONNX Runtime aborts a process that ends while it opens a model
 
     app.router.lifespan_context = whole
 
