@@ -55,27 +55,20 @@ class Task(Generic[Record]):
     Attributes:
         work: the kind of work.
         question: the caller's other arguments.
-        image: the caller's image argument.
-        fetched: bytes of a fetched image.
-        more: other images with their bytes, which the work opens one at a time.
+        images: the caller's image arguments, each with its bytes if it was fetched; the work opens all but the first.
     """
 
     work: Work[Record]
     question: Any
-    image: AnyImage
-    fetched: bytes | None
-    more: tuple[tuple[AnyImage, bytes | None], ...] = ()
+    images: tuple[tuple[AnyImage, bytes | None], ...]
 
 
 def perform(services: Services, task: Task[Record], job: Job) -> Reply[Record]:
-    """Open the image and do the work in this thread.
+    """Open the first image and do the work in this thread.
 
     Raises:
         CallError: the work failed with a remedy for the caller.
     """
-    with (
-        job.stop.calling(job.cancellation.cancel),
-        services.sources.open(task.image, task.fetched) as source,
-        library_errors(source),
-    ):
-        return task.work(services, job, source, task.question, *((task.more,) if task.more else ()))
+    first, *more = task.images
+    with services.sources.open(*first) as source, library_errors(source):
+        return task.work(services, job, source, task.question, *((more,) if more else ()))

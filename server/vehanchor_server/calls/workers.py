@@ -241,11 +241,7 @@ class _Worker:
         self._connection.close()
 
     def await_loaded(self, stop: Stop) -> None:
-        """Wait until the models are loaded, or the process has failed.
-
-        Raises:
-            CallStoppedError: a stop was requested.
-        """
+        """Wait until the models are loaded, the process has failed, or a stop is requested."""
         while not self._settled.wait(_POLL_S):
             stop.check()
 
@@ -272,13 +268,7 @@ class _Worker:
         self._settled.set()
 
     def run(self, task: Task[Record], stop: Stop, report: Callable[[float, str], None]) -> Reply[Record]:
-        """Run a task; a stop request kills the process.
-
-        Raises:
-            CallError: the process ended, or the work failed.
-            CallStoppedError: a stop was requested.
-            WorkerFailedError: a bug in the worker.
-        """
+        """Run a task as the pool does; a stop request kills the process."""
         self._waits = False
         with stop.calling(self.kill):
             stop.check()

@@ -41,25 +41,16 @@ class ImageSources:
     fetcher: Fetcher
     max_bytes: int
 
-    async def fetched(self, image: AnyImage) -> bytes | None:
-        """Fetch the bytes of a URL; None for other kinds."""
-        return await self.fetcher.fetch(image.url) if isinstance(image, UrlImage) else None
-
-    async def fetched_together(
-        self, images: Sequence[AnyImage], n_bytes: int = 0
-    ) -> tuple[tuple[AnyImage, bytes | None], ...]:
-        """Fetch the bytes of several images; together they share the size limit of one image.
-
-        Args:
-            images: the caller's arguments.
-            n_bytes: bytes fetched before.
+    async def fetched(self, images: Sequence[AnyImage]) -> tuple[tuple[AnyImage, bytes | None], ...]:
+        """Give each image the bytes of its URL; together they share the size limit of one image.
 
         Raises:
             CallError: an image cannot be fetched, or the total is too large.
         """
         found: list[tuple[AnyImage, bytes | None]] = []
+        n_bytes = 0
         for image in images:
-            fetched = await self.fetched(image)
+            fetched = await self.fetcher.fetch(image.url) if isinstance(image, UrlImage) else None
             n_bytes += len(fetched or b"")
             if n_bytes > self.max_bytes:
                 raise CallError(
@@ -75,7 +66,7 @@ class ImageSources:
 
         Args:
             image: the caller's argument.
-            fetched: result of ``fetched`` for it.
+            fetched: the bytes of its URL.
 
         Raises:
             CallError: the image is not allowed, missing, or malformed.

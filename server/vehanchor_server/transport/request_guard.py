@@ -35,11 +35,7 @@ class _Body:
     complete: bool = False
 
     def add(self, chunk: bytes) -> None:
-        """Count a chunk.
-
-        Raises:
-            HTTPException: the body is too complex.
-        """
+        """Count a chunk; refuse a body that is too complex."""
         self.n_bytes += len(chunk)
         self.n_separators += chunk.count(b",") + chunk.count(b":")
         self.n_nested += chunk.count(b"{") + chunk.count(b"[")
@@ -100,11 +96,7 @@ class RequestGuard:
             self._n_large_bodies -= body.has_place
 
     def _ask_for_place(self, body: _Body, n_bytes: int) -> None:
-        """Reserve a slot for a large body.
-
-        Raises:
-            HTTPException: no slot is free.
-        """
+        """Reserve a slot for a large body; refuse it without one."""
         if body.has_place or n_bytes <= _SMALL_BYTES:
             return
         if self._n_large_bodies >= self._max_large_bodies:

@@ -15,8 +15,7 @@ from mcp.server import MCPServer
 from tests.sam_models import SamFiles
 from tests.server.calls.slow_models import weighed_down
 from tests.server.conftest import N_TILES_LARGE, POOL_BOX
-from tests.server.conversation import by_path, error_of, reported, text_of
-from tests.server.transport.test_http import served
+from tests.server.conversation import by_path, error_of, reported
 from tests.tiles import Tiles
 from vehanchor_server.app import create_server
 from vehanchor_server.calls.capacity import Capacity, Stop
@@ -122,17 +121,6 @@ async def test_want_of_memory_outside_decoding_and_models_is_told_by_its_code(
     assert error_of(result) == "out_of_memory"
 
 
-async def test_a_missing_model_is_the_operators_business(images: Path, caplog: pytest.LogCaptureFixture) -> None:
-    server = create_server(
-        create_services(Settings(roots=(images,), detector="/nowhere/secret.onnx", isolation="in-process"))
-    )
-    async with Client(server) as client:
-        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
-    assert error_of(result) == "model_unavailable"
-    assert "secret" not in text_of(result)
-    assert "/nowhere/secret.onnx" in caplog.text
-
-
 def work_until_stopped(stop: Stop) -> None:
     while True:
         stop.check()
@@ -207,8 +195,8 @@ async def test_an_action_is_done_once_and_only_within_its_context() -> None:
     with stop.calling(lambda: done.append("over")):
         pass
     with stop.calling(lambda: done.append("during")):
-        stop.request()
-        stop.request()
+        stop.cancel()
+        stop.cancel()
     with stop.calling(lambda: done.append("after")):
         pass
     assert done == ["during", "after"]
@@ -273,21 +261,3 @@ async def test_cancelling_stops_the_running_model(slow_services: Services, image
         while slow_services.capacity.running:
             await anyio.sleep(0.002)
         assert time.monotonic() - cancelled < STOPS_WITHIN_S
-
-
-@pytest.mark.slow
-async def test_a_client_that_hangs_up_stops_the_running_model(slow: Settings, images: Path) -> None:
-    """Over HTTP the one place of the server is free again for the next caller."""
-    with served(slow) as base:
-        async with Client(f"{base}/mcp") as client:
-            computing = anyio.Event()
-            async with anyio.create_task_group() as group:
-                group.start_soon(called, client, "measure_area", images, computing)
-                await computing.wait()
-                refused = await client.call_tool("estimate_gsd", by_path(images / "small.png"))
-                group.cancel_scope.cancel()
-        assert error_of(refused) == "busy"
-        async with Client(f"{base}/mcp") as client:
-            await anyio.sleep(STOPS_WITHIN_S)
-            result = await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))
-        assert error_of(result) == "image_undecodable", text_of(result)

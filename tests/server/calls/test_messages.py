@@ -83,7 +83,7 @@ def test_an_answer_arrives_with_its_pictures(pipe: tuple[Connection, Connection]
     ],
 )
 def test_a_task_arrives_as_it_was_sent(pipe: tuple[Connection, Connection], image: Any, fetched: bytes | None) -> None:
-    task = Task(number, None, image, fetched, ((image, fetched), (IMAGE, None)))
+    task = Task(number, None, ((image, fetched), (IMAGE, None)))
     pipe[0].send(task)
     assert pipe[1].recv() == task
 

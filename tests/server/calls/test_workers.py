@@ -166,7 +166,7 @@ def test_a_stop_kills_and_says_so(isolated: Services) -> None:
     with anyio.from_thread.start_blocking_portal() as portal:
         future = portal.start_task_soon(anyio.to_thread.run_sync, partial(done, isolated, spin, None, stop))
         time.sleep(0.3)
-        stop.request()
+        stop.cancel()
         with pytest.raises(CallStoppedError):
             future.result(5)
     assert time.monotonic() - started < 1.5
@@ -177,7 +177,7 @@ def test_a_stop_kills_and_says_so(isolated: Services) -> None:
 def test_a_stop_after_the_call_harms_no_other(isolated: Services) -> None:
     stop = Stop()
     worker = done(isolated, number, None, stop)
-    stop.request()
+    stop.cancel()
     assert done(isolated, number) == worker
 
 
@@ -232,11 +232,12 @@ async def test_the_deadline_is_kept_by_a_worker_that_does_not_listen(
 
 
 async def test_a_model_that_cannot_be_loaded_is_the_operators_business(images: Path) -> None:
-    services = create_services(Settings(roots=(images,), detector="/nowhere.onnx", max_concurrency=1))
+    services = create_services(Settings(roots=(images,), detector="/nowhere/secret.onnx", max_concurrency=1))
     try:
         async with Client(create_server(services)) as client:
             result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
         assert error_of(result) == "model_unavailable"
+        assert "secret" not in text_of(result)
         assert not services.ready
         assert services.failure == "model_not_found"
     finally:
@@ -296,7 +297,7 @@ def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
     workers.start()
     for _ in range(2):
         with pytest.raises(CallError, match=r"worker_unavailable: .* the image is not the cause"):
-            workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None)
+            workers.run(Task(number, None, ((IMAGE, None),)), Stop(), lambda *_: None)
     assert workers.failure == "worker_unavailable"
     assert not workers.ready
     (line,) = caplog.records
@@ -328,11 +329,11 @@ def endless() -> Services:  # as a model that computes for ever while it is load
 def test_a_call_to_a_worker_that_loads_for_ever_ends_at_its_deadline() -> None:
     workers = WorkerPool(endless, WorkerLimits(1 << 30, 10))
     stop = Stop()
-    timer = threading.Timer(0.5, stop.request)
+    timer = threading.Timer(0.5, stop.cancel)
     timer.start()
     try:
         with pytest.raises(CallStoppedError):
-            workers.run(Task(number, None, IMAGE, None), stop, lambda *_: None)
+            workers.run(Task(number, None, ((IMAGE, None),)), stop, lambda *_: None)
         assert not workers.ready
     finally:
         timer.join()
@@ -352,7 +353,7 @@ def test_a_worker_that_is_killed_while_it_starts_is_started_again_for_the_same_c
     settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
     workers = WorkerPool(partial(lost_once, tmp_path / "mark", settings), WorkerLimits(1 << 30, 10))
     try:
-        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None)
+        answer = workers.run(Task(number, None, ((IMAGE, None),)), Stop(), lambda *_: None)
         assert answer.record.value > 0
     finally:
         workers.close()
@@ -363,7 +364,7 @@ def test_a_call_waits_for_the_worker_that_starts_and_starts_no_other(tmp_path: P
     workers = WorkerPool(partial(create_services, settings), WorkerLimits(1 << 30, 10))
     workers.start()
     try:
-        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None)
+        answer = workers.run(Task(number, None, ((IMAGE, None),)), Stop(), lambda *_: None)
         assert workers.processes == [answer.record.value]
     finally:
         workers.close()

@@ -73,10 +73,10 @@ async def test_urls_are_fetched_before_they_are_opened(sources: ImageSources, mo
 
     monkeypatch.setattr(Fetcher, "fetch", fetch)
     image = UrlImage(kind="url", url="https://a.test/b")
-    fetched = await sources.fetched(image)
-    with sources.open(image, fetched) as opened:
+    both = await sources.fetched([image, Base64Image(kind="base64", data="AAEC")])
+    with sources.open(*both[0]) as opened:
         assert opened == b"https://a.test/b"
-    assert await sources.fetched(Base64Image(kind="base64", data="AAEC")) is None
+    assert both[1][1] is None
 
 
 @pytest.mark.anyio

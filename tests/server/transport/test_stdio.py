@@ -137,23 +137,18 @@ def _until_computing(process: subprocess.Popen[bytes], images: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sigterm_ends_it_cleanly(start: Starter, images: Path) -> None:
+@pytest.mark.parametrize("by_signal", [True, False])
+def test_sigterm_and_the_end_of_stdin_end_it_in_the_middle_of_a_call(
+    start: Starter, images: Path, by_signal: bool
+) -> None:
     process = start(slow=True)
     assert process.stdin is not None
     assert process.stdout is not None
     _until_computing(process, images)
-    process.send_signal(signal.SIGTERM)
-    status, stderr = ended(process)
-    assert status == 0
-    assert "Traceback" not in stderr
-
-
-@pytest.mark.slow
-def test_the_end_of_stdin_ends_it_in_the_middle_of_a_call(start: Starter, images: Path) -> None:
-    process = start(slow=True)
-    assert process.stdin is not None
-    _until_computing(process, images)
-    process.stdin.close()
+    if by_signal:
+        process.send_signal(signal.SIGTERM)
+    else:
+        process.stdin.close()
     status, stderr = ended(process)
     assert status == 0
     assert "Traceback" not in stderr
@@ -286,20 +281,3 @@ except ImportError:
     print(json.dumps([dict(BaseModel.model_config), After.__pydantic_complete__]))
 """
     assert _printed(after) == [{}, True]
-
-
-@pytest.mark.slow
-def test_the_listing_of_a_quick_server_is_that_of_a_usual_one() -> None:
-    listing = """
-import anyio, sys
-from vehanchor_server.settings import Settings
-if {quick}:
-    import_sdk()
-from vehanchor_server.app import create_server
-from vehanchor_server.services import create_services
-tools = anyio.run(create_server(create_services(Settings(isolation="in-process"))).list_tools)
-print(json.dumps([tool.model_dump(mode="json") for tool in tools]))
-"""
-    quick, usual = (_printed(listing.format(quick=quick)) for quick in (True, False))
-    assert quick == usual
-    assert len(usual) > 3

@@ -122,22 +122,6 @@ def test_a_call_tells_how_far_it_is_and_its_result_last(address: Address, images
     assert panel["record"]["n_vehicles"] == len(panel["drawing"]["vehicles"]) == 24
 
 
-def test_a_distance_after_an_estimate_has_its_confidence(address: Address, images: Path) -> None:
-    image = by_path(images / "pool.png")
-    estimate = ask(address, "estimate_gsd", image)[-1]["result"]["structuredContent"]
-    lines = [{"points": [{"x": 10, "y": 20}, {"x": 300, "y": 120}]}]
-    measured = ask(address, "measure_distance", {**image, "lines": lines})[-1]["result"]["structuredContent"]
-    assert measured["estimate"] == estimate
-    assert measured["confidence"] == estimate["confidence"] >= 0.9
-
-
-def test_an_error_of_a_tool_is_a_result_and_an_unknown_tool_too(address: Address) -> None:
-    for name, arguments in (("measure_area", {"x": 1}), ("no_such_tool", {}), ("estimate_gsd", by_path("/etc/passwd"))):
-        *_, last = ask(address, name, arguments)
-        assert last["result"]["isError"], name
-        assert last["result"]["content"][0]["text"]
-
-
 def test_a_photograph_that_is_dropped_is_measured_as_one_of_the_folder(address: Address, images: Path) -> None:
     data = (images / "pool.png").read_bytes()
     paths = [
