@@ -222,7 +222,7 @@ class PathAccess:
                 os.close(directory)
 
     def _open_and_compare(self, path: Path) -> int:
-        """Open a path on systems without directory descriptors (Windows), and check that it still names the same file."""
+        """Open a path on systems without directory descriptors (Windows); check that it still names the same file."""
         resolved = path.resolve(strict=False)
         if not any(resolved.is_relative_to(root) for root in self.roots):
             raise self._refused()
