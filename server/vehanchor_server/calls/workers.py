@@ -55,10 +55,6 @@ _POLL_S = 0.05  # interval at which a waiting thread checks for a stop request
 _logger = logging.getLogger(__name__)
 
 
-class WorkerFailedError(Exception):
-    """A bug in a worker; the message is its traceback."""
-
-
 class WorkerPool:
     """Workers of a server, at most one per concurrent call.
 
@@ -116,7 +112,7 @@ class WorkerPool:
         Raises:
             CallError: ``worker_killed``, ``worker_unavailable``, or the failure of the work.
             CallStoppedError: a stop was requested.
-            WorkerFailedError: a bug in the worker.
+            RuntimeError: a bug in the worker; the message has its traceback.
         """
         worker = self._take(stop)
         try:
@@ -298,11 +294,9 @@ class _Worker:
                     return reply
                 case Refused():
                     self._waits = message.code != WORKER_KILLED
-                    raise (
-                        WorkerFailedError(message.message)
-                        if message.code == BUG
-                        else CallError(message.code, message.message)
-                    )
+                    if message.code == BUG:
+                        raise RuntimeError(f"in a worker: {message.message}")
+                    raise CallError(message.code, message.message)
                 case _:
                     raise MessageError(f"{message.kind} during a call")
 

@@ -28,6 +28,7 @@ _INVALID_REQUEST, _BUSY = -32600, -32000  # of JSON-RPC
 class _Body:
     """Running counts of a body."""
 
+    n_declared: int
     n_bytes: int = 0
     n_separators: int = 0
     n_nested: int = 0
@@ -64,7 +65,7 @@ class RequestGuard:
         self._n_large_bodies = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
+        """Pass a request on, or refuse it. The application reads the body after it has checked the token."""
         if scope["type"] != "http" or scope["path"].rstrip("/") != self._path:
             await self._app(scope, receive, send)
             return
@@ -72,21 +73,17 @@ class RequestGuard:
             await Response("POST only", status_code=405, headers={"Allow": "POST"})(scope, receive, send)
             return
         declared = Headers(scope=scope).get("content-length", "0")
-        await self._let_in(int(declared) if declared.isdigit() else 0, scope, receive, send)
-
-    async def _let_in(self, declared: int, scope: Scope, receive: Receive, send: Send) -> None:
-        """Run the application, which reads the body after it has checked the token."""
-        body = _Body()
+        body = _Body(int(declared) if declared.isdigit() else 0)
 
         async def counted() -> Message:
             if body.complete:
                 return await receive()
-            self._ask_for_place(body, declared)
+            self._ask_for_place(body)
             message = await receive()
             if message["type"] == "http.disconnect":
                 raise HTTPException(400)  # without a traceback in the log; nobody reads the answer
             body.add(message.get("body", b""))
-            self._ask_for_place(body, body.n_bytes)
+            self._ask_for_place(body)
             body.complete = not message.get("more_body", False)
             return message
 
@@ -95,9 +92,9 @@ class RequestGuard:
         finally:
             self._n_large_bodies -= body.has_place
 
-    def _ask_for_place(self, body: _Body, n_bytes: int) -> None:
+    def _ask_for_place(self, body: _Body) -> None:
         """Reserve a slot for a large body; refuse it without one."""
-        if body.has_place or n_bytes <= _SMALL_BYTES:
+        if body.has_place or max(body.n_declared, body.n_bytes) <= _SMALL_BYTES:
             return
         if self._n_large_bodies >= self._max_large_bodies:
             raise _refusal(503, _BUSY, "busy: too many large requests. Try again in a few seconds.")

@@ -35,7 +35,7 @@ from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import Task, work
 from vehanchor_server.calls.worker_process import WorkerLimits, serve_tasks
-from vehanchor_server.calls.workers import WorkerFailedError, WorkerPool
+from vehanchor_server.calls.workers import WorkerPool
 from vehanchor_server.errors import CallError
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
@@ -200,7 +200,7 @@ def test_memory_that_is_missing_is_not_the_images_fault(isolated: Services) -> N
 
 def test_a_bug_comes_with_its_traceback_and_keeps_the_worker(isolated: Services) -> None:
     worker = done(isolated, number)
-    with pytest.raises(WorkerFailedError, match="hunter2"):
+    with pytest.raises(RuntimeError, match="hunter2"):
         done(isolated, bug)
     assert done(isolated, number) == worker
 
