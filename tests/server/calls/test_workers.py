@@ -347,25 +347,19 @@ def lost_once(mark: Path, settings: Settings) -> Services:
     return create_services(settings)
 
 
-def test_a_worker_that_is_killed_while_it_starts_is_started_again_for_the_same_call(
-    tmp_path: Path, detector_path: Path
+@pytest.mark.parametrize("is_lost", [True, False])
+def test_a_call_waits_for_the_worker_that_starts_and_starts_another_only_if_it_is_killed(
+    tmp_path: Path, detector_path: Path, is_lost: bool
 ) -> None:
     settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
-    workers = WorkerPool(partial(lost_once, tmp_path / "mark", settings), WorkerLimits(1 << 30, 10))
-    try:
-        answer = workers.run(Task(number, None, ((IMAGE, None),)), Stop(), lambda *_: None)
-        assert answer.record.value > 0
-    finally:
-        workers.close()
-
-
-def test_a_call_waits_for_the_worker_that_starts_and_starts_no_other(tmp_path: Path, detector_path: Path) -> None:
-    settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
-    workers = WorkerPool(partial(create_services, settings), WorkerLimits(1 << 30, 10))
+    make = partial(lost_once, tmp_path / "mark", settings) if is_lost else partial(create_services, settings)
+    workers = WorkerPool(make, WorkerLimits(1 << 30, 10))
     workers.start()
+    (first,) = workers.processes
     try:
         answer = workers.run(Task(number, None, ((IMAGE, None),)), Stop(), lambda *_: None)
         assert workers.processes == [answer.record.value]
+        assert (answer.record.value != first) == is_lost
     finally:
         workers.close()
 
