@@ -146,11 +146,7 @@ class Models:
             return self._made
 
     def _load(self, name: str, load: Callable[[], T]) -> T:
-        """Load a model of the operator's.
-
-        Raises:
-            CallError: ``model_unavailable``; only the log has the operator's paths.
-        """
+        """Load a model of the operator's; only the log has the paths."""
         try:
             model = load()
         except VehAnchorError as error:

@@ -59,7 +59,7 @@ class Services(Parts):
 
 def create_services(settings: Settings) -> Services:
     """Create the parts of a server or a worker without loading or starting anything."""
-    n_cpus, max_bytes = os.cpu_count() or 1, settings.image_limits.max_bytes
+    n_cpus = os.cpu_count() or 1
     workers = None
     if settings.isolation != "in-process":
         limits = WorkerLimits(settings.max_worker_bytes, n_cpus * settings.deadline_s)
@@ -69,8 +69,7 @@ def create_services(settings: Settings) -> Services:
         models=Models(settings),
         sources=ImageSources(
             paths=PathAccess(settings.roots, settings.spelled_roots),
-            fetcher=Fetcher(settings.image_hosts, max_bytes),
-            max_bytes=max_bytes,
+            fetcher=Fetcher(settings.image_hosts, settings.image_limits.max_bytes),
         ),
         capacity=Capacity(settings.max_concurrency or max(2, n_cpus), settings.deadline_s),
         workers=workers,

@@ -137,12 +137,7 @@ class WorkerPool:
                 shutil.rmtree(multiprocessing.util.get_temp_dir(), ignore_errors=True)
 
     def _take(self, stop: Stop) -> _Worker:
-        """Take an idle worker and wait for its models; start another one if the system kills it meanwhile.
-
-        Raises:
-            CallError: no process starts.
-            CallStoppedError: a stop was requested; loading continues.
-        """
+        """Take an idle worker and wait for its models; start another one if the system kills it meanwhile."""
         for _ in range(2):
             with self._lock:
                 for each in [each for each in self._idle if each.has_failed]:

@@ -28,7 +28,7 @@ from starlette.routing import Route
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.limits import read_checked_header
 from vehanchor_server.app import create_server
-from vehanchor_server.app_page import view_html
+from vehanchor_server.app_page.page import view_html
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings, SettingsError
 from vehanchor_server.transport.http import MCP_PATH, end_with

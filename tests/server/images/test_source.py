@@ -17,7 +17,7 @@ from vehanchor_server.images.source import ImageSources
 
 @pytest.fixture
 def sources() -> ImageSources:
-    return ImageSources(PathAccess([]), Fetcher((), 100, 1), max_bytes=100)
+    return ImageSources(PathAccess([]), Fetcher((), 100, 1))
 
 
 def decoded(sources: ImageSources, data: str) -> object:

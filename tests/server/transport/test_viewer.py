@@ -22,7 +22,8 @@ from tests.server.conversation import by_path
 from tests.server.transport.test_http import discover
 from vehanchor.cli.app import app
 from vehanchor.options import ImageLimits
-from vehanchor_server.app_page import PANEL_KEY, view_html
+from vehanchor_server.app_page.page import view_html
+from vehanchor_server.app_page.panel import PANEL_KEY
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address
 
