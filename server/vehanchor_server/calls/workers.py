@@ -118,10 +118,12 @@ class WorkerPool:
         try:
             return worker.run(task, stop, report)
         finally:
-            if not worker.usable:
+            if worker.usable:
+                self._idle.append(worker)
+            else:
                 self._end(worker)
-                worker = self._new()
-            self._idle.append(worker)
+                if not self.closed:
+                    self._idle.append(self._new())
 
     def close(self) -> None:
         """End all workers."""
