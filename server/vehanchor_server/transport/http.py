@@ -7,7 +7,6 @@ from contextlib import asynccontextmanager
 from typing import Any
 from urllib.parse import urlsplit
 
-import anyio.to_thread
 import uvicorn
 from mcp.server.auth.settings import AuthSettings
 from mcp.server.transport_security import TransportSecuritySettings
@@ -79,9 +78,7 @@ def end_with(app: Starlette, services: Services) -> None:
         finally:
             services.close()
             loading.cancel()
-            await anyio.to_thread.run_sync(
-                loading.join
-            )  # ONNX Runtime aborts a process that ends while it opens a model
+            loading.join()  # ONNX Runtime aborts a process that ends while it opens a model
 
     app.router.lifespan_context = whole
 
