@@ -69,14 +69,6 @@ def test_the_memory_of_decoding_and_of_workers_follows_the_pixels() -> None:
         assert settings.max_worker_bytes > 2 * settings.image_limits.max_decoded_bytes
 
 
-def test_roots_are_resolved_once(tmp_path: Path) -> None:
-    (tmp_path / "real").mkdir()
-    (tmp_path / "link").symlink_to(tmp_path / "real")
-    settings = Settings(roots=(tmp_path / "link",))
-    assert settings.roots == ((tmp_path / "real").resolve(),)
-    assert settings.spelled_roots == (tmp_path / "link",)
-
-
 @pytest.mark.promise("tokens")
 @pytest.mark.parametrize(
     ("options", "allowed"),

@@ -174,13 +174,6 @@ def test_a_stop_kills_and_says_so(isolated: Services) -> None:
     assert done(isolated, number) != before
 
 
-def test_a_stop_after_the_call_harms_no_other(isolated: Services) -> None:
-    stop = Stop()
-    worker = done(isolated, number, None, stop)
-    stop.cancel()
-    assert done(isolated, number) == worker
-
-
 @pytest.mark.promise("memory")
 def test_memory_is_limited(isolated: Services) -> None:
     with pytest.raises(CallError, match=r"worker_killed: .*memory"):
