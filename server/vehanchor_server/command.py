@@ -98,10 +98,13 @@ def _print_definitions(schemas: Path | None, *, skill: bool) -> None:
     """Write the schemas and print their paths; print the skill file."""
     from importlib.resources import files
 
-    from vehanchor_server.schemas import write_schemas
+    from vehanchor_server.schemas import schema_files
 
-    for path in () if schemas is None else write_schemas(schemas):
-        typer.echo(path)
+    if schemas is not None:
+        schemas.mkdir(parents=True, exist_ok=True)
+        for name, text in schema_files().items():
+            (schemas / name).write_text(text, encoding="utf-8")
+            typer.echo(schemas / name)
     if skill:
         typer.echo(files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8"), nl=False)
 
