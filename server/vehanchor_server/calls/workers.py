@@ -157,7 +157,7 @@ class WorkerPool:
             if worker.usable:
                 return worker
             self._end(worker)
-            if not worker.was_killed or self.closed:
+            if (worker.process.exitcode or 0) >= 0 or self.closed:  # no signal ended it
                 break
         raise CallError(
             "worker_unavailable",
@@ -214,11 +214,6 @@ class _Worker:
     def has_failed(self) -> bool:
         """Whether it will run no task any more."""
         return self._settled.is_set() and not self.usable
-
-    @property
-    def was_killed(self) -> bool:
-        """Whether a signal ended the process."""
-        return (self.process.exitcode or 0) < 0
 
     def kill(self) -> None:
         """Kill the process."""
