@@ -31,9 +31,7 @@ _EVERYWHERE = ("0.0.0.0", "::")
 _MEGAPIXEL = 1_000_000
 _DECODED_BYTES_PER_PIXEL = 11  # memory for decoding 8-bit RGB, with a reserve; 1 GiB for 100 megapixels
 _NETWORKS_BYTES = 150 << 20  # memory of the networks during a call (research/results)
-_ISSUER = re.compile(
-    r"(https://[^#\s]+)(?:#max-age=([1-9]\d*))?"
-)  # no issuer has a fragment (OpenID Connect Discovery)
+_ISSUER = re.compile(r"(https://[^#\s]+)(?:#max-age=([1-9]\d*))?")  # OpenID Connect: an issuer has no fragment
 _DAY_S = 86400.0
 
 _Count: TypeAlias = Annotated[int, Limits(1, whole=True)]
