@@ -17,7 +17,7 @@ from mcp.server.context import ServerRequestContext
 from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult, Icon, InputRequiredResult, ListToolsResult, PaginatedRequestParams
 
-from vehanchor_server.app_page import PAGE_ONLY_META, app_extension
+from vehanchor_server.app_page.page import PAGE_ONLY_META, app_extension
 from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.services import Services
 from vehanchor_server.settings import Settings

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import types
 import typing
-from dataclasses import Field, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,9 +18,8 @@ from vehanchor_server.settings import Settings
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-    from vehanchor_server.settings import Words
-
 _VIEW_SETTINGS = ("detector", "segmenter", "calibration", "threads", "providers", "max_megapixels")
+_PANELS = {"roots": "Image sources", "detector": "Models and limits", "host": "HTTP"}  # each begins at this setting
 _VIEW_DEADLINE_S = 600.0  # people see the progress and can leave
 
 
@@ -27,11 +27,14 @@ def _with_settings(names: Collection[str] | None = None) -> Callable[[Callable[.
     """Give a command the options of settings, in place of its ``**options``; None for every setting."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        kinds, types = typing.get_type_hints(command, include_extras=True), typing.get_type_hints(Settings)
+        kinds = typing.get_type_hints(command, include_extras=True)
         own = [each for each in inspect.signature(command).parameters.values() if each.kind is not each.VAR_KEYWORD]
-        shown = [each for each in fields(Settings) if names is None or each.name in names]
         parameters = [each.replace(annotation=kinds[each.name]) for each in own]
-        parameters += [_parameter(each, types[each.name]) for each in shown]
+        panel = ""
+        for each in fields(Settings):
+            panel = _PANELS.get(each.name, panel)
+            if names is None or each.name in names:
+                parameters.append(_parameter(each.name, each.default, panel))
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined] # what Typer reads
         command.__annotations__ = {each.name: each.annotation for each in parameters}
         return command
@@ -39,31 +42,21 @@ def _with_settings(names: Collection[str] | None = None) -> Callable[[Callable[.
     return decorate
 
 
-def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
+def _parameter(name: str, default: Any, panel: str) -> inspect.Parameter:
     """Convert a setting to a Typer option; the default None (flags: False) lets the environment variable apply."""
-    words: Words = setting.metadata["words"]
+    declared = typing.get_type_hints(Settings, include_extras=True)[name].__metadata__[-1]
     option = typer.Option(
-        f"--{words.flag or setting.name.replace('_', '-')}",
-        help=_help(words, setting.default),
-        metavar=words.metavar or None,
-        rich_help_panel=words.panel,
-        show_default=False,
+        f"--{declared.flag or name.replace('_', '-')}",
+        help=declared.help,
+        metavar=declared.metavar or None,
+        rich_help_panel=panel,
+        show_default=f"{default:g}" if isinstance(default, float) else str(default or "") or False,
     )
-    default = False if kind is bool else None
+    kind = typing.get_type_hints(Settings)[name]
     if Ellipsis in typing.get_args(kind):
-        repeated: Any = list
-        kind = repeated[typing.get_args(kind)[0]]
-    if default is None:
-        kind = kind | None
-    return inspect.Parameter(
-        setting.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
-    )
-
-
-def _help(words: Words, default: Any) -> str:
-    """Return a setting's help with its default in brackets."""
-    shown = f"{default:g}" if isinstance(default, float) else str(default or words.if_unset)
-    return f"{words.help.removesuffix('.')} \\[{shown}]." if shown else words.help  # a bare [ begins Rich's markup
+        kind = types.GenericAlias(list, typing.get_args(kind)[:1])
+    no_value, kind = (False, bool) if kind is bool else (None, kind | None)
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=no_value, annotation=Annotated[kind, option])
 
 
 @_with_settings()
@@ -105,10 +98,13 @@ def _print_definitions(schemas: Path | None, *, skill: bool) -> None:
     """Write the schemas and print their paths; print the skill file."""
     from importlib.resources import files
 
-    from vehanchor_server.schemas import write_schemas
+    from vehanchor_server.schemas import schema_files
 
-    for path in () if schemas is None else write_schemas(schemas):
-        typer.echo(path)
+    if schemas is not None:
+        schemas.mkdir(parents=True, exist_ok=True)
+        for name, text in schema_files().items():
+            (schemas / name).write_text(text, encoding="utf-8")
+            typer.echo(schemas / name)
     if skill:
         typer.echo(files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8"), nl=False)
 

@@ -1,19 +1,8 @@
-"""Base class of the server's pydantic models, and strict types of numbers."""
+"""Base class of the server's pydantic models."""
 
 from __future__ import annotations
 
-from typing import Annotated, TypeAlias
-
-from pydantic import BaseModel, ConfigDict, Strict
-
-Number: TypeAlias = Annotated[float, Strict()]
-"""A number; strings and booleans are refused."""
-
-WholeNumber: TypeAlias = Annotated[int, Strict()]
-"""An integer; strings and booleans are refused."""
-
-Flag: TypeAlias = Annotated[bool, Strict()]
-"""A boolean; numbers and strings are refused."""
+from pydantic import BaseModel, ConfigDict
 
 
 class FrozenModel(BaseModel):

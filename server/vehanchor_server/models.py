@@ -7,6 +7,7 @@ import importlib
 import logging
 import os
 import threading
+from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 from vehanchor.errors import VehAnchorError
@@ -53,12 +54,9 @@ class Models:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._lock = threading.Lock()
-        self._preloading: threading.Timer | None = None
         self._made: Engine | None = None
-        self._memory: AnalysisMemory | None = None
         self._calibration: Calibration | None = None
-        self._loaded: set[str] = set()
-        self._failures: dict[str, str] = {}
+        self._failures: dict[str, str | None] = {}  # error code of each last load; None for success
         self._required = ["detector", "segmenter"]
         if settings.calibration is not None:
             self._required.append("calibration")
@@ -66,12 +64,12 @@ class Models:
     @property
     def ready(self) -> bool:
         """Whether a call can start at once."""
-        return self._loaded.issuperset(self._required)
+        return all(self._failures.get(name, "not loaded") is None for name in self._required)
 
     @property
     def failure(self) -> str | None:
         """Error code of the last failed load, or None."""
-        return next((self._failures[name] for name in self._required if name in self._failures), None)
+        return next(filter(None, map(self._failures.get, self._required)), None)
 
     def files(self) -> tuple[Path, ...]:
         """List all existing files that loading reads."""
@@ -86,19 +84,6 @@ class Models:
             with contextlib.suppress(VehAnchorError):
                 found += read_model(path).weights
         return tuple(found)
-
-    def preload(self, delay_s: float = 0.0) -> None:
-        """Load in the background after a delay; log failures, which the first call meets again."""
-        timer = threading.Timer(delay_s, self.load_all)
-        timer.name, timer.daemon = "vehanchor-preload", True
-        self._preloading = timer
-        timer.start()
-
-    def end_preload(self) -> None:
-        """Wait for the load in the background: ONNX Runtime aborts a process that ends while it opens a model."""
-        if self._preloading is not None:
-            self._preloading.cancel()
-            self._preloading.join()
 
     def detector(self, call: Runtime | None = None) -> Detector:
         """Return the detector for a call; block while it loads.
@@ -134,14 +119,12 @@ class Models:
         for module in SLOW_IMPORTS:
             importlib.import_module(module)
 
-    @property
+    @cached_property
     def memory(self) -> AnalysisMemory:
         """Memory of the analyses of this process."""
         from vehanchor.analysis.memory import AnalysisMemory
 
-        with self._lock:
-            self._memory = self._memory or AnalysisMemory()
-            return self._memory
+        return AnalysisMemory()
 
     @property
     def _engine(self) -> Engine:
@@ -158,11 +141,7 @@ class Models:
             return self._made
 
     def _load(self, name: str, load: Callable[[], T]) -> T:
-        """Load a model of the operator's.
-
-        Raises:
-            CallError: ``model_unavailable``; only the log has the operator's paths.
-        """
+        """Load a model of the operator's; only the log has the paths."""
         try:
             model = load()
         except VehAnchorError as error:
@@ -172,8 +151,7 @@ class Models:
                 "model_unavailable",
                 f"this server's {name} cannot be loaded ({error.code}). Its operator must check --{name}.",
             ) from error
-        self._failures.pop(name, None)
-        self._loaded.add(name)
+        self._failures[name] = None
         return model
 
     def _read_calibration(self) -> Calibration:

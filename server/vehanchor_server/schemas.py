@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection
-from pathlib import Path
 from typing import Any
 
 from vehanchor_server.services import create_services
@@ -22,24 +21,6 @@ from vehanchor_server.tools.strict_tool import StrictTool
 
 PUBLISHED = ("estimate_gsd", "measure_area")
 _NOT_IN_STRICT_MODE = ("default", "examples", "pattern", "minLength", "maxLength", "minProperties", "maxProperties")
-
-
-def write_schemas(directory: Path) -> list[Path]:
-    """Write all schema files.
-
-    Args:
-        directory: target; created if missing.
-
-    Returns:
-        The written files.
-    """
-    directory.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, text in schema_files().items():
-        path = directory / name
-        path.write_text(text, encoding="utf-8")
-        written.append(path)
-    return written
 
 
 def schema_files(tools: Collection[str] = PUBLISHED) -> dict[str, str]:

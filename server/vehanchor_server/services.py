@@ -1,10 +1,12 @@
-"""Shared parts of a server: options, models, image sources, capacity and workers."""
+"""Shared parts of a server or a worker: options, models, image sources, capacity and workers."""
 
 from __future__ import annotations
 
 import os
+import threading
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 from vehanchor_server.calls.capacity import Capacity
 from vehanchor_server.calls.worker_process import WorkerLimits
@@ -14,12 +16,14 @@ from vehanchor_server.images.path_access import PathAccess
 from vehanchor_server.images.source import ImageSources
 from vehanchor_server.models import Models
 from vehanchor_server.parts import Parts
-from vehanchor_server.settings import Settings
+
+if TYPE_CHECKING:
+    from vehanchor_server.settings import Settings
 
 
 @dataclass(frozen=True)
 class Services(Parts):
-    """Shared parts of a server's tools.
+    """Shared parts of a server's tools; a worker has its own.
 
     Attributes:
         capacity: limit of concurrent calls.
@@ -27,24 +31,24 @@ class Services(Parts):
     """
 
     capacity: Capacity
-    workers: WorkerPool | None = None
+    workers: WorkerPool | None
 
     @property
     def ready(self) -> bool:
         """Whether a call can start at once."""
-        return self.models.ready if self.workers is None else self.workers.ready
+        return (self.workers or self.models).ready
 
     @property
     def failure(self) -> str | None:
         """Error code of the last failed load of a model, or None."""
-        return self.models.failure if self.workers is None else self.workers.failure
+        return (self.workers or self.models).failure
 
-    def preload(self, delay_s: float = 0.0) -> None:
-        """Load the models in the background after a delay, in the workers or here."""
-        if self.workers is None:
-            self.models.preload(delay_s)
-        else:
-            self.workers.start(delay_s)
+    def preload(self, delay_s: float = 0.0) -> threading.Timer:
+        """Load the models in the background after a delay, in a worker or here; return the thread."""
+        timer = threading.Timer(delay_s, self.models.load_all if self.workers is None else self.workers.start)
+        timer.name, timer.daemon = "vehanchor-preload", True
+        timer.start()
+        return timer
 
     def close(self) -> None:
         """Refuse new calls and stop the running ones."""
@@ -54,35 +58,19 @@ class Services(Parts):
 
 
 def create_services(settings: Settings) -> Services:
-    """Create the parts of a server without loading or starting anything."""
-    n_calls = concurrent_calls(settings)
+    """Create the parts of a server or a worker without loading or starting anything."""
+    n_cpus = os.cpu_count() or 1
     workers = None
     if settings.isolation != "in-process":
-        limits = WorkerLimits(settings.max_worker_bytes, (os.cpu_count() or 1) * settings.deadline_s)
-        workers = WorkerPool(partial(_worker_services, settings), limits)
-    return _services(settings, n_calls, workers)
-
-
-def _worker_services(settings: Settings) -> Services:
-    """Create the parts of a worker process."""
-    return _services(settings, 1, None)
-
-
-def _services(settings: Settings, n_calls: int, workers: WorkerPool | None) -> Services:
-    max_bytes = settings.image_limits.max_bytes
+        limits = WorkerLimits(settings.max_worker_bytes, n_cpus * settings.deadline_s)
+        workers = WorkerPool(partial(create_services, settings), limits)
     return Services(
         settings=settings,
         models=Models(settings),
         sources=ImageSources(
             paths=PathAccess(settings.roots, settings.spelled_roots),
-            fetcher=Fetcher(settings.image_hosts, max_bytes),
-            max_bytes=max_bytes,
+            fetcher=Fetcher(settings.image_hosts, settings.image_limits.max_bytes),
         ),
-        capacity=Capacity(n_calls, settings.deadline_s),
+        capacity=Capacity(settings.max_concurrency or max(2, n_cpus), settings.deadline_s),
         workers=workers,
     )
-
-
-def concurrent_calls(settings: Settings) -> int:
-    """Return the number of concurrent calls: the operator's, or one per CPU, at least two."""
-    return settings.max_concurrency or max(2, os.cpu_count() or 1)

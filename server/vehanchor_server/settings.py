@@ -6,18 +6,19 @@ Callers cannot change settings. Each field is declared once, with its default an
 
 from __future__ import annotations
 
-import math
 import os
+import re
 import typing
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 from urllib.parse import urlsplit
 
 from pydantic import TypeAdapter, ValidationError
 
 from vehanchor.errors import VehAnchorError
 from vehanchor.options import ImageLimits, models
+from vehanchor.options.option import Limits, Option, group, set_frozen
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,146 +31,85 @@ _EVERYWHERE = ("0.0.0.0", "::")
 _MEGAPIXEL = 1_000_000
 _DECODED_BYTES_PER_PIXEL = 11  # memory for decoding 8-bit RGB, with a reserve; 1 GiB for 100 megapixels
 _NETWORKS_BYTES = 150 << 20  # memory of the networks during a call (research/results)
-_SOURCES, _WORK, _HTTP = "Image sources", "Models and limits", "HTTP"
+_ISSUER = re.compile(r"(https://[^#\s]+)(?:#max-age=([1-9]\d*))?")  # OpenID Connect: an issuer has no fragment
+_DAY_S = 86400.0
+
+_Count: TypeAlias = Annotated[int, Limits(1, whole=True)]
+_Positive: TypeAlias = Annotated[float, Limits(above=0)]
 
 
 class SettingsError(VehAnchorError, ValueError, code="invalid_settings"):
     """A setting is invalid, or two settings contradict each other; the message has the remedy."""
 
 
-class Words(NamedTuple):
-    """Words of a setting for ``--help``.
-
-    Attributes:
-        help: one or two sentences.
-        panel: heading.
-        flag: name of the option; empty for the field's own.
-        metavar: placeholder of the value.
-        if_unset: meaning of a default of None.
-        separator: separates values in the variable; empty for one value.
-    """
-
-    help: str
-    panel: str
-    flag: str = ""
-    metavar: str = ""
-    if_unset: str = ""
-    separator: str = ""
-
-
-def _words(help_text: str, panel: str, **parts: str) -> dict[str, Words]:
-    """Build the metadata of a field."""
-    return {"words": Words(help_text, panel, **parts)}
-
-
-@dataclass(frozen=True)
+@group(frozen=True)
 class Settings:
-    """The operator's settings; the metadata of each field has its help text.
+    """The operator's settings; the ``Option`` of each field has its help text.
 
     Raises:
         SettingsError: a setting is invalid, or two settings contradict each other.
     """
 
-    roots: tuple[Path, ...] = field(
-        default=(),
-        metadata=_words(
-            "Directory of images that callers may read by path; repeatable.",
-            _SOURCES,
-            flag="root",
-            separator=os.pathsep,
-        ),
-    )
-    image_hosts: tuple[str, ...] = field(
-        default=(),
-        metadata=_words(
-            "Host from which images may be fetched (https); repeatable.", _SOURCES, flag="image-host", separator=","
-        ),
-    )
-    detector: str | None = field(
-        default=None, metadata=_words(models.DETECTOR.help, _WORK, metavar=models.DETECTOR.metavar)
-    )
-    segmenter: tuple[Path, Path] | None = field(
-        default=None,
-        metadata=_words(models.SEGMENTER.help, _WORK, metavar=models.SEGMENTER.metavar, separator=os.pathsep),
-    )
-    calibration: Path | None = field(  # for callers who give neither region nor reference length
-        default=None, metadata=_words(models.CALIBRATION.help, _WORK, metavar=models.CALIBRATION.metavar)
-    )
-    threads: int | None = field(
-        default=None, metadata=_words(models.THREADS.help, _WORK, metavar=models.THREADS.metavar)
-    )
-    providers: tuple[str, ...] = field(
-        default=(),
-        metadata=_words(
-            models.PROVIDERS.help, _WORK, flag=models.PROVIDERS.flag, metavar=models.PROVIDERS.metavar, separator=","
-        ),
-    )
-    max_megapixels: float = field(
-        default=ImageLimits.max_pixels / _MEGAPIXEL,
-        metadata=_words("Largest image decoded at once, megapixels; the memory of a worker follows from it.", _WORK),
-    )
-    max_concurrency: int | None = field(
-        default=None,
-        metadata=_words("Concurrent calls, each in a worker of its own.", _WORK, if_unset="one per CPU, at least 2"),
-    )
-    deadline_s: float = field(  # common clients give up after 60 s
-        default=55.0, metadata=_words("Seconds after which a call ends.", _WORK)
-    )
-    isolation: Isolation = field(
-        default="confined",
-        metadata=_words(
+    error: ClassVar[type[VehAnchorError]] = SettingsError
+
+    roots: Annotated[
+        tuple[Path, ...], Option("Directory of images that callers may read by path; repeatable.", flag="root")
+    ] = ()
+    image_hosts: Annotated[
+        tuple[str, ...], Option("Host from which images may be fetched (https); repeatable.", flag="image-host")
+    ] = ()
+    detector: Annotated[str | None, models.DETECTOR] = None
+    segmenter: Annotated[tuple[Path, Path] | None, models.SEGMENTER] = None
+    calibration: Annotated[Path | None, models.CALIBRATION] = None  # for callers who give no region or reference length
+    threads: Annotated[_Count | None, models.THREADS] = None
+    providers: Annotated[tuple[str, ...], models.PROVIDERS] = ()
+    max_megapixels: Annotated[
+        _Positive, Option("Largest image decoded at once, megapixels; the memory of a worker follows from it.")
+    ] = ImageLimits.max_pixels / _MEGAPIXEL
+    max_concurrency: Annotated[
+        _Count | None, Option("Concurrent calls, each in a worker of its own. Default: one per CPU, at least 2.")
+    ] = None
+    deadline_s: Annotated[_Positive, Option("Seconds after which a call ends.")] = 55.0  # clients give up after 60 s
+    isolation: Annotated[
+        Isolation,
+        Option(
             "Place of decoding and models: 'confined' processes, which can be killed and on Linux have few rights; "
-            "'unconfined' ones with all rights of this user; 'in-process', for your own images only.",
-            _WORK,
+            "'unconfined' ones with all rights of this user; 'in-process', for your own images only."
         ),
-    )
-    never_ask: bool = field(
-        default=False,
-        metadata=_words("Never ask the user for a region, a height or a known length; for unattended agents.", _WORK),
-    )
-    host: str = field(default="127.0.0.1", metadata=_words("Address to listen on.", _HTTP))
-    port: int = field(default=8000, metadata=_words("Port to listen on.", _HTTP))
-    public_urls: tuple[str, ...] = field(
-        default=(),
-        metadata=_words(
+    ] = "confined"
+    never_ask: Annotated[
+        bool, Option("Never ask the user for a region, a height or a known length; for unattended agents.")
+    ] = False
+    host: Annotated[str, Option("Address to listen on.")] = "127.0.0.1"
+    port: Annotated[int, Limits(1, 65535, whole=True), Option("Port to listen on.")] = 8000
+    public_urls: Annotated[
+        tuple[str, ...],
+        Option(
             "URL of /mcp for callers, whose Host and Origin are accepted besides the loopback names; repeatable.",
-            _HTTP,
             flag="public-url",
-            separator=",",
         ),
-    )
-    token_file: Path | None = field(
-        default=None, metadata=_words("File with one accepted bearer token per line.", _HTTP)
-    )
-    oidc: tuple[str, str] | None = field(
-        default=None,
-        metadata=_words(
-            "Issuer of accepted JWTs, and their required audience.", _HTTP, metavar="ISSUER AUDIENCE", separator=","
+    ] = ()
+    token_file: Annotated[Path | None, Option("File with one accepted bearer token per line.")] = None
+    oidc: Annotated[
+        tuple[str, str] | None,
+        Option(
+            "Issuer of accepted JWTs, and their required audience. The issuer's keys end a day after their last fetch, "
+            "or after the seconds that follow it, as in https://example.org#max-age=3600.",
+            metavar="ISSUER AUDIENCE",
         ),
-    )
-    insecure: bool = field(default=False, metadata=_words("Listen publicly without authentication.", _HTTP))
+    ] = None
+    insecure: Annotated[bool, Option("Listen publicly without authentication.")] = False
 
     def __post_init__(self) -> None:
-        self._check_values()
-        object.__setattr__(self, "_spelled", tuple(Path(os.path.abspath(root)) for root in self.roots))  # noqa: PTH100
-        object.__setattr__(self, "roots", tuple(_checked_root(root) for root in self.roots))
-        object.__setattr__(self, "image_hosts", tuple(host.strip().lower() for host in self.image_hosts))
+        spelled = tuple(Path(os.path.abspath(root)) for root in self.roots)  # noqa: PTH100
+        set_frozen(self, "_spelled", spelled)
+        set_frozen(self, "roots", tuple(map(_checked_root, self.roots)))
+        set_frozen(self, "image_hosts", tuple(host.strip().lower() for host in self.image_hosts))
         for host in self.image_hosts:
             name, _, port = host.partition(":")
             if not name or set(name) & set("/*@[]") or (":" in host and not port.isdigit()):
                 raise SettingsError(f"image host {host!r}: give a plain host name or name:port, without https:// or *")
         self._check_authentication()
-
-    def _check_values(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if numeric and not (math.isfinite(value) and value > 0):
-                raise SettingsError(f"{each.name} is {value}: use a finite number > 0")
-        if self.isolation not in typing.get_args(Isolation):
-            raise SettingsError(f"isolation is {self.isolation!r}: use {', '.join(typing.get_args(Isolation))}")
-        if self.segmenter is not None and len(self.segmenter) != 2:
-            raise SettingsError("segmenter needs two files: give its encoder and its decoder")
 
     def _check_authentication(self) -> None:
         for url in self.public_urls:
@@ -177,12 +117,22 @@ class Settings:
                 raise SettingsError(f"public_url is {url!r}: write all of it, as in https://example.org/mcp")
         if self.oidc is None:
             return
-        if len(self.oidc) != 2 or not self.oidc[0].startswith("https://"):
-            raise SettingsError(f"oidc is {' '.join(self.oidc)!r}: give the issuer's https:// URL and the audience")
+        if not _ISSUER.fullmatch(self.oidc[0]):
+            raise SettingsError(
+                f"oidc is {' '.join(self.oidc)!r}: give the issuer's https:// URL and the audience; "
+                "#max-age=SECONDS may follow the URL"
+            )
         if self.token_file is not None:
             raise SettingsError("token_file and oidc exclude each other: choose one way to authenticate")
         if not self.public_urls and self.host in _EVERYWHERE:
             raise SettingsError(f"listening on {self.host} with an issuer: give --public-url, the address for callers")
+
+    @property
+    def issuer(self) -> tuple[str, float]:
+        """URL of the issuer, and seconds from their last fetch after which its keys end."""
+        found = _ISSUER.fullmatch(self.oidc[0]) if self.oidc is not None else None
+        assert found is not None
+        return found[1], float(found[2] or _DAY_S)
 
     @property
     def image_kinds(self) -> tuple[str, ...]:
@@ -233,13 +183,11 @@ class Settings:
         """
         environ = os.environ if environ is None else environ
         chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        kinds = typing.get_type_hints(cls)
+        kinds = typing.get_type_hints(cls, include_extras=True)
         for each in fields(cls):
             text = environ.get(variable_name(each.name))
             if each.name not in chosen and text:
-                chosen[each.name] = _from_text(
-                    variable_name(each.name), text, kinds[each.name], each.metadata["words"].separator
-                )
+                chosen[each.name] = _from_text(variable_name(each.name), text, kinds[each.name])
         return cls(**chosen)
 
 
@@ -269,11 +217,12 @@ def _checked_root(root: Path) -> Path:
     return resolved
 
 
-def _from_text(variable: str, text: str, kind: Any, separator: str) -> Any:
+def _from_text(variable: str, text: str, kind: Any) -> Any:
     """Convert a variable's text to the field's type."""
     value: Any = text
-    if separator:
-        value = [part.strip() for part in text.split(separator) if part.strip()]
+    if "tuple[" in str(kind):
+        parts = text.split(os.pathsep if "Path" in str(kind) else ",")
+        value = [part.strip() for part in parts if part.strip()]
     try:
         return TypeAdapter(kind).validate_python(value)
     except ValidationError as error:

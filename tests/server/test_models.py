@@ -1,9 +1,6 @@
 from __future__ import annotations
 
 import json
-import threading
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,13 +14,6 @@ from vehanchor_server.errors import CallError
 from vehanchor_server.models import Models
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.scale_arguments import scale_options
-
-
-def wait_for(condition: Callable[[], Any]) -> None:
-    deadline = time.monotonic() + 60
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert condition()
 
 
 def calibration_file(path: Path, **fields: Any) -> Path:
@@ -47,27 +37,14 @@ def calibration_file(path: Path, **fields: Any) -> Path:
     return path
 
 
-def test_models_are_loaded_once_and_in_the_background(settings: Settings) -> None:
+def test_models_are_loaded_once(settings: Settings) -> None:
     models = Models(settings)
     assert not models.ready
-    models.preload()
-    wait_for(lambda: models.ready)
+    models.load_all()
+    assert models.ready
     assert models.detector() is models.detector()
     assert models.segmenter() is models.segmenter()
     assert models.failure is None
-
-
-def test_a_preload_is_over_before_the_process_ends(settings: Settings) -> None:
-    models = Models(settings)
-    models.end_preload()  # nothing to wait for
-    before = set(threading.enumerate())  # other servers of this process may load, too
-    models.preload()
-    models.end_preload()
-    assert "vehanchor-preload" not in {thread.name for thread in set(threading.enumerate()) - before}
-    later = Models(settings)
-    later.preload(60.0)
-    later.end_preload()
-    assert not later.ready
 
 
 def test_a_model_that_appears_later_is_found(tmp_path: Path, detector_path: Path) -> None:
@@ -83,8 +60,7 @@ def test_a_model_that_appears_later_is_found(tmp_path: Path, detector_path: Path
 
 def test_a_segmenter_that_cannot_be_loaded_is_not_ready(settings: Settings, segmenter_paths: SamFiles) -> None:
     models = Models(replace(settings, segmenter=(segmenter_paths[1], segmenter_paths[0])))
-    models.preload()
-    wait_for(lambda: models.failure)
+    models.load_all()
     assert models.failure == "model_contract"
     assert not models.ready
 

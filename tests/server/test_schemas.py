@@ -69,38 +69,27 @@ async def test_the_server_lists_what_a_model_needs_of_them(server: MCPServer[obj
             assert not {"oneOf", "anyOf"} & set(listed)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {},
-        {"image": "/a.png"},
-        {"image": {"path": "/a.png"}},
-        {"image": {"kind": "base64", "path": "/a.png"}},
-        {"image": {"kind": "path", "path": "/a.png"}, "detector": "x"},
-        {"image": {"kind": "path", "path": "/a.png"}, "reference_length_m": 0},
-    ],
-)
-def test_what_the_server_would_refuse_is_invalid(files: dict[str, Any], arguments: dict[str, Any]) -> None:
-    with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(arguments, files["estimate_gsd.input.json"])
+IMAGE = {"image": {"kind": "path", "path": "/a.png"}}
 
 
 @pytest.mark.parametrize(
-    "target",
+    ("tool", "arguments"),
     [
-        {},
-        [10, 20, 90, 80],
-        {"box": {"x_min": 1, "y_min": 2, "x_max": 3}},
-        {"box": POOL_BOX, "points": [{"x": 1, "y": 2}]},
-        {"points": []},
-        {"points": [[1, 2]]},
-        {"points": [{"x": 1, "y": 2, "label": "yes"}]},
+        ("estimate_gsd", {}),
+        ("estimate_gsd", {"image": "/a.png"}),
+        ("estimate_gsd", {"image": {"kind": "base64", "path": "/a.png"}}),
+        ("estimate_gsd", {**IMAGE, "detector": "x"}),
+        ("estimate_gsd", {**IMAGE, "reference_length_m": 0}),
+        ("measure_area", {**IMAGE, "targets": [{}]}),
+        ("measure_area", {**IMAGE, "targets": [[10, 20, 90, 80]]}),
+        ("measure_area", {**IMAGE, "targets": [{"box": POOL_BOX, "points": [{"x": 1, "y": 2}]}]}),
+        ("measure_area", {**IMAGE, "targets": [{"points": []}]}),
+        ("measure_area", {**IMAGE, "targets": [{"points": [{"x": 1, "y": 2, "label": "yes"}]}]}),
     ],
 )
-def test_a_target_that_the_server_would_refuse_is_invalid(files: dict[str, Any], target: Any) -> None:
-    arguments = {"image": {"kind": "path", "path": "/a.png"}, "targets": [target]}
+def test_what_the_server_would_refuse_is_invalid(files: dict[str, Any], tool: str, arguments: dict[str, Any]) -> None:
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(arguments, files["measure_area.input.json"])
+        jsonschema.validate(arguments, files[f"{tool}.input.json"])
 
 
 def test_the_openai_definition_is_strict_compatible(files: dict[str, Any]) -> None:

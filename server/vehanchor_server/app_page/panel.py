@@ -47,34 +47,27 @@ class Drawing(FrozenModel):
     lines: Annotated[tuple[DrawnLine, ...], FailFast()]
 
 
-class PanelData(FrozenModel):
-    """Page data of one result.
-
-    Attributes:
-        picture_jpeg: the reduced image in base64; null if the host shows no pages.
-        drawing: shapes over the image; null if the host shows no pages, or for a given scale.
-        record: the whole record, if the result is compact and the host shows pages.
-        sentence: what the scale rests on or what it lacks, for people: without names of arguments; null if the host
-            shows no pages.
-    """
-
-    picture_jpeg: str | None = None
-    drawing: Drawing | None = None
-    record: dict[str, Any] | None = None
-    sentence: str | None = None
-
-
 def panel_meta(
     picture: bytes | None = None,
     drawing: Drawing | None = None,
     record: dict[str, Any] | None = None,
     shown: BaseModel | None = None,
 ) -> dict[str, Any]:
-    """Build the ``_meta`` of a result; see ``PanelData``. The sentence is about the record that a page shows."""
-    encoded = None if picture is None else base64.b64encode(picture).decode()
-    sentence = None if shown is None else _sentence_for_people(shown)
-    data = PanelData(picture_jpeg=encoded, drawing=drawing, record=record, sentence=sentence)
-    return {PANEL_KEY: data.model_dump(mode="json")}
+    """Build the ``_meta`` of a result; all data is null if the host shows no pages.
+
+    Args:
+        picture: the reduced image as JPEG.
+        drawing: shapes over the image; None for a given scale.
+        record: the whole record, if the result is compact.
+        shown: the record that the page shows; a sentence says for people what its scale rests on or what it lacks.
+    """
+    data = {
+        "picture_jpeg": None if picture is None else base64.b64encode(picture).decode(),
+        "drawing": None if drawing is None else drawing.model_dump(mode="json"),
+        "record": record,
+        "sentence": None if shown is None else _sentence_for_people(shown),
+    }
+    return {PANEL_KEY: data}
 
 
 def _sentence_for_people(record: BaseModel) -> str | None:

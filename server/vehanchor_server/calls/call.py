@@ -45,9 +45,7 @@ async def run_call(
 
     async def call(stop: Stop) -> Reply[Record]:
         await ctx.report_progress(0, PERCENT_DONE, "reading the image")
-        fetched = await services.sources.fetched(image)
-        others = await services.sources.fetched_together(more, len(fetched or b""))
-        task = Task(work, question, image, fetched, others)
+        task = Task(work, question, await services.sources.fetched((image, *more)))
 
         def report(percent: float, message: str) -> None:
             anyio.from_thread.run(ctx.report_progress, percent, PERCENT_DONE, message)

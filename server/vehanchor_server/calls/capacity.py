@@ -6,15 +6,15 @@ counts. There is no queue: beyond the capacity, calls are refused at once.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TypeVar
 
 import anyio
 import anyio.lowlevel
 import anyio.to_thread
 
+from vehanchor.models.runtime import Cancellation
 from vehanchor_server.errors import CallError
 
 T = TypeVar("T")
@@ -24,26 +24,19 @@ class CallStoppedError(Exception):
     """Raised in the thread of a call that was stopped."""
 
 
-class Stop:
-    """Request to end a call early, set by the event loop and checked by the call's thread."""
+class Stop(Cancellation):
+    """Cancellation of a call, requested by the event loop and checked by the call's thread."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._requested = False
+        super().__init__()
         self._actions: list[Callable[[], None]] = []
 
-    @property
-    def requested(self) -> bool:
-        """Whether a stop was requested."""
-        return self._requested
-
-    def request(self) -> None:
-        """Request the stop."""
+    def cancel(self) -> None:
+        """End running models and do the actions, once."""
+        super().cancel()
         with self._lock:
-            if not self._requested:
-                self._requested = True
-                for action in self._actions:
-                    action()
+            while self._actions:
+                self._actions.pop()()
 
     def check(self) -> None:
         """Raise if a stop was requested.
@@ -51,20 +44,21 @@ class Stop:
         Raises:
             CallStoppedError: a stop was requested.
         """
-        if self._requested:
+        if self.requested:
             raise CallStoppedError
 
     @contextmanager
     def calling(self, action: Callable[[], None]) -> Iterator[None]:
         """Run an action if a stop is requested within the context, or was before; never after it."""
         with self._lock:
-            if self._requested:
+            if self.requested:
                 action()
-            self._actions.append(action)
+            else:
+                self._actions.append(action)
         try:
             yield
         finally:
-            with self._lock:
+            with self._lock, suppress(ValueError):  # it was done
                 self._actions.remove(action)
 
 
@@ -120,22 +114,20 @@ class Capacity:
         Raises:
             CallError: ``server_stopping``, if the work was stopped by ``close``.
         """
-        ended = threading.Event()
 
         def guarded() -> tuple[T | None, Exception | None]:  # as a value: it must not collide with a cancellation
             try:
                 return work(), None
             except Exception as error:
                 return None, error
-            finally:
-                ended.set()
 
         async with anyio.create_task_group() as group:
-            group.start_soon(_request_when_cancelled, stop, ended)
+            group.start_soon(_request_when_cancelled, stop)
             value, error = await anyio.to_thread.run_sync(guarded, limiter=anyio.CapacityLimiter(1))
+            was_stopped = stop.requested
             group.cancel_scope.cancel()
         await anyio.lowlevel.checkpoint_if_cancelled()
-        if error is not None and stop.requested:  # CallStoppedError, or the error of a terminated model
+        if error is not None and was_stopped:  # CallStoppedError, or the error of a terminated model
             raise CallError("server_stopping", "the server is shutting down. Try again in a while.")
         if error is not None:
             raise error
@@ -145,12 +137,11 @@ class Capacity:
         """Refuse new calls and stop the running ones."""
         self._closed = True
         for stop in list(self._stops):
-            stop.request()
+            stop.cancel()
 
 
-async def _request_when_cancelled(stop: Stop, ended: threading.Event) -> None:
+async def _request_when_cancelled(stop: Stop) -> None:
     try:
         await anyio.sleep_forever()
     finally:
-        if not ended.is_set():
-            stop.request()
+        stop.cancel()  # changes nothing after the work

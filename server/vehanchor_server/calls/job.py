@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from vehanchor.models.runtime import Cancellation, Runtime
+from vehanchor.models.runtime import Runtime
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,14 +25,13 @@ class Job:
 
     def __init__(self, stop: Stop, report: Callable[[float, str], None]) -> None:
         self.stop = stop
-        self.cancellation = Cancellation()
         self._report = report
         self._reported = -1
 
     @cached_property
     def runtime(self) -> Runtime:
         """Runtime for models: it reports tiles, and a stop request ends a run within a layer."""
-        return Runtime(progress=self.searched, cancellation=self.cancellation)
+        return Runtime(progress=self.searched, cancellation=self.stop)
 
     def segmenting(self) -> None:
         """Begin the segmentation; its report replaces the first one of ``searched``.

@@ -14,6 +14,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from vehanchor_server.app_page.panel import Drawing
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.frozen import FrozenModel
+from vehanchor_server.sandbox.confinement import Confinement
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,6 +43,7 @@ DRAWING = Limit(320 << 10, 48_000)
 MAX_RECORDS = 16
 MAX_PICTURE_BYTES = 2 << 20
 MAX_WORDS = 8000  # characters of a message for people
+BUG = "internal_error"
 
 
 class MessageError(Exception):
@@ -53,9 +55,7 @@ class Loaded(FrozenModel):
 
     kind: Literal["loaded"] = "loaded"
     failure: str | None = Field(max_length=80)
-    landlock: int = Field(ge=0, le=1000)
-    seccomp: bool
-    lacks: str = Field(max_length=MAX_WORDS)
+    confinement: Confinement
 
 
 class Progressed(FrozenModel):
@@ -67,18 +67,11 @@ class Progressed(FrozenModel):
 
 
 class Refused(FrozenModel):
-    """The call failed with a remedy for the caller."""
+    """The call failed with a remedy for the caller; or with ``BUG`` and a traceback, also at the start."""
 
     kind: Literal["refused"] = "refused"
     code: str = Field(max_length=40, pattern=r"^[a-z0-9_]+$")
     message: str = Field(max_length=MAX_WORDS)
-
-
-class Failed(FrozenModel):
-    """The work has a bug, or the worker cannot start."""
-
-    kind: Literal["failed"] = "failed"
-    traceback: str = Field(max_length=MAX_WORDS)
 
 
 class Replied(FrozenModel):
@@ -90,7 +83,7 @@ class Replied(FrozenModel):
     picture: bool
 
 
-WorkerMessage: TypeAlias = Loaded | Progressed | Refused | Failed | Replied
+WorkerMessage: TypeAlias = Loaded | Progressed | Refused | Replied
 _WORKER_MESSAGE: TypeAdapter[WorkerMessage] = TypeAdapter(Annotated[WorkerMessage, Field(discriminator="kind")])
 
 

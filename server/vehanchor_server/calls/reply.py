@@ -10,7 +10,7 @@ from mcp.types import CallToolResult, TextContent
 from pydantic import BaseModel
 
 from vehanchor.options import Frame
-from vehanchor_server.app_page import panel_meta
+from vehanchor_server.app_page.panel import panel_meta
 from vehanchor_server.calls.compact import short_record
 
 if TYPE_CHECKING:

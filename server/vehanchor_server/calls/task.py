@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel
 
@@ -20,22 +20,17 @@ if TYPE_CHECKING:
 Record = TypeVar("Record", bound=BaseModel)
 
 
-class Work(Generic[Record]):
-    """A kind of work on an image; the decorator ``work`` creates one from a module-level function.
+class Work(Protocol[Record]):
+    """Function of services, job, opened image and question; other images are a fifth argument.
 
     Attributes:
-        function: function of services, job, opened image and question; other images are a fifth argument.
         record: type of the records in the reply.
     """
 
-    def __init__(self, function: Callable[..., Reply[Record]], record: type[Record]) -> None:
-        self.function = function
-        self.record = record
-        self.__module__ = function.__module__
+    record: type[Record]
 
-    def __reduce__(self) -> str:
-        """Pickle by name, like a function."""
-        return self.function.__name__
+    def __call__(self, *arguments: Any) -> Reply[Record]:
+        """Do the work."""
 
 
 def work(record: type[Record]) -> Callable[[Callable[..., Reply[Record]]], Work[Record]]:
@@ -44,7 +39,13 @@ def work(record: type[Record]) -> Callable[[Callable[..., Reply[Record]]], Work[
     Args:
         record: type of the records in the reply.
     """
-    return lambda function: Work(function, record)
+
+    def decorate(function: Any) -> Work[Record]:
+        function.record = record
+        decorated: Work[Record] = function
+        return decorated
+
+    return decorate
 
 
 @dataclass(frozen=True)
@@ -54,27 +55,20 @@ class Task(Generic[Record]):
     Attributes:
         work: the kind of work.
         question: the caller's other arguments.
-        image: the caller's image argument.
-        fetched: bytes of a fetched image.
-        more: other images with their bytes, which the work opens one at a time.
+        images: the caller's image arguments, each with its bytes if it was fetched; the work opens all but the first.
     """
 
     work: Work[Record]
     question: Any
-    image: AnyImage
-    fetched: bytes | None
-    more: tuple[tuple[AnyImage, bytes | None], ...] = ()
+    images: tuple[tuple[AnyImage, bytes | None], ...]
 
 
 def perform(services: Parts, task: Task[Record], job: Job) -> Reply[Record]:
-    """Open the image and do the work in this thread.
+    """Open the first image and do the work in this thread.
 
     Raises:
         CallError: the work failed with a remedy for the caller.
     """
-    with (
-        job.stop.calling(job.cancellation.cancel),
-        services.sources.open(task.image, task.fetched) as source,
-        library_errors(source),
-    ):
-        return task.work.function(services, job, source, task.question, *((task.more,) if task.more else ()))
+    first, *more = task.images
+    with services.sources.open(*first) as source, library_errors(source):
+        return task.work(services, job, source, task.question, *((more,) if more else ()))

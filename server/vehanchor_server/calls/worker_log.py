@@ -29,19 +29,13 @@ def forward_log(log: Connection, pid: int) -> threading.Thread:
     return thread
 
 
-def printable(line: bytes) -> str:
-    """Convert a worker's line to text without control characters, cut at 2,000 bytes."""
-    text = line[:_MAX_LINE_BYTES].decode("utf-8", "replace").rstrip("\r\n")
-    shown = on_one_line(text)
-    return f"{shown} [cut]" if len(line) > _MAX_LINE_BYTES else shown
-
-
 def _forward(log: Connection, pid: int) -> None:
     n_lines = 0
     with log, open(log.fileno(), "rb", buffering=_READ_BYTES, closefd=False) as stream:
         while line := stream.readline(_READ_BYTES):
             n_lines += 1
             if n_lines <= _MAX_LINES:
-                _logger.warning("worker %d: %s", pid, printable(line))
+                shown = on_one_line(line[:_MAX_LINE_BYTES].decode("utf-8", "replace").rstrip("\r\n"))
+                _logger.warning("worker %d: %s%s", pid, shown, " [cut]" if len(line) > _MAX_LINE_BYTES else "")
             elif n_lines == _MAX_LINES + 1:
                 _logger.warning("worker %d: more than %d lines; the rest is omitted", pid, _MAX_LINES)

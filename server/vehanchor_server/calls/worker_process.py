@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.messages import (
+    BUG,
     MAX_WORDS,
-    Failed,
     Loaded,
     Progressed,
     Refused,
@@ -75,22 +75,15 @@ def serve_tasks(
     configure_logging()
     try:
         services = make_services()
-        confinement = _confined(services.readable)
+        readable = services.readable
+        confinement = Confinement(lacks="the operator's settings") if readable is None else confine(readable)
         threading.Thread(target=_end_with_server, args=(connection,), name="vehanchor-server", daemon=True).start()
         services.models.load_all()
     except Exception:
-        send(connection, Failed(traceback=_traceback()))
+        send(connection, _bug())
         return
     _limit_memory(limits.memory_bytes)
-    send(
-        connection,
-        Loaded(
-            failure=services.models.failure,
-            landlock=confinement.landlock,
-            seccomp=confinement.seccomp,
-            lacks=confinement.lacks,
-        ),
-    )
+    send(connection, Loaded(failure=services.models.failure, confinement=confinement))
     with contextlib.suppress(EOFError, ConnectionError):  # the server ended, or released this worker
         while True:
             if not connection.poll(_IDLE_S):
@@ -121,10 +114,6 @@ def _keep_streams(connection: Connection, log: Connection) -> None:
     os.closerange(kept + 1, os.sysconf("SC_OPEN_MAX"))
 
 
-def _confined(readable: tuple[Path, ...] | None) -> Confinement:
-    return Confinement(lacks="the operator's settings") if readable is None else confine(readable)
-
-
 def _outcome(services: Parts, task: Task[Any], connection: Connection) -> WorkerMessage | None:
     """Run a task and send its reply; otherwise return the message for the failure."""
 
@@ -141,11 +130,11 @@ def _outcome(services: Parts, task: Task[Any], connection: Connection) -> Worker
             return Refused(code=WORKER_KILLED, message=needs)
         if isinstance(error, CallError):
             return Refused(code=error.code, message=error.explanation[:MAX_WORDS])
-        return Failed(traceback=_traceback())
+        return _bug()
 
 
-def _traceback() -> str:
-    return traceback.format_exc()[-MAX_WORDS:]
+def _bug() -> Refused:
+    return Refused(code=BUG, message=traceback.format_exc()[-MAX_WORDS:])
 
 
 def _end_with_server(connection: Connection) -> None:

@@ -104,7 +104,7 @@ class Fetcher:
                     answer = await self._request(pool, self._checked(url))
                     if isinstance(answer, bytes):
                         return answer
-                    url = _redirected(url, answer)
+                    url = answer
             raise CallError("fetch_failed", f"more than {MAX_REDIRECTS} redirects. Give the image's final address.")
         raise CallError("fetch_failed", f"the image did not arrive within {self.timeout_s:g} s. Try again, or send it.")
 
@@ -132,11 +132,11 @@ class Fetcher:
             async with pool.stream("GET", url, headers=_HEADERS) as response:
                 if response.status in _REDIRECTS:
                     location = next((value for name, value in response.headers if name.lower() == b"location"), b"")
-                    return location.decode("latin-1")
+                    return urljoin(url, location.decode("latin-1"))
                 if response.status != 200:
                     raise CallError("fetch_failed", f"the host answered {response.status}. Check the URL.")
                 return await self._body(response)
-        except (httpcore.NetworkError, httpcore.ProtocolError, httpcore.TimeoutException, OSError) as error:
+        except (httpcore.NetworkError, httpcore.ProtocolError, httpcore.TimeoutException, OSError, ValueError) as error:
             raise CallError(
                 "fetch_failed", f"{type(error).__name__} at the host. Check the URL, or try again."
             ) from error
@@ -152,18 +152,6 @@ class Fetcher:
             if len(body) > self.max_bytes:
                 raise too_large
         return bytes(body)
-
-
-def _redirected(url: str, location: str) -> str:
-    """Return the target of a redirect.
-
-    Raises:
-        CallError: the target is malformed.
-    """
-    try:
-        return urljoin(url, location)
-    except ValueError:
-        raise CallError("fetch_failed", "the host's redirect is malformed. Give the image's final address.") from None
 
 
 class _PinnedBackend(httpcore.AnyIOBackend):

@@ -71,10 +71,7 @@ class PathAccess:
             CallError: ``source_disabled``; ``path_not_allowed``, the same for existing and missing files outside the
                 roots; ``image_not_found`` for a path below a root that is no regular file.
         """
-        if not self.roots:
-            raise CallError(
-                "source_disabled", "this server takes no images by path. Use another kind, or start it with --root DIR."
-            )
+        self._check_enabled()
         descriptor = self._descriptor(self._local_path(named))
         with os.fdopen(descriptor, "rb") as file:
             yield f"/proc/self/fd/{descriptor}" if sys.platform == "linux" else file
@@ -97,19 +94,18 @@ class PathAccess:
             CallError: ``source_disabled``.
             CallStoppedError: the call was stopped.
         """
+        self._check_enabled()
+        found = [str(path) for root in self.roots for path in _images_below(root, stop)]
+        return found[first : first + count], len(found)
+
+    def _check_enabled(self) -> None:
         if not self.roots:
             raise CallError(
                 "source_disabled", "this server takes no images by path. Use another kind, or start it with --root DIR."
             )
-        found = [str(path) for root in self.roots for path in _images_below(root, stop)]
-        return found[first : first + count], len(found)
 
     def _descriptor(self, path: Path) -> int:
-        """Open the file at an absolute path, or at a relative one below the first root that has it.
-
-        Raises:
-            CallError: ``path_not_allowed`` or ``image_not_found``.
-        """
+        """Open the file at an absolute path, or at a relative one below the first root that has it."""
         missing: CallError | None = None
         for place in [path] if path.is_absolute() else [root / path for root in self.roots]:
             root, below = self._below(place)
@@ -173,11 +169,7 @@ class PathAccess:
         )
 
     def _below(self, path: Path) -> tuple[Path, tuple[str, ...]]:
-        """Return the root of a path and the components below it, by its text alone.
-
-        Raises:
-            CallError: ``path_not_allowed``.
-        """
+        """Return the root of a path and the components below it, by its text alone; refuse others."""
         for name, root in self._named:
             if _nfc(path).is_relative_to(_nfc(name)):
                 return root, path.parts[len(name.parts) :]
@@ -186,9 +178,7 @@ class PathAccess:
     def _opened(self, root: Path, below: tuple[str, ...]) -> int:
         """Open the regular file at the components below a root; return its descriptor.
 
-        Raises:
-            CallError: a link leaves the roots, or the target is not a regular file.
-            OSError: a component is missing, unreadable, or changed during the walk.
+        An ``OSError`` means that a component is missing, unreadable, or changed during the walk.
         """
         if os.open not in os.supports_dir_fd:
             return self._open_and_compare(root.joinpath(*below))
@@ -232,12 +222,7 @@ class PathAccess:
                 os.close(directory)
 
     def _open_and_compare(self, path: Path) -> int:
-        """Open a path on systems without directory descriptors (Windows), and check that it still names the same file.
-
-        Raises:
-            CallError: the path leaves the roots, or is not a regular file.
-            OSError: the file is missing, or changed during opening.
-        """
+        """Open a path on systems without directory descriptors (Windows); check that it still names the same file."""
         resolved = path.resolve(strict=False)
         if not any(resolved.is_relative_to(root) for root in self.roots):
             raise self._refused()
@@ -297,11 +282,7 @@ def _open_part(part: str, flags: int, directory: int) -> int:
 
 
 def _regular(descriptor: int, named: str) -> int:
-    """Return the descriptor of a regular file; close any other.
-
-    Raises:
-        CallError: ``image_not_found``.
-    """
+    """Return the descriptor of a regular file; close and refuse any other."""
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise _no_image(named)

@@ -33,38 +33,27 @@ class ImageSources:
 
     Attributes:
         paths: access to files by path.
-        fetcher: access to web servers.
-        max_bytes: largest image within a call.
+        fetcher: access to web servers; its largest image is the largest within a call, too.
     """
 
     paths: PathAccess
     fetcher: Fetcher
-    max_bytes: int
 
-    async def fetched(self, image: AnyImage) -> bytes | None:
-        """Fetch the bytes of a URL; None for other kinds."""
-        return await self.fetcher.fetch(image.url) if isinstance(image, UrlImage) else None
-
-    async def fetched_together(
-        self, images: Sequence[AnyImage], n_bytes: int = 0
-    ) -> tuple[tuple[AnyImage, bytes | None], ...]:
-        """Fetch the bytes of several images; together they share the size limit of one image.
-
-        Args:
-            images: the caller's arguments.
-            n_bytes: bytes fetched before.
+    async def fetched(self, images: Sequence[AnyImage]) -> tuple[tuple[AnyImage, bytes | None], ...]:
+        """Give each image the bytes of its URL; together they share the size limit of one image.
 
         Raises:
             CallError: an image cannot be fetched, or the total is too large.
         """
         found: list[tuple[AnyImage, bytes | None]] = []
+        n_bytes, most = 0, self.fetcher.max_bytes
         for image in images:
-            fetched = await self.fetched(image)
+            fetched = await self.fetcher.fetch(image.url) if isinstance(image, UrlImage) else None
             n_bytes += len(fetched or b"")
-            if n_bytes > self.max_bytes:
+            if n_bytes > most:
                 raise CallError(
                     "image_too_large",
-                    f"the images have more than {self.max_bytes} bytes together. Send fewer images, or smaller copies.",
+                    f"the images have more than {most} bytes together. Send fewer images, or smaller copies.",
                 )
             found.append((image, fetched))
         return tuple(found)
@@ -75,7 +64,7 @@ class ImageSources:
 
         Args:
             image: the caller's argument.
-            fetched: result of ``fetched`` for it.
+            fetched: the bytes of its URL.
 
         Raises:
             CallError: the image is not allowed, missing, or malformed.
@@ -95,8 +84,10 @@ class ImageSources:
             if head is None or not head.group().lower().endswith(";base64,"):
                 raise CallError("base64_invalid", "the data: URI is not base64. Send data:image/png;base64,...")
             text = text[head.end() :]
-        if len(text) * 3 // 4 > self.max_bytes + 2:
-            raise CallError("image_too_large", f"the image has more than {self.max_bytes} bytes. Send a smaller one.")
+        if len(text) * 3 // 4 > self.fetcher.max_bytes + 2:
+            raise CallError(
+                "image_too_large", f"the image has more than {self.fetcher.max_bytes} bytes. Send a smaller one."
+            )
         try:
             return base64.b64decode("".join(text.split()), validate=True)
         except (binascii.Error, ValueError) as error:

@@ -118,11 +118,7 @@ _SCOPES = 0b11  # abstract sockets and signals, since version 6
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: Sequence[Path]) -> int:
-    """Limit this thread, and those that it starts, to reading these files; return Landlock's version.
-
-    Raises:
-        OSError: Landlock is missing, disabled or forbidden.
-    """
+    """Limit this thread, and those that it starts, to reading these files; return Landlock's version."""
     version = checked(libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _VERSION_FLAG))
     n_rights = max(n for since, n in _FILE_RIGHTS.items() if since <= version)
     handled = [(1 << n_rights) - 1]

@@ -12,7 +12,7 @@ from mcp.types import CallToolResult, InputRequiredResult
 
 from vehanchor.records import GsdEstimate
 from vehanchor.records.text import by_hand_text, ruler_names, significant
-from vehanchor_server.app_page import APP_META
+from vehanchor_server.app_page.page import APP_META
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Detail, PictureRequest, Reply

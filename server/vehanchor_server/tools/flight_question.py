@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from pydantic import Field
 
 from vehanchor.options import Frame
+from vehanchor.options.option import Flag
 from vehanchor.records import GsdEstimate
 from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
-from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
 from vehanchor_server.tools.picture import scale_reply

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from vehanchor.records import AreaMeasurement, BoundingBox, OtherObject
 from vehanchor.records.text import significant
-from vehanchor_server.app_page import APP_META
+from vehanchor_server.app_page.page import APP_META
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work

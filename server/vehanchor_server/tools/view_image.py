@@ -21,7 +21,7 @@ from pydantic_core import from_json
 
 from vehanchor.options import Coordinates, Frame, Reading, declared_options
 from vehanchor.options.option import Limits
-from vehanchor_server.app_page import PAGE_ONLY_META
+from vehanchor_server.app_page.page import PAGE_ONLY_META
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job

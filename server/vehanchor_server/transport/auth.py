@@ -44,7 +44,7 @@ def token_verifier(settings: Settings) -> TokenVerifier | None:
     if settings.token_file is not None:
         return StaticTokenVerifier(read_tokens(settings.token_file))
     if settings.oidc is not None:
-        return OidcVerifier(*settings.oidc)
+        return OidcVerifier(settings.issuer[0], settings.oidc[1], max_key_age_s=settings.issuer[1])
     return None
 
 
@@ -129,7 +129,7 @@ class OidcVerifier(TokenVerifier):
         issuer: str,
         audience: str,
         *,
-        max_key_age_s: float = 86400.0,
+        max_key_age_s: float,
         get_json: Callable[[str], Awaitable[dict[str, Any]]] = _get_json,
     ) -> None:
         self._issuer = issuer

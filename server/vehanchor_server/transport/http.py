@@ -71,13 +71,14 @@ def end_with(app: Starlette, services: Services) -> None:
 
     @asynccontextmanager
     async def whole(app: Starlette) -> AsyncIterator[Any]:
-        services.preload()
+        loading = services.preload()
         try:
             async with lifespan(app) as state:
                 yield state
         finally:
             services.close()
-            services.models.end_preload()
+            loading.cancel()
+            loading.join()  # ONNX Runtime aborts a process that ends while it opens a model
 
     app.router.lifespan_context = whole
 
@@ -113,7 +114,7 @@ def _auth(settings: Settings) -> AuthSettings:
         return AuthSettings.model_validate({"issuer_url": address, "resource_server_url": None})
     return AuthSettings.model_validate(  # from strings, so that an issuer without a path gains no slash
         {
-            "issuer_url": settings.oidc[0],
+            "issuer_url": settings.issuer[0],
             "resource_server_url": address,
             "validate_token_resource": False,  # the verifier checks the audience
         }

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 if TYPE_CHECKING:
@@ -23,23 +24,11 @@ _SMALL_BYTES = 64 << 10  # a body that needs no slot; uvicorn buffers as much in
 _INVALID_REQUEST, _BUSY = -32600, -32000  # of JSON-RPC
 
 
-class _RefusedError(Exception):
-    """A body that was refused."""
-
-    def __init__(self, status: int, code: int, message: str) -> None:
-        super().__init__(message)
-        self.status = status
-        self.code = code
-
-
-class _HungUpError(Exception):
-    """The client disconnected during its body."""
-
-
 @dataclass
 class _Body:
     """Running counts of a body."""
 
+    n_declared: int
     n_bytes: int = 0
     n_separators: int = 0
     n_nested: int = 0
@@ -47,16 +36,12 @@ class _Body:
     complete: bool = False
 
     def add(self, chunk: bytes) -> None:
-        """Count a chunk.
-
-        Raises:
-            _RefusedError: the body is too complex.
-        """
+        """Count a chunk; refuse a body that is too complex."""
         self.n_bytes += len(chunk)
         self.n_separators += chunk.count(b",") + chunk.count(b":")
         self.n_nested += chunk.count(b"{") + chunk.count(b"[")
         if self.n_separators > MAX_SEPARATORS or self.n_nested > MAX_NESTED:
-            raise _RefusedError(
+            raise _refusal(
                 400,
                 _INVALID_REQUEST,
                 f"invalid_arguments: the request has more than {MAX_SEPARATORS} commas and colons, or more than "
@@ -68,7 +53,7 @@ class RequestGuard:
     """ASGI middleware of the MCP endpoint. Other paths pass.
 
     Args:
-        app: the application.
+        app: the application, which answers an ``HTTPException`` of its ``receive``, as Starlette's do.
         path: path of the endpoint.
         max_large_bodies: maximum number of bodies above 64 KiB in memory.
     """
@@ -80,7 +65,7 @@ class RequestGuard:
         self._n_large_bodies = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
+        """Pass a request on, or refuse it. The application reads the body after it has checked the token."""
         if scope["type"] != "http" or scope["path"].rstrip("/") != self._path:
             await self._app(scope, receive, send)
             return
@@ -88,58 +73,37 @@ class RequestGuard:
             await Response("POST only", status_code=405, headers={"Allow": "POST"})(scope, receive, send)
             return
         declared = Headers(scope=scope).get("content-length", "0")
-        await self._let_in(int(declared) if declared.isdigit() else 0, scope, receive, send)
-
-    async def _let_in(self, declared: int, scope: Scope, receive: Receive, send: Send) -> None:
-        """Run the application, which reads the body after it has checked the token."""
-        body, answered = _Body(), False
+        body = _Body(int(declared) if declared.isdigit() else 0)
 
         async def counted() -> Message:
             if body.complete:
                 return await receive()
-            self._ask_for_place(body, declared)
+            self._ask_for_place(body)
             message = await receive()
             if message["type"] == "http.disconnect":
-                raise _HungUpError
-            if message["type"] == "http.request":
-                body.add(message.get("body", b""))
-                self._ask_for_place(body, body.n_bytes)
-                body.complete = not message.get("more_body", False)
+                raise HTTPException(400)  # without a traceback in the log; nobody reads the answer
+            body.add(message.get("body", b""))
+            self._ask_for_place(body)
+            body.complete = not message.get("more_body", False)
             return message
 
-        async def sent(message: Message) -> None:
-            nonlocal answered
-            answered = True
-            await send(message)
-
-        refusal = None
         try:
-            await self._app(scope, counted, sent)
-        except _HungUpError:
-            pass  # no answer for a disconnected client, and no traceback in the log
-        except _RefusedError as refused:
-            refusal = _refusal(refused)
+            await self._app(scope, counted, send)
         finally:
             self._n_large_bodies -= body.has_place
-        if refusal is not None and not answered:  # the slot is free; uvicorn discards the rest of the body
-            await refusal(scope, receive, send)
 
-    def _ask_for_place(self, body: _Body, n_bytes: int) -> None:
-        """Reserve a slot for a large body.
-
-        Raises:
-            _RefusedError: no slot is free.
-        """
-        if body.has_place or n_bytes <= _SMALL_BYTES:
+    def _ask_for_place(self, body: _Body) -> None:
+        """Reserve a slot for a large body; refuse it without one."""
+        if body.has_place or max(body.n_declared, body.n_bytes) <= _SMALL_BYTES:
             return
         if self._n_large_bodies >= self._max_large_bodies:
-            raise _RefusedError(503, _BUSY, "busy: too many large requests. Try again in a few seconds.")
+            raise _refusal(503, _BUSY, "busy: too many large requests. Try again in a few seconds.")
         self._n_large_bodies += 1
         body.has_place = True
 
 
-def _refusal(refused: _RefusedError) -> Response:
+def _refusal(status: int, code: int, message: str) -> HTTPException:
     """Build the answer to a refused request, whose id is unknown."""
-    error = {"jsonrpc": "2.0", "id": None, "error": {"code": refused.code, "message": str(refused)}}
-    headers = {"Retry-After": "2"} if refused.status == 503 else None
-    return Response(json.dumps(error), refused.status, headers, "application/json")
+    error = {"jsonrpc": "2.0", "id": None, "error": {"code": code, "message": message}}
+    headers = {"Content-Type": "application/json"} | ({"Retry-After": "2"} if status == 503 else {})
+    return HTTPException(status, json.dumps(error), headers)

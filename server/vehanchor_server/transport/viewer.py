@@ -21,13 +21,14 @@ from urllib.parse import quote
 import anyio.to_thread
 import uvicorn
 from mcp.server.transport_security import TransportSecuritySettings
+from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse
 from starlette.routing import Route
 
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.limits import read_checked_header
 from vehanchor_server.app import create_server
-from vehanchor_server.app_page import view_html
+from vehanchor_server.app_page.page import view_html
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings, SettingsError
 from vehanchor_server.transport.http import MCP_PATH, end_with
@@ -72,7 +73,7 @@ class Address:
     def url(self, photograph: Path | None = None) -> str:
         """Return the page's URL, with an initial photograph."""
         chosen = "" if photograph is None else f"#{quote(str(photograph))}"
-        return f"http://{_LOOPBACK}:{self.port}/{self.token}/{chosen}"
+        return f"{self.origin}/{self.token}/{chosen}"
 
     @property
     def origin(self) -> str:
@@ -152,7 +153,6 @@ class _OwnPageOnly:
     def __init__(self, app: ASGIApp, address: Address) -> None:
         self._app = app
         self._address = address
-        self._host = f"{_LOOPBACK}:{address.port}".encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
@@ -162,13 +162,12 @@ class _OwnPageOnly:
             await self._app(scope, receive, send)
 
     def _is_own(self, scope: Scope) -> bool:
-        headers: list[tuple[bytes, bytes]] = scope["headers"]
-        values = {name: [value for each, value in headers if each == name] for name, _ in headers}
+        headers, origin = Headers(scope=scope), self._address.origin
         token = scope["path"].lstrip("/").partition("/")[0].encode()
         return (
-            values.get(b"host") == [self._host]  # another name suggests DNS rebinding
-            and values.get(b"origin", [self._address.origin.encode()]) == [self._address.origin.encode()]
-            and values.get(b"sec-fetch-site", [b"none"]) in ([b"none"], [b"same-origin"])
+            headers.getlist("host") == [origin.removeprefix("http://")]  # another name suggests DNS rebinding
+            and headers.getlist("origin") in ([], [origin])
+            and headers.getlist("sec-fetch-site") in ([], ["none"], ["same-origin"])
             and secrets.compare_digest(token, self._address.token.encode())
         )
 

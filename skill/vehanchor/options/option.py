@@ -197,7 +197,7 @@ def refusal(kind: Any, error: ValidationError) -> VehAnchorError:
     place = [str(part) for part in first["loc"] if str(part).isidentifier() or isinstance(part, int)]
     field = kind.__pydantic_fields__.get(place[0]) if place else None
     options = [each for each in (field.metadata if field else ()) if isinstance(each, Option)]
-    made: Any = options[0].error if options else getattr(kind, "error", InvalidParameterError)
+    made: Any = getattr(kind, "error", options[0].error if options else InvalidParameterError)
     words = _EXPECTED.get(first["type"]) or first["msg"].replace("Input should be", "use")
     if first["type"] == "literal_error":
         words = f"use one of {first['ctx']['expected'].replace(' or ', ', ').replace(chr(39), '')}"

@@ -19,7 +19,9 @@ from mcp.types import CallToolResult, TextResourceContents
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path, picture_of
-from vehanchor_server.app_page import APP_URI, PANEL_KEY, page, page_html, view_html
+from vehanchor_server.app_page import page
+from vehanchor_server.app_page.page import APP_URI, page_html, view_html
+from vehanchor_server.app_page.panel import PANEL_KEY
 
 CAR_AXIS = {"x1": 100.0, "y1": 480.0, "x2": 132.0, "y2": 480.0}  # where cars.png has none
 SHOWS_PAGES = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]

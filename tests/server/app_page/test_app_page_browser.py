@@ -21,7 +21,8 @@ from tests.server.conftest import POOL_BOX, paint_scene, write_image
 from tests.server.conversation import by_path
 from vehanchor.records.text import significant
 from vehanchor_server.app import create_server
-from vehanchor_server.app_page import PANEL_KEY, page_html
+from vehanchor_server.app_page.page import page_html
+from vehanchor_server.app_page.panel import PANEL_KEY
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 

@@ -47,7 +47,7 @@ def answered(value: Any) -> Reply[Value]:
 def done(services: Services, work: Work[Value], question: Any = None, stop: Stop | None = None) -> Any:
     """The work's value, from a worker."""
     assert services.workers is not None
-    task = Task(work, question, IMAGE, None)
+    task = Task(work, question, ((IMAGE, None),))
     return services.workers.run(task, stop or Stop(), lambda *_: None).record.value
 
 

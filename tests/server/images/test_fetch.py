@@ -171,25 +171,34 @@ async def test_other_schemes_hosts_ports_and_tricks_are_refused(url: str) -> Non
         "64:ff9b::a9fe:a9fe",
         "2002:a9fe:a9fe::1",
         "2001:0:a9fe:a9fe::1",
+        "fec0::1",
+        "feff::1",
+        "3fff::1",
+        "3fff:fff::1",
+        "192.0.0.9",
+        "192.0.0.170",
+        "192.88.99.1",
+        "168.63.129.16",
         "not an address",
     ],
 )
-async def test_a_name_that_resolves_to_a_private_address_is_refused(fetcher: Fetcher, address: str) -> None:
+def test_private_addresses_and_ranges_that_only_look_public_are_not_public(address: str) -> None:
     assert not is_public_address(address)
-    guarded = replace(resolving_to(fetcher, address), is_public=is_public_address)
-    error = await refusal(guarded, f"https://{fetcher.hosts[0]}/a.png")
-    assert error.code == "url_not_allowed"
-    assert address not in str(error)
 
 
-@pytest.mark.parametrize("address", ["93.184.216.34", "8.8.8.8", "2606:4700:4700::1111", "::ffff:8.8.8.8"])
+@pytest.mark.parametrize(
+    "address",
+    ["93.184.216.34", "8.8.8.8", "2606:4700:4700::1111", "::ffff:8.8.8.8", "168.63.129.17", "2606:2800:220:1::1"],
+)
 def test_public_addresses_are_public(address: str) -> None:
     assert is_public_address(address)
 
 
 async def test_one_private_address_among_public_ones_is_enough(fetcher: Fetcher, web_server: WebServer) -> None:
     mixed = replace(resolving_to(fetcher, "8.8.8.8", "127.0.0.1"), is_public=is_public_address)
-    assert (await refusal(mixed, web_server.url())).code == "url_not_allowed"
+    refused = await refusal(mixed, web_server.url())
+    assert refused.code == "url_not_allowed"
+    assert "127.0.0.1" not in str(refused)
 
 
 @pytest.mark.promise("fetch")
@@ -283,13 +292,3 @@ async def test_a_name_that_the_resolver_cannot_encode_is_no_host(fetcher: Fetche
         raise UnicodeError("label too long")
 
     assert (await refusal(replace(fetcher, resolve=resolve), web_server.url())).code == "url_not_allowed"
-
-
-@pytest.mark.parametrize(
-    "address",
-    ["fec0::1", "feff::1", "3fff::1", "3fff:fff::1", "192.0.0.9", "192.0.0.170", "192.88.99.1", "168.63.129.16"],
-)
-def test_ranges_that_only_look_public_are_not(address: str) -> None:
-    assert not is_public_address(address)
-    assert is_public_address("168.63.129.17")
-    assert is_public_address("2606:2800:220:1::1")

@@ -101,61 +101,32 @@ def test_links_out_of_the_root_are_refused(root: Path, outside: Path) -> None:
     (root / "relative.png").symlink_to("../outside/secret.png")
     (root / "directory").symlink_to(outside, target_is_directory=True)
     (root / "twice.png").symlink_to(root / "file.png")
-    for named in ("file.png", "relative.png", "directory/secret.png", "twice.png"):
+    (root / "loop.png").symlink_to(root / "loop.png")
+    for named in ("file.png", "relative.png", "directory/secret.png", "twice.png", "loop.png"):
         assert refusal(root, str(root / named)).code == "path_not_allowed"
 
 
-def test_loops_of_links_are_refused(root: Path) -> None:
-    (root / "x").symlink_to(root / "y")
-    (root / "y").symlink_to(root / "x")
-    assert refusal(root, str(root / "x")).code in ("path_not_allowed", "image_not_found")
-
-
 @pytest.mark.promise("walk")
-def test_a_file_replaced_by_a_link_between_check_and_opening_is_refused(
-    root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    original = path_access_module._open_part
-
-    def swapped(part: str, flags: int, directory: int) -> int:
-        (root / "a.png").unlink()
-        (root / "a.png").symlink_to(outside / "secret.png")
-        return original(part, flags, directory)
-
-    monkeypatch.setattr(path_access_module, "_open_part", swapped)
-    assert refusal(root, str(root / "a.png")).code == "path_not_allowed"
-
-
-def test_a_directory_replaced_by_a_link_between_check_and_opening_is_refused(
-    root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("replaced_by", ["link", "linked folder", "fifo"])
+def test_a_name_replaced_between_check_and_opening_is_refused_without_waiting(
+    root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch, replaced_by: str
 ) -> None:
     (root / "deep" / "secret.png").write_bytes(b"decoy")
+    victim = root / "deep" if replaced_by == "linked folder" else root / "deep" / "secret.png"
     original = path_access_module._open_part
 
     def swapped(part: str, flags: int, directory: int) -> int:
-        if part == "deep":
-            (root / "deep").rename(root / "moved")
-            (root / "deep").symlink_to(outside, target_is_directory=True)
+        if part == victim.name:
+            victim.rename(root / "moved")
+            if replaced_by == "fifo":
+                os.mkfifo(victim)
+            else:
+                victim.symlink_to(outside if replaced_by == "linked folder" else outside / "secret.png")
         return original(part, flags, directory)
 
     monkeypatch.setattr(path_access_module, "_open_part", swapped)
     refused = refusal(root, str(root / "deep" / "secret.png"))
-    assert refused.code in ("path_not_allowed", "image_not_found")  # Linux calls the link no directory
-
-
-@pytest.mark.promise("walk")
-def test_a_file_replaced_by_a_fifo_between_check_and_opening_neither_blocks_nor_is_read(
-    root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    original = path_access_module._open_part
-
-    def swapped(part: str, flags: int, directory: int) -> int:
-        (root / "a.png").unlink()
-        os.mkfifo(root / "a.png")
-        return original(part, flags, directory)
-
-    monkeypatch.setattr(path_access_module, "_open_part", swapped)
-    assert refusal(root, str(root / "a.png")).code == "image_not_found"
+    assert refused.code in ("path_not_allowed", "image_not_found")  # Linux calls a linked folder no directory
 
 
 def test_an_opened_file_stays_the_one_that_was_checked(root: Path, outside: Path) -> None:
@@ -164,30 +135,6 @@ def test_an_opened_file_stays_the_one_that_was_checked(root: Path, outside: Path
         path.unlink()
         path.symlink_to(outside / "secret.png")
         assert content(opened) == b"inside"
-
-
-@pytest.mark.promise("roots")
-@pytest.mark.parametrize(
-    "named",
-    [
-        "/proc/self/environ",
-        "/dev/stdin",
-        "/",
-        "../a.png",
-        "file://evil.example/etc/passwd",
-        "file:/etc/passwd",
-        "file:////etc/passwd",
-        "/" + "a" * 300,
-        "/" + "a/" * 3000,
-    ],
-)
-def test_what_is_not_below_a_root_is_refused(root: Path, named: str) -> None:
-    assert refusal(root, named).code == "path_not_allowed"
-
-
-@pytest.mark.parametrize("named", ["\\\\host\\share\\a.png", "~/a.png", "b.png", "http://127.0.0.1/a.png"])
-def test_a_relative_path_is_taken_from_the_root(root: Path, named: str) -> None:
-    assert refusal(root, named).code == "image_not_found"
 
 
 def test_a_path_that_leads_nowhere_is_told_with_what_it_is_and_the_nearest_names(root: Path) -> None:
@@ -208,24 +155,6 @@ def test_the_first_root_with_the_file_of_a_relative_path_wins(root: Path, outsid
     (root / "only_there.png").symlink_to("/etc/hostname")
     with pytest.raises(CallError, match="path_not_allowed"), access.open("only_there.png"):
         pytest.fail("a link out of the root was followed")
-
-
-def test_a_way_back_into_the_root_from_outside_tells_nothing_of_what_it_passes(root: Path, tmp_path: Path) -> None:
-    """Processes could be counted by it: /proc/PID/root led back into the root for those that were there."""
-    (tmp_path / "back").symlink_to(root, target_is_directory=True)
-    refusals = {
-        str(refusal(root, named))
-        for named in (
-            f"/proc/{os.getpid()}/root{root}/a.png",
-            f"/proc/{os.getpid()}/root{root}/missing.png",
-            f"/proc/self/root{root}/a.png",
-            f"/proc/999999999/root{root}/a.png",
-            f"{tmp_path}/back/a.png",
-            f"{tmp_path}/no/a.png",
-        )
-    }
-    assert len(refusals) == 1
-    assert refusals.pop().startswith("path_not_allowed")
 
 
 def test_links_that_leave_the_root_to_come_back_tell_nothing_of_what_they_pass(root: Path, tmp_path: Path) -> None:
@@ -263,26 +192,10 @@ def test_links_may_climb_inside_the_root_and_lead_to_another(root: Path, outside
         assert content(opened) == SECRET
 
 
-@pytest.mark.parametrize("named", ["file://[", "file://[::1", "FILE://[x]y/a.png", "file:///a.png["])
-def test_urls_that_cannot_be_split_are_refused(root: Path, named: str) -> None:
-    assert refusal(root, named).code == "path_not_allowed"
-
-
 def test_a_long_name_is_shortened_before_it_is_told(root: Path) -> None:
     error = refusal(root, f"{root}/{'a/' * 1000}a.png")
     assert error.code == "image_not_found"
     assert len(str(error)) < 200
-
-
-def test_percent_encoding_is_decoded_once_and_then_judged(root: Path) -> None:
-    assert refusal(root, f"file://{root}/%2e%2e/outside/secret.png").code == "path_not_allowed"
-    assert refusal(root, f"file://{root}/..%2foutside%2fsecret.png").code == "path_not_allowed"
-    assert refusal(root, f"file://{root}/%252e%252e/outside/secret.png").code == "image_not_found"
-    assert refusal(root, f"{root}/%2e%2e/outside/secret.png").code == "image_not_found"
-
-
-def test_overlong_names_below_the_root_are_refused(root: Path) -> None:
-    assert refusal(root, f"{root}/{'a' * 300}.png").code in ("path_not_allowed", "image_not_found")
 
 
 def test_directories_fifos_sockets_and_devices_are_no_images(root: Path) -> None:
@@ -307,12 +220,6 @@ def test_outside_the_roots_what_exists_and_what_does_not_are_refused_alike(root:
     assert "to_there" not in str(there)
     assert str(outside) not in str(there)
     assert str(root) in str(there)
-
-
-def test_a_missing_file_below_a_root_is_told(root: Path) -> None:
-    error = refusal(root, str(root / "missing.png"))
-    assert error.code == "image_not_found"
-    assert "missing.png" in str(error)
 
 
 def test_no_descriptor_stays_open(root: Path, outside: Path) -> None:

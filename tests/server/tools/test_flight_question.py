@@ -183,7 +183,8 @@ async def test_images_that_were_fetched_together_have_no_more_bytes_than_one_may
     settings: Settings, monkeypatch: pytest.MonkeyPatch, flight: Path
 ) -> None:
     services = create_services(settings)
-    services = replace(services, sources=replace(services.sources, max_bytes=1 << 20))
+    fetcher = replace(services.sources.fetcher, max_bytes=1 << 20)
+    services = replace(services, sources=replace(services.sources, fetcher=fetcher))
 
     async def fetched(self: Fetcher, url: str) -> bytes:
         return b"0" * 400_000

@@ -15,6 +15,7 @@ from typing import Any
 
 import httpx2 as httpx
 import pytest
+from starlette.middleware.exceptions import ExceptionMiddleware
 
 from tests.server.transport.test_http import discover, served
 from vehanchor_server.settings import Settings
@@ -59,21 +60,8 @@ def with_unknown(unknown: bytes, *, modern: bool, nested: bool) -> dict[str, Any
 
 @pytest.mark.promise("requests")
 @pytest.mark.parametrize("modern", [True, False])
-@pytest.mark.parametrize("nested", [True, False])
-def test_a_million_unknown_arguments_are_refused(base: str, unknown: bytes, modern: bool, nested: bool) -> None:
-    with httpx.Client(timeout=60) as client:
-        answer = client.post(f"{base}/mcp", **with_unknown(unknown, modern=modern, nested=nested))
-    assert answer.status_code == 400
-    assert answer.json()["error"]["message"].startswith("invalid_arguments: ")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("modern", [True, False])
-@pytest.mark.parametrize("nested", [True, False])
-def test_a_million_unknown_arguments_do_not_freeze_the_server(
-    base: str, unknown: bytes, modern: bool, nested: bool
-) -> None:
-    request = with_unknown(unknown, modern=modern, nested=nested)
+def test_a_million_unknown_arguments_are_refused_and_freeze_nothing(base: str, unknown: bytes, modern: bool) -> None:
+    request = with_unknown(unknown, modern=modern, nested=modern)
     slowest, stop = [0.0], threading.Event()
 
     def probe() -> None:
@@ -87,7 +75,9 @@ def test_a_million_unknown_arguments_do_not_freeze_the_server(
     thread.start()
     try:
         with httpx.Client(timeout=60) as client:
-            assert client.post(f"{base}/mcp", **request).status_code == 400
+            answer = client.post(f"{base}/mcp", **request)
+        assert answer.status_code == 400
+        assert answer.json()["error"]["message"].startswith("invalid_arguments: ")
     finally:
         stop.set()
         thread.join()
@@ -110,17 +100,16 @@ async def test_the_application_gets_no_more_of_a_body_than_may_be_parsed(part: b
         while (await receive())["more_body"]:
             pass
 
-    door = RequestGuard(parsing, path="/mcp", max_large_bodies=1)
+    door = RequestGuard(ExceptionMiddleware(parsing), path="/mcp", max_large_bodies=1)
     await door({"type": "http", "path": "/mcp", "headers": [(b"host", b"localhost")]}, receive, send)
     assert parts[0] <= MAX_SEPARATORS // 400 + 1
     assert answers[0]["status"] == 400
 
 
 @pytest.mark.promise("requests")
-@pytest.mark.parametrize("modern", [True, False])
-@pytest.mark.parametrize("depth", [MAX_NESTED, 5_000, 1_000_000])
-def test_deep_json_is_refused(base: str, modern: bool, depth: int) -> None:
-    request = call({"image": "deep"}, modern=modern)
+@pytest.mark.parametrize("depth", [MAX_NESTED, 1_000_000])
+def test_deep_json_is_refused(base: str, depth: int) -> None:
+    request = call({"image": "deep"}, modern=True)
     request["content"] = request["content"].replace(b'"deep"', b"[" * depth + b"]" * depth)
     with httpx.Client(timeout=60) as client:
         answer = client.post(f"{base}/mcp", **request)
@@ -128,13 +117,10 @@ def test_deep_json_is_refused(base: str, modern: bool, depth: int) -> None:
     assert "invalid_arguments" in answer.text
 
 
-@pytest.mark.parametrize("modern", [True, False])
-def test_a_path_of_commas_is_no_list(base: str, modern: bool) -> None:
+def test_a_path_of_commas_is_no_list(base: str) -> None:
     assert MAX_SEPARATORS > 2 * 4096
     with httpx.Client(timeout=60) as client:
-        answer = client.post(
-            f"{base}/mcp", **call({"image": {"kind": "path", "path": "/" + ",:" * 2000}}, modern=modern)
-        )
+        answer = client.post(f"{base}/mcp", **call({"image": {"kind": "path", "path": "/" + ",:" * 2000}}, modern=True))
     assert answer.status_code == 200
     assert "source_disabled" in answer.text
 

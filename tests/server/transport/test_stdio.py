@@ -76,35 +76,38 @@ def ended(process: subprocess.Popen[bytes], seconds: float = 60) -> tuple[int, s
     return status, process.stderr.read().decode()
 
 
-@pytest.mark.parametrize("era", ["auto", pytest.param("legacy", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("era", ["auto", "legacy"])
 async def test_tools_are_listed_and_called_over_pipes(settings: Settings, images: Path, era: str) -> None:
     executable, *arguments = command(settings)
     async with Client(StdioServerParameters(command=executable, args=arguments), mode=era) as client:
         listed = [tool.name for tool in (await client.list_tools()).tools]
         assert listed == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
-        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
         refused = await client.call_tool("estimate_gsd", by_path("/etc/passwd"))
-    assert result.structured_content is not None
-    assert result.structured_content["status"] == "ok"
     assert error_of(refused) == "path_not_allowed"
 
 
-def test_stdout_carries_the_protocol_and_stderr_a_line_of_json_for_the_call(
+def test_a_list_comes_before_any_model_and_a_call_leaves_a_line_of_json_and_nothing_else(
     start: Starter, images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     process = start()
-    call = message("tools/call", name="estimate_gsd", arguments=by_path(images / "cars.png"))
     assert process.stdin is not None
     assert process.stdout is not None
-    process.stdin.write(call)
+    process.stdin.write(message("tools/list"))
+    process.stdin.flush()
+    answer = json.loads(process.stdout.readline())
+    assert answer["result"]["tools"][0]["name"] == "estimate_gsd"
+    maps = Path(f"/proc/{process.pid}/maps").read_text() if sys.platform == "linux" else ""
+    assert not [name for name in ("onnxruntime", "cv2") if name in maps]
+    process.stdin.write(message("tools/call", name="estimate_gsd", arguments=by_path(images / "cars.png")))
     process.stdin.flush()
     answer = json.loads(process.stdout.readline())
     process.stdin.close()
     status, stderr = ended(process)
     assert answer["result"]["structuredContent"]["status"] == "ok"
     assert process.stdout.read() == b""
-    assert status == 0
+    assert status == 0  # the end of stdin ends it
     lines = [json.loads(line) for line in stderr.splitlines()]
     (logged,) = [line for line in lines if line["logger"] == "vehanchor_server.calls"]
     assert logged["tool"] == "estimate_gsd"
@@ -112,23 +115,6 @@ def test_stdout_carries_the_protocol_and_stderr_a_line_of_json_for_the_call(
     assert logged["megapixels"] == pytest.approx(0.328)
     assert logged["ms"] > 0
     assert list(tmp_path.iterdir()) == []  # no socket of the workers
-
-
-def test_the_first_list_is_answered_before_any_model_is_loaded(start: Starter) -> None:
-    process = start()
-    assert process.stdin is not None
-    assert process.stdout is not None
-    process.stdin.write(message("tools/list"))
-    process.stdin.flush()
-    answer = json.loads(process.stdout.readline())
-    maps = Path(f"/proc/{process.pid}/maps").read_text() if sys.platform == "linux" else ""
-    process.stdin.close()
-    status, stderr = ended(process)
-    assert status == 0  # the end of stdin ends it
-    assert "Traceback" not in stderr
-    assert answer["result"]["tools"][0]["name"] == "estimate_gsd"
-    assert "onnxruntime" not in maps
-    assert "cv2" not in maps
 
 
 def _wait_for(condition: Callable[[], bool], seconds: float = 60) -> bool:
@@ -151,29 +137,18 @@ def _until_computing(process: subprocess.Popen[bytes], images: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("busy", [False, True])
-def test_sigterm_ends_it_cleanly(start: Starter, images: Path, busy: bool) -> None:
+@pytest.mark.parametrize("by_signal", [True, False])
+def test_sigterm_and_the_end_of_stdin_end_it_in_the_middle_of_a_call(
+    start: Starter, images: Path, by_signal: bool
+) -> None:
     process = start(slow=True)
     assert process.stdin is not None
     assert process.stdout is not None
-    if busy:
-        _until_computing(process, images)
-    else:
-        process.stdin.write(message("tools/list"))
-        process.stdin.flush()
-        process.stdout.readline()
-    process.send_signal(signal.SIGTERM)
-    status, stderr = ended(process)
-    assert status == 0
-    assert "Traceback" not in stderr
-
-
-@pytest.mark.slow
-def test_the_end_of_stdin_ends_it_in_the_middle_of_a_call(start: Starter, images: Path) -> None:
-    process = start(slow=True)
-    assert process.stdin is not None
     _until_computing(process, images)
-    process.stdin.close()
+    if by_signal:
+        process.send_signal(signal.SIGTERM)
+    else:
+        process.stdin.close()
     status, stderr = ended(process)
     assert status == 0
     assert "Traceback" not in stderr
@@ -306,20 +281,3 @@ except ImportError:
     print(json.dumps([dict(BaseModel.model_config), After.__pydantic_complete__]))
 """
     assert _printed(after) == [{}, True]
-
-
-@pytest.mark.slow
-def test_the_listing_of_a_quick_server_is_that_of_a_usual_one() -> None:
-    listing = """
-import anyio, sys
-from vehanchor_server.settings import Settings
-if {quick}:
-    import_sdk()
-from vehanchor_server.app import create_server
-from vehanchor_server.services import create_services
-tools = anyio.run(create_server(create_services(Settings(isolation="in-process"))).list_tools)
-print(json.dumps([tool.model_dump(mode="json") for tool in tools]))
-"""
-    quick, usual = (_printed(listing.format(quick=quick)) for quick in (True, False))
-    assert quick == usual
-    assert len(usual) > 3

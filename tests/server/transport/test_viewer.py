@@ -18,11 +18,10 @@ from typer.testing import CliRunner
 
 from tests.server.app_page.viewing import viewing
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import by_path
 from tests.server.transport.test_http import discover
 from vehanchor.cli.app import app
 from vehanchor.options import ImageLimits
-from vehanchor_server.app_page import PANEL_KEY, view_html
+from vehanchor_server.app_page.page import view_html
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address
 
@@ -110,32 +109,6 @@ def test_a_form_of_another_page_is_no_call(address: Address) -> None:
     for kind in ("text/plain", "application/x-www-form-urlencoded"):  # what a page may send without being asked
         headers = call["headers"] | {"Content-Type": kind}
         assert WEB.post(f"{address.url()}mcp", content=body, headers=headers).status_code == 400
-
-
-def test_a_call_tells_how_far_it_is_and_its_result_last(address: Address, images: Path) -> None:
-    *steps, last = ask(address, "estimate_gsd", {"image": by_path(images / "cars.png")["image"]})
-    percents = [step["params"]["progress"] for step in steps]
-    assert percents == sorted(percents)
-    assert percents[-1] == 100
-    panel = last["result"]["_meta"][PANEL_KEY]
-    assert panel["picture_jpeg"]
-    assert panel["record"]["n_vehicles"] == len(panel["drawing"]["vehicles"]) == 24
-
-
-def test_a_distance_after_an_estimate_has_its_confidence(address: Address, images: Path) -> None:
-    image = by_path(images / "pool.png")
-    estimate = ask(address, "estimate_gsd", image)[-1]["result"]["structuredContent"]
-    lines = [{"points": [{"x": 10, "y": 20}, {"x": 300, "y": 120}]}]
-    measured = ask(address, "measure_distance", {**image, "lines": lines})[-1]["result"]["structuredContent"]
-    assert measured["estimate"] == estimate
-    assert measured["confidence"] == estimate["confidence"] >= 0.9
-
-
-def test_an_error_of_a_tool_is_a_result_and_an_unknown_tool_too(address: Address) -> None:
-    for name, arguments in (("measure_area", {"x": 1}), ("no_such_tool", {}), ("estimate_gsd", by_path("/etc/passwd"))):
-        *_, last = ask(address, name, arguments)
-        assert last["result"]["isError"], name
-        assert last["result"]["content"][0]["text"]
 
 
 def test_a_photograph_that_is_dropped_is_measured_as_one_of_the_folder(address: Address, images: Path) -> None:
