@@ -14,8 +14,12 @@ from vehanchor.cli.outputs import check_outputs, write_outputs
 from vehanchor.cli.terminal import (
     BAD_INPUT,
     NOT_OK,
+    NUMBER,
     STATUS_TEXTS,
+    TEXT,
+    WORD,
     Strict,
+    columns_table,
     exit_on_error,
     exit_strictly,
     facts_table,
@@ -26,6 +30,7 @@ from vehanchor.cli.terminal import (
     printable,
     report,
     scale_text,
+    span_text,
     tile_progress,
     under_one_folder,
     vehicles_text,
@@ -235,25 +240,18 @@ def _tilt_text(tilt: TiltEstimate) -> str:
 
 
 def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
     folder, names = under_one_folder([source for source, _ in rows])
-    title = Text(printable(f"{len(rows)} images in {folder}")) if folder else None
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left", title_style="bold")
-    table.add_column("image", overflow="fold")
-    for heading in ("m/px", "95 %", "confidence", "vehicles"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("status", no_wrap=True)
-    for name, (_, record) in zip(names, rows, strict=True):
-        low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
-        table.add_row(
-            Text(printable(name)),
+    columns = {"image": TEXT, **dict.fromkeys(("m/px", "95 %", "confidence", "vehicles"), NUMBER), "status": WORD}
+    cells = [
+        (
+            name,
             "-" if record.gsd_m_per_px is None else significant(record.gsd_m_per_px, 4),
-            "-" if low is None or high is None else f"{significant(low, 4)} to {significant(high, 4)}",
+            span_text(record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px, 4),
             f"{record.confidence:.2f}",
             "-" if record.n_vehicles is None else str(record.n_vehicles),
             record.status,
         )
-    return table
+        for name, (_, record) in zip(names, rows, strict=True)
+    ]
+    title = f"{len(rows)} images in {folder}" if folder else ""
+    return columns_table(columns, cells, title)

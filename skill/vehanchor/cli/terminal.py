@@ -15,7 +15,7 @@ import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
 from vehanchor.records.foreign_text import on_one_line
-from vehanchor.records.text import by_hand_text, with_interval
+from vehanchor.records.text import by_hand_text, significant, with_interval
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -154,6 +154,31 @@ def facts_table(title: str, facts: Sequence[tuple[str, str]]) -> Table:
     for name, value in facts:
         table.add_row(name, Text(printable(value)))
     return table
+
+
+TEXT: dict[str, Any] = {"overflow": "fold"}
+NUMBER: dict[str, Any] = {"justify": "right", "no_wrap": True}
+WORD: dict[str, Any] = {"no_wrap": True}
+
+
+def columns_table(columns: Mapping[str, dict[str, Any]], rows: Iterable[Sequence[str]], title: str = "") -> Table:
+    """Make a table with headings; each column is a ``TEXT``, ``NUMBER`` or ``WORD``."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Text(printable(title)) if title else None
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=shown, title_justify="left", title_style="bold")
+    for heading, kind in columns.items():
+        table.add_column(heading, **kind)
+    for row in rows:
+        table.add_row(*(Text(printable(cell)) for cell in row))
+    return table
+
+
+def span_text(low: float | None, high: float | None, digits: int = 3) -> str:
+    """Format an interval in a cell of a table."""
+    return "-" if low is None or high is None else f"{significant(low, digits)} to {significant(high, digits)}"
 
 
 def scale_text(gsd: float | None, low: float | None, high: float | None) -> str:

@@ -12,16 +12,20 @@ import typer
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import (
+    NUMBER,
     STATUS_TEXTS,
+    TEXT,
+    WORD,
+    columns_table,
     exit_on_error,
     facts_table,
     image_progress,
     print_json,
     print_table,
     print_warnings,
-    printable,
     resumable,
     scale_text,
+    span_text,
     under_one_folder,
 )
 from vehanchor.errors import InvalidParameterError
@@ -32,6 +36,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
+    from vehanchor.batch.row import BatchRow
     from vehanchor.options import ImageLimits
     from vehanchor_flight.inputs import InputPhotograph
     from vehanchor_flight.records import FlightEstimate, FlightPhotograph
@@ -82,9 +87,8 @@ def photographs(
 ) -> None:
     """Estimate the scales of the photographs of one flight from their common evidence."""
     with exit_on_error():
-        from vehanchor.batch.table import check_table_path
+        from vehanchor.batch.table import check_table_path, write_table
         from vehanchor_flight.io import check_output, write_record
-        from vehanchor_flight.table import write_flight_table
         from vehanchor_flight.verbs import estimate_flight
 
         engine = chosen.engine()
@@ -110,7 +114,7 @@ def photographs(
         if out is not None:
             write_record(out, record)
         if table is not None:
-            write_flight_table(table, record)
+            write_table(table, (_row(record, each) for each in record.photographs))
         _tell(record, as_json=as_json)
 
 
@@ -125,6 +129,16 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
     if not record.same_scale:
         print_table(_photographs_table(record.photographs, short))
     print_warnings(record, "")
+
+
+def _row(record: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
+    """Make the row of ``vehanchor batch`` with the scale of the flight."""
+    from vehanchor.batch.row import BatchRow
+    from vehanchor_flight.project import estimate_in_flight
+
+    if photograph.own is None:
+        return BatchRow(file=photograph.photograph, error_code=photograph.error_code, error=photograph.error)
+    return BatchRow(file=photograph.photograph, estimate=estimate_in_flight(record, photograph))
 
 
 def _images(
@@ -176,27 +190,24 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _photographs_table(photographs: Sequence[FlightPhotograph], short: Mapping[str, str]) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("photograph", overflow="fold")
-    for heading in ("m/px", "95 %", "conf."):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("supported by", overflow="fold")
-    table.add_column("status", no_wrap=True)
-    for each in photographs:
-        low, high = each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px
-        table.add_row(
-            Text(printable(short[each.photograph])),
+    rows = [
+        (
+            short[each.photograph],
             "-" if each.gsd_m_per_px is None else significant(each.gsd_m_per_px, 4),
-            "-" if low is None or high is None else f"{significant(low)} to {significant(high)}",
+            span_text(each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px),
             "-" if each.confidence is None else f"{each.confidence:.2f}",
-            Text(printable(_support(each, short))),
+            _support(each, short),
             _STATUSES[each.status],
         )
-    return table
+        for each in photographs
+    ]
+    columns = {
+        "photograph": TEXT,
+        **dict.fromkeys(("m/px", "95 %", "conf."), NUMBER),
+        "supported by": TEXT,
+        "status": WORD,
+    }
+    return columns_table(columns, rows)
 
 
 def _support(photograph: FlightPhotograph, short: Mapping[str, str]) -> str:

@@ -10,8 +10,11 @@ import typer
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.terminal import (
     NOT_OK,
+    NUMBER,
     STATUS_TEXTS,
+    TEXT,
     Strict,
+    columns_table,
     exit_on_error,
     exit_strictly,
     facts_table,
@@ -21,6 +24,7 @@ from vehanchor.cli.terminal import (
     print_warnings,
     printable,
     resumable,
+    span_text,
 )
 from vehanchor.errors import InvalidParameterError
 
@@ -30,7 +34,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from vehanchor_flight.reconstruction.model import Reconstruction
-    from vehanchor_flight.records import ModelPhotograph, ModelScale
+    from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
 _FILES = "Files to write"
 _METADATA = ("metadata", "height_m", "height_basis", "height_tolerance_m", "focal_35mm")
@@ -135,20 +139,17 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
         return
     facts = [("verdict", record.verdict)]
     if record.factor is not None:
-        facts.append(("factor", _interval(record.factor, record.factor_ci95_low, record.factor_ci95_high)))
+        facts.append(("factor", _interval(record)))
     facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     if record.reason is not None:
         facts.append(("reason", record.reason))
     for ruler in record.rulers:
-        part = f"right: {ruler.p_right:.2f}"
-        stated = _interval(ruler.factor, ruler.factor_ci95_low, ruler.factor_ci95_high)
-        facts.append((ruler.label, f"{stated}, n {ruler.n}, {part}"))
+        facts.append((ruler.label, f"{_interval(ruler)}, n {ruler.n}, right: {ruler.p_right:.2f}"))
     used = [each for each in record.photographs if each.status == "used"]
     if record.photographs:
         facts.append(("photographs", f"{record.n_photographs}, {len(used)} of them carry the factor"))
-    facts += [
-        ("outlier", f"{each.photograph}: {_own(each)}") for each in record.photographs if each.status == "outlier"
-    ]
+    outliers = (each for each in record.photographs if each.status == "outlier")
+    facts += [("outlier", f"{each.photograph}: {', '.join(each.rulers)} {_interval(each)}") for each in outliers]
     facts += [("written", str(path)) for path in written]
     print_table(facts_table(source, facts))
     if used:
@@ -159,33 +160,20 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
     print_warnings(record, "")
 
 
-def _interval(factor: float, low: float | None, high: float | None) -> str:
-    return f"{factor:.4g}" if low is None or high is None else f"{factor:.4g}   (95 %: {low:.4g} to {high:.4g})"
-
-
-def _own(each: ModelPhotograph) -> str:
-    if each.factor is None:
-        return "-"
-    return f"{', '.join(each.rulers)} {_interval(each.factor, each.factor_ci95_low, each.factor_ci95_high)}"
+def _interval(each: ModelScale | ModelRuler | ModelPhotograph) -> str:
+    return f"{each.factor:.4g}   (95 %: {each.factor_ci95_low:.4g} to {each.factor_ci95_high:.4g})"
 
 
 def _photographs(used: Sequence[ModelPhotograph]) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("photograph", overflow="fold")
-    for heading in ("factor", "95 %", "cars"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("rulers", overflow="fold")
-    for each in used:
-        low, high = each.factor_ci95_low, each.factor_ci95_high
-        table.add_row(
-            Text(printable(each.photograph)),
+    rows = [
+        (
+            each.photograph,
             f"{each.factor:.4g}",
-            f"{low:.3g} to {high:.3g}",
+            span_text(each.factor_ci95_low, each.factor_ci95_high),
             str(each.n_vehicles),
             ", ".join(each.rulers),
         )
-    return table
+        for each in used
+    ]
+    columns = {"photograph": TEXT, **dict.fromkeys(("factor", "95 %", "cars"), NUMBER), "rulers": TEXT}
+    return columns_table(columns, rows)

@@ -7,7 +7,7 @@ Camera frames are those of OpenCV: x to the right, y to the lower side, z along 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
+
+    from vehanchor_flight.records import ModelSource
 
 _ASPECT_TOLERANCE = 0.01
 
@@ -154,7 +156,7 @@ class Reconstruction:
             east, to the north and up; None if unknown.
     """
 
-    kind: Literal["opensfm", "colmap_text", "colmap_binary"]
+    kind: ModelSource
     path: Path
     shots: tuple[Shot, ...]
     points: NDArray[np.float64]

@@ -13,7 +13,7 @@ from vehanchor.imagery.formats.ifd import TIFF_SIGNATURES
 from vehanchor.imagery.formats.jpeg import EXIF_PREFIX
 
 if TYPE_CHECKING:
-    from vehanchor.imagery.formats.header import ImageHeader
+    from vehanchor.imagery.formats.image_header import ImageHeader
     from vehanchor.imagery.formats.ifd import ReadAt
 
 MAX_XMP_BYTES = 1 << 18

@@ -32,7 +32,7 @@ from vehanchor.options import ImageLimits
 
 if TYPE_CHECKING:
     from vehanchor.imagery.bands import BandChoice
-    from vehanchor.imagery.formats.header import ImageHeader
+    from vehanchor.imagery.formats.image_header import ImageHeader
     from vehanchor.imagery.formats.ifd import ReadAt
 
 ImageSource: TypeAlias = (
