@@ -129,9 +129,9 @@ def _link(overlap: Overlap, photographs: Sequence[Photograph]) -> Link:
 
 
 def _from_centre(photograph: Photograph, at: NDArray[np.float64]) -> tuple[float, float]:
-    width, height = photograph.view.image.width_px, photograph.view.image.height_px
-    reach = max(width, height) / 2
-    return (float(at[0]) - width / 2) / reach, (float(at[1]) - height / 2) / reach
+    centre = _centre(photograph)
+    x, y = ((at - centre) / centre.max()).tolist()
+    return x, y
 
 
 def _unary(photograph: Photograph) -> Unary | None:

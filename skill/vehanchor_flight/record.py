@@ -108,7 +108,7 @@ def conclude_flight(
     return FlightEstimate(
         status=_status(ordered),
         same_scale=same_scale,
-        **{name: whole and getattr(whole, name) for name in SCALE},
+        **{name: getattr(whole, name, None) for name in SCALE},
         confidence=min(each.confidence for each in ordered if each.confidence is not None),
         n_vehicles=sum(each.pooled.n_vehicles or 0 for each in pooled_components),
         photographs=ordered,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -41,23 +41,9 @@ if TYPE_CHECKING:
     from vehanchor_flight.inputs import InputPhotograph
     from vehanchor_flight.records import FlightEstimate, FlightPhotograph
 
-_EVERY_S = 2.0
 _MOST_SIZES = 12  # of components, in one line
 _MOST_NAMED = 3  # photographs with one advice
 _STATUSES = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
-
-
-SameScale: TypeAlias = Annotated[
-    bool,
-    typer.Option(
-        "--same-scale", help="All photographs have one scale, as in a survey at one height: pool their evidence."
-    ),
-]
-TableFile: TypeAlias = Annotated[
-    Path | None,
-    typer.Option("--table", metavar="FILE", help="Write a table with a row for each photograph, as 'batch' does."),
-]
-Seconds: TypeAlias = Annotated[float, typer.Option(metavar="S", help="For a video: seconds between photographs.")]
 
 
 @scale_command(without=OF_ONE_IMAGE)
@@ -70,7 +56,12 @@ def photographs(
             show_default=False,
         ),
     ],
-    same_scale: SameScale = False,
+    same_scale: Annotated[
+        bool,
+        typer.Option(
+            "--same-scale", help="All photographs have one scale, as in a survey at one height: pool their evidence."
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     out: Annotated[
         Path | None,
@@ -79,9 +70,12 @@ def photographs(
             help="Write the record, for 'measure --scale'. After an interruption, the same command resumes the run.",
         ),
     ] = None,
-    table: TableFile = None,
+    table: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a table with a row for each photograph, as 'batch' does."),
+    ] = None,
     known_lengths: KnownLengthsFile = None,
-    every: Seconds = _EVERY_S,
+    every: Annotated[float, typer.Option(metavar="S", help="For a video: seconds between photographs.")] = 2.0,
     *,
     chosen: ParsedOptions,
 ) -> None:

@@ -83,14 +83,12 @@ def rescale(
     """Give a reconstruction its size in metres. Files in metres need a usable size."""
     with exit_on_error():
         from vehanchor_flight.io import check_output, write_record
-        from vehanchor_flight.reconstruction.files import images_of
         from vehanchor_flight.verbs import rescale as rescaled
 
         journal = out and check_output(out, ".json").with_name(out.name + ".journal")
         model = _model(source, project, geo)
         with image_progress() as progress, resumable(journal):
             engine = chosen.engine(progress=progress)
-            images = images or images_of(model)
             record = rescaled(model, engine=engine, images=images, known_lengths_table=lines, journal=journal)
         written = _write_in_metres(model, record, project, geo)
         if out is not None:

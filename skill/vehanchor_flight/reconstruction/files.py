@@ -89,7 +89,7 @@ def write_rescaled(model: Reconstruction, target: Path, factor: float) -> Path:
     return write(model.path, target, factor)
 
 
-def check_project_path(target: Path) -> Path:
+def check_project_path(target: Path) -> None:
     """Check, before the work, that a project can be written to a folder.
 
     Raises:
@@ -99,7 +99,6 @@ def check_project_path(target: Path) -> Path:
         raise OutputError(f"cannot write a project to {str(target)!r}: name a new folder in a folder that exists")
     if target.is_dir() and any(target.iterdir()):
         raise OutputError(f"{str(target)!r} is not empty: name a new folder")
-    return target
 
 
 def write_geo(path: Path, model: Reconstruction, factor: float) -> None:
