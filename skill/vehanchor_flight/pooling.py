@@ -22,7 +22,7 @@ from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.scale.density import quantile, shifted
 from vehanchor.scale.posterior import Lack, Remark, Witness
-from vehanchor.tilt.camera_tilt import known_plane, with_scale
+from vehanchor.tilt.camera_tilt import with_scale
 from vehanchor_flight.photograph import of_photographs
 
 if TYPE_CHECKING:
@@ -86,10 +86,10 @@ def pool(
     )
     pooled = conclude(view, measure_all(view, others))
     own = members[reference].analysis.estimate
-    if own.tilt is None:
+    if own.tilt is None or chief.tilt is None:
         return pooled
     tilt = with_scale(own.tilt, own, pooled.estimate.gsd_m_per_px)
-    scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": known_plane(tilt)})
+    scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": chief.tilt.known_plane()})
     return replace(pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt, "scale": scale}))
 
 

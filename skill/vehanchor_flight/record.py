@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.analysis.pipeline import model_id
-from vehanchor.records import KnownScale, Notice
+from vehanchor.analysis.pipeline import known_scale
+from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import Advice, advice_for
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import Z95
-from vehanchor.tilt.camera_tilt import known_plane
 from vehanchor_flight.photograph import of_photographs
 from vehanchor_flight.pooling import pool
 from vehanchor_flight.project import SCALE
@@ -180,7 +179,7 @@ def _photograph(
         advice=advice,
         component=record.number,
         supported_by=rulers,
-        scale=_given_back(photograph, gsd, low, high, confidence),
+        scale=known_scale(photograph.view, gsd, None if low is None or high is None else (low, high), confidence),
         own=photograph.analysis.estimate,
     )
 
@@ -196,23 +195,6 @@ def _carried_chance(chance: float, width: float, pooled_width: float) -> float:
     tolerance = 2 * Z95 * math.log1p(TOLERANCE)  # within 20 %, in widths of a normal
     within, pooled_within = (math.erf(tolerance / max(each, 1e-9) / math.sqrt(2)) for each in (width, pooled_width))
     return chance * min(1.0, within / pooled_within)
-
-
-def _given_back(
-    photograph: Photograph, gsd: float | None, low: float | None, high: float | None, confidence: float
-) -> KnownScale | None:
-    image_id, tilt = photograph.view.image.image_id, photograph.analysis.estimate.tilt
-    if gsd is None or low is None or high is None or not image_id:
-        return None
-    return KnownScale(
-        gsd_m_per_px=gsd,
-        gsd_ci95_low_m_per_px=low,
-        gsd_ci95_high_m_per_px=high,
-        confidence=confidence,
-        image_id=image_id,
-        model_id=model_id(photograph.view.card),
-        plane=None if tilt is None else known_plane(tilt),
-    )
 
 
 def _status(photographs: Sequence[FlightPhotograph]) -> Status:

@@ -144,11 +144,6 @@ def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | No
     return tilt.model_copy(update={"gsd_least_m_per_px": least, "gsd_largest_m_per_px": largest})
 
 
-def known_plane(tilt: TiltEstimate) -> KnownPlane:
-    """Tilt of a record as a known scale carries it."""
-    return KnownPlane(tilt_deg=tilt.tilt_deg, roll_deg=tilt.roll_deg, focal_length_px=tilt.focal_length_px)
-
-
 def _plane(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float) -> GroundPlane:
     size = record.image_width_px, record.image_height_px
     return GroundPlane(gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, *size, tilt.roll_deg)
