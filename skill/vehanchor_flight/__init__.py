@@ -15,15 +15,11 @@ if TYPE_CHECKING:
     from vehanchor_flight.verbs import estimate_flight, live_scales, rescale
     from vehanchor_flight.video import sample_video
 
-_HOME = {  # resolved on first use, so that the commands' help is fast
-    "FlightEstimate": "records",
-    "InputPhotograph": "inputs",
-    "LiveScale": "records",
-    "ModelScale": "records",
-    "estimate_flight": "verbs",
-    "live_scales": "verbs",
-    "rescale": "verbs",
-    "sample_video": "video",
+_HOMES = {  # resolved on first use, so that the commands' help is fast
+    "inputs": ("InputPhotograph",),
+    "records": ("FlightEstimate", "LiveScale", "ModelScale"),
+    "verbs": ("estimate_flight", "live_scales", "rescale"),
+    "video": ("sample_video",),
 }
 
 __all__ = [
@@ -39,6 +35,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(f"vehanchor_flight.{_HOME[name]}"), name)
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(importlib.import_module(f"vehanchor_flight.{home}"), name)
     raise AttributeError(f"module 'vehanchor_flight' has no attribute {name!r}")

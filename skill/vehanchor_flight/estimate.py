@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence, Sized
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -27,7 +28,7 @@ from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_memb
 from vehanchor_flight.record import Failure, conclude_flight
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
@@ -42,9 +43,9 @@ def conclude(results: Sequence[Photograph | Failure], card: DetectorCard, *, sam
     members = [result for result in results if isinstance(result, Photograph)]
     if same_scale:
         return conclude_flight(results, [single_component(places, chief_member(members))], card, same_scale=True)
-    linked = link_photographs(members, [each.features for each in members if each.features is not None])
-    components = [replace(component, members=np.asarray(places)[component.members]) for component in linked.components]
-    return conclude_flight(results, components, card, same_scale=False, links=linked.links)
+    linked, links = link_photographs(members, [each.features for each in members if each.features is not None])
+    components = [replace(component, members=np.asarray(places)[component.members]) for component in linked]
+    return conclude_flight(results, components, card, same_scale=False, links=links)
 
 
 def search_flight(
@@ -140,27 +141,34 @@ def journal_key(taken: InputPhotograph) -> Key | None:
     return (taken.name, *Source.of(file)) if isinstance(file, str | os.PathLike) else None
 
 
-def open_journal(
-    path: Path,
+@contextmanager
+def resumed(
+    path: str | os.PathLike[str] | None,
     detector: Detector,
     options: ScaleOptions,
     lines: KnownLengthTable,
     *,
     model_sha256: str = "",
-) -> Journal[StoredPhotograph]:
-    """Open the journal of a flight or of a reconstruction's photographs.
+) -> Iterator[Journal[StoredPhotograph] | None]:
+    """Open the journal of a flight or of a reconstruction's photographs, and remove it at the end.
 
     Args:
-        path: the file.
+        path: the file; None for no journal.
         detector: finds the vehicles.
         options: of the method.
         lines: lines of known length by photograph.
         model_sha256: checksum of the reconstruction; empty for a flight.
 
+    Yields:
+        The journal, which stays if the block raises; None without one.
+
     Raises:
         InvalidParameterError: the journal has results of other options, or the file is no journal.
         OutputError: it cannot be read or written.
     """
+    if path is None:
+        yield None
+        return
     choices = asdict(options)
     del choices["frame"]
     if lines:
@@ -171,4 +179,6 @@ def open_journal(
     settings = {"vehanchor": version("vehanchor"), "networks_sha256": networks, "flight": 1, **choices}
     remedy = "move the file away, or name another"
     codec = photograph_codec()
-    return Journal(path, settings, dump=codec.dump, load=codec.load, sole=True, remedy=remedy)
+    with Journal(Path(path), settings, dump=codec.dump, load=codec.load, sole=True, remedy=remedy) as journal:
+        yield journal
+        journal.remove()

@@ -12,7 +12,6 @@ the ratios, with relief and tilt.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -255,8 +254,3 @@ def tilt_share(links: Sequence[Link]) -> float:
     left = ((ratios - first + second) ** 2).sum(axis=1).min()
     share = 1 - float(left / max(np.sum(ratios**2), 1e-9)) * (n - 1) / (n - 3)  # less what two parameters fit by chance
     return share if share >= _LEAST_TILT_SHARE else 0.0
-
-
-def contradiction(residual: float) -> str:
-    """Explain why a link was dropped, as a clause."""
-    return f"the ratio is {math.exp(abs(residual)):.2g} times off the ratio by the other overlaps and rulers"

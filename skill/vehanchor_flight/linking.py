@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +12,9 @@ from vehanchor.rulers.positions import Positions, baseline, places_of, positions
 from vehanchor.rulers.registry import uses
 from vehanchor.scale.lengths import Z95
 from vehanchor_flight.components import Component
-from vehanchor_flight.graph import Link, Unary, contradiction, solve, tilt_share
-from vehanchor_flight.layout import Seam, lay_out
-from vehanchor_flight.matching import match
+from vehanchor_flight.graph import Link, Unary, solve, tilt_share
+from vehanchor_flight.layout import lay_out
+from vehanchor_flight.matching import Overlap, match
 from vehanchor_flight.pairs import candidate_pairs
 from vehanchor_flight.photograph import chief_member
 from vehanchor_flight.records import FlightLink
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from vehanchor_flight.components import Component
     from vehanchor_flight.features import Features
     from vehanchor_flight.graph import Subgraph
-    from vehanchor_flight.matching import Match
     from vehanchor_flight.photograph import Photograph
 
 _MOST_MISPLACED = 0.3  # of a photograph's diagonal: an overlap whose shift is further off is dropped
@@ -35,22 +34,10 @@ _MOST_SOLUTIONS = 4
 _LEAST_UNARY_SD = 0.06  # of a photograph's own evidence, without errors common to the flight
 
 
-class LinkedFlight(NamedTuple):
-    """Components and overlaps of a flight.
-
-    Attributes:
-        components: with indices of photographs, the largest first.
-        links: all overlaps.
-    """
-
-    components: tuple[Component, ...]
-    links: tuple[FlightLink, ...]
-
-
 def link_photographs(
     photographs: Sequence[Photograph],
     features: Sequence[Features],
-) -> LinkedFlight:
+) -> tuple[list[Component], list[FlightLink]]:
     """Link photographs by their overlaps.
 
     Args:
@@ -58,7 +45,7 @@ def link_photographs(
         features: of each photograph.
 
     Returns:
-        Components and overlaps.
+        Components with indices of photographs, the largest first, and all overlaps.
     """
     rulers = photographs[0].view.options.rulers
     places = places_of([each.view.image for each in photographs]) if uses(rulers, Positions.kind) else None
@@ -87,7 +74,8 @@ def link_photographs(
         if number in misplaced:
             dropped = f"its shift is {misplaced[number]:.1f} photographs off the shift by the other overlaps"
         elif number not in used:
-            dropped = contradiction(off_ratio[number])
+            times = math.exp(abs(off_ratio[number]))
+            dropped = f"the ratio is {times:.2g} times off the ratio by the other overlaps and rulers"
         links.append(
             FlightLink(
                 first=photographs[first].name,
@@ -98,24 +86,16 @@ def link_photographs(
                 dropped=dropped,
             )
         )
-    return LinkedFlight(tuple(components), tuple(links))
-
-
-class _Overlap(NamedTuple):
-    """Two photographs with a match."""
-
-    first: int
-    second: int
-    match: Match
+    return components, links
 
 
 def _matches(
     photographs: Sequence[Photograph], features: Sequence[Features], places: NDArray[np.float64] | None
-) -> list[_Overlap]:
+) -> list[Overlap]:
     """Match the candidate pairs, on the ground plane of tilted photographs."""
     pairs = candidate_pairs(features, places)
     above = [_rectified(photograph, own) for photograph, own in zip(photographs, features, strict=True)]
-    return [_Overlap(first, second, found) for first, second in pairs if (found := match(above[first], above[second]))]
+    return [Overlap(first, second, found) for first, second in pairs if (found := match(above[first], above[second]))]
 
 
 def _rectified(photograph: Photograph, features: Features) -> Features:
@@ -136,7 +116,7 @@ def _foot(photograph: Photograph) -> NDArray[np.float64]:
     return _centre(photograph) + (0.0 if view.tilt is None else view.tilt.plane(view.image).foot)
 
 
-def _link(overlap: _Overlap, photographs: Sequence[Photograph]) -> Link:
+def _link(overlap: Overlap, photographs: Sequence[Photograph]) -> Link:
     first, second, matched = overlap
     return Link(
         first,
@@ -149,9 +129,9 @@ def _link(overlap: _Overlap, photographs: Sequence[Photograph]) -> Link:
 
 
 def _from_centre(photograph: Photograph, at: NDArray[np.float64]) -> tuple[float, float]:
-    width, height = photograph.view.image.width_px, photograph.view.image.height_px
-    reach = max(width, height) / 2
-    return (float(at[0]) - width / 2) / reach, (float(at[1]) - height / 2) / reach
+    centre = _centre(photograph)
+    x, y = ((at - centre) / centre.max()).tolist()
+    return x, y
 
 
 def _unary(photograph: Photograph) -> Unary | None:
@@ -182,18 +162,18 @@ def _tilt_unknown(photograph: Photograph) -> bool:
 
 
 def _component(
-    subgraph: Subgraph, photographs: Sequence[Photograph], found: Sequence[_Overlap], places: NDArray[np.float64] | None
+    subgraph: Subgraph, photographs: Sequence[Photograph], found: Sequence[Overlap], places: NDArray[np.float64] | None
 ) -> tuple[Component, NDArray[np.float64]]:
     """Make a component, and the distance of each overlap's shift to its layout."""
     members = subgraph.members
     own = [photographs[place] for place in members]
     reference = chief_member(own)
     at = {int(place): local for local, place in enumerate(members)}
-    seams = [Seam(at[first], at[second], matched.turn, float(matched.n)) for first, second, matched in found]
+    inside = [Overlap(at[first], at[second], matched) for first, second, matched in found]
     feet = np.array([_foot(each) for each in own])
     diagonals = np.array([math.hypot(each.view.image.width_px, each.view.image.height_px) for each in own])
     offsets = subgraph.log_scales - subgraph.log_scales[reference]
-    layout, off = lay_out(feet, diagonals, offsets, reference, seams)
+    layout, off = lay_out(feet, diagonals, offsets, reference, inside)
     extra = None
     if places is not None:
         extra = baseline(layout, places[members], float(own[reference].view.image.width_px))

@@ -43,6 +43,14 @@ class Match(NamedTuple):
     second_at: NDArray[np.float64]
 
 
+class Overlap(NamedTuple):
+    """Two photographs with a match; both by index."""
+
+    first: int
+    second: int
+    match: Match
+
+
 def match(first: Features, second: Features) -> Match | None:
     """Find the similarity transform between two photographs.
 

@@ -86,10 +86,10 @@ def pool(
     )
     pooled = conclude(view, measure_all(view, others))
     own = members[reference].analysis.estimate
-    if own.tilt is None:
+    if own.tilt is None or chief.tilt is None:
         return pooled
     tilt = with_scale(own.tilt, own, pooled.estimate.gsd_m_per_px)
-    scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": known_plane(tilt)})
+    scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": known_plane(chief.tilt)})
     return replace(pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt, "scale": scale}))
 
 

@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     from vehanchor_flight.records import FlightEstimate, FlightPhotograph
 
 
+SCALE = ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
+_OF_FLIGHT = (*SCALE, "status", "confidence", "scale", "reason")
+
+
 def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> GsdEstimate:
     """Replace a photograph's own scale by the scale of the flight.
 
@@ -33,13 +37,7 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
     own_tilt = photograph.own.tilt
     return photograph.own.model_copy(
         update={
-            "status": photograph.status,
-            "gsd_m_per_px": photograph.gsd_m_per_px,
-            "gsd_ci95_low_m_per_px": photograph.gsd_ci95_low_m_per_px,
-            "gsd_ci95_high_m_per_px": photograph.gsd_ci95_high_m_per_px,
-            "confidence": photograph.confidence,
-            "scale": photograph.scale,
-            "reason": photograph.reason,
+            **{name: getattr(photograph, name) for name in _OF_FLIGHT},
             "leading_ruler": pooled.leading_ruler,
             "rulers": tuple(_in_pixels(ruler, ratio) for ruler in pooled.rulers),
             "tilt": own_tilt and with_scale(own_tilt, photograph.own, photograph.gsd_m_per_px),
@@ -48,10 +46,4 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
 
 
 def _in_pixels(ruler: RulerScale, ratio: float) -> RulerScale:
-    return ruler.model_copy(
-        update={
-            "gsd_m_per_px": ruler.gsd_m_per_px * ratio,
-            "gsd_ci95_low_m_per_px": ruler.gsd_ci95_low_m_per_px * ratio,
-            "gsd_ci95_high_m_per_px": ruler.gsd_ci95_high_m_per_px * ratio,
-        }
-    )
+    return ruler.model_copy(update={name: getattr(ruler, name) * ratio for name in SCALE})

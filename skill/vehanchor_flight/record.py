@@ -5,21 +5,21 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vehanchor.analysis.pipeline import model_id
-from vehanchor.records import KnownScale, Notice
+from vehanchor.analysis.pipeline import known_scale
+from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
+from vehanchor.records.text import Advice, advice_for
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import Z95
-from vehanchor.tilt.camera_tilt import known_plane
-from vehanchor_flight.advice import carried_advice, component_advice
 from vehanchor_flight.photograph import of_photographs
 from vehanchor_flight.pooling import pool
+from vehanchor_flight.project import SCALE
 from vehanchor_flight.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler
 from vehanchor_flight.sorties import number_sorties
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
     from vehanchor.errors import VehAnchorError
-    from vehanchor.records import Reason, Status
+    from vehanchor.records import GsdEstimate, Reason, Status
     from vehanchor_flight.components import Component
     from vehanchor_flight.photograph import Photograph
     from vehanchor_flight.records import FlightLink
@@ -89,7 +89,7 @@ def conclude_flight(
         members = [found for place in component.members if not isinstance(found := results[place], Failure)]
         pooled = pool(members, component.log_scales, component.reference, component.extra)
         estimate = pooled.estimate
-        advice = component_advice(estimate, unlinked=len(component) == 1 < len(sorties) and not same_scale)
+        advice = _component_advice(estimate, unlinked=len(component) == 1 < len(sorties) and not same_scale)
         of_component = FlightComponent(
             number=number,
             n_photographs=len(component),
@@ -104,12 +104,11 @@ def conclude_flight(
             photographs[int(at)] = record.model_copy(update={"sortie": sorties[int(at)]})
     ordered = tuple(photographs[place] for place in range(len(results)))
     whole = pooled_components[0].pooled if same_scale else None
+    scale: dict[str, Any] = {name: getattr(whole, name, None) for name in SCALE}
     return FlightEstimate(
         status=_status(ordered),
         same_scale=same_scale,
-        gsd_m_per_px=whole.gsd_m_per_px if whole else None,
-        gsd_ci95_low_m_per_px=whole.gsd_ci95_low_m_per_px if whole else None,
-        gsd_ci95_high_m_per_px=whole.gsd_ci95_high_m_per_px if whole else None,
+        **scale,
         confidence=min(each.confidence for each in ordered if each.confidence is not None),
         n_vehicles=sum(each.pooled.n_vehicles or 0 for each in pooled_components),
         photographs=ordered,
@@ -169,7 +168,7 @@ def _photograph(
             confidence = _carried_chance(confidence, math.log(high / low), up + down)
         if status == "ok" and confidence < USABLE_CHANCE:
             status, reason = "low_confidence", "imprecise"
-            advice = carried_advice(maybe_tilted=component.maybe_tilted)
+            advice = _carried_advice(maybe_tilted=component.maybe_tilted)
     return FlightPhotograph(
         photograph=photograph.name,
         status=status,
@@ -181,7 +180,7 @@ def _photograph(
         advice=advice,
         component=record.number,
         supported_by=rulers,
-        scale=_given_back(photograph, gsd, low, high, confidence),
+        scale=known_scale(photograph.view, gsd, None if low is None or high is None else (low, high), confidence),
         own=photograph.analysis.estimate,
     )
 
@@ -197,23 +196,6 @@ def _carried_chance(chance: float, width: float, pooled_width: float) -> float:
     tolerance = 2 * Z95 * math.log1p(TOLERANCE)  # within 20 %, in widths of a normal
     within, pooled_within = (math.erf(tolerance / max(each, 1e-9) / math.sqrt(2)) for each in (width, pooled_width))
     return chance * min(1.0, within / pooled_within)
-
-
-def _given_back(
-    photograph: Photograph, gsd: float | None, low: float | None, high: float | None, confidence: float
-) -> KnownScale | None:
-    image_id, tilt = photograph.view.image.image_id, photograph.analysis.estimate.tilt
-    if gsd is None or low is None or high is None or not image_id:
-        return None
-    return KnownScale(
-        gsd_m_per_px=gsd,
-        gsd_ci95_low_m_per_px=low,
-        gsd_ci95_high_m_per_px=high,
-        confidence=confidence,
-        image_id=image_id,
-        model_id=model_id(photograph.view.card),
-        plane=None if tilt is None else known_plane(tilt),
-    )
 
 
 def _status(photographs: Sequence[FlightPhotograph]) -> Status:
@@ -267,3 +249,45 @@ def _supports(members: Sequence[Photograph], component: Component, pooled: Scale
             if other.found and other.sets_scale
         ]
     return supports
+
+
+def _component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:
+    """Give the advice for a component; None if its scale is usable.
+
+    Args:
+        pooled: its scale.
+        unlinked: whether it is a single photograph of a flight with more.
+    """
+    advice = advice_for(pooled)
+    if advice is None:
+        return None
+    if unlinked:
+        advice = Advice(
+            f"{advice.why}, and no other photograph overlaps it", f"{advice.helps}; or fly with more overlap"
+        )
+    return _sentence(advice)
+
+
+def _carried_advice(*, maybe_tilted: bool) -> str:
+    """Give the advice for a photograph whose scale comes from another one, with too wide an interval.
+
+    Args:
+        maybe_tilted: whether the ratios of the scales may be those of a tilted camera.
+    """
+    if maybe_tilted:
+        return _sentence(
+            Advice(
+                "the overlaps fit a tilted camera as well as one that climbs",
+                "give photographs with the camera's angle in their metadata, or taken straight down",
+            )
+        )
+    return _sentence(
+        Advice(
+            "its rulers are in other photographs, and the overlaps in between widen the interval",
+            "add photographs between them, or give the height",
+        )
+    )
+
+
+def _sentence(advice: Advice) -> str:
+    return f"{advice.why[0].upper()}{advice.why[1:]}: {advice.helps}."

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.engine import Engine
 from vehanchor.rulers.known_length_table import lines_in
-from vehanchor_flight.estimate import check_options, conclude, open_journal, search_flight
+from vehanchor_flight.estimate import check_options, conclude, resumed, search_flight
 from vehanchor_flight.inputs import check_many, named
 from vehanchor_flight.live.estimator import LiveEstimator
 from vehanchor_flight.live.frames import open_frames
-from vehanchor_flight.reconstruction.estimate import conclude_model, open_model_journal, photograph_files, search_model
+from vehanchor_flight.reconstruction.estimate import conclude_model, model_sha256, photograph_files, search_model
 from vehanchor_flight.reconstruction.files import images_of, read_model
 from vehanchor_flight.reconstruction.model import Reconstruction
 
@@ -67,12 +66,9 @@ def estimate_flight(
     check_options(chosen)
     detector = checked_detector(called.detector, chosen)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
-    with nullcontext() if journal is None else open_journal(Path(journal), detector, chosen, lines) as kept:
+    with resumed(journal, detector, chosen, lines) as kept:
         results = search_flight(taken, detector, chosen, featured=not same_scale, journal=kept, lines=lines)
-        record = conclude(results, detector.card, same_scale=same_scale)
-        if kept is not None:
-            kept.remove()
-    return record
+        return conclude(results, detector.card, same_scale=same_scale)
 
 
 def rescale(
@@ -113,11 +109,8 @@ def rescale(
     detector = checked_detector(called.detector, chosen)
     chosen = replace(chosen, rulers=replace(chosen.rulers, metadata=False))
     lines = lines_in(known_lengths_table, photograph_files(read, folder))
-    with nullcontext() if journal is None else open_model_journal(Path(journal), read, detector, chosen, lines) as kept:
-        record = conclude_model(read, search_model(read, folder, detector, chosen, lines, kept), folder)
-        if kept is not None:
-            kept.remove()
-    return record
+    with resumed(journal, detector, chosen, lines, model_sha256=model_sha256(read)) as kept:
+        return conclude_model(read, search_model(read, folder, detector, chosen, lines, kept), folder)
 
 
 def live_scales(

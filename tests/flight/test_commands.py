@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setattr("vehanchor.cli.terminal._LINE_EVERY_S", 0.0)  # of progress in a log
 
     def invoke(command: str, *arguments: object) -> Result:
         return CliRunner().invoke(cli.app, [command, *map(str, arguments), "--detector", "detector.onnx"])
@@ -33,25 +35,15 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return invoke
 
 
-def test_a_folder_of_one_scale_is_told_in_a_table(run: Any) -> None:
-    done = run("flight", ".", "--same-scale")
-    assert done.exit_code == 0, done.output
-    assert "scale of all" in done.stdout
-    assert "0.168" in done.stdout
-
-
-def test_json_is_the_record_and_nothing_else(run: Any, tmp_path: Path) -> None:
-    done = run("flight", "*.png", "--same-scale", "--json", "--out", "flight.json")
-    record = json.loads(done.stdout)
-    assert record == json.loads((tmp_path / "flight.json").read_text())
-    assert [each["photograph"] for each in record["photographs"]] == ["0.png", "1.png", "2.png", "3.png"]
-    assert not (tmp_path / "flight.json.journal").exists()
+def _told(done: Result) -> list[str]:
+    return [line for line in done.stderr.splitlines() if "images" in line]
 
 
 def test_photographs_of_unknown_ratio_each_have_a_line(run: Any) -> None:
     done = run("flight", "0.png", "2.png")
     assert "its own vehicles" in done.stdout
     assert "no other photograph overlaps it" in " ".join(done.stdout.split())
+    assert _told(done) == ["searching 0 of 2 images", "searching 1 of 2 images", "linking 2 of 2 images"]
 
 
 def test_tables_fit_a_terminal_of_80_columns(run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,14 +65,17 @@ def test_an_output_that_cannot_be_written_is_told_before_the_work(run: Any, out:
     assert "output_unwritable" in done.stderr
 
 
-def test_the_scale_of_a_photograph_without_cars_is_given_back(run: Any, tmp_path: Path) -> None:
-    assert run("flight", ".", "--same-scale", "--out", "flight.json").exit_code == 0
-    scale = json.loads((tmp_path / "flight.json").read_text())["gsd_m_per_px"]
+def test_json_is_the_record_whose_scale_is_given_back_for_a_photograph_without_cars(run: Any, tmp_path: Path) -> None:
+    done = run("flight", "*.png", "--same-scale", "--json", "--out", "flight.json")
+    flight = json.loads(done.stdout)
+    assert flight == json.loads((tmp_path / "flight.json").read_text())
+    assert [each["photograph"] for each in flight["photographs"]] == ["0.png", "1.png", "2.png", "3.png"]
+    assert not (tmp_path / "flight.json.journal").exists()
     line = ["--point", "100", "100", "--point", "200", "100"]
     done = run("distance", "2.png", *line, "--scale", "flight.json", "--json")
     assert done.exit_code == 0, done.output
     record = json.loads(done.stdout)
-    assert record["distance_m"] == pytest.approx(100 * scale)
+    assert record["distance_m"] == pytest.approx(100 * flight["gsd_m_per_px"])
     assert record["scale_source"] == "reused"
     assert record["distance_ci95_low_m"] < 0.97 * record["distance_m"]
     (tmp_path / "2.png").rename(tmp_path / "other.png")
@@ -89,10 +84,13 @@ def test_the_scale_of_a_photograph_without_cars_is_given_back(run: Any, tmp_path
     assert "not there in the flight" in refused.stderr
 
 
-def test_a_table_has_the_scale_of_the_flight_in_every_row(run: Any, tmp_path: Path) -> None:
+def test_a_folder_of_one_scale_is_told_and_has_it_in_every_row_of_a_table(run: Any, tmp_path: Path) -> None:
     (tmp_path / "4.png").write_bytes(b"no image")
     done = run("flight", ".", "--same-scale", "--table", "scales.jsonl")
     assert done.exit_code == 0, done.output
+    assert "scale of all" in done.stdout
+    assert "0.168" in done.stdout
+    assert _told(done)[-1] == "pooling the evidence of 5 of 5 images"
     rows = [json.loads(line) for line in (tmp_path / "scales.jsonl").read_text().splitlines()]
     assert len({row["gsd_m_per_px"] for row in rows[:4]}) == 1
     assert [row["status"] for row in rows[:4]] == ["ok"] * 4
@@ -100,16 +98,6 @@ def test_a_table_has_the_scale_of_the_flight_in_every_row(run: Any, tmp_path: Pa
     assert rows[4]["error_code"] == "image_undecodable"
     assert not (tmp_path / "scales.jsonl.journal").exists()
     assert run("flight", ".", "--table", "scales.pdf").exit_code == 2
-
-
-@pytest.mark.parametrize(("arguments", "last"), [((), "linking"), (("--same-scale",), "pooling the evidence of")])
-def test_progress_names_the_present_work(
-    run: Any, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], last: str
-) -> None:
-    monkeypatch.setattr("vehanchor.cli.terminal._LINE_EVERY_S", 0.0)
-    done = run("flight", ".", *arguments)
-    told = [line for line in done.stderr.splitlines() if "images" in line]
-    assert told == [*(f"searching {number} of 4 images" for number in range(4)), f"{last} 4 of 4 images"]
 
 
 @pytest.fixture
@@ -149,8 +137,11 @@ def test_a_wrong_argument_is_refused_before_the_work(live: Any, arguments: tuple
     assert done.stderr.startswith("error[")
 
 
-def test_a_camera_that_is_not_there_is_told_once(live: Any, capfd: pytest.CaptureFixture[str]) -> None:
-    done = live("97", "--idle", 2)
+def test_a_camera_that_is_not_there_is_told_once(
+    live: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vehanchor_flight.live.frames._RETRY_S", 0.05)
+    done = live("97", "--idle", 0.5)
     assert done.exit_code == 0
     assert not done.stdout
     assert done.stderr.count("camera 97 gives no frames") == 1
@@ -160,13 +151,21 @@ def test_a_camera_that_is_not_there_is_told_once(live: Any, capfd: pytest.Captur
 LENGTHS = 4.8 * (1 + 0.06 * np.linspace(-1, 1, 12) ** 3)
 
 
-@pytest.fixture
-def rescale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``vehanchor flight rescale`` in a folder with a model at 92 % of its size."""
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a model at 92 % of its size, and a detector."""
+    folder = tmp_path_factory.mktemp("rescale")
     cars = np.column_stack([[(80 + 9 * (k % 4), 80 + 9 * (k // 4)) for k in range(12)], LENGTHS, np.arange(12) * 0.3])
     poses = [Pose(80, 80, 70), Pose(110, 85, 70, 8, 100), Pose(100, 90, 75)]
-    write_opensfm(tmp_path / "project", [pose.painted(cars) for pose in poses], poses, 1 / 0.92)
-    write_detector(tmp_path / "detector.onnx")
+    write_opensfm(folder / "project", [pose.painted(cars) for pose in poses], poses, 1 / 0.92)
+    write_detector(folder / "detector.onnx")
+    return folder
+
+
+@pytest.fixture
+def rescale(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Runs ``vehanchor flight rescale`` in a copy of the folder."""
+    shutil.copytree(project, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("NO_COLOR", "1")

@@ -31,6 +31,24 @@ def flight(tmp_path: Path) -> list[str]:
     return write_flight(tmp_path, [FLEET[0::3], FLEET[1::3], [], FLEET[2::3]])
 
 
+@pytest.fixture
+def searched(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """What was searched, one entry a photograph."""
+    searched: list[object] = []
+
+    def counted(*arguments: Any, **more: Any) -> Any:
+        searched.append(arguments)
+        return search_raster(*arguments, **more)
+
+    monkeypatch.setattr(flight_estimate, "search_raster", counted)
+    return searched
+
+
+def _stop(done: int, _total: int) -> None:
+    if done == 2:
+        raise KeyboardInterrupt
+
+
 def test_photographs_of_one_scale_share_it(flight: list[str], detector: Detector) -> None:
     record = estimate_flight(flight, same_scale=True, detector=detector, rulers=("vehicles",))
     assert record.status == "ok"
@@ -41,10 +59,6 @@ def test_photographs_of_one_scale_share_it(flight: list[str], detector: Detector
     (component,) = record.components
     assert (component.n_photographs, component.pooled.n_vehicles) == (4, 9)
     assert record.confidence > max(each.own.confidence for each in record.photographs if each.own)
-
-
-def test_a_photograph_without_a_car_is_supported_by_those_with_cars(flight: list[str], detector: Detector) -> None:
-    record = estimate_flight(flight, same_scale=True, detector=detector, rulers=("vehicles",))
     first = [each.supported_by[0] for each in record.photographs]
     assert [each.ruler for each in first] == ["vehicles"] * 4
     assert [first[place].photograph for place in (0, 1, 3)] == [flight[0], flight[1], flight[3]]
@@ -94,38 +108,23 @@ def test_one_photograph_is_no_flight(one: Any, tmp_path: Path) -> None:
 
 
 def test_an_interrupted_flight_goes_on_where_it_stopped(
-    flight: list[str], detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    flight: list[str], detector: Detector, tmp_path: Path, searched: list[object]
 ) -> None:
     whole = estimate_flight(flight, same_scale=True, detector=detector)
-    looked: list[int] = []
-
-    def stop(done: int, _total: int) -> None:
-        looked.append(done)
-        if done == 2:
-            raise KeyboardInterrupt
-
     journal = tmp_path / "flight.journal"
     with pytest.raises(KeyboardInterrupt):
-        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=stop)
-    searched: list[object] = []
-
-    def counted(*arguments: Any, **more: Any) -> Any:
-        searched.append(arguments)
-        return search_raster(*arguments, **more)
-
-    monkeypatch.setattr(flight_estimate, "search_raster", counted)
+        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=_stop)
+    searched.clear()
+    with pytest.raises(InvalidParameterError, match="unfinished run"):
+        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, alpha=2.0)
     again = estimate_flight(flight, same_scale=True, detector=detector, journal=journal)
     assert len(searched) == 2
     assert again == whole
     assert not journal.exists()
-    with pytest.raises(KeyboardInterrupt):
-        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=stop)
-    with pytest.raises(InvalidParameterError, match="unfinished run"):
-        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, alpha=2.0)
 
 
 def test_an_interrupted_flight_of_a_video_goes_on_where_it_stopped(
-    detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    detector: Detector, tmp_path: Path, searched: list[object]
 ) -> None:
     film, journal = tmp_path / "film.avi", tmp_path / "flight.journal"
     writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 1.0, (480, 360))
@@ -133,21 +132,10 @@ def test_an_interrupted_flight_of_a_video_goes_on_where_it_stopped(
         writer.write(car_park(FLEET)[:, :, ::-1])
     writer.release()
 
-    def stop(done: int, _total: int) -> None:
-        if done == 2:
-            raise KeyboardInterrupt
-
+    frames = sample_video(str(film), 1.0)
     with pytest.raises(KeyboardInterrupt):
-        estimate_flight(
-            sample_video(str(film), 1.0), same_scale=True, detector=detector, journal=journal, progress=stop
-        )
-    searched: list[object] = []
-
-    def counted(*arguments: Any, **more: Any) -> Any:
-        searched.append(arguments)
-        return search_raster(*arguments, **more)
-
-    monkeypatch.setattr(flight_estimate, "search_raster", counted)
+        estimate_flight(frames, same_scale=True, detector=detector, journal=journal, progress=_stop)
+    searched.clear()
     again = estimate_flight(sample_video(str(film), 1.0), same_scale=True, detector=detector, journal=journal)
     assert len(searched) == 1
     assert len(again.photographs) == 3

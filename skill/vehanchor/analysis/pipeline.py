@@ -239,7 +239,7 @@ def _record(view: View, witnesses: Sequence[Witness], decided: _Decided, warning
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         tilt=None if view.tilt is None else view.tilt.record(image, gsd),
         frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
-        scale=_known_scale(view, gsd, interval, decided.confidence),
+        scale=known_scale(view, gsd, interval, decided.confidence),
         model=view.card.name,
         warnings=warnings,
         details=_details(view, vehicles, witnesses),
@@ -289,7 +289,7 @@ def model_id(card: DetectorCard) -> str:
     return card.sha256[:_MODEL_DIGITS]
 
 
-def _known_scale(
+def known_scale(
     view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
 ) -> KnownScale | None:
     """Make the scale to give back; None without a scale, or if the image has no checksum."""

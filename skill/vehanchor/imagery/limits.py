@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageFormatError, ImageTooLargeError
-from vehanchor.imagery.formats.header import ImageHeader, read_header
+from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.formats.ifd import ReadAt
+from vehanchor.imagery.formats.image_header import ImageHeader
 
 if TYPE_CHECKING:
     from vehanchor.options import ImageLimits

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -33,27 +33,14 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
+    from vehanchor.batch.row import BatchRow
     from vehanchor.options import ImageLimits
     from vehanchor_flight.inputs import InputPhotograph
     from vehanchor_flight.records import FlightEstimate, FlightPhotograph
 
-_EVERY_S = 2.0
 _MOST_SIZES = 12  # of components, in one line
 _MOST_NAMED = 3  # photographs with one advice
 _STATUSES = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
-
-
-SameScale: TypeAlias = Annotated[
-    bool,
-    typer.Option(
-        "--same-scale", help="All photographs have one scale, as in a survey at one height: pool their evidence."
-    ),
-]
-TableFile: TypeAlias = Annotated[
-    Path | None,
-    typer.Option("--table", metavar="FILE", help="Write a table with a row for each photograph, as 'batch' does."),
-]
-Seconds: TypeAlias = Annotated[float, typer.Option(metavar="S", help="For a video: seconds between photographs.")]
 
 
 @scale_command(without=OF_ONE_IMAGE)
@@ -66,7 +53,12 @@ def photographs(
             show_default=False,
         ),
     ],
-    same_scale: SameScale = False,
+    same_scale: Annotated[
+        bool,
+        typer.Option(
+            "--same-scale", help="All photographs have one scale, as in a survey at one height: pool their evidence."
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     out: Annotated[
         Path | None,
@@ -75,16 +67,18 @@ def photographs(
             help="Write the record, for 'measure --scale'. After an interruption, the same command resumes the run.",
         ),
     ] = None,
-    table: TableFile = None,
+    table: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a table with a row for each photograph, as 'batch' does."),
+    ] = None,
     known_lengths: KnownLengthsFile = None,
-    every: Seconds = _EVERY_S,
+    every: Annotated[float, typer.Option(metavar="S", help="For a video: seconds between photographs.")] = 2.0,
     *,
     chosen: ParsedOptions,
 ) -> None:
     """Estimate the scales of the photographs of one flight from their common evidence."""
     with exit_on_error():
-        from vehanchor.batch.table import check_table_path
-        from vehanchor_flight.table import write_flight_table
+        from vehanchor.batch.table import check_table_path, write_table
         from vehanchor_flight.verbs import estimate_flight
 
         engine = chosen.engine()
@@ -110,7 +104,7 @@ def photographs(
         if out is not None:
             write_record(out, record)
         if table is not None:
-            write_flight_table(table, record)
+            write_table(table, (_row(record, each) for each in record.photographs))
         _tell(record, as_json=as_json)
 
 
@@ -125,6 +119,16 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
     if not record.same_scale:
         print_table(_photographs_table(record.photographs, short))
     print_warnings(record.warnings)
+
+
+def _row(record: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
+    """Make the row of ``vehanchor batch`` with the scale of the flight."""
+    from vehanchor.batch.row import BatchRow
+    from vehanchor_flight.project import estimate_in_flight
+
+    if photograph.own is None:
+        return BatchRow(file=photograph.photograph, error_code=photograph.error_code, error=photograph.error)
+    return BatchRow(file=photograph.photograph, estimate=estimate_in_flight(record, photograph))
 
 
 def _images(

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from vehanchor_flight.reconstruction.model import Reconstruction
-    from vehanchor_flight.records import ModelPhotograph, ModelScale
+    from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
 _FILES = "Files to write"
 _METADATA = ("metadata", "height_m", "height_basis", "height_tolerance_m", "focal_35mm")
@@ -80,14 +80,12 @@ def rescale(
 ) -> None:
     """Give a reconstruction its size in metres. Files in metres need a usable size."""
     with exit_on_error():
-        from vehanchor_flight.reconstruction.files import images_of
         from vehanchor_flight.verbs import rescale as rescaled
 
         journal = out and check_output_path(out, (".json",), kind="a record").with_name(out.name + ".journal")
         model = _model(source, project, geo)
         with image_progress() as progress, resumable(journal):
             engine = chosen.engine(progress=progress)
-            images = images or images_of(model)
             record = rescaled(model, engine=engine, images=images, known_lengths_table=lines, journal=journal)
         written = _write_in_metres(model, record, project, geo)
         if out is not None:
@@ -135,20 +133,17 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
         return
     facts = [("verdict", record.verdict)]
     if record.factor is not None:
-        facts.append(("factor", _interval(record.factor, record.factor_ci95_low, record.factor_ci95_high)))
+        facts.append(("factor", _interval(record)))
     facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     if record.reason is not None:
         facts.append(("reason", record.reason))
     for ruler in record.rulers:
-        part = f"right: {ruler.p_right:.2f}"
-        stated = _interval(ruler.factor, ruler.factor_ci95_low, ruler.factor_ci95_high)
-        facts.append((ruler.label, f"{stated}, n {ruler.n}, {part}"))
+        facts.append((ruler.label, f"{_interval(ruler)}, n {ruler.n}, right: {ruler.p_right:.2f}"))
     used = [each for each in record.photographs if each.status == "used"]
     if record.photographs:
         facts.append(("photographs", f"{record.n_photographs}, {len(used)} of them carry the factor"))
-    facts += [
-        ("outlier", f"{each.photograph}: {_own(each)}") for each in record.photographs if each.status == "outlier"
-    ]
+    outliers = (each for each in record.photographs if each.status == "outlier")
+    facts += [("outlier", f"{each.photograph}: {', '.join(each.rulers)} {_interval(each)}") for each in outliers]
     facts += [("written", str(path)) for path in written]
     print_table(facts_table(source, facts))
     if used:
@@ -159,14 +154,8 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
     print_warnings(record.warnings)
 
 
-def _interval(factor: float, low: float | None, high: float | None) -> str:
-    return f"{factor:.4g}" if low is None or high is None else f"{factor:.4g}   (95 %: {low:.4g} to {high:.4g})"
-
-
-def _own(each: ModelPhotograph) -> str:
-    if each.factor is None:
-        return "-"
-    return f"{', '.join(each.rulers)} {_interval(each.factor, each.factor_ci95_low, each.factor_ci95_high)}"
+def _interval(each: ModelScale | ModelRuler | ModelPhotograph) -> str:
+    return f"{each.factor:.4g}   (95 %: {each.factor_ci95_low:.4g} to {each.factor_ci95_high:.4g})"
 
 
 def _photographs(used: Sequence[ModelPhotograph]) -> Table:

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate
-    from vehanchor.rulers.ruler import View
     from vehanchor_flight.features import Features
     from vehanchor_flight.live.frames import Frame
     from vehanchor_flight.matching import Match
@@ -43,7 +42,7 @@ HOLD_S = Limits(above=0, most=3600)
 """Limits of the seconds without vehicles after which there is no scale."""
 
 _FEATURES_SIDE_PX = 480  # of the reduced copy: a third of the side of 1280 px
-_STRETCH_EVERY = 10  # frames; a camera's proportions do not change in flight
+_STRETCH_EVERY = 10  # frames; a camera's proportions do not change in flight, so that the last result is kept
 _PRIOR_FRAMES = 1.0  # new ground, in frames, after which the scene-scale prior is taken again
 _GRID_POINTS = 8  # along each side of a frame, to count its new ground
 
@@ -114,24 +113,17 @@ class LiveEstimator:
         window = next_window(raster.width_px, raster.height_px, factor, self._turn, self._cars)
         prior = None if self._prior is None else self._prior.scaled(factor)
         with open_raster(read_reduced_window(raster, window, factor)) as part:
-            view = search_raster(part, self._detector, self._options, prior, check_stretch=self._checks_stretch)
-            view = self._with_stretch(view)
+            checks = self._stretch is None or self._turn % _STRETCH_EVERY == 0
+            view = search_raster(part, self._detector, self._options, prior, check_stretch=checks)
+            if view.detections.stretch is not None:
+                self._stretch = view.detections.stretch
+            view = replace(view, detections=replace(view.detections, stretch=self._stretch))
             analysis = conclude(view, measure_all(view))  # no tilt: the camera looks down
         measured = measurement(analysis, factor)
         if measured is not None:
             self._state = corrected(self._state, measured)
         self._replace_cars(analysis, window, factor)
         return analysis
-
-    @property
-    def _checks_stretch(self) -> bool:
-        return self._stretch is None or self._turn % _STRETCH_EVERY == 0
-
-    def _with_stretch(self, view: View) -> View:
-        """Keep the last result of the test for stretch, in frames without the test too."""
-        if view.detections.stretch is not None:
-            self._stretch = view.detections.stretch
-        return replace(view, detections=replace(view.detections, stretch=self._stretch))
 
     def _expected_gsd(self) -> float | None:
         """Give the scale by the filter, else by the prior."""

@@ -75,9 +75,9 @@ class FilterState(NamedTuple):
     common_log_sd: float
     log_odds: float
     information: float
-    moved: float
-    silent_s: float
-    contradictions: int
+    moved: float = 0.0
+    silent_s: float = 0.0
+    contradictions: int = 0
 
     @property
     def log_sd(self) -> float:
@@ -110,9 +110,7 @@ class FilterState(NamedTuple):
 def started(measured: Measurement) -> FilterState:
     """Start the filter from one measurement."""
     variance = max(measured.log_sd, _LEAST_LOG_SD) ** 2
-    return FilterState(
-        measured.log_gsd, variance, measured.common_log_sd, _log_odds(measured.chance), 1 / variance, 0.0, 0.0, 0
-    )
+    return FilterState(measured.log_gsd, variance, measured.common_log_sd, _log_odds(measured.chance), 1 / variance)
 
 
 def predicted(state: FilterState, seconds: float, motion: Motion | None) -> FilterState | None:
@@ -171,9 +169,6 @@ def corrected(state: FilterState | None, measured: Measurement) -> FilterState:
         measured.common_log_sd,
         min(_MOST_LOG_ODDS, max(state.log_odds + new * own, own)),
         1 / variance,
-        0.0,
-        0.0,
-        0,
     )
 
 

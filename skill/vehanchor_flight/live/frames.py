@@ -92,18 +92,11 @@ def open_frames(
     if source and Path(source).is_dir():
         return folder_frames(Path(source), reading, idle_s=idle_s, tell=tell)
     if is_video(source):
-        return video_frames(source, every_s, reading)
+        return (
+            Frame(taken.name, np.asarray(taken.image, np.uint8), number * every_s, time.monotonic(), 0)
+            for number, taken in enumerate(sample_video(source, every_s, reading.limits))
+        )
     raise ImageNotFoundError(f"{source!r} is no source of frames: name a folder, a video, or the number of a camera")
-
-
-def video_frames(path: str, every_s: float, reading: Reading) -> Iterator[Frame]:
-    """Yield the sharpest frame of each interval of a video, in its own time.
-
-    Raises:
-        ImageError: as ``vehanchor_flight.video.sample_video``.
-    """
-    for number, taken in enumerate(sample_video(path, every_s, reading.limits)):
-        yield Frame(taken.name, np.asarray(taken.image, np.uint8), number * every_s, time.monotonic(), 0)
 
 
 def folder_frames(

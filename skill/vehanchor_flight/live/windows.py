@@ -61,14 +61,12 @@ def next_window(width_px: int, height_px: int, factor: int, turn: int, cars: NDA
         corners = np.clip(np.rint(cars / factor - np.array(side) / 2), 0, np.array([width, height]) - np.array(side))
         around = [Window(int(left), int(top), *side) for left, top in corners]
         return around[int(np.argmax([_inside(cars / factor, each) for each in around]))]
-    lefts, tops = _starts(width, side[0]), _starts(height, side[1])
+    lefts, tops = (
+        np.linspace(0, extent - own, math.ceil(extent / own)).astype(int).tolist()  # spread evenly
+        for extent, own in zip((width, height), side, strict=True)
+    )
     windows = [Window(left, top, *side) for top in tops for left in lefts]
     return windows[(turn // _ELSEWHERE_EVERY if len(cars) else turn) % len(windows)]
-
-
-def _starts(extent: int, side: int) -> list[int]:
-    """Spread windows of a side evenly over an extent."""
-    return [int(start) for start in np.linspace(0, extent - side, math.ceil(extent / side))]
 
 
 def _inside(points: NDArray[np.float64], window: Window) -> int:

@@ -163,10 +163,8 @@ def _lens(kind: str, width: float, height: float, parameters: Sequence[float]) -
     if len(parameters) != n_parameters or not all(np.isfinite(parameters)) or min(parameters[:n_focals]) <= 0:
         raise ValueError(f"parameters of a camera {kind}: {parameters}")
     focal_x, focal_y = parameters[0], parameters[n_focals - 1]
-    distortion = tuple(parameters[n_focals + 2 :])
-    distortion += (0.0,) * (4 - len(distortion))
-    centre_x, centre_y = parameters[n_focals : n_focals + 2]
-    return Lens(width, height, focal_x, focal_y, centre_x, centre_y, distortion, kind.endswith("FISHEYE"))
+    centre_x, centre_y, *distortion = parameters[n_focals:]
+    return Lens(width, height, focal_x, focal_y, centre_x, centre_y, tuple(distortion), kind.endswith("FISHEYE"))
 
 
 def _image_offsets(found: bytearray) -> Iterator[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -14,12 +14,10 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Source
-from vehanchor_flight.estimate import open_journal
 from vehanchor_flight.photograph import chief_member
 from vehanchor_flight.pooling import pool
 from vehanchor_flight.reconstruction.ground import model_plane
 from vehanchor_flight.reconstruction.photograph import SeenPhotograph, distinct, search_photograph
-from vehanchor_flight.reconstruction.verdict import verdict
 from vehanchor_flight.record import Failure
 from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
@@ -28,35 +26,14 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import GsdEstimate
+    from vehanchor.records import GsdEstimate, RulerScale
     from vehanchor.rulers.known_length_table import KnownLengthTable
     from vehanchor.storage.journal import Journal
     from vehanchor_flight.photograph import StoredPhotograph
     from vehanchor_flight.reconstruction.model import Reconstruction
 
 _WIDEST_USED = 2.0  # largest ratio of the ends of a photograph's interval, with which it carries the factor
-
-
-class _Scaled(NamedTuple):
-    """Scale over the units of the model.
-
-    Attributes:
-        factor: metres per unit.
-        low: lower end of its 95 % interval.
-        high: upper end.
-    """
-
-    factor: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, estimate: GsdEstimate, gsd: float) -> _Scaled | None:
-        """Divide a scale by ``gsd``, model units per pixel; None without a scale."""
-        found = estimate.gsd_m_per_px, estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
-        if found[0] is None or found[1] is None or found[2] is None:
-            return None
-        return cls(found[0] / gsd, found[1] / gsd, found[2] / gsd)
+_OWN_UNITS = 1.5  # a factor beyond this, or below its inverse, means that the model is not in metres
 
 
 def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Failure], images: Path) -> ModelScale:
@@ -72,17 +49,15 @@ def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Fai
     chief = chief_member(members)
     gsd = seen[chief].sight.gsd
     pooled = pool(members, np.log([each.sight.gsd for each in seen]), chief).estimate
-    found = _Scaled.of(pooled, gsd)
-    photographs = [_failed(each) if isinstance(each, Failure) else _photograph(each, found) for each in results]
+    factors = _factors(pooled, gsd)
+    photographs = [_failed(each) if isinstance(each, Failure) else _photograph(each, factors) for each in results]
     return ModelScale(
         status=pooled.status,
         source=model.kind,
-        factor=found and found.factor,
-        factor_ci95_low=found and found.low,
-        factor_ci95_high=found and found.high,
+        **factors,
         confidence=pooled.confidence,
         reason=pooled.reason,
-        verdict=verdict(found, usable=pooled.status == "ok"),
+        verdict=verdict(*factors.values(), usable=pooled.status == "ok"),
         n_photographs=len(model.shots),
         n_vehicles=pooled.n_vehicles or 0,
         rulers=_rulers(pooled, gsd),
@@ -152,14 +127,12 @@ def search_model(
     return found
 
 
-def open_model_journal(
-    path: Path, model: Reconstruction, detector: Detector, options: ScaleOptions, lines: KnownLengthTable
-) -> Journal[StoredPhotograph]:
-    """Open the journal of a model; results of another model count as other options."""
+def model_sha256(model: Reconstruction) -> str:
+    """Compute the checksum of a model; in a journal, results of another model count as other options."""
     digest = hashlib.sha256(model.points.tobytes())
     for shot in model.shots:
         digest.update(f"{shot.name} {shot.lens}".encode() + shot.rotation.tobytes() + shot.translation.tobytes())
-    return open_journal(path, detector, options, lines, model_sha256=digest.hexdigest())
+    return digest.hexdigest()
 
 
 def _inside(name: str) -> str:
@@ -184,15 +157,20 @@ def _nothing_usable(failures: Sequence[Failure], images: Path) -> VehAnchorError
     return failures[0].error if failures else ReconstructionError("the model has no photographs")
 
 
+def _factors(scaled: GsdEstimate | RulerScale, gsd: float) -> dict[str, Any]:
+    """Divide a scale and its interval by ``gsd``, model units per pixel, into fields of records; all None without."""
+    found = scaled.gsd_m_per_px, scaled.gsd_ci95_low_m_per_px, scaled.gsd_ci95_high_m_per_px
+    factors = [None if each is None or None in found else each / gsd for each in found]
+    return dict(zip(("factor", "factor_ci95_low", "factor_ci95_high"), factors, strict=True))
+
+
 def _rulers(estimate: GsdEstimate, gsd: float) -> tuple[ModelRuler, ...]:
     """List the rulers that can set a scale."""
     return tuple(
         ModelRuler(
             kind=each.kind,
             label=each.label,
-            factor=each.gsd_m_per_px / gsd,
-            factor_ci95_low=each.gsd_ci95_low_m_per_px / gsd,
-            factor_ci95_high=each.gsd_ci95_high_m_per_px / gsd,
+            **_factors(each, gsd),
             n=each.n,
             p_right=each.p_right,
         )
@@ -201,15 +179,13 @@ def _rulers(estimate: GsdEstimate, gsd: float) -> tuple[ModelRuler, ...]:
     )
 
 
-def _photograph(seen: SeenPhotograph, whole: _Scaled | None) -> ModelPhotograph:
+def _photograph(seen: SeenPhotograph, whole: dict[str, Any]) -> ModelPhotograph:
     estimate = seen.alone().analysis.estimate
-    own = _Scaled.of(estimate, seen.sight.gsd)
+    own = _factors(estimate, seen.sight.gsd)
     return ModelPhotograph(
         photograph=seen.name,
         status=_status(own, whole),
-        factor=own and own.factor,
-        factor_ci95_low=own and own.low,
-        factor_ci95_high=own and own.high,
+        **own,
         rulers=tuple(each.kind for each in estimate.rulers if each.sets_scale),
         n_vehicles=estimate.n_vehicles or 0,
         camera_height=seen.sight.height,
@@ -217,16 +193,45 @@ def _photograph(seen: SeenPhotograph, whole: _Scaled | None) -> ModelPhotograph:
     )
 
 
-def _status(own: _Scaled | None, whole: _Scaled | None) -> Literal["used", "unclear", "outlier", "nothing"]:
+def _status(own: dict[str, Any], whole: dict[str, Any]) -> Literal["used", "unclear", "outlier", "nothing"]:
     """Compare a photograph's own factor with that of the model."""
-    if own is None or whole is None:
+    if None in (own["factor"], whole["factor"]):
         return "nothing"
-    if own.low > whole.high or own.high < whole.low:
+    low, high = own["factor_ci95_low"], own["factor_ci95_high"]
+    if low > whole["factor_ci95_high"] or high < whole["factor_ci95_low"]:
         return "outlier"
-    return "used" if own.high <= _WIDEST_USED * own.low else "unclear"
+    return "used" if high <= _WIDEST_USED * low else "unclear"
 
 
 def _failed(failure: Failure) -> ModelPhotograph:
     return ModelPhotograph(
         photograph=failure.name, status="error", error_code=failure.error.code, error=str(failure.error)
+    )
+
+
+def verdict(factor: float | None, low: float | None, high: float | None, *, usable: bool) -> str:
+    """Put a factor in a sentence.
+
+    Args:
+        factor: metres per unit of the model; None without one.
+        low: lower end of its 95 % interval.
+        high: upper end.
+        usable: whether the confidence suffices.
+    """
+    if factor is None or low is None or high is None:
+        return "The model shows nothing of known size: its size remains unknown."
+    said = _size(factor, low, high)
+    return said if usable else f"Uncertain, do not use: {said[0].lower()}{said[1:]}"
+
+
+def _size(factor: float, low: float, high: float) -> str:
+    spread = f"+- {50 * (high - low) / factor:.2g} %"
+    if not 1 / _OWN_UNITS <= factor <= _OWN_UNITS:
+        return f"One unit of the model is {factor:.4g} m, {spread}."
+    percent = 100 * (1 / factor - 1)  # the size that it has over the size that it should have
+    off = f"{abs(percent):.1f} % too {'small' if percent < 0 else 'large'}, {spread}"
+    return (
+        f"The model has its size: {off}."
+        if low <= 1 <= high
+        else f"The model is {off}: multiply its lengths by {factor:.4g}."
     )

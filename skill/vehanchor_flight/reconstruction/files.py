@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.errors import OutputError, ReconstructionError
+from vehanchor.imagery.metadata.georeference import WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS_M
 from vehanchor.storage.atomic import whole_file
 from vehanchor_flight.reconstruction.colmap import is_colmap, read_colmap, write_scaled_colmap
 from vehanchor_flight.reconstruction.opensfm import read_opensfm, write_scaled_opensfm
@@ -23,17 +24,7 @@ if TYPE_CHECKING:
 _JSON = ("reconstruction.json", "opensfm/reconstruction.json")
 _COLMAP = (".", "sparse/0", "sparse", "0")
 _IMAGES = ("images", "../images", "../../images", "../../../images", ".")
-_EQUATOR_M, _FLATTENING = 6378137.0, 1 / 298.257223563  # of WGS 84
 _TURNS = 6  # of the latitude's iteration, each 150 times closer
-
-
-def find_model(path: str | os.PathLike[str]) -> Path | None:
-    """Find the model in a path: the file of OpenSfM, or the folder of COLMAP; None for neither."""
-    given = Path(path)
-    if given.is_file() and given.suffix.lower() == ".json":
-        return given
-    files = [given / name for name in _JSON if (given / name).is_file()]
-    return next(iter(files), None) or next((given / name for name in _COLMAP if is_colmap(given / name)), None)
 
 
 def read_model(path: str | os.PathLike[str]) -> Reconstruction:
@@ -45,7 +36,9 @@ def read_model(path: str | os.PathLike[str]) -> Reconstruction:
     Raises:
         ReconstructionError: there is no model, or it is damaged.
     """
-    found = find_model(path)
+    given = Path(path)
+    files = [each for each in (given, *map(given.joinpath, _JSON)) if each.suffix.lower() == ".json" and each.is_file()]
+    found = next(iter([*files, *filter(is_colmap, map(given.joinpath, _COLMAP))]), None)
     if found is None:
         raise ReconstructionError(
             f"there is no reconstruction in {str(path)!r}: name a reconstruction.json of OpenSfM or OpenDroneMap, or a "
@@ -96,7 +89,7 @@ def write_rescaled(model: Reconstruction, target: Path, factor: float) -> Path:
     return write(model.path, target, factor)
 
 
-def check_project_path(target: Path) -> Path:
+def check_project_path(target: Path) -> None:
     """Check, before the work, that a project can be written to a folder.
 
     Raises:
@@ -106,7 +99,6 @@ def check_project_path(target: Path) -> Path:
         raise OutputError(f"cannot write a project to {str(target)!r}: name a new folder in a folder that exists")
     if target.is_dir() and any(target.iterdir()):
         raise OutputError(f"{str(target)!r} is not empty: name a new folder")
-    return target
 
 
 def write_geo(path: Path, model: Reconstruction, factor: float) -> None:
@@ -147,17 +139,17 @@ def on_earth(points: NDArray[np.float64], origin: tuple[float, float, float]) ->
     Returns:
         ``[n, 3]`` degrees, degrees and metres.
     """
-    squared = _FLATTENING * (2 - _FLATTENING)
+    squared = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
     phi, theta = math.radians(origin[0]), math.radians(origin[1])
     east = np.array([-math.sin(theta), math.cos(theta), 0.0])
     up = np.array([math.cos(phi) * math.cos(theta), math.cos(phi) * math.sin(theta), math.sin(phi)])
-    prime = _EQUATOR_M / math.sqrt(1 - squared * math.sin(phi) ** 2)
+    prime = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(1 - squared * math.sin(phi) ** 2)
     base = (prime + origin[2]) * up - [0, 0, squared * prime * math.sin(phi)]
     x, y, z = (base + np.asarray(points) @ np.array([east, np.cross(up, east), up])).T
     across, latitude = np.hypot(x, y), np.full(len(x), phi)
     for _ in range(_TURNS):
-        primes = _EQUATOR_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
+        primes = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
         latitude = np.arctan2(z + squared * primes * np.sin(latitude), across)
-    primes = _EQUATOR_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
+    primes = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
     altitude = across * np.cos(latitude) + (z + squared * primes * np.sin(latitude)) * np.sin(latitude) - primes
     return np.column_stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), altitude])

@@ -7,7 +7,7 @@ Camera frames are those of OpenCV: x to the right, y to the lower side, z along 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
+
+    from vehanchor_flight.records import ModelSource
 
 _ASPECT_TOLERANCE = 0.01
 
@@ -88,13 +90,9 @@ class Lens:
         )
         plain: NDArray[np.float64] = (places - matrix[:2, 2]) / [self.focal_x_px, self.focal_y_px]
         if len(places) and (self.fisheye or any(self.distortion)):
-            given = np.array(self.distortion)
-            if self.fisheye:
-                plain = np.asarray(cv2.fisheye.undistortPoints(places[:, None], matrix, given), np.float64).reshape(
-                    -1, 2
-                )
-            else:
-                plain = np.asarray(cv2.undistortPoints(places[:, None], matrix, given), np.float64).reshape(-1, 2)
+            undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
+            given = np.array(self.distortion + (0.0,) * (4 - len(self.distortion)))  # OpenCV takes four at least
+            plain = np.asarray(undistort(places[:, None], matrix, given), np.float64).reshape(-1, 2)
         return np.column_stack([plain, np.ones(len(plain))])
 
     def ideal(self, points: ArrayLike) -> NDArray[np.float64]:
@@ -154,7 +152,7 @@ class Reconstruction:
             east, to the north and up; None if unknown.
     """
 
-    kind: Literal["opensfm", "colmap_text", "colmap_binary"]
+    kind: ModelSource
     path: Path
     shots: tuple[Shot, ...]
     points: NDArray[np.float64]

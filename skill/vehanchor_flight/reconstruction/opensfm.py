@@ -113,14 +113,9 @@ def _lens(camera: Mapping[str, Any]) -> Lens:
         focal_y * side,
         width / 2 + float(camera.get("c_x", 0)) * side,
         height / 2 + float(camera.get("c_y", 0)) * side,
-        _four(tuple(float(camera.get(name, 0)) for name in _DISTORTIONS[kind])),
+        tuple(float(camera.get(name, 0)) for name in _DISTORTIONS[kind]),
         fisheye=kind.startswith("fisheye"),
     )
-
-
-def _four(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """Fill with zeros up to the four coefficients that OpenCV takes at least."""
-    return coefficients + (0.0,) * (4 - len(coefficients))
 
 
 def _rotation(vector: Any) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-FOCAL_PX, WIDTH_PX, HEIGHT_PX = 1000.0, 1000, 750
+FOCAL_PX, WIDTH_PX, HEIGHT_PX = 640.0, 640, 480
 
 
 class Pose(NamedTuple):

@@ -17,10 +17,10 @@ from vehanchor.engine import Engine
 from vehanchor.errors import InvalidParameterError, ReconstructionError
 from vehanchor.options import ScaleOptions
 from vehanchor_flight.reconstruction import photograph
+from vehanchor_flight.reconstruction.estimate import verdict
 from vehanchor_flight.reconstruction.files import read_model
 from vehanchor_flight.reconstruction.ground import local_heights, model_plane, plane_below
 from vehanchor_flight.reconstruction.model import Lens, Reconstruction, Shot
-from vehanchor_flight.reconstruction.verdict import verdict
 from vehanchor_flight.verbs import rescale
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def _rescaled(folder: Path, poses: Sequence[Pose], metres_per_unit: float, cars:
     return rescale(model, OPTIONS, detector=Detector(write_detector(folder / "detector.onnx")))
 
 
-@pytest.mark.parametrize("metres_per_unit", [1 / 0.92, 1.0, 13.0])
+@pytest.mark.parametrize("metres_per_unit", [1 / 0.92, 13.0])
 def test_the_factor_is_that_of_the_model_whatever_the_views(tmp_path: Path, metres_per_unit: float) -> None:
     record = _rescaled(tmp_path, GRID, metres_per_unit, _cars())
     assert record.factor == pytest.approx(metres_per_unit, rel=0.015)
@@ -110,6 +110,9 @@ def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
     with pytest.raises(KeyboardInterrupt):
         rescale(tmp_path / "project", OPTIONS, journal=journal, progress=stop, engine=engine)
+    write_opensfm(tmp_path / "other", [GRID[0].painted(_cars())], GRID[:1], 2.0)
+    with pytest.raises(InvalidParameterError, match="unfinished run"):
+        rescale(tmp_path / "other", OPTIONS, journal=journal, engine=engine)
     searched: list[object] = []
 
     def counted(*arguments: Any) -> Any:
@@ -120,11 +123,6 @@ def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert rescale(tmp_path / "project", OPTIONS, journal=journal, engine=engine) == whole
     assert len(searched) == 1
     assert not journal.exists()
-    with pytest.raises(KeyboardInterrupt):
-        rescale(tmp_path / "project", OPTIONS, journal=journal, progress=stop, engine=engine)
-    write_opensfm(tmp_path / "other", [pose.painted(_cars()) for pose in GRID], GRID, 2.0)
-    with pytest.raises(InvalidParameterError, match="unfinished run"):
-        rescale(tmp_path / "other", OPTIONS, journal=journal, engine=engine)
 
 
 def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
@@ -146,8 +144,8 @@ def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
     ],
 )
 def test_the_verdict_is_one_sentence(factor: tuple[float, float, float], words: str) -> None:
-    assert verdict(factor, usable=True) == words
-    assert verdict(factor, usable=False).startswith("Uncertain, do not use: ")
+    assert verdict(*factor, usable=True) == words
+    assert verdict(*factor, usable=False).startswith("Uncertain, do not use: ")
 
 
 LENS = Lens(WIDTH_PX, HEIGHT_PX, FOCAL_PX, FOCAL_PX, WIDTH_PX / 2, HEIGHT_PX / 2)

@@ -58,7 +58,7 @@ def test_both_formats_of_colmap_are_read(tmp_path: Path, write: object) -> None:
     first, second = model.shots
     assert first.rotation == pytest.approx(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
     assert first.translation == pytest.approx([1.5, -2, 30])
-    assert first.lens.distortion == (-0.02, 0, 0, 0)
+    assert first.lens.distortion == (-0.02,)
     assert second.lens.focal_y_px == 690
     assert model.points == pytest.approx(np.array([[1.0, 2, 3], [-4, 5, 6.5]]))
 

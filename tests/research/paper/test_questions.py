@@ -4,10 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from research.paper.questions import Question, ask_blindly, ask_with_tools, questions_of_photographs, score
-from research.scenes import render_scene
 from vehanchor.options import KnownLength
 from vehanchor_evaluation.survey import survey_known_scale
 
@@ -18,7 +19,7 @@ GSD = 0.12
 def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A table of one photograph."""
     where = tmp_path_factory.mktemp("photographs")
-    render_scene(GSD, width_px=512, height_px=400, seed=3).write(where / "scene.png")
+    cv2.imwrite(str(where / "scene.png"), np.full((400, 512, 3), 90, np.uint8))
     (where / "table.csv").write_text(f"file,gsd_m_per_px,split\n{where}/scene.png,{GSD},val\n")
     return where / "table.csv"
 

@@ -40,7 +40,8 @@ from vehanchor.errors import (
     InvalidParameterError,
     MissingExtraError,
 )
-from vehanchor.imagery.formats.header import ImageHeader, read_header
+from vehanchor.imagery.formats.header import read_header
+from vehanchor.imagery.formats.image_header import ImageHeader
 from vehanchor.imagery.formats.jpeg import MAX_SCANS, MAX_SEGMENTS
 from vehanchor.imagery.limits import MIN_SIDE_PX, check_header
 from vehanchor.imagery.raster import Window

@@ -143,7 +143,7 @@ def test_a_small_image_is_one_tile_of_its_own_size() -> None:
     assert (tile.width_px, tile.height_px) == (256, 100)
 
 
-@pytest.mark.parametrize("factor", [1, 2, 4, 8])
+@pytest.mark.parametrize("factor", [1, 2, 8])
 def test_a_reduced_window_is_the_mean_of_blocks_and_is_read_in_small_pieces(
     factor: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -169,7 +169,7 @@ def test_a_reduced_window_is_the_mean_of_blocks_and_is_read_in_small_pieces(
 
 
 WINDOWED = ImageLimits(max_pixels=1_000_000)
-SIDE_PX, UNREAD_PX = 4800, 560  # a window of 512 px every 600 px
+SIDE_PX, UNREAD_PX = 4800, 560  # along the longer side, a window of 512 px every 600 px
 
 
 def _id(source: ImageSource, limits: ImageLimits | None = None) -> str:
@@ -178,9 +178,9 @@ def _id(source: ImageSource, limits: ImageLimits | None = None) -> str:
 
 
 def test_two_large_images_that_differ_in_one_pixel_have_two_ids(tmp_path: Path) -> None:
-    array = np.full((SIDE_PX, SIDE_PX, 3), 90, np.uint8)
+    array = np.full((512, SIDE_PX, 3), 90, np.uint8)
     other = array.copy()
-    other[UNREAD_PX, UNREAD_PX] = 91
+    other[100, UNREAD_PX] = 91
     first, second = (
         geotiff(tmp_path / f"{name}.tif", pixels, tiled=True, blockxsize=256, blockysize=256)
         for name, pixels in (("first", array), ("second", other))
@@ -221,8 +221,7 @@ def _share(image: NDArray[np.uint8]) -> float:
     )
 
 
-@pytest.mark.parametrize("way", [cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_LANCZOS4])
-@pytest.mark.parametrize("factor", [2, 3, 4])
+@pytest.mark.parametrize(("factor", "way"), [(2, cv2.INTER_LINEAR), (3, cv2.INTER_CUBIC), (4, cv2.INTER_LANCZOS4)])
 def test_an_enlarged_image_has_the_detail_of_its_original(factor: int, way: int) -> None:
     original = _texture(128)
     assert _share(original) == 1.0

@@ -10,6 +10,7 @@ import struct
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.imagery.formats.image_header import ImageHeader
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,6 +24,9 @@ _MAX_ITEMS = 300  # a grid has at most 256, plus EXIF, XMP and alpha
 _MAX_OBUS = 100  # of one item, which is one image
 _OBU_SEQUENCE_HEADER = 1
 _HIGH_BIT_DEPTH = 0x40  # bit of the third byte of "av1C"
+_DECODING_BYTES = {(False, False): 19, (False, True): 34, (True, False): 25, (True, True): 44}
+"""Bytes per pixel by (more than 8 bits, alpha), measured in tests/bombs.py."""
+
 _EXIF_ORIENTATION = {  # (quarter turns anticlockwise, mirror: None, 0 up-down, 1 left-right); the turn comes first
     (0, None): 1,
     (0, 1): 2,
@@ -37,28 +41,6 @@ _EXIF_ORIENTATION = {  # (quarter turns anticlockwise, mirror: None, 0 up-down, 
     (3, 0): 7,
     (3, 1): 5,
 }
-
-
-class AvifSize(NamedTuple):
-    """Declared size of an AVIF.
-
-    Attributes:
-        width_px: stored width of the largest image.
-        height_px: stored height of the largest image.
-        orientation: EXIF orientation, 1 to 8.
-        decoded_px: pixels of the largest image that AV1 declares, which may be more.
-        deep: whether bands have more than 8 bits.
-        alpha: whether an image holds transparency.
-        complete: whether the file holds all bytes of its images.
-    """
-
-    width_px: int
-    height_px: int
-    orientation: int
-    decoded_px: int
-    deep: bool
-    alpha: bool
-    complete: bool
 
 
 class _Box(NamedTuple):
@@ -77,8 +59,8 @@ def is_avif(start: bytes) -> bool:
     return start[8:12] == b"avif" or b"avif" in (compatible[at : at + 4] for at in range(0, len(compatible), 4))
 
 
-def read_avif_size(read_at: ReadAt) -> AvifSize:
-    """Read sizes and orientation.
+def read_avif(read_at: ReadAt) -> ImageHeader:
+    """Read the header of an AVIF: the size of its largest image, and the larger of both sizes to decode.
 
     Raises:
         ImageDecodeError: the file is damaged or an animation.
@@ -105,7 +87,8 @@ def read_avif_size(read_at: ReadAt) -> AvifSize:
     for position, length in _images(read_at, parts):
         complete = complete and len(read_at(position + length - 1, 1)) == 1
         decoded_px = max(decoded_px, _largest_frame_px(read_at, position, position + length))
-    return AvifSize(width, height, turned, decoded_px, deep, alpha, complete)
+    decoding_bytes = _DECODING_BYTES[deep, alpha] * decoded_px
+    return ImageHeader("AVIF", width, height, orientation=turned, complete=complete, decoding_bytes=decoding_bytes)
 
 
 def _boxes(read_at: ReadAt, start: int, end: int | None, until: bytes | None = None) -> Iterator[_Box]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.formats.header import ImageHeader, TiffLayout
+    from vehanchor.imagery.formats.image_header import ImageHeader, TiffLayout
 
 _SILENT = 0
 _NO_MEMORY = -4  # cv::Error::StsNoMem

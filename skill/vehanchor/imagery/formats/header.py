@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from dataclasses import dataclass
 
 from vehanchor.errors import ImageDecodeError, ImageFormatError, ImageTooLargeError
-from vehanchor.imagery.formats.avif import is_avif, read_avif_size
+from vehanchor.imagery.formats.avif import is_avif, read_avif
 from vehanchor.imagery.formats.ifd import (
     MAX_VALUES,
     TAG_ORIENTATION,
@@ -22,8 +21,9 @@ from vehanchor.imagery.formats.ifd import (
     orientation_of,
     read_ifd,
 )
-from vehanchor.imagery.formats.jpeg import EXIF_PREFIX, MAX_SEGMENTS, Reader, read_jpeg_markers
-from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000, read_jpeg2000_size
+from vehanchor.imagery.formats.image_header import COPIES, ImageHeader, TiffLayout
+from vehanchor.imagery.formats.jpeg import EXIF_PREFIX, MAX_SEGMENTS, Reader, read_jpeg
+from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000, read_jpeg2000
 
 IMAGE_FORMATS: dict[str, tuple[str, ...]] = {
     "JPEG": (".jpg", ".jpeg"),
@@ -41,9 +41,7 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_BANDS = {0: 1, 2: 3}  # grey and RGB; all others, and these with transparency, can become four
 _KEPT_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
 _MAX_PNG_CHUNKS = 100_000  # 512 MiB in chunks of 8 KiB, as libpng writes them, would be 65,536
-_COPIES = 2  # OpenCV 5 copies the decoded image before it returns it (measured)
-_WEBP_BYTES = 9  # two copies of four bands, and alpha (measured, as the next ones, in tests/bombs.py)
-_AVIF_BYTES = {(False, False): 19, (False, True): 34, (True, False): 25, (True, True): 44}  # deep, with alpha
+_WEBP_BYTES = 9  # two copies of four bands, and alpha (measured in tests/bombs.py)
 _TIFF_COLOURS = (3, 6)  # palette and YCbCr, which OpenCV decodes to three bands
 _TIFF_BLOCK_BYTES = 4  # OpenCV decodes a strip or tile of up to 8 bits to four bands
 _MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, is at the start; JPEG allows no more
@@ -72,71 +70,6 @@ _TAGS_OF_ONE = frozenset(
 )
 
 
-@dataclass(frozen=True)
-class TiffLayout:
-    """Storage layout of a TIFF.
-
-    Attributes:
-        bands: samples per pixel.
-        bits: bits of each band.
-        sample_format: 1 unsigned, 2 signed, 3 float.
-        photometric: 0 white is zero, 1 black is zero, 2 RGB, 3 palette, 5 CMYK, 6 YCbCr, 8 Lab.
-        planar: whether bands are stored one after the other.
-        georeferenced: whether it has GeoTIFF tags.
-        alpha: whether a band is declared to be alpha.
-        block_px: pixels of a strip or tile, which is decoded whole.
-        mask_block_px: pixels of a strip or tile of its mask; 0 without one.
-    """
-
-    bands: int
-    bits: tuple[int, ...]
-    sample_format: int
-    photometric: int
-    planar: bool
-    georeferenced: bool
-    alpha: bool
-    block_px: int
-    mask_block_px: int
-
-    @property
-    def pixel_bytes(self) -> int:
-        """Bytes of a decoded pixel with all bands."""
-        return self.bands * next((size for size in (1, 2, 4) if max(self.bits) <= 8 * size), 8)
-
-
-@dataclass(frozen=True)
-class ImageHeader:
-    """Header of an encoded image.
-
-    Attributes:
-        format: one of ``IMAGE_FORMATS``.
-        width_px: declared width as stored, before the orientation is applied.
-        height_px: declared height as stored.
-        orientation: EXIF orientation, 1 to 8; 1 if it is absent or invalid.
-        complete: False if the file ends before its end marker (known for JPEG, PNG, WebP, AVIF).
-        tiff: layout of a TIFF; None for other formats.
-        decoding_bytes: memory to decode it whole: its pixels and the decoder's buffers.
-        n_scans: passes of the decoder over the whole image; more than 1 for some JPEGs.
-        windowed: whether it can be read by windows: a TIFF, JPEG 2000 or sequential JPEG.
-        tile_px: pixels of a JPEG 2000's tile, which is decoded whole; 0 for other formats.
-        bands: samples per pixel of a JPEG 2000; 0 for other formats.
-        metadata: offset and length of each block of EXIF or XMP; a TIFF has them as tags.
-    """
-
-    format: str
-    width_px: int
-    height_px: int
-    orientation: int = 1
-    complete: bool = True
-    tiff: TiffLayout | None = None
-    decoding_bytes: int = 0
-    n_scans: int = 1
-    windowed: bool = False
-    tile_px: int = 0
-    bands: int = 0
-    metadata: tuple[tuple[int, int], ...] = ()
-
-
 def is_tiff(start: bytes) -> bool:
     """Test whether a file that begins with these bytes (at least four) is a TIFF or BigTIFF."""
     return start[:4] in TIFF_SIGNATURES
@@ -150,7 +83,7 @@ def read_header(read_at: ReadAt) -> ImageHeader:
     """
     start = read_at(0, 32)
     if start.startswith(b"\xff\xd8\xff"):
-        name, parse = "JPEG", _read_jpeg
+        name, parse = "JPEG", read_jpeg
     elif start.startswith(_PNG_SIGNATURE):
         name, parse = "PNG", _read_png
     elif is_tiff(start):
@@ -160,9 +93,9 @@ def read_header(read_at: ReadAt) -> ImageHeader:
     elif start.startswith(b"BM"):
         name, parse = "BMP", _read_bmp
     elif is_avif(start):
-        name, parse = "AVIF", _read_avif
+        name, parse = "AVIF", read_avif
     elif is_jpeg2000(start):
-        name, parse = "JPEG 2000", _read_jpeg2000
+        name, parse = "JPEG 2000", read_jpeg2000
     else:
         raise ImageDecodeError(f"not an image in one of the formats {', '.join(IMAGE_FORMATS)}: {_advice(start)}")
     try:
@@ -211,23 +144,6 @@ def _check_for_preview(read_at: ReadAt, tags: dict[int, tuple[int, ...]], width:
                 )
 
 
-def _read_jpeg(read_at: ReadAt) -> ImageHeader:
-    markers = read_jpeg_markers(read_at)
-    shown = 1 if markers.components == 1 else 3
-    held = 2 * markers.components if markers.held else 0  # 16-bit coefficients
-    return ImageHeader(
-        "JPEG",
-        markers.width_px,
-        markers.height_px,
-        orientation=markers.orientation,
-        complete=markers.complete,
-        decoding_bytes=markers.width_px * markers.height_px * max(_COPIES * shown, shown + held),
-        n_scans=markers.n_scans,
-        windowed=not markers.held,
-        metadata=markers.metadata,
-    )
-
-
 def _read_png(read_at: ReadAt) -> ImageHeader:
     length, kind, width, height, depth, colour = struct.unpack(">I4sIIBB", read_at(8, 18))
     if kind != b"IHDR" or length != 13:
@@ -260,7 +176,7 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
         height,
         orientation=orientation,
         complete=complete,
-        decoding_bytes=_COPIES * width * height * pixel_bytes,
+        decoding_bytes=COPIES * width * height * pixel_bytes,
         metadata=tuple(metadata),
     )
 
@@ -338,26 +254,7 @@ def _read_bmp(read_at: ReadAt) -> ImageHeader:
     else:
         width, height = struct.unpack("<ii", read_at(18, 8))
     width, height = abs(width), abs(height)  # a negative height means top-down rows
-    return ImageHeader("BMP", width, height, decoding_bytes=_COPIES * 4 * width * height)
-
-
-def _read_avif(read_at: ReadAt) -> ImageHeader:
-    size = read_avif_size(read_at)
-    return ImageHeader(
-        "AVIF",
-        size.width_px,
-        size.height_px,
-        orientation=size.orientation,
-        complete=size.complete,
-        decoding_bytes=_AVIF_BYTES[size.deep, size.alpha] * size.decoded_px,
-    )
-
-
-def _read_jpeg2000(read_at: ReadAt) -> ImageHeader:
-    size = read_jpeg2000_size(read_at)
-    return ImageHeader(
-        "JPEG 2000", size.width_px, size.height_px, windowed=True, tile_px=size.tile_px, bands=size.bands
-    )
+    return ImageHeader("BMP", width, height, decoding_bytes=COPIES * 4 * width * height)
 
 
 def _read_tiff(read_at: ReadAt) -> ImageHeader:
@@ -392,7 +289,7 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         orientation=orientation_of(tags),
         tiff=layout,
         windowed=True,
-        decoding_bytes=_COPIES * width * height * pixel_bytes + layout.block_px * block_bytes,
+        decoding_bytes=COPIES * width * height * pixel_bytes + layout.block_px * block_bytes,
     )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehanchor.errors import ImageDecodeError, MissingExtraError, OutOfMemoryError, VehAnchorError
-from vehanchor.imagery.formats.header import ImageHeader
+from vehanchor.imagery.formats.image_header import ImageHeader
 from vehanchor.imagery.limits import check_header
 from vehanchor.imagery.sources.arrays import ArrayRaster
 

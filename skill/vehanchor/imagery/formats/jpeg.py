@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import re
 import struct
-from typing import NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
+from vehanchor.imagery.formats.image_header import COPIES, ImageHeader
 
 MAX_SCANS = 100
 """Maximum number of scans, each decoded over the whole image; progressive JPEGs of mozjpeg have up to 25."""
@@ -27,30 +27,6 @@ _SOS, _EOI, _APP1, _STUFFING = 0xDA, 0xD9, 0xE1, 0x00
 # In entropy-coded data, 0 (stuffing), a restart marker or a fill byte follows 0xFF; anything else is a marker.
 _MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _AFTER_FILL = re.compile(rb"\xff[^\xff]")
-
-
-class JpegMarkers(NamedTuple):
-    """Declarations in a JPEG's markers.
-
-    Attributes:
-        width_px: declared width as stored.
-        height_px: declared height as stored.
-        components: colour components.
-        n_scans: scans, each decoded over the whole image.
-        held: whether the decoder holds the coefficients of the whole image.
-        orientation: EXIF orientation, 1 to 8.
-        complete: whether the end marker is present.
-        metadata: offset and length of each block of metadata.
-    """
-
-    width_px: int
-    height_px: int
-    components: int
-    n_scans: int
-    held: bool
-    orientation: int
-    complete: bool
-    metadata: tuple[tuple[int, int], ...]
 
 
 class Reader:
@@ -82,8 +58,8 @@ class Reader:
             position = self._start + len(self._chunk) - 1  # a match may straddle two chunks
 
 
-def read_jpeg_markers(read_at: ReadAt) -> JpegMarkers:
-    """Read a JPEG's markers.
+def read_jpeg(read_at: ReadAt) -> ImageHeader:
+    """Read the header of a JPEG from its markers.
 
     Raises:
         ImageDecodeError: the file has no frame header, or more than one.
@@ -136,5 +112,16 @@ def read_jpeg_markers(read_at: ReadAt) -> JpegMarkers:
     if frame is None:
         raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
     kind, height, width, components = frame
-    held = kind not in _SOF_ONE_PASS or n_scans > 1
-    return JpegMarkers(width, height, components, n_scans, held, orientation, complete, tuple(metadata))
+    held = kind not in _SOF_ONE_PASS or n_scans > 1  # the decoder holds the 16-bit coefficients of the whole image
+    shown = 1 if components == 1 else 3
+    return ImageHeader(
+        "JPEG",
+        width,
+        height,
+        orientation=orientation,
+        complete=complete,
+        decoding_bytes=width * height * max(COPIES * shown, shown + (2 * components if held else 0)),
+        n_scans=n_scans,
+        windowed=not held,
+        metadata=tuple(metadata),
+    )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.imagery.formats.image_header import ImageHeader
 
 if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
@@ -16,29 +17,13 @@ _MAX_BOXES = 1000
 _MAX_BANDS = 16_384  # in the standard
 
 
-class Jpeg2000Size(NamedTuple):
-    """Declared size of a JPEG 2000.
-
-    Attributes:
-        width_px: width of the image.
-        height_px: height of the image.
-        bands: samples per pixel.
-        tile_px: pixels of a tile, which is decoded whole.
-    """
-
-    width_px: int
-    height_px: int
-    bands: int
-    tile_px: int
-
-
 def is_jpeg2000(start: bytes) -> bool:
     """Test whether a file that begins with these 12 bytes is a JP2 file or a bare codestream."""
     return start.startswith((_SIGNATURE, _CODESTREAM))
 
 
-def read_jpeg2000_size(read_at: ReadAt) -> Jpeg2000Size:
-    """Read the size that the codestream declares, because decoders allocate by it.
+def read_jpeg2000(read_at: ReadAt) -> ImageHeader:
+    """Read the header of a JPEG 2000, with the size that the codestream declares: decoders allocate by it.
 
     Raises:
         ImageDecodeError: the file is truncated or damaged.
@@ -49,7 +34,8 @@ def read_jpeg2000_size(read_at: ReadAt) -> Jpeg2000Size:
     width, height = right - left, bottom - top
     if read_at(at, 4) != _CODESTREAM or min(width, height, tile_width, tile_height) < 1 or not 1 <= bands <= _MAX_BANDS:
         raise ImageDecodeError("the JPEG 2000 declares an invalid size: damaged")
-    return Jpeg2000Size(width, height, bands, min(tile_width, width) * min(tile_height, height))
+    tile_px = min(tile_width, width) * min(tile_height, height)
+    return ImageHeader("JPEG 2000", width, height, windowed=True, tile_px=tile_px, bands=bands)
 
 
 def _codestream_at(read_at: ReadAt) -> int:

@@ -19,7 +19,7 @@ from vehanchor.imagery.sources.rasterio_file import gdal_environment, import_ras
 
 if TYPE_CHECKING:
     from vehanchor.imagery.bands import BandChoice
-    from vehanchor.imagery.formats.header import ImageHeader
+    from vehanchor.imagery.formats.image_header import ImageHeader
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ImageLimits
 

@@ -13,8 +13,8 @@ from vehanchor.imagery.formats.ifd import TIFF_SIGNATURES
 from vehanchor.imagery.formats.jpeg import EXIF_PREFIX
 
 if TYPE_CHECKING:
-    from vehanchor.imagery.formats.header import ImageHeader
     from vehanchor.imagery.formats.ifd import ReadAt
+    from vehanchor.imagery.formats.image_header import ImageHeader
 
 MAX_XMP_BYTES = 1 << 18
 """Most bytes of all XMP of a file; a JPEG's segment holds 64 KiB, drones write 2 to 5."""

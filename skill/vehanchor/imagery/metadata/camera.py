@@ -22,8 +22,8 @@ from vehanchor.imagery.metadata.xmp import DAMAGED, read_xmp
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from vehanchor.imagery.formats.header import ImageHeader
     from vehanchor.imagery.formats.ifd import ReadAt
+    from vehanchor.imagery.formats.image_header import ImageHeader
     from vehanchor.imagery.metadata.exif import ExifTags
     from vehanchor.imagery.metadata.makers import Maker
     from vehanchor.imagery.metadata.xmp import Properties

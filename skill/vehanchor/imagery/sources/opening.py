@@ -32,8 +32,8 @@ from vehanchor.options import ImageLimits
 
 if TYPE_CHECKING:
     from vehanchor.imagery.bands import BandChoice
-    from vehanchor.imagery.formats.header import ImageHeader
     from vehanchor.imagery.formats.ifd import ReadAt
+    from vehanchor.imagery.formats.image_header import ImageHeader
 
 ImageSource: TypeAlias = (
     str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO | NDArray[Any] | Dataset | PillowImage

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.bands import BandChoice
-    from vehanchor.imagery.formats.header import ImageHeader
+    from vehanchor.imagery.formats.image_header import ImageHeader
     from vehanchor.options import ImageLimits
 
 _CACHE_BYTES = 192 << 20  # of decoded blocks of all files: the overlap of two rows of tiles in a wide image

@@ -1,0 +1,73 @@
+"""What the header of an image file declares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+COPIES = 2
+"""Images that OpenCV holds while it decodes one: OpenCV 5 copies the decoded image before it returns it (measured)."""
+
+
+@dataclass(frozen=True)
+class TiffLayout:
+    """Storage layout of a TIFF.
+
+    Attributes:
+        bands: samples per pixel.
+        bits: bits of each band.
+        sample_format: 1 unsigned, 2 signed, 3 float.
+        photometric: 0 white is zero, 1 black is zero, 2 RGB, 3 palette, 5 CMYK, 6 YCbCr, 8 Lab.
+        planar: whether bands are stored one after the other.
+        georeferenced: whether it has GeoTIFF tags.
+        alpha: whether a band is declared to be alpha.
+        block_px: pixels of a strip or tile, which is decoded whole.
+        mask_block_px: pixels of a strip or tile of its mask; 0 without one.
+    """
+
+    bands: int
+    bits: tuple[int, ...]
+    sample_format: int
+    photometric: int
+    planar: bool
+    georeferenced: bool
+    alpha: bool
+    block_px: int
+    mask_block_px: int
+
+    @property
+    def pixel_bytes(self) -> int:
+        """Bytes of a decoded pixel with all bands."""
+        return self.bands * next((size for size in (1, 2, 4) if max(self.bits) <= 8 * size), 8)
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """Header of an encoded image.
+
+    Attributes:
+        format: one of ``vehanchor.imagery.formats.header.IMAGE_FORMATS``.
+        width_px: declared width as stored, before the orientation is applied.
+        height_px: declared height as stored.
+        orientation: EXIF orientation, 1 to 8; 1 if it is absent or invalid.
+        complete: False if the file ends before its end marker (known for JPEG, PNG, WebP, AVIF).
+        tiff: layout of a TIFF; None for other formats.
+        decoding_bytes: memory to decode it whole: its pixels and the decoder's buffers.
+        n_scans: passes of the decoder over the whole image; more than 1 for some JPEGs.
+        windowed: whether it can be read by windows: a TIFF, JPEG 2000 or sequential JPEG.
+        tile_px: pixels of a JPEG 2000's tile, which is decoded whole; 0 for other formats.
+        bands: samples per pixel of a JPEG 2000; 0 for other formats.
+        metadata: offset and length of each block of EXIF or XMP; a TIFF has them as tags.
+    """
+
+    format: str
+    width_px: int
+    height_px: int
+    orientation: int = 1
+    complete: bool = True
+    tiff: TiffLayout | None = None
+    decoding_bytes: int = 0
+    n_scans: int = 1
+    windowed: bool = False
+    tile_px: int = 0
+    bands: int = 0
+    metadata: tuple[tuple[int, int], ...] = ()
