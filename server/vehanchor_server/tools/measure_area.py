@@ -9,8 +9,7 @@ from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult
 from pydantic import Field
 
-from vehanchor.records import AreaMeasurement, BoundingBox, OtherObject
-from vehanchor.records.text import significant
+from vehanchor.records import AreaMeasurement
 from vehanchor_server.app_page.page import APP_META
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
@@ -19,7 +18,7 @@ from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.measured import measured
-from vehanchor_server.tools.messages import STATUS_RULES, interval, no_scale, scale_origin, verdict
+from vehanchor_server.tools.messages import STATUS_RULES
 from vehanchor_server.tools.picture import draw_picture
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
@@ -63,7 +62,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
         question, places = Question(given, wanted, targets), list(_places(targets))
-        return await measured(services, ctx, image, _measure, question, places, _area_of_object, detail)
+        return await measured(services, ctx, image, _measure, question, places, detail)
 
     return StrictTool.read_only(
         measure_area,
@@ -127,38 +126,3 @@ def _prompt(target: Target) -> "Prompt":
         box = target.box
         return read_prompt((box.x_min, box.y_min, box.x_max, box.y_max), None)
     return read_prompt(None, [(point.x, point.y, point.label == "include") for point in target.points or ()])
-
-
-def _area_of_object(area: AreaMeasurement) -> str:
-    """Describe the area and its status, the position of the mask and the choices of a point."""
-    box = area.bounding_box if area.frame is None else area.frame.bounding_box
-    words = _area_in_words(area)
-    if box is None:
-        return words
-    seen = "image" if area.frame is None else f"{area.frame.width_px} x {area.frame.height_px} copy"
-    others = " or ".join(_other_in_words(area, other) for other in area.alternatives)
-    return f"{words} The mask spans {_span(box)} px of your {seen}.{f' Or you mean {others}.' if others else ''}"
-
-
-def _other_in_words(area: AreaMeasurement, other: OtherObject) -> str:
-    size = f"{other.mask_area_px} px" if other.area_m2 is None else f"{significant(other.area_m2)} m2"
-    box, frame = other.bounding_box, area.frame
-    if frame is not None:
-        box = box.scaled(frame.width_px / area.image_width_px, frame.height_px / area.image_height_px)
-    return f"{size} in {_span(box)}"
-
-
-def _span(box: BoundingBox) -> str:
-    return f"x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f}"
-
-
-def _area_in_words(area: AreaMeasurement) -> str:
-    if not area.mask_area_px:
-        return "No object found: no area. Draw a tight box around a visible object."
-    if area.area_m2 is None:
-        return f"No area: the object covers {area.mask_area_px} px, but {no_scale(area)}"
-    size = f"{significant(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
-    if area.status == "ok" and area.length_m and area.width_m and area.inscribed_diameter_m:
-        size += f", {significant(area.length_m)} x {significant(area.width_m)} m"
-        size += f", largest circle inside {significant(area.inscribed_diameter_m)} m across"
-    return f"{size}; {scale_origin(area)}: {verdict(area)}"

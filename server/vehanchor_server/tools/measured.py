@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from vehanchor_server.calls.call import run_call
-from vehanchor_server.tools.messages import warnings_of
+from vehanchor_server.tools.messages import answer_of
 from vehanchor_server.tools.scale_arguments import check_coordinates, hints
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from mcp.server.mcpserver import Context
     from mcp.types import CallToolResult
@@ -28,18 +28,13 @@ async def measured(
     work: Work[Any],
     question: Question[Any],
     places: Sequence[tuple[float, float]],
-    describe: Callable[[Any], str],
     detail: Detail,
 ) -> CallToolResult:
-    """Run the work of a call, and say its records in words, numbered if there are several; see ``run_call``.
+    """Run the work of a call, and say its records; see ``run_call``.
 
     The places are the points of the subjects, in the caller's coordinates.
     """
     check_coordinates(places, question.given)
     answer = await run_call(services, ctx, image, work, question)
-    words = [describe(record) for record in answer.records]
-    if len(words) > 1:
-        words = ["\n".join(f"{number}. {sentence}" for number, sentence in enumerate(words, 1))]
-    told = hints(places, question.given, answer.record)
-    text = " ".join([*words, *warnings_of(answer.records, detail)])
-    return answer.to_result(text, detail=detail, shown=question.wanted, hints=told)
+    told = answer_of(answer.records, hints(places, question.given, answer.record), detail)
+    return answer.to_result(*told, detail=detail, shown=question.wanted)

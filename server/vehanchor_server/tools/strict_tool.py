@@ -133,7 +133,7 @@ def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
         return record
     types: dict[str, Any] = {}
     for name in names:
-        field = record["properties"][name.removeprefix("scale_")]
+        field = record["properties"][name]
         kinds = [option["type"] for option in field.get("anyOf", [field])]
         types[name] = {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
     return {"type": "object", "properties": types}

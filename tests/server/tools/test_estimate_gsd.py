@@ -21,7 +21,7 @@ from vehanchor.records.text import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools.estimate_gsd import describe_estimate
+from vehanchor_server.tools.messages import answer_of
 
 pytestmark = pytest.mark.anyio
 
@@ -67,7 +67,7 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     assert result.structured_content["confidence"] == 0
     assert text_of(result) == (
         "No ruler was found, confidence 0: no metric scale (no car was found); add a car that has no box (add), or "
-        "draw a line over something named, as a container or court (known_lengths)."
+        "draw a line over a container or court (known_lengths)."
     )
 
 
@@ -181,7 +181,7 @@ def doubtful() -> GsdEstimate:
     return estimate
 
 
-LINE = "draw a line over something named, as a parking bay or lane dash (known_lengths)"
+LINE = "draw a line over a parking bay or lane dash (known_lengths)"
 CAR, REGION = "add a car that has no box (add)", "give the region (region)"
 DROP = "drop boxes that are no cars, see view_image (drop)"
 
@@ -203,22 +203,22 @@ def test_advice_names_at_most_two_remedies_by_arguments_the_best_first(
 ) -> None:
     details = doubtful.details.model_copy(update={"reference_source": changes.get("reference_source", "model")})
     told = doubtful.model_copy(update={"reason": changes["reason"], "details": details})
-    words = describe_estimate(told, "short")
+    words = answer_of([told], (), "short").text
     assert words.endswith(f"; {', or '.join(remedies)}.")
     assert not {"height", "if it is", "guess"} & set(words.split())
 
 
 def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> None:
-    assert "from 1 vehicle: " in describe_estimate(doubtful.model_copy(update={"n_vehicles": 1}))
+    assert "from 1 vehicle: " in answer_of([doubtful.model_copy(update={"n_vehicles": 1})], (), "short").text
 
 
 def test_doubts_about_the_fleet_are_told_with_their_warning(doubtful: GsdEstimate) -> None:
     notice = Notice(code=NoticeCode.LOOK_ALIKES, message="They are all alike.")
-    words = describe_estimate(doubtful.model_copy(update={"warnings": (notice,), "reason": "not_cars"}))
+    words = answer_of([doubtful.model_copy(update={"warnings": (notice,), "reason": "not_cars"})], (), "short").text
     assert f"(the vehicles may not be cars); {DROP}, or {LINE}." in words
     assert words.endswith("Warning look_alikes: They are all alike.")
 
 
 @pytest.mark.parametrize(("gsd", "words"), [(0.15234, "0.152 m/px"), (12.345, "12.3 m/px"), (1234.5, "1234 m/px")])
 def test_numbers_have_three_digits_and_no_exponent(doubtful: GsdEstimate, gsd: float, words: str) -> None:
-    assert describe_estimate(doubtful.model_copy(update={"gsd_m_per_px": gsd})).startswith(words)
+    assert answer_of([doubtful.model_copy(update={"gsd_m_per_px": gsd})], (), "short").text.startswith(words)

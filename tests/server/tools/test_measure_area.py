@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +19,15 @@ import vehanchor
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path, error_of, text_of
+from tests.server.test_app import AREA as AREA_TOKENS
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
+from vehanchor.records import AreaMeasurement, Notice, OtherObject
 from vehanchor_server.app import create_server
+from vehanchor_server.calls.compact import short_record
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
+from vehanchor_server.tools.messages import answer_of
 
 pytestmark = pytest.mark.anyio
 
@@ -62,8 +67,8 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     assert record_of(result) == expected.model_dump(mode="json")
     assert len(result.content) == 1
     assert text_of(result).startswith(f"{expected.area_m2:.0f} m2 (95 % interval ")
-    assert f"from 24 vehicles, scale confidence {expected.confidence:.2f}: safe to use." in text_of(result)
-    assert "The mask spans x 300 to 348, y 330 to 426 px of your image." in text_of(result)
+    assert f"from 24 vehicles, scale confidence {expected.scale_confidence:.2f}: safe to use." in text_of(result)
+    assert "Mask: x 300 to 348, y 330 to 426 in your image." in text_of(result)
 
 
 async def test_points_say_what_is_on_the_object_and_what_is_beside_it(
@@ -102,7 +107,7 @@ async def test_another_object_that_a_point_may_mean_is_told_in_the_callers_pixel
     assert first["area_m2"] == pytest.approx(first["mask_area_px"] * 0.15**2)
     told = text_of(result)
     assert "do not rely on it; give the box of the object that you mean." in told
-    assert "The mask spans x 150 to 174, y 165 to 213 px of your 320 x 256 copy. Or you mean " in told
+    assert "Mask: x 150 to 174, y 165 to 213 in your copy. Or you mean " in told
     x1, y1, x2, y2 = (side / 2 for side in first["bounding_box"].values())
     assert f"Or you mean {first['area_m2']:.3g} m2 in x {x1:.0f} to {x2:.0f}, y {y1:.0f} to {y2:.0f}" in told
 
@@ -115,7 +120,7 @@ async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServe
     record = record_of(result)
     assert record["area_m2"] == whole["area_m2"]
     assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * whole["gsd_m_per_px"])
-    assert "The mask spans x 150 to 174, y 165 to 213 px of your 320 x 256 copy." in text_of(result)
+    assert "Mask: x 150 to 174, y 165 to 213 in your copy." in text_of(result)
 
 
 async def test_a_measured_scale_needs_neither_cars_nor_a_detector(settings: Settings, images: Path) -> None:
@@ -124,8 +129,10 @@ async def test_a_measured_scale_needs_neither_cars_nor_a_detector(settings: Sett
     record = record_of(result)
     assert record["area_m2"] == pytest.approx(0.15**2 * record["mask_area_px"])
     assert (record["scale_source"], record["status"], record["scale"]) == ("given", "ok", None)
-    assert record["confidence"] >= 0.9
-    assert f"scale 0.150 m/px as stated, scale confidence {record['confidence']:.2f}: safe to use." in text_of(result)
+    assert record["scale_confidence"] >= 0.9
+    assert f"scale 0.150 m/px as stated, scale confidence {record['scale_confidence']:.2f}: safe to use." in text_of(
+        result
+    )
     assert text_of(result).endswith("The stated scale is taken as +- 10 %.")
 
 
@@ -185,3 +192,28 @@ async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
     )
     assert "/nowhere/secret.onnx" in caplog.text
     assert not estimate.is_error
+
+
+async def test_the_longest_answer_about_an_area_stays_short(server: MCPServer[object], images: Path) -> None:
+    frame = {"width_px": 320, "height_px": 256}
+    half = {name: value / 2 for name, value in POOL_BOX.items()}
+    full = {**by_path(images / "pool_two.png"), "targets": [{"box": half}], "frame": frame, "detail": "full"}
+    found = AreaMeasurement.model_validate(record_of(await asked(server, full)))
+    assert found.estimate is not None
+    assert found.bounding_box is not None
+    other = OtherObject(area_m2=1234.5, mask_area_px=12345, mask_score=0.8, bounding_box=found.bounding_box)
+    codes = ("extent_unknown", "mask_score_low", "mask_touches_edge", "mask_in_pieces", "target_small")
+    notices = tuple(Notice(code=code, message=f"{'A fact ' * 12}. And more.") for code in codes)
+    changes = {"reason": "not_cars", "n_vehicles": 24}
+    worst = found.model_copy(
+        update={
+            "alternatives": (other, other),
+            "warnings": notices,
+            "estimate": found.estimate.model_copy(update=changes),
+        }
+    )
+    answer = answer_of([worst], ["Region europe: cars of 4.85 m."], "short")
+    assert len(answer.text) <= 4 * AREA_TOKENS[0]
+    assert answer.text.endswith("Region europe: cars of 4.85 m.")
+    assert all(notice.code in answer.text for notice in notices)
+    assert len(json.dumps(short_record([worst], answer.warnings), separators=(",", ":"))) <= 4 * AREA_TOKENS[1]

@@ -45,7 +45,7 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     result = await asked(server, "measure_distance", images / "cars.png", lines=[LINE])
     assert record_of(result) == expected.model_dump(mode="json")
     assert text_of(result).startswith(f"{significant(expected.distance_m or 0)} m (95 % interval ")
-    assert f"from 24 vehicles, scale confidence {expected.confidence:.2f}: safe to use." in text_of(result)
+    assert f"from 24 vehicles, scale confidence {expected.scale_confidence:.2f}: safe to use." in text_of(result)
 
 
 async def test_several_lines_are_several_answers_after_one_search(server: MCPServer[object], images: Path) -> None:

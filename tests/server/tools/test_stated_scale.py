@@ -57,7 +57,7 @@ async def test_a_measured_scale_leads_without_a_search_and_a_detector(
     server = create_server(create_services(replace(settings, detector="/nowhere.onnx", calibration=Path("/nowhere"))))
     found = await measured(server, images / "pool.png", tool, gsd_m_per_px=0.15, gsd_basis="measured", **more)
     assert (found["status"], found["gsd_m_per_px"], found["scale_source"]) == ("ok", 0.15, "given")
-    assert (found["estimate"], found["confidence"] >= 0.9) == (None, True)
+    assert (found["estimate"], found["scale_confidence"] >= 0.9) == (None, True)
     if tool == "measure_distance":
         assert found["distance_m"] == pytest.approx(75)
         bounds = [found["distance_ci95_low_m"] / 500, found["distance_ci95_high_m"] / 500]
@@ -114,7 +114,7 @@ async def test_an_assumed_scale_that_agrees_is_one_more_witness(
     alone = await measured(server, images / "pool_two.png", tool)
     found = await measured(server, images / "pool_two.png", tool, gsd_m_per_px=0.95 * alone["gsd_m_per_px"])
     assert alone["status"] == "low_confidence"
-    assert found["confidence"] > alone["confidence"]
+    assert found["scale_confidence"] > alone["scale_confidence"]
     assert found["estimate"]["n_vehicles"] == 2, "the image is searched"
     assert chance_of(found, "stated_scale") > 0.5
 
@@ -125,7 +125,7 @@ async def test_an_assumed_scale_that_contradicts_the_cars_makes_nothing_surer_an
 ) -> None:
     alone = await measured(server, images / "pool.png")
     found = await measured(server, images / "pool.png", gsd_m_per_px=factor * alone["gsd_m_per_px"])
-    assert found["confidence"] < alone["confidence"]
+    assert found["scale_confidence"] < alone["scale_confidence"]
     assert found["status"] == "low_confidence"
     assert "rulers_disagree" in [each["code"] for each in found["warnings"]]
     if factor != 1.5:  # there the prior of the scene agrees with the stated scale
