@@ -142,7 +142,7 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
     server = create_server(create_services(replace(settings, segmenter=write_sam(tmp_path, scores=[0.4]))))
     result = await asked(server, pool_in(images / "pool.png"))
     assert record_of(result)["status"] == "low_confidence"
-    assert "do not rely on it; look at it with view_image, and give a tighter box." in text_of(result)
+    assert "do not rely on it; look at it with view_image, and give a tight box drawn by eye." in text_of(result)
     assert "Warning mask_score_low: The expected overlap with the object is 0.40, below 0.7." in text_of(result)
 
 
