@@ -11,14 +11,13 @@ from typing import Any
 
 import cv2
 import pytest
-from mcp import Client
 from mcp.server import MCPServer
 from mcp.types import CallToolResult
 
 import vehanchor
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import ERAS, by_path, error_of, text_of
+from tests.server.conversation import ERAS, by_path, called, error_of, record_of, text_of
 from tests.server.test_app import AREA as AREA_TOKENS
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
@@ -42,15 +41,7 @@ def pool_in(path: Path, **more: Any) -> dict[str, Any]:
 
 
 async def asked(server: MCPServer[object], arguments: dict[str, Any], era: str = "auto") -> CallToolResult:
-    async with Client(server, mode=era) as client:
-        return await client.call_tool("measure_area", arguments)
-
-
-def record_of(result: CallToolResult) -> dict[str, Any]:
-    assert not result.is_error, text_of(result)
-    record = result.structured_content
-    assert isinstance(record, dict)
-    return record
+    return await called(server, "measure_area", era=era, **arguments)
 
 
 @pytest.mark.parametrize("era", ERAS)
@@ -150,6 +141,7 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
     ("target", "words"),
     [
         ({}, "targets.0: give either box or points: "),
+        (..., "targets: it is required"),
         ("the pool", "targets.0: give either box or points"),
         (None, "targets.0: "),
         ({"box": POOL_BOX, "points": [{"x": 1, "y": 1}]}, "targets.0: give either box or points"),
@@ -167,25 +159,20 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
 async def test_a_target_of_the_wrong_form_is_told_in_one_line(
     server: MCPServer[object], images: Path, target: Any, words: str
 ) -> None:
-    result = await asked(server, {**by_path(images / "pool.png"), "targets": [target]})
+    given = {} if target is ... else {"targets": [target]}
+    result = await asked(server, {**by_path(images / "pool.png"), **given})
     assert error_of(result) == "invalid_arguments"
     assert words in text_of(result)
     assert "\n" not in text_of(result)
-
-
-async def test_without_a_target_there_is_nothing_to_measure(server: MCPServer[object], images: Path) -> None:
-    result = await asked(server, by_path(images / "pool.png"))
-    assert error_of(result) == "invalid_arguments"
-    assert "targets: it is required" in text_of(result)
 
 
 async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
     settings: Settings, images: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     files = Path("/nowhere/secret.onnx"), Path("/nowhere/decoder.onnx")
-    async with Client(create_server(create_services(replace(settings, segmenter=files)))) as client:
-        result = await client.call_tool("measure_area", pool_in(images / "pool.png"))
-        estimate = await client.call_tool("estimate_gsd", by_path(images / "pool.png"))
+    server = create_server(create_services(replace(settings, segmenter=files)))
+    result = await asked(server, pool_in(images / "pool.png"))
+    estimate = await called(server, "estimate_gsd", images / "pool.png")
     assert text_of(result) == (
         "model_unavailable: this server's segmenter cannot be loaded (model_not_found). Its operator must check "
         "--segmenter."

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mcp import Client
 from mcp.server import MCPServer
 
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import by_path, error_of, text_of
+from tests.server.conversation import called, error_of, record_of, text_of
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -28,15 +27,11 @@ TOOLS: dict[str, dict[str, Any]] = {
 
 
 async def measured(server: MCPServer[object], image: Path, tool: str = "measure_distance", **more: Any) -> Any:
-    async with Client(server) as client:
-        result = await client.call_tool(tool, {**by_path(image), **TOOLS[tool], **more})
-    assert not result.is_error, text_of(result)
-    return result.structured_content
+    return record_of(await called(server, tool, image, **TOOLS[tool], **more))
 
 
 async def refused(server: MCPServer[object], image: Path, tool: str, **more: Any) -> tuple[str, str]:
-    async with Client(server) as client:
-        result = await client.call_tool(tool, {**by_path(image), **TOOLS[tool], **more})
+    result = await called(server, tool, image, **TOOLS[tool], **more)
     return error_of(result), text_of(result)
 
 
@@ -170,10 +165,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
 
 
 async def estimated(server: MCPServer[object], image: Path, **more: Any) -> Any:
-    async with Client(server) as client:
-        result = await client.call_tool("estimate_gsd", {**by_path(image), **more})
-    assert not result.is_error, text_of(result)
-    return result.structured_content
+    return record_of(await called(server, "estimate_gsd", image, **more))
 
 
 @pytest.mark.parametrize(
@@ -237,6 +229,3 @@ async def test_a_search_that_the_clock_may_end_is_not_remembered(
     for _ in range(2):
         await estimated(server, images / "cars.png", max_seconds=60)
     assert searches() == 2
-
-
-# --- Corrections -----------------------------------------------------------------------------------------------------
