@@ -31,7 +31,7 @@ def by_path(path: Path | str) -> dict[str, Any]:
 
 
 async def called(
-    server: MCPServer[object], tool: str, image: Path | None = None, *, era: str = "auto", **more: Any
+    server: MCPServer[object], tool: str, image: Path | None = None, /, *, era: str = "auto", **more: Any
 ) -> CallToolResult:
     """The result of one call of a program, by a client of its own."""
     named = {} if image is None else by_path(image)

@@ -12,7 +12,6 @@ from mcp.types import CallToolResult, InputRequiredResult
 
 from vehanchor.records import GsdEstimate
 from vehanchor_server.app_page.page import APP_META
-from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
@@ -26,7 +25,7 @@ from vehanchor_server.tools.flight_question import (
     check_flight_question,
     estimate_with_flight,
 )
-from vehanchor_server.tools.messages import POLICY, answer_of
+from vehanchor_server.tools.messages import POLICY
 from vehanchor_server.tools.picture import scale_reply
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
@@ -34,8 +33,7 @@ from vehanchor_server.tools.scale_arguments import (
     DetailArgument,
     Given,
     Question,
-    check_coordinates,
-    hints,
+    answered,
     scale_options,
     with_options,
 )
@@ -73,18 +71,15 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         same_scale: SameScaleArgument = False,
     ) -> Annotated[CallToolResult, GsdEstimate] | InputRequiredResult:
         question = Question(with_user_input(ctx, given), wanted, same_scale)
-        check_coordinates((), question.given)
         if more_images:
             check_flight_question(question.given)
-            answer = await run_call(services, ctx, image, estimate_with_flight, question, more_images)
-        else:
-            answer = await run_call(services, ctx, image, _estimate, question)
-        told = answer_of(answer.records, hints((), question.given, answer.record), detail)
+        chosen = estimate_with_flight if more_images else _estimate
+        reply, told = await answered(services, ctx, image, chosen, question, more=more_images or (), detail=detail)
         if not (more_images or services.settings.never_ask or wanted.kind == "evidence"):
-            asked = request_scale_input(ctx, question.given, answer.record, told.text)
+            asked = request_scale_input(ctx, question.given, reply.record, told.text)
             if asked is not None:
                 return asked
-        return answer.to_result(*told, detail=detail, shown=wanted)
+        return reply.to_result(*told, detail=detail, shown=wanted)
 
     return StrictTool.read_only(
         estimate_gsd,

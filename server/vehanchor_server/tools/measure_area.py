@@ -2,7 +2,6 @@
 
 # No postponed annotations here: the SDK reads the result's schema from them.
 
-from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mcp.server.mcpserver import Context
@@ -17,7 +16,6 @@ from vehanchor_server.calls.task import work
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.measured import measured
 from vehanchor_server.tools.messages import STATUS_RULES
 from vehanchor_server.tools.picture import draw_picture
 from vehanchor_server.tools.portable_schema import Listing
@@ -26,6 +24,7 @@ from vehanchor_server.tools.scale_arguments import (
     DetailArgument,
     Given,
     Question,
+    answered,
     resolve_source,
     with_options,
 )
@@ -61,8 +60,10 @@ def measure_area_tool(services: Services) -> StrictTool:
         wanted: PictureRequest,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
-        question, places = Question(given, wanted, targets), list(_places(targets))
-        return await measured(services, ctx, image, _measure, question, places, detail)
+        places = [place for target in targets for place in target.places]
+        question = Question(given, wanted, targets)
+        reply, told = await answered(services, ctx, image, _measure, question, places, detail=detail)
+        return reply.to_result(*told, detail=detail, shown=wanted)
 
     return StrictTool.read_only(
         measure_area,
@@ -72,15 +73,6 @@ def measure_area_tool(services: Services) -> StrictTool:
         answered=("status", "area_m2", "scale_confidence", "inscribed_diameter_m"),
         listing=Listing(UNLISTED_ARGUMENTS, services.settings.image_kinds),
     )
-
-
-def _places(targets: Iterable[Target]) -> Iterator[tuple[float, float]]:
-    for target in targets:
-        if target.box is not None:
-            yield target.box.x_min, target.box.y_min
-            yield target.box.x_max, target.box.y_max
-        for point in target.points or ():
-            yield point.x, point.y
 
 
 @work(AreaMeasurement)
@@ -123,6 +115,6 @@ def _prompt(target: Target) -> "Prompt":
     from vehanchor.segmentation.prompt import read_prompt
 
     if target.box is not None:
-        box = target.box
-        return read_prompt((box.x_min, box.y_min, box.x_max, box.y_max), None)
+        (left, top), (right, bottom) = target.box.corners
+        return read_prompt((left, top, right, bottom), None)
     return read_prompt(None, [(point.x, point.y, point.label == "include") for point in target.points or ()])

@@ -17,7 +17,6 @@ from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.measured import measured
 from vehanchor_server.tools.messages import STATUS_RULES
 from vehanchor_server.tools.picture import draw_picture
 from vehanchor_server.tools.portable_schema import Listing
@@ -26,6 +25,7 @@ from vehanchor_server.tools.scale_arguments import (
     DetailArgument,
     Given,
     Question,
+    answered,
     resolve_source,
     with_options,
 )
@@ -73,7 +73,8 @@ def measure_distance_tool(services: Services) -> StrictTool:
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
         places = [(point.x, point.y) for line in lines for point in line.points]
         question = Question(given, wanted, lines)
-        return await measured(services, ctx, image, _measure, question, places, detail)
+        reply, told = await answered(services, ctx, image, _measure, question, places, detail=detail)
+        return reply.to_result(*told, detail=detail, shown=wanted)
 
     return StrictTool.read_only(
         measure_distance,

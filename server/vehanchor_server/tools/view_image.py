@@ -104,7 +104,9 @@ def view_image_tool(services: Services) -> StrictTool:
         long_side_px: _Side = _USUAL_SIDE_PX,
         page: _Page = 1,
     ) -> CallToolResult:
-        wanted = PictureRequest("evidence", long_side_px, _corners(part), Frame(coordinates=coordinates))
+        wanted = PictureRequest(
+            "evidence", long_side_px, part.corners if part else None, Frame(coordinates=coordinates)
+        )
         if of is not None:
             tool = made.get(of.tool) or made.setdefault(of.tool, _MEASURING[of.tool](services))
             named = {} if image is None else {"image": image.model_dump()}
@@ -138,7 +140,9 @@ def page_image_tool(services: Services) -> StrictTool:
             more = names and (page - 1) * _IMAGES_A_PAGE + len(names) < total
             listed, picture = PageImages(images=tuple(names), next_page=page + 1 if more else None), None
         else:
-            seen = await run_call(services, ctx, image, _view, PictureRequest("plain", long_side_px, _corners(part)))
+            seen = await run_call(
+                services, ctx, image, _view, PictureRequest("plain", long_side_px, part.corners if part else None)
+            )
             listed, picture = PageImages(), seen.picture
         return _with_picture("For the page.", picture, listed.model_dump(mode="json"))
 
@@ -150,10 +154,6 @@ def page_image_tool(services: Services) -> StrictTool:
         answered=("images",),
         listing=Listing((), services.settings.image_kinds),
     )
-
-
-def _corners(part: Box | None) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    return None if part is None else ((part.x_min, part.y_min), (part.x_max, part.y_max))
 
 
 def _with_picture(words: str, jpeg: bytes | None, data: dict[str, Any] | None = None) -> CallToolResult:

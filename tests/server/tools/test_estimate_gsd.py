@@ -89,7 +89,7 @@ async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_agai
 async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPServer[object], images: Path) -> None:
     plain = record_of(await called(server, "estimate_gsd", images / "cars.png"))
     n = plain["details"]["n_detections"]
-    told = {"drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
+    told: dict[str, Any] = {"drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
     frame = {"width_px": plain["image_width_px"] // 2, "height_px": plain["image_height_px"] // 2}
     result = await called(server, "estimate_gsd", images / "cars.png", **told, frame=frame)
     record = record_of(result)
@@ -103,7 +103,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPSe
 
 
 async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MCPServer[object], images: Path) -> None:
-    height = {"height_m": 100, "height_basis": "measured", "focal_35mm": 24}
+    height: dict[str, Any] = {"height_m": 100, "height_basis": "measured", "focal_35mm": 24}
     heard = await called(server, "estimate_gsd", images / "empty.png", **height)
     assert (record_of(heard)["leading_ruler"], record_of(heard)["n_vehicles"]) == ("height", 0)
     assert "from given height: safe to use." in text_of(heard)
@@ -115,7 +115,8 @@ async def test_the_operators_calibration_is_the_ruler_of_callers_who_name_none(
     settings: Settings, images: Path, tmp_path: Path
 ) -> None:
     server = create_server(create_services(replace(settings, calibration=calibration_file(tmp_path / "c.json"))))
-    for named, length_m in (({}, 4.31), ({"reference_length_m": 4.8}, 4.8)):
+    cases: list[tuple[dict[str, Any], float]] = [({}, 4.31), ({"reference_length_m": 4.8}, 4.8)]
+    for named, length_m in cases:
         record = record_of(await called(server, "estimate_gsd", images / "cars.png", **named))
         assert record["details"]["reference_length_m"] == length_m
 
