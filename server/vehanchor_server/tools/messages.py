@@ -99,8 +99,9 @@ def _in_words(record: AnyRecord) -> str:
 
 
 def _estimate_in_words(estimate: GsdEstimate) -> str:
-    words = [_no_scale(estimate).capitalize()]
-    if estimate.gsd_m_per_px is not None:
+    if estimate.gsd_m_per_px is None:
+        words = [_no_scale(estimate).capitalize()]
+    else:
         scale = f"{significant(estimate.gsd_m_per_px)} m/px"
         scale += _interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
         words = [f"{scale}, confidence {estimate.confidence:.2f} from {ruler_names(estimate)}: {_verdict(estimate)}"]
