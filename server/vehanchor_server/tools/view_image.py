@@ -23,7 +23,6 @@ from vehanchor.options import Coordinates, Frame, Reading, declared_options
 from vehanchor.options.option import Limits
 from vehanchor_server.app_page.page import PAGE_ONLY_META
 from vehanchor_server.calls.call import run_call
-from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
@@ -166,13 +165,10 @@ def _with_picture(words: str, jpeg: bytes | None, data: dict[str, Any] | None = 
 async def _list_images(services: Services, page: int) -> tuple[list[str], int]:
     """Return the names on a page of the list, and the number of all images."""
     first = (page - 1) * _IMAGES_A_PAGE
-
-    async def call(stop: Stop) -> tuple[list[str], int]:
-        return await services.capacity.in_thread(
-            stop, partial(services.sources.paths.listed, first, _IMAGES_A_PAGE, stop)
-        )
-
-    return await services.capacity.run(call)
+    listed = services.sources.paths.listed
+    return await services.capacity.run(
+        lambda stop: services.capacity.in_thread(stop, partial(listed, first, _IMAGES_A_PAGE, stop))
+    )
 
 
 def _list_in_words(names: Sequence[str], total: int, page: int) -> str:
