@@ -59,7 +59,7 @@ class AreaTrial(BaseModel):
     true_gsd_m_per_px: float
     true_mask_area_px: int
     gsd_m_per_px: float | None = Field(description="Estimated scale; null without one.")
-    confidence: float
+    scale_confidence: float
     n_vehicles: int
     mask_area_px: int
     mask_score: float
@@ -204,7 +204,7 @@ def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTr
         true_gsd_m_per_px=entry.gsd_m_per_px,
         true_mask_area_px=entry.mask_area_px,
         gsd_m_per_px=gsd,
-        confidence=scale.confidence,
+        scale_confidence=scale.confidence,
         n_vehicles=scale.n_vehicles or 0,
         end_to_end_m2=None if gsd is None or not n_px else n_px * gsd**2,
         true_scale_m2=n_px * entry.gsd_m_per_px**2 if n_px else None,
@@ -215,7 +215,7 @@ def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTr
 def summarise_area(trials: Sequence[AreaTrial]) -> list[AreaErrors]:
     """Summarise trials as rows: end to end (all, with a scale, confident), and each source of error."""
     scaled = [trial for trial in trials if trial.gsd_m_per_px is not None]
-    usable = [trial for trial in trials if trial.confidence >= USABLE_CHANCE]
+    usable = [trial for trial in trials if trial.scale_confidence >= USABLE_CHANCE]
     end_to_end = (
         ("end to end", trials),
         ("end to end, with a scale", scaled),

@@ -66,11 +66,6 @@ def test_an_estimate_that_fits_is_not_enough(decide_zone: Callable[..., Any]) ->
     assert decision.reason.startswith("too small: a circle of at least 7.9 m")
 
 
-def test_a_measured_scale_is_stated_as_such(example: Callable[[str], Any]) -> None:
-    ruler = example("planner_stdio").Ruler("barometer", 0.5)
-    assert ruler.arguments == {"gsd_m_per_px": 0.5, "gsd_basis": "measured"}
-
-
 @pytest.mark.parametrize("reason", get_args(Reason))
 def test_on_a_scale_that_is_not_ok_it_holds_whatever_the_size_and_says_what_helps(
     decide_zone: Callable[..., Any], reason: str

@@ -15,6 +15,8 @@ import anyio
 import cv2
 import numpy as np
 import uvicorn
+from mcp import Client
+from mcp.server import MCPServer
 from mcp.types import CallToolResult, ImageContent, TextContent
 from starlette.types import ASGIApp
 
@@ -26,6 +28,21 @@ ERAS = ("auto", "legacy")  # auto finds the stateless 2026-07-28 protocol
 def by_path(path: Path | str) -> dict[str, Any]:
     """Arguments of a program, which reads whole records."""
     return {"image": {"kind": "path", "path": str(path)}, "detail": "full"}
+
+
+async def called(
+    server: MCPServer[object], tool: str, image: Path | None = None, /, *, era: str = "auto", **more: Any
+) -> CallToolResult:
+    """The result of one call of a program, by a client of its own."""
+    named = {} if image is None else by_path(image)
+    async with Client(server, mode=era) as client:
+        return await client.call_tool(tool, {**named, **more})
+
+
+def record_of(result: CallToolResult) -> dict[str, Any]:
+    assert not result.is_error, text_of(result)
+    assert isinstance(result.structured_content, dict)
+    return result.structured_content
 
 
 def text_of(result: CallToolResult) -> str:

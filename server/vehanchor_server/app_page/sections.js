@@ -13,9 +13,9 @@ function scaleReading(scale) {
   return reading("Scale", number(scale.gsd_m_per_px), "m/px", bounds);
 }
 
-function confidenceReading(scale) {
+function confidenceReading(scale, name = "Confidence") {
   if (scale.gsd_m_per_px === null) return undefined;
-  const tile = reading("Confidence", scale.confidence.toFixed(2), "", "chance of being right within 20 %");
+  const tile = reading(name, scale.confidence.toFixed(2), "", "chance of being right within 20 %");
   tile.classList.add("chance", scale.status);
   return tile;
 }
@@ -57,7 +57,7 @@ function readings(record) {
   }
   const scale = scaleOf(record);
   tiles.push(scale ? scaleReading(scale) : reading("Scale", round(record.gsd_m_per_px), "m/px", "given by the caller"));
-  return html("dl", { class: "readings" }, ...tiles.map((tile) => trusted(record, tile)), scale && confidenceReading(scale));
+  return html("dl", { class: "readings" }, ...tiles.map((tile) => trusted(record, tile)), scale && confidenceReading(scale, "Scale confidence"));
 }
 
 // Display unusable numbers differently.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, OtherObject
+from vehanchor.records import AreaMeasurement, BoundingBox, DistanceMeasurement, GsdEstimate, OtherObject
 from vehanchor_server.calls.remedies import advice_on
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "area_m2",
         "area_ci95_low_m2",
         "area_ci95_high_m2",
-        "confidence",
+        "scale_confidence",
         "gsd_m_per_px",
         "length_m",
         "width_m",
@@ -51,30 +51,28 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "distance_m",
         "distance_ci95_low_m",
         "distance_ci95_high_m",
-        "confidence",
+        "scale_confidence",
         "gsd_m_per_px",
     ),
 }
 """The fields of each record in a short record, unless null."""
 
 _ONLY_IF_OK = ("length_m", "width_m", "inscribed_diameter_m", "inscribed_diameter_ci95_low_m", "inscribed_center")
-_KEPT_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m")  # null means "no scale"
+_KEPT_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m", "scale_confidence")  # null means "no scale"
 _OMITTED_IN_FRAME = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
 
 
-def short_record(records: Sequence[BaseModel], hints: Sequence[str] = ()) -> dict[str, Any]:
-    """Return one record, or several below ``measurements``, with their common advice and warnings in words.
+def short_record(records: Sequence[BaseModel], warnings: Sequence[str] = ()) -> dict[str, Any]:
+    """Return one record, or several below ``measurements``, with their common advice, and the warnings in words.
 
     Args:
         records: records of one image.
-        hints: warnings about the call.
+        warnings: theirs and those about the call.
     """
     parts = [_short(record) for record in records]
     whole: dict[str, Any] = parts[0] if len(parts) == 1 else {"measurements": parts}
     advice = "; ".join(dict.fromkeys(filter(None, map(advice_on, records))))
-    notices = dict.fromkeys(notice for record in records for notice in getattr(record, "warnings", ()))
-    warnings = [*(f"{notice.code}: {brief(notice.message)}" for notice in notices), *hints]
-    return whole | ({"advice": advice} if advice else {}) | ({"warnings": warnings} if warnings else {})
+    return whole | ({"advice": advice} if advice else {}) | ({"warnings": list(warnings)} if warnings else {})
 
 
 def brief(message: str) -> str:
@@ -98,8 +96,6 @@ def _short(record: BaseModel) -> dict[str, Any]:
             short[name] = _rounded(name, value)
     if isinstance(record, GsdEstimate) and record.details.by_hand is not None:
         short["by_hand"] = values["details"]["by_hand"]
-    if not isinstance(record, GsdEstimate):
-        short["scale_confidence"] = short.pop("confidence", None)  # 20 % of the scale is more of an area
     reason = getattr(getattr(record, "estimate", None), "reason", None)
     if reason is not None:
         short["reason"] = reason
@@ -110,11 +106,17 @@ def _short(record: BaseModel) -> dict[str, Any]:
     return short
 
 
+def box_in_frame(area: AreaMeasurement, box: BoundingBox) -> BoundingBox:
+    """Convert a box from pixels of the image to the caller's."""
+    frame = area.frame
+    if frame is None:
+        return box
+    return box.scaled(frame.width_px / area.image_width_px, frame.height_px / area.image_height_px)
+
+
 def _choice(area: AreaMeasurement, other: OtherObject) -> dict[str, Any]:
-    """Return the size of another object that a point may mean, and its box in the caller's pixels."""
-    box, frame = other.bounding_box, area.frame
-    if frame is not None:
-        box = box.scaled(frame.width_px / area.image_width_px, frame.height_px / area.image_height_px)
+    """Return the size of another object that a point may mean, and its box as an argument."""
+    box = box_in_frame(area, other.bounding_box)
     sides = {"x_min": box.x1_px, "y_min": box.y1_px, "x_max": box.x2_px, "y_max": box.y2_px}
     size = {"mask_area_px": other.mask_area_px} if other.area_m2 is None else {"area_m2": other.area_m2}
     return {
@@ -128,7 +130,7 @@ def _rounded(name: str, value: Any) -> Any:
         return {key: each if each is None else _rounded(key, each) for key, each in value.items()}
     if not isinstance(value, float):
         return value
-    if name in ("confidence", "mask_score"):
+    if name in ("confidence", "scale_confidence", "mask_score"):
         return math.floor(value * 10**_DIGITS) / 10**_DIGITS  # round down, never above a limit
     if name.endswith("_px") and not name.endswith("_per_px"):
         return round(value, 1)

@@ -16,13 +16,13 @@ _REMEDIES = {
     "drop": "drop boxes that are no cars, see view_image (drop)",
     "region": "give the region (region)",
     "car": "add a car that has no box (add)",
-    "line": "draw a line over something named, as {} (known_lengths)",
+    "line": "draw a line over {} (known_lengths)",
 }
 _BESIDE_CARS = "a parking bay or lane dash"
 _WITHOUT_CARS = "a container or court"
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"
 _ON_CHOICES = "give the box of the object that you mean"
-_ON_MASK = "look at it with view_image, and give a tighter box"
+_ON_MASK = "look at it with view_image, and give a tight box drawn by eye"
 
 
 def advice_on(record: BaseModel) -> str:
@@ -33,7 +33,9 @@ def advice_on(record: BaseModel) -> str:
     if estimate is not None and estimate.status != "ok":
         line = _BESIDE_CARS if estimate.n_vehicles else _WITHOUT_CARS
         return ", or ".join(_REMEDIES[name].format(line) for name in _remedies(estimate)[:_MOST])
-    if isinstance(record, AreaMeasurement) and (record.confidence is None or record.confidence >= USABLE_CHANCE):
+    if isinstance(record, AreaMeasurement) and (
+        record.scale_confidence is None or record.scale_confidence >= USABLE_CHANCE
+    ):
         return _ON_CHOICES if record.alternatives else _ON_MASK
     return _ON_STATED
 

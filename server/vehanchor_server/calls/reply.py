@@ -62,24 +62,24 @@ class Reply(Generic[Record]):
         return self.records[0]
 
     def to_result(
-        self, sentence: str, *, detail: Detail = "full", shown: PictureRequest | None = None, hints: Sequence[str] = ()
+        self, text: str, warnings: Sequence[str] = (), *, detail: Detail = "full", shown: PictureRequest | None = None
     ) -> CallToolResult:
         """Convert to a tool result: text and structured content that say the same, and page data.
 
         Args:
-            sentence: the records in words.
+            text: the records in words.
+            warnings: those in the text, for short structured content.
             detail: extent of the records.
             shown: the requested picture; the evidence follows the text, without structured content.
-            hints: warnings about the call beside those of the records.
         """
-        content: list[Any] = [TextContent(type="text", text=" ".join([sentence, *hints]))]
+        content: list[Any] = [TextContent(type="text", text=text)]
         kind = "" if shown is None else shown.kind
         if kind == "evidence":
             assert self.picture is not None
             return CallToolResult(content=[*content, Image(data=self.picture, format="jpeg").to_image_content()])
         whole = [record.model_dump(mode="json") for record in self.records]
         full = whole[0] if len(whole) == 1 else {"measurements": whole}
-        short = None if detail == "full" else short_record(self.records, hints)
+        short = None if detail == "full" else short_record(self.records, warnings)
         if kind:
             page = panel_meta(self.picture, self.drawing, None if short is None else whole[0], self.record)
         else:

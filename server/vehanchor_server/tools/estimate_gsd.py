@@ -11,11 +11,9 @@ from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult, InputRequiredResult
 
 from vehanchor.records import GsdEstimate
-from vehanchor.records.text import by_hand_text, ruler_names, significant
 from vehanchor_server.app_page.page import APP_META
-from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
-from vehanchor_server.calls.reply import Detail, PictureRequest, Reply
+from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
@@ -27,7 +25,7 @@ from vehanchor_server.tools.flight_question import (
     check_flight_question,
     estimate_with_flight,
 )
-from vehanchor_server.tools.messages import POLICY, interval, no_scale, verdict, warnings_of
+from vehanchor_server.tools.messages import POLICY
 from vehanchor_server.tools.picture import scale_reply
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
@@ -35,8 +33,7 @@ from vehanchor_server.tools.scale_arguments import (
     DetailArgument,
     Given,
     Question,
-    check_coordinates,
-    hints,
+    answered,
     scale_options,
     with_options,
 )
@@ -74,20 +71,15 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         same_scale: SameScaleArgument = False,
     ) -> Annotated[CallToolResult, GsdEstimate] | InputRequiredResult:
         question = Question(with_user_input(ctx, given), wanted, same_scale)
-        check_coordinates((), question.given)
         if more_images:
             check_flight_question(question.given)
-            answer = await run_call(services, ctx, image, estimate_with_flight, question, more_images)
-        else:
-            answer = await run_call(services, ctx, image, _estimate, question)
-        record = answer.record
-        words = describe_estimate(record, detail)
+        chosen = estimate_with_flight if more_images else _estimate
+        reply, told = await answered(services, ctx, image, chosen, question, more=more_images or (), detail=detail)
         if not (more_images or services.settings.never_ask or wanted.kind == "evidence"):
-            asked = request_scale_input(ctx, question.given, record, words)
+            asked = request_scale_input(ctx, question.given, reply.record, told.text)
             if asked is not None:
                 return asked
-        told = hints((), question.given, record)
-        return answer.to_result(words, detail=detail, shown=wanted, hints=told)
+        return reply.to_result(*told, detail=detail, shown=wanted)
 
     return StrictTool.read_only(
         estimate_gsd,
@@ -118,25 +110,3 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: Question
     with open_raster(source, limits=options.reading.limits) as raster:
         analysis = services.models.memory.analyse(detector, raster, options)
         return scale_reply(raster, analysis, asked.wanted, job)
-
-
-def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
-    """Describe the scale and its status in one sentence, and each warning in another; with full detail, each ruler."""
-    words = [_scale_in_words(estimate)]
-    frame = estimate.frame
-    if frame is not None and frame.gsd_m_per_px is not None:
-        words.append(
-            f"In your {frame.width_px} x {frame.height_px} copy that is {significant(frame.gsd_m_per_px)} m/px."
-        )
-    if by_hand := by_hand_text(estimate):
-        words.append(f"Vehicles corrected {by_hand}.")
-    rulers = [ruler.explanation for ruler in estimate.rulers if ruler.explanation is not None and detail == "full"]
-    return " ".join([*words, *rulers, *warnings_of([estimate], detail)])
-
-
-def _scale_in_words(estimate: GsdEstimate) -> str:
-    if estimate.gsd_m_per_px is None:
-        return no_scale(estimate).capitalize()
-    scale = f"{significant(estimate.gsd_m_per_px)} m/px"
-    scale += interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
-    return f"{scale}, confidence {estimate.confidence:.2f} from {ruler_names(estimate)}: {verdict(estimate)}"

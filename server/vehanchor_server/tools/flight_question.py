@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
@@ -72,8 +71,9 @@ def estimate_with_flight(
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor_flight.estimate import conclude, search_flight
 
-    progress = partial(_report_photograph, job, 1 + len(more))
-    detector = services.models.detector(replace(job.runtime, progress=progress))
+    # The search does not know the number of photographs.
+    runtime = replace(job.runtime, progress=lambda done, _: job.searched(done, 1 + len(more)))
+    detector = services.models.detector(runtime)
     asked = scale_options(question.given, services.settings, services.models)
     options = replace(asked, frame=Frame())
     checked_detector(detector, options)
@@ -89,11 +89,6 @@ def estimate_with_flight(
     analysis = replace(members[0].analysis, estimate=_estimate_of_image(flight, asked))
     with open_raster(source, limits=asked.reading.limits) if question.wanted.kind else nullcontext() as raster:
         return scale_reply(raster, analysis, question.wanted, job)
-
-
-def _report_photograph(job: Job, total: int, done: int, _: int) -> None:
-    """Report a finished photograph with the total, which the search does not know."""
-    job.searched(done, total)
 
 
 def _open_each(

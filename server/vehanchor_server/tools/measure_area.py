@@ -2,15 +2,13 @@
 
 # No postponed annotations here: the SDK reads the result's schema from them.
 
-from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult
 from pydantic import Field
 
-from vehanchor.records import AreaMeasurement, BoundingBox, OtherObject
-from vehanchor.records.text import significant
+from vehanchor.records import AreaMeasurement
 from vehanchor_server.app_page.page import APP_META
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
@@ -18,8 +16,7 @@ from vehanchor_server.calls.task import work
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.measured import measured
-from vehanchor_server.tools.messages import STATUS_RULES, interval, no_scale, scale_origin, verdict
+from vehanchor_server.tools.messages import STATUS_RULES
 from vehanchor_server.tools.picture import draw_picture
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
@@ -27,6 +24,7 @@ from vehanchor_server.tools.scale_arguments import (
     DetailArgument,
     Given,
     Question,
+    answered,
     resolve_source,
     with_options,
 )
@@ -62,8 +60,10 @@ def measure_area_tool(services: Services) -> StrictTool:
         wanted: PictureRequest,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
-        question, places = Question(given, wanted, targets), list(_places(targets))
-        return await measured(services, ctx, image, _measure, question, places, _area_of_object, detail)
+        places = [place for target in targets for place in target.places]
+        question = Question(given, wanted, targets)
+        reply, told = await answered(services, ctx, image, _measure, question, places, detail=detail)
+        return reply.to_result(*told, detail=detail, shown=wanted)
 
     return StrictTool.read_only(
         measure_area,
@@ -73,15 +73,6 @@ def measure_area_tool(services: Services) -> StrictTool:
         answered=("status", "area_m2", "scale_confidence", "inscribed_diameter_m"),
         listing=Listing(UNLISTED_ARGUMENTS, services.settings.image_kinds),
     )
-
-
-def _places(targets: Iterable[Target]) -> Iterator[tuple[float, float]]:
-    for target in targets:
-        if target.box is not None:
-            yield target.box.x_min, target.box.y_min
-            yield target.box.x_max, target.box.y_max
-        for point in target.points or ():
-            yield point.x, point.y
 
 
 @work(AreaMeasurement)
@@ -124,41 +115,6 @@ def _prompt(target: Target) -> "Prompt":
     from vehanchor.segmentation.prompt import read_prompt
 
     if target.box is not None:
-        box = target.box
-        return read_prompt((box.x_min, box.y_min, box.x_max, box.y_max), None)
+        (left, top), (right, bottom) = target.box.corners
+        return read_prompt((left, top, right, bottom), None)
     return read_prompt(None, [(point.x, point.y, point.label == "include") for point in target.points or ()])
-
-
-def _area_of_object(area: AreaMeasurement) -> str:
-    """Describe the area and its status, the position of the mask and the choices of a point."""
-    box = area.bounding_box if area.frame is None else area.frame.bounding_box
-    words = _area_in_words(area)
-    if box is None:
-        return words
-    seen = "image" if area.frame is None else f"{area.frame.width_px} x {area.frame.height_px} copy"
-    others = " or ".join(_other_in_words(area, other) for other in area.alternatives)
-    return f"{words} The mask spans {_span(box)} px of your {seen}.{f' Or you mean {others}.' if others else ''}"
-
-
-def _other_in_words(area: AreaMeasurement, other: OtherObject) -> str:
-    size = f"{other.mask_area_px} px" if other.area_m2 is None else f"{significant(other.area_m2)} m2"
-    box, frame = other.bounding_box, area.frame
-    if frame is not None:
-        box = box.scaled(frame.width_px / area.image_width_px, frame.height_px / area.image_height_px)
-    return f"{size} in {_span(box)}"
-
-
-def _span(box: BoundingBox) -> str:
-    return f"x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f}"
-
-
-def _area_in_words(area: AreaMeasurement) -> str:
-    if not area.mask_area_px:
-        return "No object found: no area. Draw a tight box around a visible object."
-    if area.area_m2 is None:
-        return f"No area: the object covers {area.mask_area_px} px, but {no_scale(area)}"
-    size = f"{significant(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
-    if area.status == "ok" and area.length_m and area.width_m and area.inscribed_diameter_m:
-        size += f", {significant(area.length_m)} x {significant(area.width_m)} m"
-        size += f", largest circle inside {significant(area.inscribed_diameter_m)} m across"
-    return f"{size}; {scale_origin(area)}: {verdict(area)}"

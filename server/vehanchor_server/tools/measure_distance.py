@@ -10,7 +10,6 @@ from pydantic import Field
 
 from vehanchor.options.option import Number
 from vehanchor.records import DistanceMeasurement
-from vehanchor.records.text import significant
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
@@ -18,8 +17,7 @@ from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.measured import measured
-from vehanchor_server.tools.messages import STATUS_RULES, interval, no_scale, scale_origin, verdict
+from vehanchor_server.tools.messages import STATUS_RULES
 from vehanchor_server.tools.picture import draw_picture
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
@@ -27,6 +25,7 @@ from vehanchor_server.tools.scale_arguments import (
     DetailArgument,
     Given,
     Question,
+    answered,
     resolve_source,
     with_options,
 )
@@ -74,7 +73,8 @@ def measure_distance_tool(services: Services) -> StrictTool:
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
         places = [(point.x, point.y) for line in lines for point in line.points]
         question = Question(given, wanted, lines)
-        return await measured(services, ctx, image, _measure, question, places, _distance_in_words, detail)
+        reply, told = await answered(services, ctx, image, _measure, question, places, detail=detail)
+        return reply.to_result(*told, detail=detail, shown=wanted)
 
     return StrictTool.read_only(
         measure_distance,
@@ -116,10 +116,3 @@ def _measure(
             usual=cut_to_lines(measured).part,
         )
     return Reply(measured, picture)
-
-
-def _distance_in_words(record: DistanceMeasurement) -> str:
-    if record.distance_m is None:
-        return f"No distance: the line is {record.length_px:.0f} px long, but {no_scale(record)}"
-    size = f"{significant(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
-    return f"{size}; {scale_origin(record)}: {verdict(record)}"

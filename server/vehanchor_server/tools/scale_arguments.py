@@ -14,20 +14,26 @@ from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
 from vehanchor.options.option import Option
 from vehanchor.options.rulers import OBJECT_HEIGHT, ObjectHeight
 from vehanchor.records import GsdEstimate
+from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.reply import MAX_SIDE_PX, Detail, PictureRequest
 from vehanchor_server.errors import CallError
+from vehanchor_server.tools.messages import answer_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from mcp.server.mcpserver import Context
 
     from vehanchor.measure.resolved_scale import ScaleInput
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
     from vehanchor_server.calls.job import Job
+    from vehanchor_server.calls.reply import Reply
+    from vehanchor_server.calls.task import Work
+    from vehanchor_server.images.argument import AnyImage
     from vehanchor_server.models import Models
     from vehanchor_server.services import Services
     from vehanchor_server.settings import Settings
+    from vehanchor_server.tools.messages import Answer
 
 DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
 _LARGE_PX = 1000  # longer side of images in which nobody points at the first 100 px alone
@@ -151,7 +157,27 @@ def resolve_source(given: Given, services: Services, job: Job) -> tuple[ScaleOpt
     return options, functools.partial(services.models.memory.analyse, detector)
 
 
-def check_coordinates(places: Iterable[tuple[float, float]], given: Given) -> None:
+async def answered(
+    services: Services,
+    ctx: Context[Any, Any],
+    image: AnyImage,
+    work: Work[Any],
+    question: Question[Any],
+    places: Sequence[tuple[float, float]] = (),
+    *,
+    more: Sequence[AnyImage] = (),
+    detail: Detail,
+) -> tuple[Reply[Any], Answer]:
+    """Run the work of a call, and say its records in words; see ``run_call``.
+
+    The places are the points of the subjects, in the caller's coordinates.
+    """
+    _check_coordinates(places, question.given)
+    reply = await run_call(services, ctx, image, work, question, more)
+    return reply, answer_of(reply.records, _hints(places, question.given, reply.record), detail)
+
+
+def _check_coordinates(places: Iterable[tuple[float, float]], given: Given) -> None:
     """Refuse coordinates that look like fractions, also those of lines and vehicles, unless their units are named.
 
     Raises:
@@ -165,7 +191,7 @@ def check_coordinates(places: Iterable[tuple[float, float]], given: Given) -> No
         )
 
 
-def hints(
+def _hints(
     places: Iterable[tuple[float, float]], given: Given, record: GsdEstimate | AreaMeasurement | DistanceMeasurement
 ) -> list[str]:
     """Return warnings about the call: what was made of a region or a stated scale, and doubtful coordinates.

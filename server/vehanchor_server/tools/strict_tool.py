@@ -85,7 +85,8 @@ class StrictTool(Tool):
         status, result = "cancelled", None
         try:
             if _more_values_than(arguments, MAX_VALUES):
-                raise ToolError("too many values") from _too_many()
+                many = f"more than {MAX_VALUES} values. See the tool's input schema."
+                raise ToolError("too many values") from CallError("invalid_arguments", many)
             result = await super().run(_with_integers(arguments), context, convert_result)
             status = "input_required" if isinstance(result, InputRequiredResult) else "ok"
             return result
@@ -133,7 +134,7 @@ def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
         return record
     types: dict[str, Any] = {}
     for name in names:
-        field = record["properties"][name.removeprefix("scale_")]
+        field = record["properties"][name]
         kinds = [option["type"] for option in field.get("anyOf", [field])]
         types[name] = {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
     return {"type": "object", "properties": types}
@@ -146,10 +147,6 @@ def _with_integers(value: Any) -> Any:
     if isinstance(value, list):
         return [_with_integers(each) for each in value]
     return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT else value
-
-
-def _too_many() -> CallError:
-    return CallError("invalid_arguments", f"more than {MAX_VALUES} values. See the tool's input schema.")
 
 
 def _more_values_than(arguments: Any, limit: int) -> bool:

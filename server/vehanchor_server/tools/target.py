@@ -27,6 +27,11 @@ class Box(FrozenModel):
     x_max: Number
     y_max: Number
 
+    @property
+    def corners(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Upper left and lower right corner."""
+        return (self.x_min, self.y_min), (self.x_max, self.y_max)
+
 
 class Point(FrozenModel):
     """A point on the object, or beside it to exclude its surroundings."""
@@ -45,6 +50,11 @@ class Target(FrozenModel):
     points: tuple[Point, ...] | None = Field(
         default=None, min_length=1, max_length=MAX_POINTS, description="At least one on the object."
     )
+
+    @property
+    def places(self) -> tuple[tuple[float, float], ...]:
+        """Corners of the box, or points."""
+        return self.box.corners if self.box is not None else tuple((each.x, each.y) for each in self.points or ())
 
     @model_validator(mode="before")
     @classmethod

@@ -23,7 +23,6 @@ from vehanchor.options import Coordinates, Frame, Reading, declared_options
 from vehanchor.options.option import Limits
 from vehanchor_server.app_page.page import PAGE_ONLY_META
 from vehanchor_server.calls.call import run_call
-from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
@@ -104,7 +103,9 @@ def view_image_tool(services: Services) -> StrictTool:
         long_side_px: _Side = _USUAL_SIDE_PX,
         page: _Page = 1,
     ) -> CallToolResult:
-        wanted = PictureRequest("evidence", long_side_px, _corners(part), Frame(coordinates=coordinates))
+        wanted = PictureRequest(
+            "evidence", long_side_px, part.corners if part else None, Frame(coordinates=coordinates)
+        )
         if of is not None:
             tool = made.get(of.tool) or made.setdefault(of.tool, _MEASURING[of.tool](services))
             named = {} if image is None else {"image": image.model_dump()}
@@ -138,7 +139,9 @@ def page_image_tool(services: Services) -> StrictTool:
             more = names and (page - 1) * _IMAGES_A_PAGE + len(names) < total
             listed, picture = PageImages(images=tuple(names), next_page=page + 1 if more else None), None
         else:
-            seen = await run_call(services, ctx, image, _view, PictureRequest("plain", long_side_px, _corners(part)))
+            seen = await run_call(
+                services, ctx, image, _view, PictureRequest("plain", long_side_px, part.corners if part else None)
+            )
             listed, picture = PageImages(), seen.picture
         return _with_picture("For the page.", picture, listed.model_dump(mode="json"))
 
@@ -152,10 +155,6 @@ def page_image_tool(services: Services) -> StrictTool:
     )
 
 
-def _corners(part: Box | None) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    return None if part is None else ((part.x_min, part.y_min), (part.x_max, part.y_max))
-
-
 def _with_picture(words: str, jpeg: bytes | None, data: dict[str, Any] | None = None) -> CallToolResult:
     content: list[Any] = [TextContent(type="text", text=words)]
     if jpeg is not None:
@@ -166,13 +165,10 @@ def _with_picture(words: str, jpeg: bytes | None, data: dict[str, Any] | None = 
 async def _list_images(services: Services, page: int) -> tuple[list[str], int]:
     """Return the names on a page of the list, and the number of all images."""
     first = (page - 1) * _IMAGES_A_PAGE
-
-    async def call(stop: Stop) -> tuple[list[str], int]:
-        return await services.capacity.in_thread(
-            stop, partial(services.sources.paths.listed, first, _IMAGES_A_PAGE, stop)
-        )
-
-    return await services.capacity.run(call)
+    listed = services.sources.paths.listed
+    return await services.capacity.run(
+        lambda stop: services.capacity.in_thread(stop, partial(listed, first, _IMAGES_A_PAGE, stop))
+    )
 
 
 def _list_in_words(names: Sequence[str], total: int, page: int) -> str:

@@ -122,5 +122,5 @@ class DistanceAnalysis(MeasuredAnalysis):
 
 def _feature(record: AreaMeasurement | DistanceMeasurement, *names: str) -> dict[str, Any]:
     """Make a GeoJSON Feature of a measurement; ``names`` are the fields of the size and its interval."""
-    properties = {name: getattr(record, name) for name in ("status", *names, "gsd_m_per_px", "confidence")}
+    properties = {name: getattr(record, name) for name in ("status", *names, "gsd_m_per_px", "scale_confidence")}
     return {"type": "Feature", "geometry": record.__geo_interface__, "properties": properties}

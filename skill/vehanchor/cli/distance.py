@@ -68,8 +68,8 @@ def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:
     facts = [("distance", distance), ("line", f"{len(record.path)} points, {record.length_px:.1f} px")]
     if record.gsd_m_per_px is not None:
         facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}"))
-    if record.confidence is not None:
-        facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
+    if record.scale_confidence is not None:
+        facts.append(("scale confidence", f"{record.scale_confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     if record.n_vehicles is not None:
         facts.append(("vehicles", f"{record.n_vehicles} kept"))
     return [*facts, ("status", record.status)]

@@ -120,7 +120,7 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
         scale = record.estimate
         facts += [
             ("scale", scale_text(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)),
-            ("confidence", f"{scale.confidence:.2f}   {STATUS_TEXTS[scale.status]}"),
+            ("scale confidence", f"{scale.confidence:.2f}   {STATUS_TEXTS[scale.status]}"),
             ("vehicles", vehicles_text(scale)),
         ]
     facts.append(("status", record.status))

@@ -108,7 +108,7 @@ def _conclude(
         area_m2=area.value,
         area_ci95_low_m2=area.low,
         area_ci95_high_m2=area.high,
-        confidence=scale.confidence,
+        scale_confidence=scale.confidence,
         gsd_m_per_px=gsd,
         n_vehicles=None if estimate is None else estimate.n_vehicles,
         mode_length_px=None if estimate is None else estimate.mode_length_px,

@@ -127,7 +127,7 @@ def _conclude(places: Sequence[Place], coordinates: CoordinateFrame, scale: Reso
         distance_m=distance,
         distance_ci95_low_m=low,
         distance_ci95_high_m=high,
-        confidence=scale.confidence,
+        scale_confidence=scale.confidence,
         gsd_m_per_px=gsd,
         n_vehicles=None if estimate is None else estimate.n_vehicles,
         scale_source=scale.source,

@@ -34,11 +34,12 @@ _SIZES = (
     *("area_m2", "area_ci95_low_m2", "area_ci95_high_m2", "length_m", "width_m", "perimeter_m"),
     *("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "gsd_m_per_px"),
 )
+_SCORES = ("scale_confidence", "mask_score")
 TARGET_COLUMNS: dict[str, type] = {
     **dict.fromkeys(("file", "name", "kind"), str),
     **dict.fromkeys(("x1", "y1", "x2", "y2"), float),
     "status": str,
-    **dict.fromkeys((*_SIZES, "scale_confidence", "mask_score"), float),
+    **dict.fromkeys((*_SIZES, *_SCORES), float),
     **dict.fromkeys(("warnings", "error_code", "error"), str),
 }
 """Columns of the table of results and the types of their values, in order."""
@@ -82,8 +83,7 @@ class TargetRow(NamedTuple):
         values = dict.fromkeys(TARGET_COLUMNS) | dict(zip(("x1", "y1", "x2", "y2"), given, strict=True))
         values |= {"file": self.target.file, "name": self.target.name, "kind": self.target.kind}
         if self.record is not None:
-            values |= {name: getattr(self.record, name, None) for name in ("status", *_SIZES, "mask_score")}
-            values["scale_confidence"] = self.record.confidence
+            values |= {name: getattr(self.record, name, None) for name in ("status", *_SIZES, *_SCORES)}
             values["warnings"] = " ".join(each.code for each in self.record.warnings)
         if self.error is not None:
             values |= {"error_code": self.error.code, "error": str(self.error)}

@@ -194,7 +194,7 @@ def _finished(canvas: Canvas, analysis: DrawableMeasurement, sizes: Sequence[str
     lines: list[CaptionLine] = [[(None, f"do not use: {objection}")]] if objection else []
     lines += [[(MEASURED_RGB, size)] for size in _numbered(sizes)]
     if record.gsd_m_per_px is not None:
-        source = "given" if record.confidence is None else f"confidence {record.confidence:.2f}"
+        source = "given" if record.scale_confidence is None else f"confidence {record.scale_confidence:.2f}"
         lines.append([(None, f"{significant(record.gsd_m_per_px, 4)} m/px, {source}")])
     return canvas.finished(record.gsd_m_per_px if analysis.nadir and not objection else None, lines)
 
@@ -215,7 +215,7 @@ def _size_text(value: float | None, low: float | None, high: float | None, unit:
 
 def _objection(record: Measured) -> str:
     """Explain why the scale is not usable; empty for a usable scale and without one."""
-    if record.confidence is None or record.gsd_m_per_px is None or record.confidence >= USABLE_CHANCE:
+    if record.scale_confidence is None or record.gsd_m_per_px is None or record.scale_confidence >= USABLE_CHANCE:
         return ""
     reason = None if record.estimate is None else record.estimate.reason
     return f"the scale's confidence is below {USABLE_CHANCE}" if reason is None else ADVICE[reason].why

@@ -13,7 +13,7 @@ from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 ScaleSource = Literal["estimated", "given", "reused"]
 
 # Fields that both records share.
-MeasuredConfidence = Annotated[
+ScaleConfidence = Annotated[
     float | None,
     Field(ge=0, le=1, description="The scale's confidence in 0..1; null for a number that the caller gave."),
 ]
@@ -116,7 +116,7 @@ class AreaMeasurement(Record):
     )
     area_ci95_low_m2: float | None = Field(description="Lower end of its 95 % interval, from scale and mask.")
     area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
-    confidence: MeasuredConfidence
+    scale_confidence: ScaleConfidence
     gsd_m_per_px: MeasuredGsd
     n_vehicles: MeasuredVehicles
     mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without an estimate.")
@@ -172,7 +172,7 @@ class DistanceMeasurement(Record):
         description="Lower end of its 95 % interval, from the scale and one pixel of error per point."
     )
     distance_ci95_high_m: float | None = Field(description="Upper end of its 95 % interval.")
-    confidence: MeasuredConfidence
+    scale_confidence: ScaleConfidence
     gsd_m_per_px: MeasuredGsd
     n_vehicles: MeasuredVehicles
     scale_source: ScaleSourceField

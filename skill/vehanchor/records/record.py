@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.errors import MissingExtraError
 
-SCHEMA_VERSION: Literal[3] = 3
+SCHEMA_VERSION: Literal[4] = 4
 """Version of all fields; it rises when a field is renamed, removed or redefined."""
 
-SchemaVersion = Annotated[Literal[3], Field(description="Version of this schema; others are refused.")]
+SchemaVersion = Annotated[Literal[4], Field(description="Version of this schema; others are refused.")]
 
 _SHOWN_FLOAT_DIGITS = 4
 _FRAME_TYPES = {float: "float64", int: "Int64", bool: "boolean", str: "string"}  # types with a missing value

@@ -42,8 +42,8 @@ def _doubts(
     if not found.is_agreed:
         yield (
             NoticeCode.EXTENT_UNKNOWN,
-            "The masks that fit differ. This one may be a part of the object, or more: look at the outline, or give a "
-            "box around the object.",
+            "The masks that fit differ. This one may be a part of the object, or more: look at the outline, or draw a "
+            "box around the object; this mask's own box adds nothing.",
         )
     if found.score < card.min_score:
         yield (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,19 +11,22 @@ from typing import Any
 
 import cv2
 import pytest
-from mcp import Client
 from mcp.server import MCPServer
 from mcp.types import CallToolResult
 
 import vehanchor
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import ERAS, by_path, error_of, text_of
+from tests.server.conversation import ERAS, by_path, called, error_of, record_of, text_of
+from tests.server.test_app import AREA as AREA_TOKENS
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
+from vehanchor.records import AreaMeasurement, Notice, OtherObject
 from vehanchor_server.app import create_server
+from vehanchor_server.calls.compact import short_record
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
+from vehanchor_server.tools.messages import answer_of
 
 pytestmark = pytest.mark.anyio
 
@@ -37,15 +41,7 @@ def pool_in(path: Path, **more: Any) -> dict[str, Any]:
 
 
 async def asked(server: MCPServer[object], arguments: dict[str, Any], era: str = "auto") -> CallToolResult:
-    async with Client(server, mode=era) as client:
-        return await client.call_tool("measure_area", arguments)
-
-
-def record_of(result: CallToolResult) -> dict[str, Any]:
-    assert not result.is_error, text_of(result)
-    record = result.structured_content
-    assert isinstance(record, dict)
-    return record
+    return await called(server, "measure_area", era=era, **arguments)
 
 
 @pytest.mark.parametrize("era", ERAS)
@@ -62,8 +58,8 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     assert record_of(result) == expected.model_dump(mode="json")
     assert len(result.content) == 1
     assert text_of(result).startswith(f"{expected.area_m2:.0f} m2 (95 % interval ")
-    assert f"from 24 vehicles, scale confidence {expected.confidence:.2f}: safe to use." in text_of(result)
-    assert "The mask spans x 300 to 348, y 330 to 426 px of your image." in text_of(result)
+    assert f"from 24 vehicles, scale confidence {expected.scale_confidence:.2f}: safe to use." in text_of(result)
+    assert "Mask: x 300 to 348, y 330 to 426 in your image." in text_of(result)
 
 
 async def test_points_say_what_is_on_the_object_and_what_is_beside_it(
@@ -102,7 +98,7 @@ async def test_another_object_that_a_point_may_mean_is_told_in_the_callers_pixel
     assert first["area_m2"] == pytest.approx(first["mask_area_px"] * 0.15**2)
     told = text_of(result)
     assert "do not rely on it; give the box of the object that you mean." in told
-    assert "The mask spans x 150 to 174, y 165 to 213 px of your 320 x 256 copy. Or you mean " in told
+    assert "Mask: x 150 to 174, y 165 to 213 in your copy. Or you mean " in told
     x1, y1, x2, y2 = (side / 2 for side in first["bounding_box"].values())
     assert f"Or you mean {first['area_m2']:.3g} m2 in x {x1:.0f} to {x2:.0f}, y {y1:.0f} to {y2:.0f}" in told
 
@@ -115,7 +111,7 @@ async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServe
     record = record_of(result)
     assert record["area_m2"] == whole["area_m2"]
     assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * whole["gsd_m_per_px"])
-    assert "The mask spans x 150 to 174, y 165 to 213 px of your 320 x 256 copy." in text_of(result)
+    assert "Mask: x 150 to 174, y 165 to 213 in your copy." in text_of(result)
 
 
 async def test_a_measured_scale_needs_neither_cars_nor_a_detector(settings: Settings, images: Path) -> None:
@@ -124,8 +120,10 @@ async def test_a_measured_scale_needs_neither_cars_nor_a_detector(settings: Sett
     record = record_of(result)
     assert record["area_m2"] == pytest.approx(0.15**2 * record["mask_area_px"])
     assert (record["scale_source"], record["status"], record["scale"]) == ("given", "ok", None)
-    assert record["confidence"] >= 0.9
-    assert f"scale 0.150 m/px as stated, scale confidence {record['confidence']:.2f}: safe to use." in text_of(result)
+    assert record["scale_confidence"] >= 0.9
+    assert f"scale 0.150 m/px as stated, scale confidence {record['scale_confidence']:.2f}: safe to use." in text_of(
+        result
+    )
     assert text_of(result).endswith("The stated scale is taken as +- 10 %.")
 
 
@@ -135,7 +133,7 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
     server = create_server(create_services(replace(settings, segmenter=write_sam(tmp_path, scores=[0.4]))))
     result = await asked(server, pool_in(images / "pool.png"))
     assert record_of(result)["status"] == "low_confidence"
-    assert "do not rely on it; look at it with view_image, and give a tighter box." in text_of(result)
+    assert "do not rely on it; look at it with view_image, and give a tight box drawn by eye." in text_of(result)
     assert "Warning mask_score_low: The expected overlap with the object is 0.40, below 0.7." in text_of(result)
 
 
@@ -143,6 +141,7 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
     ("target", "words"),
     [
         ({}, "targets.0: give either box or points: "),
+        (..., "targets: it is required"),
         ("the pool", "targets.0: give either box or points"),
         (None, "targets.0: "),
         ({"box": POOL_BOX, "points": [{"x": 1, "y": 1}]}, "targets.0: give either box or points"),
@@ -160,28 +159,48 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
 async def test_a_target_of_the_wrong_form_is_told_in_one_line(
     server: MCPServer[object], images: Path, target: Any, words: str
 ) -> None:
-    result = await asked(server, {**by_path(images / "pool.png"), "targets": [target]})
+    given = {} if target is ... else {"targets": [target]}
+    result = await asked(server, {**by_path(images / "pool.png"), **given})
     assert error_of(result) == "invalid_arguments"
     assert words in text_of(result)
     assert "\n" not in text_of(result)
-
-
-async def test_without_a_target_there_is_nothing_to_measure(server: MCPServer[object], images: Path) -> None:
-    result = await asked(server, by_path(images / "pool.png"))
-    assert error_of(result) == "invalid_arguments"
-    assert "targets: it is required" in text_of(result)
 
 
 async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
     settings: Settings, images: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     files = Path("/nowhere/secret.onnx"), Path("/nowhere/decoder.onnx")
-    async with Client(create_server(create_services(replace(settings, segmenter=files)))) as client:
-        result = await client.call_tool("measure_area", pool_in(images / "pool.png"))
-        estimate = await client.call_tool("estimate_gsd", by_path(images / "pool.png"))
+    server = create_server(create_services(replace(settings, segmenter=files)))
+    result = await asked(server, pool_in(images / "pool.png"))
+    estimate = await called(server, "estimate_gsd", images / "pool.png")
     assert text_of(result) == (
         "model_unavailable: this server's segmenter cannot be loaded (model_not_found). Its operator must check "
         "--segmenter."
     )
     assert "/nowhere/secret.onnx" in caplog.text
     assert not estimate.is_error
+
+
+async def test_the_longest_answer_about_an_area_stays_short(server: MCPServer[object], images: Path) -> None:
+    frame = {"width_px": 320, "height_px": 256}
+    half = {name: value / 2 for name, value in POOL_BOX.items()}
+    full = {**by_path(images / "pool_two.png"), "targets": [{"box": half}], "frame": frame, "detail": "full"}
+    found = AreaMeasurement.model_validate(record_of(await asked(server, full)))
+    assert found.estimate is not None
+    assert found.bounding_box is not None
+    other = OtherObject(area_m2=1234.5, mask_area_px=12345, mask_score=0.8, bounding_box=found.bounding_box)
+    codes = ("extent_unknown", "mask_score_low", "mask_touches_edge", "mask_in_pieces", "target_small")
+    notices = tuple(Notice(code=code, message=f"{'A fact ' * 12}. And more.") for code in codes)
+    changes = {"reason": "not_cars", "n_vehicles": 24}
+    worst = found.model_copy(
+        update={
+            "alternatives": (other, other),
+            "warnings": notices,
+            "estimate": found.estimate.model_copy(update=changes),
+        }
+    )
+    answer = answer_of([worst], ["Region europe: cars of 4.85 m."], "short")
+    assert len(answer.text) <= 4 * AREA_TOKENS[0]
+    assert answer.text.endswith("Region europe: cars of 4.85 m.")
+    assert all(notice.code in answer.text for notice in notices)
+    assert len(json.dumps(short_record([worst], answer.warnings), separators=(",", ":"))) <= 4 * AREA_TOKENS[1]

@@ -11,7 +11,8 @@ from mcp.server import MCPServer
 from mcp.types import CallToolResult
 
 import vehanchor
-from tests.server.conversation import by_path, error_of, text_of
+from tests.server.conftest import paint_scene, write_image
+from tests.server.conversation import by_path, called, error_of, record_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.records.text import significant
@@ -22,18 +23,8 @@ from vehanchor_server.settings import Settings
 pytestmark = pytest.mark.anyio
 
 LINE = {"points": [{"x": 20, "y": 500}, {"x": 320, "y": 100}]}
+MEASURED: dict[str, Any] = {"gsd_m_per_px": 0.1, "gsd_basis": "measured"}
 CORNER = {"points": [{"x": 20, "y": 500}, {"x": 320, "y": 500}, {"x": 320, "y": 100}]}
-
-
-async def asked(server: MCPServer[object], tool: str, image: Path, **more: Any) -> CallToolResult:
-    async with Client(server) as client:
-        return await client.call_tool(tool, {**by_path(image), **more})
-
-
-def record_of(result: CallToolResult) -> dict[str, Any]:
-    assert not result.is_error, text_of(result)
-    assert isinstance(result.structured_content, dict)
-    return result.structured_content
 
 
 async def test_a_call_gives_the_librarys_record_and_a_sentence(
@@ -42,10 +33,10 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     expected = vehanchor.measure_distance(
         images / "cars.png", [(20, 500), (320, 100)], detector=load_detector(detector_path, Runtime(threads=1))
     )
-    result = await asked(server, "measure_distance", images / "cars.png", lines=[LINE])
+    result = await called(server, "measure_distance", images / "cars.png", lines=[LINE])
     assert record_of(result) == expected.model_dump(mode="json")
     assert text_of(result).startswith(f"{significant(expected.distance_m or 0)} m (95 % interval ")
-    assert f"from 24 vehicles, scale confidence {expected.confidence:.2f}: safe to use." in text_of(result)
+    assert f"from 24 vehicles, scale confidence {expected.scale_confidence:.2f}: safe to use." in text_of(result)
 
 
 async def test_several_lines_are_several_answers_after_one_search(server: MCPServer[object], images: Path) -> None:
@@ -66,21 +57,12 @@ async def test_several_lines_are_several_answers_after_one_search(server: MCPSer
 
 
 async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServer[object], images: Path) -> None:
-    whole = record_of(
-        await asked(
-            server, "measure_distance", images / "cars.png", lines=[LINE], gsd_m_per_px=0.1, gsd_basis="measured"
-        )
-    )
+    whole = record_of(await called(server, "measure_distance", images / "cars.png", lines=[LINE], **MEASURED))
     for coordinates, reach in (("fraction", 1), ("per_mille", 1000)):
         points = [{"x": at["x"] / 640 * reach, "y": at["y"] / 512 * reach} for at in LINE["points"]]
-        told = await asked(
-            server,
-            "measure_distance",
-            images / "cars.png",
-            lines=[{"points": points}],
-            gsd_m_per_px=0.1,
-            gsd_basis="measured",
-            coordinates=coordinates,
+        lines = [{"points": points}]
+        told = await called(
+            server, "measure_distance", images / "cars.png", lines=lines, coordinates=coordinates, **MEASURED
         )
         assert record_of(told)["distance_m"] == pytest.approx(whole["distance_m"])
 
@@ -104,48 +86,41 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServ
 async def test_what_has_no_meaning_is_told_with_what_may_have_been_meant(
     server: MCPServer[object], images: Path, arguments: dict[str, Any], code: str, words: str
 ) -> None:
-    result = await asked(server, "measure_distance", images / "cars.png", **arguments)
+    result = await called(server, "measure_distance", images / "cars.png", **arguments)
     assert error_of(result) == code
     assert words in text_of(result)
 
 
 async def test_a_place_that_may_be_one_of_a_copy_is_questioned(server: MCPServer[object], tmp_path: Path) -> None:
-    from tests.server.conftest import paint_scene, write_image
-
     image = write_image(tmp_path / "large.png", paint_scene(3136, 1000, 0))
     settings = Settings(roots=(tmp_path.resolve(),), isolation="in-process")
     server = create_server(create_services(settings))
-    near = await asked(server, "measure_distance", image, lines=[LINE], gsd_m_per_px=0.1, gsd_basis="measured")
+    near = await called(server, "measure_distance", image, lines=[LINE], **MEASURED)
     assert "If you used a smaller copy, give its size as frame" in text_of(near)
     far = {"points": [{"x": 20, "y": 500}, {"x": 3000, "y": 900}]}
     for more in ({"lines": [far]}, {"lines": [LINE], "frame": {"width_px": 3136, "height_px": 1000}}):
-        told = await asked(server, "measure_distance", image, gsd_m_per_px=0.1, gsd_basis="measured", **more)
+        told = await called(server, "measure_distance", image, **MEASURED, **more)
         assert "smaller copy" not in text_of(told)
 
 
 SMALL = {"points": [{"x": 20, "y": 50}, {"x": 90, "y": 60}]}
 SHARES = {"points": [{"x": 0.1, "y": 0.2}, {"x": 0.9, "y": 0.2}]}
-MEASURED = {"gsd_m_per_px": 0.1, "gsd_basis": "measured"}
 
 
 async def test_coordinates_that_look_like_shares_or_per_cent_are_questioned_unless_named(tmp_path: Path) -> None:
-    from tests.server.conftest import paint_scene, write_image
-
     image = write_image(tmp_path / "large.png", paint_scene(1200, 300, 0))
     server = create_server(create_services(Settings(roots=(tmp_path.resolve(),), isolation="in-process")))
-    async with Client(server) as client:
 
-        async def told(line: Any, **more: Any) -> CallToolResult:
-            arguments = {"image": by_path(image)["image"], "lines": [line], **MEASURED, **more}
-            return await client.call_tool("measure_distance", arguments)
+    async def told(line: Any, **more: Any) -> CallToolResult:
+        return await called(server, "measure_distance", image, lines=[line], detail="short", **MEASURED, **more)
 
-        refused = await told(SHARES)
-        assert error_of(refused) == "invalid_prompt"
-        assert 'coordinates: "fraction"' in text_of(refused)
-        assert not (await told(SHARES, coordinates="fraction")).is_error
-        doubted = await told(SMALL)
-        assert 'all coordinates lie in 0 to 100. If they are pixels, give coordinates: "pixels".' in text_of(doubted)
-        assert "0 to 100" in str(record_of(doubted)["warnings"])
-        named = await told(SMALL, coordinates="pixels")
+    refused = await told(SHARES)
+    assert error_of(refused) == "invalid_prompt"
+    assert 'coordinates: "fraction"' in text_of(refused)
+    assert not (await told(SHARES, coordinates="fraction")).is_error
+    doubted = await told(SMALL)
+    assert 'all coordinates lie in 0 to 100. If they are pixels, give coordinates: "pixels".' in text_of(doubted)
+    assert "0 to 100" in str(record_of(doubted)["warnings"])
+    named = await told(SMALL, coordinates="pixels")
     assert "0 to 100" not in text_of(named)
     assert text_of(named).endswith("The stated scale is taken as +- 10 %.")

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mcp import Client
 from mcp.server import MCPServer
 
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import by_path, error_of, text_of
+from tests.server.conversation import called, error_of, record_of, text_of
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -28,15 +27,11 @@ TOOLS: dict[str, dict[str, Any]] = {
 
 
 async def measured(server: MCPServer[object], image: Path, tool: str = "measure_distance", **more: Any) -> Any:
-    async with Client(server) as client:
-        result = await client.call_tool(tool, {**by_path(image), **TOOLS[tool], **more})
-    assert not result.is_error, text_of(result)
-    return result.structured_content
+    return record_of(await called(server, tool, image, **TOOLS[tool], **more))
 
 
 async def refused(server: MCPServer[object], image: Path, tool: str, **more: Any) -> tuple[str, str]:
-    async with Client(server) as client:
-        result = await client.call_tool(tool, {**by_path(image), **TOOLS[tool], **more})
+    result = await called(server, tool, image, **TOOLS[tool], **more)
     return error_of(result), text_of(result)
 
 
@@ -57,7 +52,7 @@ async def test_a_measured_scale_leads_without_a_search_and_a_detector(
     server = create_server(create_services(replace(settings, detector="/nowhere.onnx", calibration=Path("/nowhere"))))
     found = await measured(server, images / "pool.png", tool, gsd_m_per_px=0.15, gsd_basis="measured", **more)
     assert (found["status"], found["gsd_m_per_px"], found["scale_source"]) == ("ok", 0.15, "given")
-    assert (found["estimate"], found["confidence"] >= 0.9) == (None, True)
+    assert (found["estimate"], found["scale_confidence"] >= 0.9) == (None, True)
     if tool == "measure_distance":
         assert found["distance_m"] == pytest.approx(75)
         bounds = [found["distance_ci95_low_m"] / 500, found["distance_ci95_high_m"] / 500]
@@ -114,7 +109,7 @@ async def test_an_assumed_scale_that_agrees_is_one_more_witness(
     alone = await measured(server, images / "pool_two.png", tool)
     found = await measured(server, images / "pool_two.png", tool, gsd_m_per_px=0.95 * alone["gsd_m_per_px"])
     assert alone["status"] == "low_confidence"
-    assert found["confidence"] > alone["confidence"]
+    assert found["scale_confidence"] > alone["scale_confidence"]
     assert found["estimate"]["n_vehicles"] == 2, "the image is searched"
     assert chance_of(found, "stated_scale") > 0.5
 
@@ -125,7 +120,7 @@ async def test_an_assumed_scale_that_contradicts_the_cars_makes_nothing_surer_an
 ) -> None:
     alone = await measured(server, images / "pool.png")
     found = await measured(server, images / "pool.png", gsd_m_per_px=factor * alone["gsd_m_per_px"])
-    assert found["confidence"] < alone["confidence"]
+    assert found["scale_confidence"] < alone["scale_confidence"]
     assert found["status"] == "low_confidence"
     assert "rulers_disagree" in [each["code"] for each in found["warnings"]]
     if factor != 1.5:  # there the prior of the scene agrees with the stated scale
@@ -170,10 +165,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
 
 
 async def estimated(server: MCPServer[object], image: Path, **more: Any) -> Any:
-    async with Client(server) as client:
-        result = await client.call_tool("estimate_gsd", {**by_path(image), **more})
-    assert not result.is_error, text_of(result)
-    return result.structured_content
+    return record_of(await called(server, "estimate_gsd", image, **more))
 
 
 @pytest.mark.parametrize(
@@ -237,6 +229,3 @@ async def test_a_search_that_the_clock_may_end_is_not_remembered(
     for _ in range(2):
         await estimated(server, images / "cars.png", max_seconds=60)
     assert searches() == 2
-
-
-# --- Corrections -----------------------------------------------------------------------------------------------------

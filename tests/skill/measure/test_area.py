@@ -57,7 +57,7 @@ def test_the_area_is_the_masks_pixels_times_the_scale_squared(detector: Detector
     assert record.mask_area_px == analysis.segmentation.mask.sum()
     assert record.mask_area_px == pytest.approx(48 * 96, rel=0.01)
     assert record.area_m2 == pytest.approx(record.mask_area_px * scale.gsd_m_per_px**2)
-    assert (record.gsd_m_per_px, record.confidence) == (scale.gsd_m_per_px, scale.confidence)
+    assert (record.gsd_m_per_px, record.scale_confidence) == (scale.gsd_m_per_px, scale.confidence)
     assert (record.n_vehicles, record.mode_length_px) == (30, scale.mode_length_px)
     assert (record.status, record.scale_source, record.warnings) == ("ok", "estimated", ())
     assert record.mask_score == pytest.approx(0.9)
@@ -87,12 +87,12 @@ def test_a_given_scale_needs_no_detector(segmenter: Segmenter, tmp_path: Path) -
     )
     assert record.area_m2 == pytest.approx(record.mask_area_px * GSD**2)
     assert (record.status, record.scale_source, record.gsd_m_per_px) == ("ok", "given", GSD)
-    assert (record.confidence, record.n_vehicles, record.mode_length_px, record.scale) == (None, None, None, None)
+    assert (record.scale_confidence, record.n_vehicles, record.mode_length_px, record.scale) == (None, None, None, None)
 
 
 def test_no_vehicles_mean_no_area_but_the_mask_all_the_same(detector: Detector, segmenter: Segmenter) -> None:
     record = measure_area(_place(0), box=BOX, detector=detector, segmenter=segmenter)
-    assert (record.status, record.confidence, record.n_vehicles) == ("no_scale", 0.0, 0)
+    assert (record.status, record.scale_confidence, record.n_vehicles) == ("no_scale", 0.0, 0)
     metric = {name: value for name, value in record.model_dump().items() if name.endswith(("_m2", "_m", "_per_px"))}
     assert len(metric) == 10
     assert set(metric.values()) == {None}

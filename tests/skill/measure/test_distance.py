@@ -45,7 +45,7 @@ def test_a_distance_is_the_paths_pixels_times_the_scale_of_the_vehicles(detector
     assert record.distance_m == pytest.approx(700 * estimate.gsd_m_per_px)
     assert record.distance_ci95_low_m is not None
     assert record.distance_ci95_low_m < 700 * estimate.gsd_ci95_low_m_per_px * 1.02
-    assert (record.status, record.confidence, record.n_vehicles) == ("ok", estimate.confidence, 30)
+    assert (record.status, record.scale_confidence, record.n_vehicles) == ("ok", estimate.confidence, 30)
     assert (record.estimate, record.scale, record.scale_source) == (estimate, estimate.scale, "estimated")
 
 
@@ -53,7 +53,12 @@ def test_a_known_scale_leaves_the_pointing_as_the_only_doubt() -> None:
     across = vehanchor.measure_distance(_place(0), [(100, 100), (200, 100)], gsd_m_per_px=0.1)
     assert across.distance_m == pytest.approx(10)
     assert across.distance_ci95_low_m == pytest.approx(10 * math.exp(-1.96 * math.sqrt(2) / 100), rel=1e-4)
-    assert (across.status, across.scale_source, across.confidence, across.n_vehicles) == ("ok", "given", None, None)
+    assert (across.status, across.scale_source, across.scale_confidence, across.n_vehicles) == (
+        "ok",
+        "given",
+        None,
+        None,
+    )
     stop = vehanchor.measure_distance(_place(0), [(100, 100), (150, 100), (200, 100)], gsd_m_per_px=0.1)
     assert stop.distance_ci95_high_m == pytest.approx(across.distance_ci95_high_m)  # a stop on the way is no doubt
 
@@ -84,7 +89,7 @@ def test_a_coarser_copy_is_pointed_at_less_exactly() -> None:
 
 def test_no_vehicles_mean_pixels_and_no_metres(detector: Detector) -> None:
     record = vehanchor.measure_distance(_place(0), [(100, 100), (200, 100)], detector=detector)
-    assert (record.status, record.confidence, record.distance_m, record.length_px) == ("no_scale", 0, None, 100)
+    assert (record.status, record.scale_confidence, record.distance_m, record.length_px) == ("no_scale", 0, None, 100)
     assert record.distance_ci95_low_m is None
 
 
@@ -184,11 +189,11 @@ def test_a_scale_given_back_needs_no_detector_and_keeps_interval_and_confidence(
     reused = vehanchor.measure_distance(_place(), path, scale=estimate.scale, detector=nowhere)
     assert (reused.scale_source, reused.estimate, reused.n_vehicles) == ("reused", None, None)
     assert reused.scale == estimate.scale
-    same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "confidence", "status", "gsd_m_per_px")
+    same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "scale_confidence", "status", "gsd_m_per_px")
     assert [getattr(reused, name) for name in same] == [getattr(searched, name) for name in same]
     area = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, detector=detector, **ALONE)
     again = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, scale=estimate, detector=nowhere)
-    same = ("area_m2", "area_ci95_low_m2", "inscribed_diameter_ci95_high_m", "confidence", "status", "warnings")
+    same = ("area_m2", "area_ci95_low_m2", "inscribed_diameter_ci95_high_m", "scale_confidence", "status", "warnings")
     assert [getattr(again, name) for name in same] == [getattr(area, name) for name in same]
     assert again.scale_source == "reused"
 
