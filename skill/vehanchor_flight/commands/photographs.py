@@ -81,12 +81,10 @@ def photographs(
         from vehanchor.batch.table import check_table_path, write_table
         from vehanchor_flight.verbs import estimate_flight
 
-        engine = chosen.engine()
         outputs = [] if out is None else [check_output_path(out, (".json",), kind="a record")]
         outputs += [] if table is None else [check_table_path(table)]
         journal = (kept := out or table) and kept.with_name(kept.name + ".journal")
-        limits = chosen.options().reading.limits
-        images = _images(inputs, every, limits, outputs)
+        images = _images(inputs, every, chosen.options().reading.limits, outputs)
         last = "pooling the evidence of" if same_scale else "linking"
         counted = isinstance(images, Sequence)  # the length of a video is unknown
         with (
@@ -95,7 +93,7 @@ def photographs(
         ):
             record = estimate_flight(
                 images,
-                engine=engine,
+                engine=chosen.engine(),
                 same_scale=same_scale,
                 known_lengths_table=known_lengths,
                 journal=journal,

@@ -111,6 +111,17 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
             position = reader.find(_MARKER_IN_SCAN, position)
     if frame is None:
         raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
+    return _header(frame, n_scans, orientation, complete, metadata)
+
+
+def _header(
+    frame: tuple[int, int, int, int],
+    n_scans: int,
+    orientation: int,
+    complete: bool,
+    metadata: list[tuple[int, int]],
+) -> ImageHeader:
+    """Predict the memory of a JPEG with this frame: its marker, height, width and number of components."""
     kind, height, width, components = frame
     held = kind not in _SOF_ONE_PASS or n_scans > 1  # the decoder holds the 16-bit coefficients of the whole image
     shown = 1 if components == 1 else 3
