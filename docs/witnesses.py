@@ -1,6 +1,6 @@
 """Draw the ten scenes of ``docs/concepts.md``: each with the densities of its witnesses and the posterior.
 
-Run ``python docs/witnesses.py``.
+Run ``python -m docs.witnesses`` in the root of the project.
 """
 
 from __future__ import annotations

@@ -93,16 +93,6 @@ def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
     assert sparse.details.tiles_searched > 0.75 * sparse.details.tiles_total  # all that can show cars
 
 
-def test_a_search_that_ends_early_tells_where_it_went(searched: dict[str, ScaleAnalysis]) -> None:
-    full, auto = (searched[effort].detections for effort in ("full", "auto"))
-    assert full.areas is None
-    assert full.covers(10, 10)
-    assert auto.areas is not None
-    assert auto.areas.shape[1] == 4
-    assert all(auto.covers(x, y) for x, y in auto.boxes[:, :2])
-    assert not all(auto.covers(x, y) for x in range(64, 2000, 96) for y in range(64, 1600, 96))
-
-
 def test_auto_goes_on_while_a_doubt_is_open(detector: Detector) -> None:
     alike = estimate_gsd(_town(spread=0.002), detector=detector, **_TILES)
     assert "look_alikes" in {notice.code for notice in alike.warnings}

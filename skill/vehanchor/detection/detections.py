@@ -112,8 +112,6 @@ class Detections:
             search.
         corrections: by the caller; None without any.
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
-        areas: ``[m, 4]`` left, top, right and bottom of the visited tiles at the resolution of most vehicles, in pixels
-            of the image; None if the search did not end early.
     """
 
     boxes: NDArray[np.float64]
@@ -129,14 +127,6 @@ class Detections:
     stretch: float | None = None
     corrections: Corrections | None = None
     n_skipped: int = 0
-    areas: NDArray[np.float64] | None = None
-
-    def covers(self, x_px: float, y_px: float) -> bool:
-        """Test whether the search reached a place; rulers need not look where cars could not change the scale."""
-        if self.areas is None:
-            return True
-        left, top, right, bottom = self.areas.T
-        return bool(((left <= x_px) & (x_px <= right) & (top <= y_px) & (y_px <= bottom)).any())
 
     @property
     def numbers(self) -> NDArray[np.intp]:

@@ -316,19 +316,7 @@ class ImageSearch:
             self._because,
             self._stretch(vehicles.boxes, few=few) if check_stretch else None,
             n_skipped=self._n_skipped,
-            areas=self._areas(factors[kept]) if ended and self._because == "converged" else None,
         )
-
-    def _areas(self, factors: NDArray[np.intp]) -> NDArray[np.float64] | None:
-        """List the visited tiles ``[m, 4]`` at the resolution of most vehicles, image pixels; None for all of them."""
-        if not len(factors):
-            return None
-        working = int(np.bincount(factors).argmax())
-        tiles = [self.visits[k][1] for k in self._found if self.visits[k][0].factor == working]
-        if len(tiles) == sum(level.factor == working for level, _ in self.visits):
-            return None
-        sides = [(tile.x_px, tile.y_px, tile.x_px + tile.width_px, tile.y_px + tile.height_px) for tile in tiles]
-        return np.array(sorted(sides), np.float64) * working
 
     def _stretch(self, boxes: NDArray[np.float64], *, few: bool) -> float | None:
         """Ask a network that scored the vehicles whether the image is stretched; None without any."""

@@ -18,7 +18,6 @@ RULERS: dict[str, str] = {
     "height": "vehanchor.rulers.given_height:GivenHeight",
     "stated_scale": "vehanchor.rulers.stated_scale:StatedScale",
     "courts": "vehanchor.rulers.courts:Courts",
-    "parking_bays": "vehanchor.rulers.parking_bays:ParkingBays",
     "positions": "vehanchor.rulers.positions:Positions",
 }
 """Class of each ruler by its kind, as ``module:Class``; imported on first use."""

@@ -59,7 +59,6 @@ RELIABILITY: dict[str, Reliability] = {
     "vehicles, look-alikes": Reliability(CAR_LOG_SD, 0.8, 0, "a choice: 1 of 204 fleets is taken for look-alikes"),
     "vehicles, too coarse": Reliability(0.5, 0.33, 136, "per log of coarseness; 70 photographs at 0.3 to 0.6 m/px"),
     "courts": Reliability(0.006, 0.08, 8, "1 of 8 finds in 1,006 random photographs is false; 30 known ones"),
-    "parking_bays": Reliability(0.09, 0.12, 35, "5 of 35 finds are more than a fifth off"),
     "camera": Reliability(
         0.12, _NOT_MEASURED, 0, "height above take-off, 10 to 15 % between the ground there and below; a choice"
     ),
@@ -114,6 +113,3 @@ RECOGNITION = Shared("caller", 0.0, _NOT_MEASURED)
 NO_ONE_SCALE = Shared("stretched or tilted image", 0.0, 0.5)
 """A stretched or tilted image has no one scale for any ruler: 5 of 9 photographs whose proportions are doubted are
 stretched. All 3 whose cars are larger on one side are tilted, and their scales 1 to 24 % off."""
-
-PAINT = Shared("paint", 0.05)
-"""One country's widths of bays and lanes. A choice."""
