@@ -45,12 +45,14 @@ def test_a_network_that_has_learned_one_court_proposes_it(tmp_path: Path) -> Non
     torch.manual_seed(0)
     network, stream = CourtNet(), CropStream(_groups(), 0)
     optimizer = torch.optim.AdamW(network.parameters(), lr=4e-3)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 4e-3, total_steps=180)
     for step in range(180):
         parts = [torch.stack(each) for each in zip(*(stream[step * 6 + k] for k in range(6)), strict=True)]
         loss = torch.stack([*losses(network, (parts[0], parts[1], parts[2]), torch.device("cpu")).values()]).sum()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
+        schedule.step()
     export(network.eval(), tmp_path / "courts.onnx")
     with open_raster(draw_court(TENNIS, 0.3, degrees=20.0)) as raster:
         proposals = CourtNetwork(tmp_path / "courts.onnx").propose(raster, 2)
