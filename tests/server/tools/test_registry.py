@@ -99,7 +99,7 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
     assert set(files) - set(published) == {"image_size.input.json", "image_size.output.json"}
     for provider in ("anthropic", "openai"):
         names = [tool["name"] for tool in json.loads(files[f"{provider}.json"])]
-        assert names == ["estimate_gsd", "measure_area", "measure_distance", "view_image", "image_size"]
+        assert names == ["estimate_gsd", "measure_area", "measure_distance", "image_size", "view_image"]
 
 
 @pytest.mark.parametrize(
