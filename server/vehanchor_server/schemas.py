@@ -15,11 +15,11 @@ from typing import Any
 
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools.portable_schema import portable_schema
 from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
 
 PUBLISHED = ("estimate_gsd", "measure_area")
+_DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
 _NOT_IN_STRICT_MODE = ("default", "examples", "pattern", "minLength", "maxLength", "minProperties", "maxProperties")
 
 
@@ -30,9 +30,9 @@ def schema_files(tools: Collection[str] = PUBLISHED) -> dict[str, str]:
     for tool in contract:
         if tool.name not in tools:
             continue
-        documents[f"{tool.name}.input.json"] = portable_schema(tool.full_parameters, dialect=True)
+        documents[f"{tool.name}.input.json"] = {**_DIALECT, **tool.full_parameters}
         if tool.record_schema:
-            documents[f"{tool.name}.output.json"] = portable_schema(tool.record_schema, dialect=True)
+            documents[f"{tool.name}.output.json"] = {**_DIALECT, **tool.record_schema}
     documents["anthropic.json"] = [anthropic_definition(tool) for tool in contract]
     documents["openai.json"] = [openai_definition(tool) for tool in contract]
     return {name: json.dumps(document, indent=2, ensure_ascii=False) + "\n" for name, document in documents.items()}

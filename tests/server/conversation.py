@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import json
 import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from mcp.types import CallToolResult, ImageContent, TextContent
 from starlette.types import ASGIApp
 
 from vehanchor_server.calls.jpeg import MAX_PICTURE_BYTES
+from vehanchor_server.schemas import schema_files
 
 ERAS = ("auto", "legacy")  # auto finds the stateless 2026-07-28 protocol
 
@@ -37,6 +40,13 @@ async def called(
     named = {} if image is None else by_path(image)
     async with Client(server, mode=era) as client:
         return await client.call_tool(tool, {**named, **more})
+
+
+@cache
+def input_schema(tool: str) -> dict[str, Any]:
+    """The published schema of a tool's arguments."""
+    schema: dict[str, Any] = json.loads(schema_files((tool,))[f"{tool}.input.json"])
+    return schema
 
 
 def record_of(result: CallToolResult) -> dict[str, Any]:

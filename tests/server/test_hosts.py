@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
-from mcp.types import CallToolResult
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, text_of
@@ -70,19 +69,3 @@ async def test_text_and_structured_content_say_the_same(
         x = f"x {choice['box']['x_min']} to {choice['box']['x_max']}"
         size = f"{significant(choice['area_m2'])} m2" if "area_m2" in choice else f"{choice['mask_area_px']} px"
         assert f"{size} in {x}" in text
-
-
-async def test_pictures_have_no_structured_content_and_lists_are_text(server: MCPServer[object], images: Path) -> None:
-    async with Client(server) as client:
-        tools = {tool.name: tool for tool in (await client.list_tools()).tools}
-        listed = await client.call_tool("view_image", {})
-        seen = await client.call_tool("view_image", {"image": by_path(images / "pool.png")["image"]})
-    assert tools["view_image"].output_schema is None
-    assert kinds_of(listed) == ["text"]
-    assert "  pool.png" in text_of(listed).splitlines()
-    assert kinds_of(seen) == ["text", "image"]
-    assert listed.structured_content is seen.structured_content is None
-
-
-def kinds_of(result: CallToolResult) -> list[str]:
-    return [part.type for part in result.content]

@@ -17,8 +17,6 @@ from vehanchor_server.tools.portable_schema import portable_schema
 
 PUBLISHED = Path(__file__).parents[2] / "schemas"
 TOOLS = ("estimate_gsd", "measure_area", "measure_distance", "view_image")
-BOX = {"targets": [{"box": POOL_BOX}]}
-LINE = {"lines": [{"points": [{"x": 9, "y": 9}, {"x": 99, "y": 9}]}]}
 
 
 def nodes(schema: Any) -> Iterator[dict[str, Any]]:
@@ -67,29 +65,6 @@ async def test_the_server_lists_what_a_model_needs_of_them(server: MCPServer[obj
             jsonschema.Draft202012Validator.check_schema(listed)
             assert set(listed["properties"]) <= set(whole["properties"])
             assert not {"oneOf", "anyOf"} & set(listed)
-
-
-IMAGE = {"image": {"kind": "path", "path": "/a.png"}}
-
-
-@pytest.mark.parametrize(
-    ("tool", "arguments"),
-    [
-        ("estimate_gsd", {}),
-        ("estimate_gsd", {"image": "/a.png"}),
-        ("estimate_gsd", {"image": {"kind": "base64", "path": "/a.png"}}),
-        ("estimate_gsd", {**IMAGE, "detector": "x"}),
-        ("estimate_gsd", {**IMAGE, "reference_length_m": 0}),
-        ("measure_area", {**IMAGE, "targets": [{}]}),
-        ("measure_area", {**IMAGE, "targets": [[10, 20, 90, 80]]}),
-        ("measure_area", {**IMAGE, "targets": [{"box": POOL_BOX, "points": [{"x": 1, "y": 2}]}]}),
-        ("measure_area", {**IMAGE, "targets": [{"points": []}]}),
-        ("measure_area", {**IMAGE, "targets": [{"points": [{"x": 1, "y": 2, "label": "yes"}]}]}),
-    ],
-)
-def test_what_the_server_would_refuse_is_invalid(files: dict[str, Any], tool: str, arguments: dict[str, Any]) -> None:
-    with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(arguments, files[f"{tool}.input.json"])
 
 
 def test_the_openai_definition_is_strict_compatible(files: dict[str, Any]) -> None:

@@ -9,12 +9,12 @@ const nameOf = (path) => path.split(/[\\/]/).pop();
 function listPhotograph(path, first = false) {
   if (known.has(path)) return;
   const mark = html("span", { class: "mark", "aria-hidden": "true" });
-  const thumbnail = html("span", { class: "thumbnail", "aria-hidden": "true" });
+  const thumbnail = html("span", { class: "thumbnail", "aria-hidden": "true", "data-path": path });
   const words = html("span", { class: "name" }, nameOf(path));
-  const button = html("button", { type: "button", title: path, tabindex: known.size ? -1 : 0, on: { click: () => choose(path) } }, mark, thumbnail, words);
-  known.set(path, { button, mark, thumbnail });
-  byId("photographs")[first ? "prepend" : "append"](html("li", {}, button));
-  awaitThumbnail(path, thumbnail);
+  const entry = html("button", { type: "button", title: path, tabindex: known.size ? -1 : 0, on: { click: () => choose(path) } }, mark, thumbnail, words);
+  known.set(path, { button: entry, mark, thumbnail });
+  byId("photographs")[first ? "prepend" : "append"](html("li", {}, entry));
+  seen.observe(thumbnail);
   byId("count").textContent = counted(known.size, "photograph");
 }
 
@@ -53,8 +53,7 @@ function listMatching() {
 async function listPages(page = 1) {
   const { structuredContent: listed } = await request("tools/call", { name: "page_image", arguments: { page } });
   for (const path of listed.images) listPhotograph(path);
-  const rest = listed.next_page && listPages(listed.next_page).catch(() => { allListed = undefined; });
-  allListed = rest || undefined;
+  allListed = listed.next_page ? listPages(listed.next_page).catch(() => { allListed = undefined; }) : undefined;
 }
 
 // Stop the calls about the current photograph, and keep what was measured.

@@ -49,8 +49,7 @@ function vehicleAt([x, y], margin) {
     const [along, across] = [(x - cx) * cos + (y - cy) * sin, (y - cy) * cos - (x - cx) * sin];
     return Math.abs(along) <= length / 2 + margin && Math.abs(across) <= width / 2 + margin ? Math.hypot(along, across) : Infinity;
   };
-  const nearest = correctedVehicles().reduce((best, each) => (off(each) < off(best) ? each : best), { box: [Infinity, 0, 0, 0, 0] });
-  return off(nearest) < Infinity ? nearest : undefined;
+  return correctedVehicles().filter((each) => off(each) < Infinity).sort((one, other) => off(one) - off(other))[0];
 }
 
 const vehiclesWithin = ([[x1, y1], [x2, y2]]) => correctedVehicles().filter(({ box: [x, y] }) =>
@@ -83,16 +82,15 @@ function withCorrections(record, { drop: _, add: __, ...asked }) {
 // What was corrected, a button to measure with it, and one to take it all back.
 function correctionRow(record, tell, changed) {
   const summary = html("span", {}, "");
-  const measure = html("button", { type: "button", on: { click: () => measureAgain(call.arguments, tell) } }, "Measure again");
-  const discard = html("button", { type: "button" }, "Take all back");
-  const row = html("div", { class: "row asked", hidden: true }, summary, measure, discard);
-  const given = () => JSON.stringify(withCorrections(record, {}));
-  const applied = given();
-  discard.addEventListener("click", () => {
+  const measure = button("Measure again", () => measureAgain(call.arguments, tell));
+  const discard = button("Take all back", () => {
     Object.assign(call.corrections, { drop: new Set(), add: [] });
     changed();
     tell("All corrections taken back.");
   });
+  const row = html("div", { class: "row asked", hidden: true }, summary, measure, discard);
+  const given = () => JSON.stringify(withCorrections(record, {}));
+  const applied = given();
   const refresh = () => {
     const counts = { added: call.corrections.add.length, dropped: call.corrections.drop.size };
     const parts = Object.entries(counts).filter(([, n]) => n).map(([kind, n]) => `${whole(n)} ${kind}`);

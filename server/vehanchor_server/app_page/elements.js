@@ -13,13 +13,13 @@ function element(namespace, name, attributes, children) {
   return made;
 }
 const html = (name, attributes = {}, ...children) => element(null, name, attributes, children);
+const button = (words, act, attributes = {}) => html("button", { type: "button", ...attributes, on: { click: act } }, words);
 const svg = (name, attributes = {}, ...children) => element(SVG, name, attributes, children);
 
-// Steps of 1, 2 or 5 times a power of ten.
-function roundSteps(span, most) {
-  const raw = span / most;
-  const power = 10 ** Math.floor(Math.log10(raw));
-  return [1, 2, 5, 10].map((m) => m * power).find((step) => step >= raw * (1 - 1e-9));
+// The next number that is 1, 2 or 5 times a power of ten.
+function roundUp(least) {
+  const power = 10 ** Math.floor(Math.log10(least));
+  return [1, 2, 5, 10].map((m) => m * power).find((value) => value >= least * (1 - 1e-9));
 }
 
 // ---- Numbers and words ----
@@ -27,7 +27,7 @@ function roundSteps(span, most) {
 const threeDigits = new Intl.NumberFormat("en", { minimumSignificantDigits: 3, maximumSignificantDigits: 3 });
 const roundNumber = new Intl.NumberFormat("en", { maximumSignificantDigits: 3 });
 const number = (value) => threeDigits.format(value); // measured: its zeros say how exactly
-const round = (value) => roundNumber.format(value); // chosen: ticks and scale bars
+const round = (value) => roundNumber.format(value); // chosen: scale bars
 const whole = (value) => new Intl.NumberFormat("en").format(value);
 const counted = (n, noun) => `${whole(n)} ${noun}${n === 1 ? "" : "s"}`;
 const interval = (low, high, unit) =>

@@ -1,10 +1,5 @@
 // ---- Start inside an MCP App host ----
 
-function reportSize() {
-  const height = Math.ceil(document.documentElement.getBoundingClientRect().height);
-  notify("ui/notifications/size-changed", { width: window.innerWidth, height });
-}
-
 const factsStated = measureWithFacts;
 
 function shown(scale) {
@@ -24,6 +19,9 @@ if (window.parent === window) {
     canCallTools = Boolean(host.hostCapabilities?.serverTools);
     adopt(host.hostContext ?? {});
     notify("ui/notifications/initialized");
-    new ResizeObserver(reportSize).observe(document.documentElement);
+    new ResizeObserver(() => {
+      const height = Math.ceil(document.documentElement.getBoundingClientRect().height);
+      notify("ui/notifications/size-changed", { width: window.innerWidth, height });
+    }).observe(document.documentElement);
   }, (error) => fail(`The host refused this page: ${error.message}`));
 }

@@ -8,7 +8,7 @@ function download(name, data, type) {
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
 
-const stem = () => call.arguments.image.path.split(/[\\/]/).pop().replace(/\.[^.]+$/, "");
+const stem = () => nameOf(call.arguments.image.path).replace(/\.[^.]+$/, "");
 const records = (record) => ({ image: call.arguments.image.path, estimate: record, measured: call.measured.map((each) => each.record) });
 
 // The reference system of vehanchor.export.layer: GIS programs would take pixels for degrees.
@@ -77,7 +77,7 @@ function painted(record, image, drawing) {
   }
   if (barred(record)) {
     const each = record.gsd_m_per_px / perPixel;
-    const metres = roundSteps(BAR_SHARE * width * each, 1);
+    const metres = roundUp(BAR_SHARE * width * each);
     pen.fillStyle = "#ffffff";
     pen.fillRect(letters, height - 1.5 * letters, metres / each, letters / 2);
     write(`${round(metres)} m`, letters, height - 2 * letters);
@@ -86,12 +86,9 @@ function painted(record, image, drawing) {
   return canvas;
 }
 
-exporters.push((record, result, image, drawing) => {
-  const button = (words, act) => html("button", { type: "button", on: { click: act } }, words);
-  return html(
-    "div", { class: "group exports" }, html("span", { class: "note" }, "Save"),
-    button("Picture", () => painted(record, image, drawing).toBlob((blob) => download(`${stem()}.scale.png`, blob))),
-    button("Record", () => download(`${stem()}.scale.json`, JSON.stringify(records(record), null, 2), "application/json")),
-    button("GeoJSON", () => download(`${stem()}.geojson`, JSON.stringify(features(record, drawing)), "application/geo+json")),
-  );
-});
+exporters.push((record, result, image, drawing) => html(
+  "div", { class: "group exports" }, html("span", { class: "note" }, "Save"),
+  button("Picture", () => painted(record, image, drawing).toBlob((blob) => download(`${stem()}.scale.png`, blob))),
+  button("Record", () => download(`${stem()}.scale.json`, JSON.stringify(records(record), null, 2), "application/json")),
+  button("GeoJSON", () => download(`${stem()}.geojson`, JSON.stringify(features(record, drawing)), "application/geo+json")),
+));

@@ -8,15 +8,8 @@ function lengthForm(record, tell) {
   const measured = html("input", { type: "checkbox" });
   const basis = html("label", {}, measured, " measured by tape, plan or survey ");
   const length = html("label", {}, metres, " m ");
-  const measure = html("button", { type: "button" }, "Measure again");
-  // No form element: hosts' sandboxes block forms.
-  const row = html("div", { class: "row asked", hidden: true }, what, " ", length, basis, measure);
-  what.addEventListener("change", () => { length.hidden = basis.hidden = Boolean(what.value); });
   let line;
-  metres.addEventListener("keydown", (event) => {
-    if (event.key === "Enter") measure.click();
-  });
-  measure.addEventListener("click", () => {
+  const measure = button("Measure again", () => {
     const value = Number(metres.value);
     if (!what.value && !(value > 0)) {
       tell("Enter the length in metres, or choose what the line measures.");
@@ -25,6 +18,12 @@ function lengthForm(record, tell) {
     const size = what.value ? { metres: what.value } : { metres: value, ...(measured.checked ? { basis: "measured" } : {}) };
     const lines = [...(call.arguments.known_lengths ?? []), { ...lineOf(record, line), ...size }];
     measureAgain({ ...call.arguments, known_lengths: lines }, tell);
+  });
+  // No form element: hosts' sandboxes block forms.
+  const row = html("div", { class: "row asked", hidden: true }, what, " ", length, basis, measure);
+  what.addEventListener("change", () => { length.hidden = basis.hidden = Boolean(what.value); });
+  metres.addEventListener("keydown", (event) => {
+    if (event.key === "Enter") measure.click();
   });
   const ask = (ends) => {
     line = ends;

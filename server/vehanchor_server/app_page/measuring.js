@@ -63,6 +63,6 @@ function measuredRow({ kind, record }, remove) {
     html("span", { class: "note" }, kind === "area" ? "Area" : "Distance"),
     html("span", { class: "number" }, sizeOf(record)),
     html("span", { class: "note" }, isGood ? bounds : `do not use: ${doubt(record)}`),
-    html("button", { type: "button", "aria-label": "Remove", on: { click: remove } }, "×"),
+    button("×", remove, { "aria-label": "Remove" }),
   );
 }

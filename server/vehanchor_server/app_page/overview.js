@@ -14,7 +14,7 @@ async function measureAll() {
   const rows = [];
   const head = ["Photograph", "Metres per pixel", "95 % interval", "Confidence", "Status"].map((words) => html("th", { scope: "col" }, words));
   const table = html("table", { class: "overview" }, html("thead", {}, html("tr", {}, ...head)), body);
-  const save = html("button", { type: "button", on: { click: () => download("scales.csv", csv(rows), "text/csv") } }, "Save table");
+  const save = button("Save table", () => download("scales.csv", csv(rows), "text/csv"));
   byId("sections").replaceChildren(html("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Scales" }, table), html("div", { class: "row" }, save));
   progressed = () => {};
   const began = performance.now();
@@ -41,7 +41,7 @@ function row(path, record) {
   const [low, high] = [record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px];
   return html(
     "tr", {},
-    html("th", { scope: "row" }, html("button", { type: "button", title: path, on: { click: () => choose(path) } }, nameOf(path))),
+    html("th", { scope: "row" }, button(nameOf(path), () => choose(path), { title: path })),
     html("td", {}, known ? number(record.gsd_m_per_px) : ""),
     html("td", {}, known && typeof low === "number" ? `${number(low)} to ${number(high)}` : ""),
     html("td", {}, typeof record.confidence === "number" ? record.confidence.toFixed(2) : ""),

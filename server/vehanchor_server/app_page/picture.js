@@ -3,11 +3,6 @@
 const SHARPEN_AFTER_MS = 250;
 const PART_SIDE_PX = 1568; // the server's limit
 
-function pictureSection(record, result) {
-  const source = pictureOf(result);
-  return source?.plain ? section("Picture", "picture", ...framed(record, result, source)) : undefined;
-}
-
 // The plain image, over which the page draws; of the page's own tool, the picture beside its data.
 function pictureOf(result) {
   const { picture_jpeg: jpeg, drawing } = result._meta?.[PANEL_KEY] ?? {};
@@ -19,7 +14,9 @@ function pictureOf(result) {
 const usable = (record) => record.status === "ok" && record.gsd_m_per_px !== null;
 const barred = (record) => usable(record) && !scaleOf(record)?.tilt;  // a tilted view has no single scale
 
-function framed(record, result, { url, drawing }) {
+function pictureSection(record, result) {
+  const { url, plain, drawing } = pictureOf(result) ?? {};
+  if (!plain) return undefined;
   const scale = scaleOf(record);
   const outliers = scale ? scale.details.n_detections - scale.n_vehicles : 0;
   const image = html("img", { src: url, draggable: "false" });
@@ -56,16 +53,17 @@ function framed(record, result, { url, drawing }) {
   };
   redraw();
   const toggle = ({ target }) => target.setAttribute("aria-pressed", String(!canvas.classList.toggle("bare")));
-  const boxes = drawing?.vehicles.length ? html("button", { type: "button", "aria-pressed": "true", on: { click: toggle } }, "Boxes") : undefined;
+  const boxes = drawing?.vehicles.length ? button("Boxes", toggle, { "aria-pressed": "true" }) : undefined;
   const tools = canCallTools && call.arguments ? toolbar(record, view, canvas, redraw) : undefined;
   crossed = tools?.placed;
-  return [
+  return section(
+    "Picture", "picture",
     html("div", { class: "row tools" }, ...(tools?.groups ?? []), html("div", { class: "group" }, boxes), zoomButtons(view)),
     view.frame,
     legend,
     ...(tools?.below ?? []),
     ...exporters.map((row) => row(record, result, image, drawing)),
-  ];
+  );
 }
 
 // If the zoom exceeds the picture's resolution, request the visible part.

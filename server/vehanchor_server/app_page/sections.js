@@ -16,7 +16,7 @@ function scaleReading(scale) {
 function confidenceReading(scale, name = "Confidence") {
   if (scale.gsd_m_per_px === null) return undefined;
   const tile = reading(name, scale.confidence.toFixed(2), "", "chance of being right within 20 %");
-  tile.classList.add("chance", scale.status);
+  tile.classList.add(scale.status);
   return tile;
 }
 

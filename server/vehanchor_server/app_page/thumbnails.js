@@ -26,11 +26,6 @@ async function showPreview(path, bar) {
   if (url && bar.isConnected) bar.after(html("img", { class: "preview", alt: "", src: url }));
 }
 
-function awaitThumbnail(path, place) {
-  place.dataset.path = path;
-  seen.observe(place);
-}
-
 function showThumbnail(place, url) {
   seen.unobserve(place);
   wanted.delete(place.dataset.path);

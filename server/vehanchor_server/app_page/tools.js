@@ -36,7 +36,7 @@ function toolbar(record, view, canvas, redraw) {
     view.picking = Boolean(name);
     view.frame.classList.toggle("drawing", Boolean(name));
     if (!name) cross.hide();
-    for (const [each, button] of Object.entries(buttons)) button.setAttribute("aria-pressed", String(each === name));
+    for (const [each, made] of Object.entries(buttons)) made.setAttribute("aria-pressed", String(each === name));
     tell(text);
     refresh();
   };
@@ -165,7 +165,7 @@ function toolbar(record, view, canvas, redraw) {
       view.frame.focus({ preventScroll: !isKey });
       if (isKey) cross.show();
     };
-    buttons[name] = html("button", { type: "button", "aria-pressed": "false", on: { click: act } }, TOOLS[name].words);
+    buttons[name] = button(TOOLS[name].words, act, { "aria-pressed": "false" });
   }
   const corrections = correctionRow(record, tell, refresh);
   const group = (title, names) => {

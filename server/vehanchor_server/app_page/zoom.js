@@ -96,12 +96,11 @@ function zoomable(width, height, sheet, placed) {
 }
 
 function zoomButtons(view) {
-  const button = (words, label, act) => html("button", { type: "button", "aria-label": label, on: { click: act } }, words);
   return html(
     "div", { class: "group" },
-    button("−", "Zoom out", () => view.zoomTo(view.zoom / ZOOM_STEP)),
-    button("+", "Zoom in", () => view.zoomTo(view.zoom * ZOOM_STEP)),
-    button("Fit", "Show all", () => view.zoomTo(1)),
+    button("−", () => view.zoomTo(view.zoom / ZOOM_STEP), { "aria-label": "Zoom out" }),
+    button("+", () => view.zoomTo(view.zoom * ZOOM_STEP), { "aria-label": "Zoom in" }),
+    button("Fit", () => view.zoomTo(1), { "aria-label": "Show all" }),
   );
 }
 
@@ -109,7 +108,7 @@ function scaleBar(metresPerPixel) {
   const bar = html("div", { class: "scale-bar", "aria-hidden": "true" });
   const fit = (view) => {
     const each = metresPerPixel / view.perPixel; // metres per screen pixel
-    const metres = roundSteps(BAR_SHARE * view.frame.clientWidth * each, 1);
+    const metres = roundUp(BAR_SHARE * view.frame.clientWidth * each);
     bar.textContent = `${round(metres)} m`;
     bar.style.width = `${metres / each}px`;
   };

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.job import Job
     from vehanchor_server.calls.reply import Reply
     from vehanchor_server.images.argument import AnyImage
-    from vehanchor_server.parts import Parts
+    from vehanchor_server.services import Services
 
 Record = TypeVar("Record", bound=BaseModel)
 
@@ -30,7 +30,13 @@ class Work(Protocol[Record]):
     record: type[Record]
 
     def __call__(self, *arguments: Any) -> Reply[Record]:
-        """Do the work."""
+        """Do the work, in a worker process or thread.
+
+        Raises:
+            VehAnchorError: the library refused the image or an option.
+            CallError: a model cannot be loaded, or another image is refused.
+            CallStoppedError: the call was stopped.
+        """
 
 
 def work(record: type[Record]) -> Callable[[Callable[..., Reply[Record]]], Work[Record]]:
@@ -63,7 +69,7 @@ class Task(Generic[Record]):
     images: tuple[tuple[AnyImage, bytes | None], ...]
 
 
-def perform(services: Parts, task: Task[Record], job: Job) -> Reply[Record]:
+def perform(services: Services, task: Task[Record], job: Job) -> Reply[Record]:
     """Open the first image and do the work in this thread.
 
     Raises:

@@ -27,9 +27,7 @@ from vehanchor_server.tools.flight_question import (
 )
 from vehanchor_server.tools.messages import POLICY
 from vehanchor_server.tools.picture import scale_reply
-from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
-    UNLISTED_ARGUMENTS,
     DetailArgument,
     Given,
     Question,
@@ -87,19 +85,13 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         description=_DESCRIPTION,
         meta=APP_META,
         answered=("status", "gsd_m_per_px", "confidence"),
-        listing=Listing(UNLISTED_ARGUMENTS, services.settings.image_kinds),
+        kinds=services.settings.image_kinds,
     )
 
 
 @work(GsdEstimate)
 def _estimate(services: Services, job: Job, source: OpenedImage, asked: Question[bool]) -> Reply[GsdEstimate]:
-    """Search the image and estimate its scale, in a worker process or thread.
-
-    Raises:
-        VehAnchorError: the library refused the image or an option.
-        CallError: a model cannot be loaded.
-        CallStoppedError: the call was stopped.
-    """
+    """Search the image and estimate its scale."""
     from vehanchor.analysis.pipeline import checked_detector
     from vehanchor.imagery.sources.opening import open_raster
 

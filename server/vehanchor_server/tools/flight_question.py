@@ -60,13 +60,7 @@ def estimate_with_flight(
     question: Question[bool],
     more: Sequence[tuple[AnyImage, bytes | None]],
 ) -> Reply[GsdEstimate]:
-    """Estimate the scale of an image with the evidence of others, in a worker process or thread.
-
-    Raises:
-        VehAnchorError: the library refused the image.
-        CallError: the library refused another image, or a model cannot be loaded.
-        CallStoppedError: the call was stopped.
-    """
+    """Estimate the scale of an image with the evidence of others; an error about one of these has its name."""
     from vehanchor.analysis.pipeline import checked_detector
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor_flight.estimate import conclude, search_flight

@@ -18,9 +18,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.messages import STATUS_RULES
 from vehanchor_server.tools.picture import draw_picture
-from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
-    UNLISTED_ARGUMENTS,
     DetailArgument,
     Given,
     Question,
@@ -71,7 +69,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         description=_DESCRIPTION,
         meta=APP_META,
         answered=("status", "area_m2", "scale_confidence", "inscribed_diameter_m"),
-        listing=Listing(UNLISTED_ARGUMENTS, services.settings.image_kinds),
+        kinds=services.settings.image_kinds,
     )
 
 
@@ -79,13 +77,7 @@ def measure_area_tool(services: Services) -> StrictTool:
 def _measure(
     services: Services, job: Job, source: OpenedImage, asked: Question[tuple[Target, ...]]
 ) -> Reply[AreaMeasurement]:
-    """Segment the objects and measure them, in a worker process or thread.
-
-    Raises:
-        VehAnchorError: the library refused the image or an option.
-        CallError: a model cannot be loaded.
-        CallStoppedError: the call was stopped.
-    """
+    """Segment the objects and measure them."""
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.area import analyse_objects
     from vehanchor.pictures.measured import cut_to_objects, draw_area

@@ -19,9 +19,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.messages import STATUS_RULES
 from vehanchor_server.tools.picture import draw_picture
-from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_arguments import (
-    UNLISTED_ARGUMENTS,
     DetailArgument,
     Given,
     Question,
@@ -81,7 +79,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
         title="Measure distances in an aerial image",
         description=_DESCRIPTION,
         answered=("status", "distance_m", "scale_confidence"),
-        listing=Listing(UNLISTED_ARGUMENTS, services.settings.image_kinds),
+        kinds=services.settings.image_kinds,
     )
 
 
@@ -89,13 +87,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
 def _measure(
     services: Services, job: Job, source: OpenedImage, asked: Question[tuple[Line, ...]]
 ) -> Reply[DistanceMeasurement]:
-    """Measure the lines, in a worker process or thread.
-
-    Raises:
-        VehAnchorError: the library refused the image or an option.
-        CallError: a model cannot be loaded.
-        CallStoppedError: the call was stopped.
-    """
+    """Measure the lines."""
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.distance import analyse_paths, read_path
     from vehanchor.pictures.measured import cut_to_lines, draw_distance

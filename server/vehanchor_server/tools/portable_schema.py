@@ -6,25 +6,21 @@ validators reject the first two; the titles waste the model's context.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
+
+from vehanchor.options import declared_options
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _REFERENCE = "#/$defs/"
 
 
-def portable_schema(schema: dict[str, Any], *, dialect: bool = False) -> dict[str, Any]:
-    """Replace references and ``oneOf``, and drop ``discriminator`` and generated titles.
-
-    Args:
-        schema: pydantic's schema; not recursive.
-        dialect: whether to name the dialect, for a schema in its own file.
-    """
+def portable_schema(schema: dict[str, Any]) -> dict[str, Any]:
+    """Replace references and ``oneOf`` of pydantic's schema, and drop ``discriminator`` and generated titles."""
     plain = _plain(schema, schema.get("$defs", {}))
     assert isinstance(plain, dict)
-    return {"$schema": _DIALECT, **plain} if dialect else plain
+    return plain
 
 
 def _plain(node: Any, definitions: dict[str, Any]) -> Any:
@@ -52,54 +48,49 @@ def _plain(node: Any, definitions: dict[str, Any]) -> Any:
 
 
 _NOT_LISTED = {"default", "examples", "exclusiveMinimum", "minimum", "maximum", "minLength", "maxLength", "pattern"}
+_UNLISTED = {"detail", "tolerance_m", "object_height_m"}
+_UNLISTED |= {name for name, each in declared_options().items() if not each.option.listed}
 
 
-class Listing(NamedTuple):
-    """Content of a listed schema.
+def listed(node: dict[str, Any], kinds: Collection[str] = (), *, described: bool = True) -> dict[str, Any]:
+    """Reduce a portable schema to what a model needs: names, types, required fields, numbers of items.
 
-    Attributes:
-        unlisted: optional fields to hide from models, at any depth.
+    Arguments for programs are left out, at any depth. Optional arguments lose their null type. A union of an object
+    and a text becomes the text, which every host passes unchanged. The server still checks the limits that are dropped
+    here; what has the listed shape has a valid shape.
+
+    Args:
+        node: the portable schema.
         kinds: kinds of images that the server accepts from models; an empty collection lists all.
+        described: whether to keep the description.
     """
+    options = [option for option in node.get("anyOf", ()) if option != {"type": "null"} and _accepted(option, kinds)]
+    if {"object", "string"} == {option.get("type") for option in options}:
+        options = [option for option in options if option["type"] == "string"]
+    if len(options) == 1:
+        node = {**options[0], **{key: value for key, value in node.items() if key != "anyOf"}}
+        return listed(node, kinds, described=described)
+    result: dict[str, Any] = {}
+    for key, value in node.items():
+        if key in _NOT_LISTED or (key == "description" and not described):
+            continue
+        if key == "additionalProperties" and not {"image", "kind"} & set(node.get("properties", ())):
+            continue  # below the arguments, only an image with fields of two kinds would be ambiguous
+        if key == "properties":
+            result[key] = {
+                name: listed(each, kinds, described=described) for name, each in value.items() if name not in _UNLISTED
+            }
+        elif key == "anyOf":
+            result[key] = [listed(option, kinds, described=False) for option in options]
+        elif key == "items":
+            result[key] = listed(value, kinds, described=False)
+        elif key == "const":
+            result["enum"] = [value]
+        else:
+            result[key] = value
+    return result
 
-    unlisted: Collection[str] = ()
-    kinds: Collection[str] = ()
 
-    def listed(self, node: dict[str, Any], *, described: bool = True) -> dict[str, Any]:
-        """Reduce a portable schema to what a model needs: names, types, required fields, numbers of items.
-
-        Optional arguments lose their null type. A union of an object and a text becomes the text, which every host
-        passes unchanged. The server still checks the limits that are dropped here; what has the listed shape has a
-        valid shape.
-        """
-        options = [option for option in node.get("anyOf", ()) if option != {"type": "null"} and self._accepted(option)]
-        if {"object", "string"} == {option.get("type") for option in options}:
-            options = [option for option in options if option["type"] == "string"]
-        if len(options) == 1:
-            node = {**options[0], **{key: value for key, value in node.items() if key != "anyOf"}}
-            return self.listed(node, described=described)
-        result: dict[str, Any] = {}
-        for key, value in node.items():
-            if key in _NOT_LISTED or (key == "description" and not described):
-                continue
-            if key == "additionalProperties" and not {"image", "kind"} & set(node.get("properties", ())):
-                continue  # below the arguments, only an image with fields of two kinds would be ambiguous
-            if key == "properties":
-                result[key] = {
-                    name: self.listed(each, described=described)
-                    for name, each in value.items()
-                    if name not in self.unlisted
-                }
-            elif key == "anyOf":
-                result[key] = [self.listed(option, described=False) for option in options]
-            elif key == "items":
-                result[key] = self.listed(value, described=False)
-            elif key == "const":
-                result["enum"] = [value]
-            else:
-                result[key] = value
-        return result
-
-    def _accepted(self, option: dict[str, Any]) -> bool:
-        kind = option.get("properties", {}).get("kind")
-        return kind is None or not self.kinds or kind["const"] in self.kinds
+def _accepted(option: dict[str, Any], kinds: Collection[str]) -> bool:
+    kind = option.get("properties", {}).get("kind")
+    return kind is None or not kinds or kind["const"] in kinds

@@ -41,14 +41,6 @@ _PER_CENT = 100
 Given: TypeAlias = "Mapping[str, Any]"
 """Options that the caller gave, by keyword."""
 
-UNLISTED_ARGUMENTS = (
-    "detail",
-    "tolerance_m",
-    "object_height_m",
-    *(name for name, each in declared_options().items() if not each.option.listed),
-)
-"""Arguments and fields that the listed schemas hide from models; programs or the operator set them."""
-
 
 Subject = TypeVar("Subject")
 

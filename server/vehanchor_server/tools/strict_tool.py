@@ -18,7 +18,7 @@ from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import EXAMPLE_PATH
 from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.complaints import complaints
-from vehanchor_server.tools.portable_schema import Listing, portable_schema
+from vehanchor_server.tools.portable_schema import listed, portable_schema
 
 MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120
 _EXACT = 2.0**53  # above, floats are no counts
@@ -46,7 +46,7 @@ class StrictTool(Tool):
         description: str,
         meta: dict[str, Any] | None = None,
         answered: Sequence[str] = (),
-        listing: Listing | None = None,
+        kinds: Sequence[str] = (),
     ) -> StrictTool:
         """Create a read-only, idempotent tool.
 
@@ -57,7 +57,7 @@ class StrictTool(Tool):
             description: description for planners; clients keep 2 KB of it.
             meta: the tool's ``_meta``.
             answered: fields of the record in the listed schema; other fields need full detail. Default: all fields.
-            listing: content of the listed schema; default: all.
+            kinds: kinds of images in the listed schema; default: all.
         """
         annotations = ToolAnnotations(
             read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
@@ -68,7 +68,7 @@ class StrictTool(Tool):
         arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments silently
         arguments.model_rebuild(force=True)
         tool.full_parameters = portable_schema({"additionalProperties": False, **tool.parameters})
-        tool.parameters = (listing or Listing()).listed(tool.full_parameters)
+        tool.parameters = listed(tool.full_parameters, kinds)
         if tool.fn_metadata.output_schema is not None:
             tool.record_schema = portable_schema(tool.fn_metadata.output_schema)
             tool.fn_metadata.output_schema = _answered(tool.record_schema, answered)

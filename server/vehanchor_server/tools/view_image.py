@@ -8,7 +8,7 @@ work.
 # No postponed annotations here: the SDK reads the result's schema from them.
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import groupby
 from pathlib import PurePath
@@ -30,11 +30,7 @@ from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.estimate_gsd import estimate_gsd_tool
-from vehanchor_server.tools.measure_area import measure_area_tool
-from vehanchor_server.tools.measure_distance import measure_distance_tool
 from vehanchor_server.tools.picture import part_window
-from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import Box
 
@@ -51,13 +47,6 @@ _IMAGES_A_PAGE = 50
 _Part = Annotated[Box | None, Field(description="Part to show; default all.", examples=[_PART])]
 _Side = Annotated[int, Limits(_LEAST_SIDE_PX, _LONGEST_SIDE_PX, whole=True)]
 _Page = Annotated[int, Limits(1, whole=True), Field(description="Page of the list.")]
-
-
-_MEASURING: dict[str, Callable[[Services], StrictTool]] = {
-    "estimate_gsd": estimate_gsd_tool,
-    "measure_area": measure_area_tool,
-    "measure_distance": measure_distance_tool,
-}
 
 
 def _read_json(value: Any) -> Any:
@@ -90,9 +79,8 @@ class PageImages(FrozenModel):
     next_page: int | None = Field(default=None, description="Number of the next page; null on the last.")
 
 
-def view_image_tool(services: Services) -> StrictTool:
-    """Create the tool for a server; it makes the tools whose calls it shows when it needs them."""
-    made: dict[str, StrictTool] = {}
+def view_image_tool(services: Services, measuring: Mapping[str, StrictTool]) -> StrictTool:
+    """Create the tool for a server, with the tools whose calls it shows, by name."""
 
     async def view_image(
         ctx: Context[Any, Any],
@@ -107,9 +95,8 @@ def view_image_tool(services: Services) -> StrictTool:
             "evidence", long_side_px, part.corners if part else None, Frame(coordinates=coordinates)
         )
         if of is not None:
-            tool = made.get(of.tool) or made.setdefault(of.tool, _MEASURING[of.tool](services))
             named = {} if image is None else {"image": image.model_dump()}
-            return await tool.show({**named, **of.arguments}, ctx, wanted)
+            return await measuring[of.tool].show({**named, **of.arguments}, ctx, wanted)
         if image is None:
             names, total = await _list_images(services, page)
             return _with_picture(_list_in_words(names, total, page), None)
@@ -120,7 +107,7 @@ def view_image_tool(services: Services) -> StrictTool:
         view_image,
         title="View an aerial image",
         description=_DESCRIPTION,
-        listing=Listing((), services.settings.image_kinds),
+        kinds=services.settings.image_kinds,
     )
 
 
@@ -151,7 +138,7 @@ def page_image_tool(services: Services) -> StrictTool:
         description="For the page of this server; models use view_image.",
         meta=PAGE_ONLY_META,
         answered=("images",),
-        listing=Listing((), services.settings.image_kinds),
+        kinds=services.settings.image_kinds,
     )
 
 
@@ -190,12 +177,7 @@ def _by_folder(paths: Iterable[str]) -> list[str]:
 
 @work(ViewedImage)
 def _view(services: Services, job: Job, source: OpenedImage, wanted: PictureRequest) -> Reply[ViewedImage]:
-    """Draw the picture, in a worker process or thread; a plain one has no grid.
-
-    Raises:
-        VehAnchorError: the library refused the image or an option.
-        CallStoppedError: the call was stopped.
-    """
+    """Draw the picture; a plain one has no grid."""
     import cv2
     import numpy as np
 

@@ -102,13 +102,6 @@ async def test_cancelling_stops_the_work_and_frees_its_place(
     assert not result.is_error
 
 
-async def test_the_librarys_refusals_keep_their_code(server: MCPServer[object], images: Path) -> None:
-    arguments = {**by_path(images / "cars.png"), "frame": {"width_px": 100, "height_px": 100}}
-    async with Client(server) as client:
-        result = await client.call_tool("estimate_gsd", arguments)
-    assert error_of(result) == "frame_mismatch"
-
-
 async def test_want_of_memory_outside_decoding_and_models_is_told_by_its_code(
     server: MCPServer[object], images: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

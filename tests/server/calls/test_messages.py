@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.server.calls.working import IMAGE, Value, answered, done, number, ready
+from tests.server.calls.working import Value, answered, done, number, ready
 from vehanchor import measure_area
 from vehanchor.records import AreaMeasurement
 from vehanchor_server.app_page.panel import MAX_LINES, MAX_VEHICLES, Drawing, DrawnLine
@@ -40,9 +40,8 @@ from vehanchor_server.calls.messages import (
     send_reply,
 )
 from vehanchor_server.calls.reply import Reply
-from vehanchor_server.calls.task import Task, work
+from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
-from vehanchor_server.images.argument import Base64Image, PathImage, UrlImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.target import MAX_TARGETS
 
@@ -72,20 +71,6 @@ def test_an_answer_arrives_with_its_pictures(pipe: tuple[Connection, Connection]
     header = receive(pipe[0])
     assert isinstance(header, Replied)
     assert receive_reply(pipe[0], header, Value) == reply
-
-
-@pytest.mark.parametrize(
-    ("image", "fetched"),
-    [
-        (PathImage(kind="path", path="/data/Straße.png"), None),
-        (Base64Image(kind="base64", data="QUJD"), None),
-        (UrlImage(kind="url", url="https://example.org/a.png"), b"\x89PNG"),
-    ],
-)
-def test_a_task_arrives_as_it_was_sent(pipe: tuple[Connection, Connection], image: Any, fetched: bytes | None) -> None:
-    task = Task(number, None, ((image, fetched), (IMAGE, None)))
-    pipe[0].send(task)
-    assert pipe[1].recv() == task
 
 
 @contextlib.contextmanager

@@ -133,13 +133,6 @@ async def test_answers_are_those_of_one_process(
         assert progress[0] == progress[1]
 
 
-def test_a_crash_is_told_and_the_next_call_works(isolated: Services) -> None:
-    before = done(isolated, number)
-    with pytest.raises(CallError, match="worker_killed"):
-        done(isolated, crash)
-    assert done(isolated, number) != before
-
-
 def test_a_worker_that_ends_slowly_gets_no_further_call(isolated: Services, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its pipe is closed, but the system still counts it as alive, as on a machine under load."""
     monkeypatch.setattr("vehanchor_server.calls.workers._ENDS_WITHIN_S", 0.0)
@@ -174,21 +167,17 @@ def test_a_stop_kills_and_says_so(isolated: Services) -> None:
     assert done(isolated, number) != before
 
 
-@pytest.mark.promise("memory")
-def test_memory_is_limited(isolated: Services) -> None:
-    with pytest.raises(CallError, match=r"worker_killed: .*memory"):
-        done(isolated, fill)
-    assert done(isolated, number) > 0
-
-
 @work(Value)
 def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
     raise CallError("image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes.")
 
 
-def test_memory_that_is_missing_is_not_the_images_fault(isolated: Services) -> None:
+@pytest.mark.promise("memory")
+@pytest.mark.parametrize("task", [fill, allocation_refused])
+def test_memory_is_limited_and_missing_memory_is_not_the_images_fault(isolated: Services, task: Any) -> None:
     with pytest.raises(CallError, match=r"worker_killed: .*memory"):
-        done(isolated, allocation_refused)
+        done(isolated, task)
+    assert done(isolated, number) > 0
 
 
 def test_a_bug_comes_with_its_traceback_and_keeps_the_worker(isolated: Services) -> None:

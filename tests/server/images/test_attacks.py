@@ -202,7 +202,7 @@ def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path)
     assert 2 * len(ways) >= 350
 
 
-@pytest.mark.anyio
+@pytest.mark.promise("fetch")
 async def test_no_other_host_is_looked_up_and_none_asked() -> None:
     async def resolve(host: str, port: int) -> list[str]:
         assert (host, port) == ("images.test", 443)
@@ -214,7 +214,8 @@ async def test_no_other_host_is_looked_up_and_none_asked() -> None:
         "[::ffff:127.0.0.1]",
         "images.test.", "images.test.evil.test", "evil.test", "images.test@evil.test", "images.test:80",
         "images.test:0",
-        "images.test:99999", "evil.test\\@images.test", "imag\u0435s.test", "user@images.test",
+        "images.test:99999", "images.test:22", "images.test:0x1BB", "[::1",
+        "evil.test\\@images.test", "imag\u0435s.test", "user@images.test",
         "user:pw@images.test", "[images.test]", "images.test%00.evil.test", "images.test%2eevil.test", "",
     )  # fmt: skip
     urls = [
@@ -223,6 +224,7 @@ async def test_no_other_host_is_looked_up_and_none_asked() -> None:
     urls += [
         f"{scheme}images.test/a.png" for scheme in ("http://", "ftp://", "file://", "gopher://", "data:", "//", "")
     ]
+    urls += ["https://images.test/a b.png", "https://images.test/a\r\nHost: evil.test", "https://evil.test/images.test"]
     for url in [*urls, *(url.replace("/a.png", "") for url in urls)]:
         with pytest.raises(CallError) as caught:
             await fetcher.fetch(url)

@@ -125,28 +125,6 @@ async def test_without_hosts_urls_are_off() -> None:
     assert error.code == "source_disabled"
 
 
-@pytest.mark.promise("fetch")
-@pytest.mark.parametrize(
-    "url",
-    [
-        "gopher://images.test/",
-        "https://evil.test/images.test",
-        "https://images.test:22/a.png",
-        "https://images.test:0x1BB/a.png",
-        "https://[::1/a.png",
-        "https://images.test/a b.png",
-        "https://images.test/a\r\nHost: evil.test",
-        "https:///a.png",
-    ],
-)
-async def test_other_schemes_hosts_ports_and_tricks_are_refused(url: str) -> None:
-    async def resolve(host: str, port: int) -> list[str]:
-        raise AssertionError(f"{host}:{port} was looked up")
-
-    fetcher = Fetcher(("images.test",), 100, 1, resolve=resolve)
-    assert (await refusal(fetcher, url)).code == "url_not_allowed"
-
-
 @pytest.mark.parametrize(
     "address",
     [

@@ -1,13 +1,9 @@
 from __future__ import annotations
 
 import base64
-from pathlib import Path
 
 import pytest
-from mcp import Client
-from mcp.server import MCPServer
 
-from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import Base64Image, UrlImage
 from vehanchor_server.images.fetch import Fetcher
@@ -77,13 +73,5 @@ async def test_urls_are_fetched_before_they_are_opened(sources: ImageSources, mo
     with sources.open(*both[0]) as opened:
         assert opened == b"https://a.test/b"
     assert both[1][1] is None
-
-
-@pytest.mark.anyio
-async def test_a_file_that_is_no_image_is_told_without_a_descriptors_name(
-    server: MCPServer[object], images: Path
-) -> None:
-    async with Client(server) as client:
-        result = await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))
-    assert error_of(result) == "image_undecodable"
-    assert "/proc" not in text_of(result)
+    with pytest.raises(CallError, match="image_too_large: the images have more than 100 bytes together"):
+        await sources.fetched([image] * 7)

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +10,10 @@ from mcp.server import MCPServer
 import vehanchor
 from tests.analyses import make_analysis
 from tests.server.conversation import called, error_of, record_of, text_of
-from tests.server.test_models import calibration_file
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.records import GsdEstimate
 from vehanchor.records.text import significant
-from vehanchor_server.app import create_server
-from vehanchor_server.services import create_services
-from vehanchor_server.settings import Settings
 from vehanchor_server.tools.messages import answer_of
 
 pytestmark = pytest.mark.anyio
@@ -109,16 +104,6 @@ async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MC
     assert "from given height: safe to use." in text_of(heard)
     assert "The given height, measured, gives" in text_of(heard)
     assert "give height_m" in text_of(await called(server, "estimate_gsd", images / "empty.png", focal_35mm=24))
-
-
-async def test_the_operators_calibration_is_the_ruler_of_callers_who_name_none(
-    settings: Settings, images: Path, tmp_path: Path
-) -> None:
-    server = create_server(create_services(replace(settings, calibration=calibration_file(tmp_path / "c.json"))))
-    cases: list[tuple[dict[str, Any], float]] = [({}, 4.31), ({"reference_length_m": 4.8}, 4.8)]
-    for named, length_m in cases:
-        record = record_of(await called(server, "estimate_gsd", images / "cars.png", **named))
-        assert record["details"]["reference_length_m"] == length_m
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ from tests.server.conftest import LENGTH_PX, paint_scene, write_image
 from tests.server.conversation import by_path, called, error_of, picture_of, record_of, text_of
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_server.app import create_server
-from vehanchor_server.images.fetch import Fetcher
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.flight_question import MAX_MORE_IMAGES
@@ -155,23 +154,6 @@ async def test_what_cannot_be_used_is_named_by_its_place(server: MCPServer[objec
             assert error_of(result).startswith(code), text_of(result)
             assert words in text_of(result)
             assert "/proc/" not in text_of(result)
-
-
-async def test_images_that_were_fetched_together_have_no_more_bytes_than_one_may(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch, flight: Path
-) -> None:
-    services = create_services(settings)
-    fetcher = replace(services.sources.fetcher, max_bytes=1 << 20)
-    services = replace(services, sources=replace(services.sources, fetcher=fetcher))
-
-    async def fetched(self: Fetcher, url: str) -> bytes:
-        return b"0" * 400_000
-
-    monkeypatch.setattr(Fetcher, "fetch", fetched)
-    address = {"kind": "url", "url": "https://example.org/photo.jpg"}
-    async with Client(create_server(services)) as client:
-        result = await client.call_tool("estimate_gsd", {**by_path(flight / "here.png"), "more_images": [address] * 3})
-    assert error_of(result) == "image_too_large"
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import jsonschema
 import pytest
 from mcp.server import MCPServer
 from mcp.types import CallToolResult
@@ -17,7 +18,7 @@ from mcp.types import CallToolResult
 import vehanchor
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import ERAS, by_path, called, error_of, record_of, text_of
+from tests.server.conversation import ERAS, by_path, called, error_of, input_schema, record_of, text_of
 from tests.server.test_app import AREA as AREA_TOKENS
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
@@ -114,19 +115,6 @@ async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServe
     assert "Mask: x 150 to 174, y 165 to 213 in your copy." in text_of(result)
 
 
-async def test_a_measured_scale_needs_neither_cars_nor_a_detector(settings: Settings, images: Path) -> None:
-    server = create_server(create_services(replace(settings, detector="/nowhere.onnx", calibration=Path("/nowhere"))))
-    result = await asked(server, pool_in(images / "pool_alone.png", gsd_m_per_px=0.15, **MEASURED))
-    record = record_of(result)
-    assert record["area_m2"] == pytest.approx(0.15**2 * record["mask_area_px"])
-    assert (record["scale_source"], record["status"], record["scale"]) == ("given", "ok", None)
-    assert record["scale_confidence"] >= 0.9
-    assert f"scale 0.150 m/px as stated, scale confidence {record['scale_confidence']:.2f}: safe to use." in text_of(
-        result
-    )
-    assert text_of(result).endswith("The stated scale is taken as +- 10 %.")
-
-
 async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
     settings: Settings, images: Path, tmp_path: Path
 ) -> None:
@@ -156,14 +144,16 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
         ({"points": [{"x": 1}]}, "targets.0.points.0.y: it is required"),
     ],
 )
-async def test_a_target_of_the_wrong_form_is_told_in_one_line(
+async def test_a_target_of_the_wrong_form_is_invalid_by_the_schema_and_told_in_one_line(
     server: MCPServer[object], images: Path, target: Any, words: str
 ) -> None:
-    given = {} if target is ... else {"targets": [target]}
-    result = await asked(server, {**by_path(images / "pool.png"), **given})
+    arguments = {**by_path(images / "pool.png"), **({} if target is ... else {"targets": [target]})}
+    result = await asked(server, arguments)
     assert error_of(result) == "invalid_arguments"
     assert words in text_of(result)
     assert "\n" not in text_of(result)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(arguments, input_schema("measure_area"))
 
 
 async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(

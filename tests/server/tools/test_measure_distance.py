@@ -123,4 +123,5 @@ async def test_coordinates_that_look_like_shares_or_per_cent_are_questioned_unle
     assert "0 to 100" in str(record_of(doubted)["warnings"])
     named = await told(SMALL, coordinates="pixels")
     assert "0 to 100" not in text_of(named)
+    assert "scale 0.100 m/px as stated, scale confidence" in text_of(named)
     assert text_of(named).endswith("The stated scale is taken as +- 10 %.")

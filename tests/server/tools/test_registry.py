@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
+import jsonschema
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
@@ -11,7 +12,7 @@ from mcp.server.mcpserver import Context
 from mcp.server.mcpserver.utilities.func_metadata import FuncMetadata
 from mcp.types import CallToolResult
 
-from tests.server.conversation import by_path, error_of, text_of
+from tests.server.conversation import by_path, error_of, input_schema, text_of
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_server.app import create_server
 from vehanchor_server.calls.call import run_call
@@ -66,6 +67,7 @@ async def test_the_contract_names_every_hint(server: MCPServer[object], era: str
     assert [tool.name for tool in listed] == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
     for tool in listed:
         assert tool.title
+        assert (tool.output_schema is None) == (tool.name == "view_image")
         assert tool.description
         assert len(tool.description.encode()) < 2048
         measures_nothing = tool.name == "view_image"
@@ -99,7 +101,7 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
     assert set(files) - set(published) == {"image_size.input.json", "image_size.output.json"}
     for provider in ("anthropic", "openai"):
         names = [tool["name"] for tool in json.loads(files[f"{provider}.json"])]
-        assert names == ["estimate_gsd", "measure_area", "measure_distance", "view_image", "image_size"]
+        assert names == ["estimate_gsd", "measure_area", "measure_distance", "image_size", "view_image"]
 
 
 @pytest.mark.parametrize(
@@ -119,7 +121,7 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
         ({"image": {"kind": "path", "path": "/a"}, "frame": {"width_px": 0, "height_px": 3}}, "frame.width_px"),
     ],
 )
-async def test_wrong_arguments_are_told_in_one_line(
+async def test_wrong_arguments_are_invalid_by_the_schema_and_told_in_one_line(
     server: MCPServer[object], arguments: dict[str, Any], words: str, era: str
 ) -> None:
     async with Client(server, mode=era) as client:
@@ -127,6 +129,8 @@ async def test_wrong_arguments_are_told_in_one_line(
     assert error_of(result) == "invalid_arguments"
     assert words in text_of(result)
     assert "\n" not in text_of(result)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(arguments, input_schema("estimate_gsd"))
 
 
 _BOX = {"x_min": 1, "y_min": 1, "x_max": 90, "y_max": 90}
@@ -225,10 +229,3 @@ async def test_long_names_are_shortened_before_they_are_told(server: MCPServer[o
         result = await client.call_tool(long, {})
     assert error_of(result) == "unknown_tool"
     assert len(text_of(result)) < 300
-
-
-async def test_the_example_of_an_error_names_a_file_of_this_server(server: MCPServer[object], images: Path) -> None:
-    async with Client(server) as client:
-        told = text_of(await client.call_tool("estimate_gsd", {}))
-        example = json.loads(told.partition("Example: ")[2])
-        assert not (await client.call_tool("estimate_gsd", example)).is_error

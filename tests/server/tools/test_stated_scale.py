@@ -57,6 +57,8 @@ async def test_a_measured_scale_leads_without_a_search_and_a_detector(
         assert found["distance_m"] == pytest.approx(75)
         bounds = [found["distance_ci95_low_m"] / 500, found["distance_ci95_high_m"] / 500]
         assert bounds == pytest.approx([0.15 - half, 0.15 + half], rel=0.01)
+    else:
+        assert found["area_m2"] == pytest.approx(0.15**2 * found["mask_area_px"])
 
 
 @pytest.mark.usefixtures("never_searches")

@@ -212,14 +212,6 @@ async def test_bodies_over_the_limit_are_refused(base: str) -> None:
         assert client.get(f"{base}/healthz").status_code == 200
 
 
-@pytest.mark.promise("no-sources")
-async def test_without_roots_paths_are_off(settings: Settings, images: Path) -> None:
-    with served(replace(settings, roots=())) as base:
-        async with Client(f"{base}/mcp") as client:
-            result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
-    assert error_of(result) == "source_disabled"
-
-
 async def test_a_client_that_hangs_up_frees_its_place(settings: Settings, images: Path, tiles: Tiles) -> None:
     tiles.least_s = 0.1
     with served(replace(settings, max_concurrency=1)) as base:
