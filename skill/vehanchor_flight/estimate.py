@@ -111,9 +111,8 @@ def _search(
     """Search one photograph and find its features; a known photograph needs its features only."""
     if known is not None and not featured:
         return known, None
-    reading = options.reading
-    bgr = reading.bgr and taken.film is None  # frames of a video are always RGB
-    with open_raster(taken.image, bands=reading.bands, limits=reading.limits, bgr=bgr) as raster:
+    reading = options.reading if taken.film is None else replace(options.reading, bgr=False)  # a video's frames are RGB
+    with open_raster(taken.image, reading) as raster:
         features = find_features(raster) if featured else None
         if known is not None:
             return known, features

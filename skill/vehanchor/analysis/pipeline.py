@@ -78,11 +78,10 @@ def checked_detector(detector: Detector, options: ScaleOptions) -> Detector:
 
 def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
     """Open an image, search it and measure its scale; see ``Engine.analyse_scale``."""
-    reading = options.reading
-    with open_raster(image, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+    with open_raster(image, options.reading) as raster:
         analysis = analyse_raster(detector, raster, options)
     seen = image if can_be_read_again(image) else None
-    return replace(analysis, image=seen, reading=reading, ground=raster.ground)
+    return replace(analysis, image=seen, reading=options.reading, ground=raster.ground)
 
 
 def analyse_raster(detector: Detector, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:
