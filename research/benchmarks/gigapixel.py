@@ -92,7 +92,7 @@ def search(image: Path, effort: str, threads: int | None) -> str:
     detector = load_detector(resolve_model(), Runtime(threads=threads))
     options = ScaleOptions.of({"effort": effort})
     started, cpu = time.perf_counter(), time.process_time()
-    with open_raster(image, limits=options.reading.limits) as raster:
+    with open_raster(image, options.reading) as raster:
         found = analyse_raster(detector, raster, options).estimate
     seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

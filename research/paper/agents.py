@@ -20,7 +20,7 @@ from research.paper.question_set import Answered, Direction, TaskKind, checked_f
 from research.paper.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.scale import read_reduced
-from vehanchor_evaluation.known_scale import DATASET_LIMITS
+from vehanchor_evaluation.known_scale import DATASET_READING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -162,7 +162,7 @@ def _words(task: Task, image: Path) -> str:
 
 def _encoded_picture(image: Path) -> str:
     """Encode an image as base64 JPEG, reduced to the size that models see."""
-    with open_raster(image, limits=DATASET_LIMITS) as raster:
+    with open_raster(image, DATASET_READING) as raster:
         seen = read_reduced(raster)
     factor = min(1.0, _MAX_SIDE_PX / max(seen.shape[:2]))
     if factor < 1:

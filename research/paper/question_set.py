@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict
 from research.scenes import Layout, render_scene
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor_evaluation.known_scale import DATASET_LIMITS
+from vehanchor_evaluation.known_scale import DATASET_READING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -253,5 +253,5 @@ def _answered(task: Task, record: dict[str, Any]) -> Answered:
 
 def image_size(path: Path) -> tuple[int, int]:
     """Return the width and height of a picture, pixels."""
-    with open_raster(path, limits=DATASET_LIMITS) as raster:
+    with open_raster(path, DATASET_READING) as raster:
         return raster.width_px, raster.height_px

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor_evaluation.known_scale import DATASET_LIMITS
+from vehanchor_evaluation.known_scale import DATASET_READING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -106,7 +106,7 @@ def questions_of_photographs(images: Sequence[KnownScaleImage], limit: int) -> l
     questions: list[Question] = []
     for number in range(n_needed):
         image = images[number * len(images) // n_needed]
-        with open_raster(image.path, limits=DATASET_LIMITS) as raster:
+        with open_raster(image.path, DATASET_READING) as raster:
             width, height = raster.width_px, raster.height_px
         stretch_m = round((STRETCH[1][0] - STRETCH[0][0]) * width * image.gsd_m_per_px, 1)
         about = _distances(image.path, (width, height), image.gsd_m_per_px, both_fits=number % 2 == 1)

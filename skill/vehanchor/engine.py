@@ -13,14 +13,12 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
 
-from vehanchor.analysis.image_list import estimate_each
-from vehanchor.analysis.pipeline import analyse_image, analyse_raster, checked_detector
+from vehanchor.analysis.pipeline import analyse_image, analyse_raster, checked_detector, estimate_each
 from vehanchor.courts.proposals import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
@@ -37,11 +35,8 @@ from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.imagery.raster import Raster
     from vehanchor.measure.resolved_scale import ScaleInput
     from vehanchor.options.reading import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
@@ -239,7 +234,7 @@ class Engine:
         engine, chosen = self.for_call(options, keywords)
         prompt, segmenter = read_prompt(box, points), engine.segmenter
         known = engine._scale_input(gsd_m_per_px, scale, chosen)
-        with _opened(image, chosen) as raster:
+        with open_raster(image, chosen.reading) as raster:
             (found,) = analyse_objects(raster, [prompt], segmenter, known, chosen, object_height_m=object_height_m)
         return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
 
@@ -286,7 +281,7 @@ class Engine:
         """
         engine, chosen = self.for_call(options, keywords)
         places, known = read_path(path), engine._scale_input(gsd_m_per_px, scale, chosen)
-        with _opened(image, chosen) as raster:
+        with open_raster(image, chosen.reading) as raster:
             (found,) = analyse_paths(raster, [places], known, chosen, object_height_m=object_height_m)
         return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
 
@@ -313,13 +308,6 @@ class Engine:
         """Take the caller's known scale, else the analysis that finds it."""
         given = given_scale(gsd_m_per_px, scale, options)
         return partial(analyse_raster, checked_detector(self.detector, options)) if given is None else given
-
-
-@contextmanager
-def _opened(image: ImageSource, options: ScaleOptions) -> Iterator[Raster]:
-    reading = options.reading
-    with open_raster(image, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
-        yield raster
 
 
 def _kept(image: ImageSource) -> ImageSource | None:

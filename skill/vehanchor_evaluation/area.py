@@ -24,7 +24,7 @@ from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.segmentation.prompt import Prompt
 from vehanchor.storage.journal import Journal, Key, Source
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
-from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
+from vehanchor_evaluation.known_scale import DATASET_READING, FileIssue
 from vehanchor_evaluation.pool import finished
 
 if TYPE_CHECKING:
@@ -139,10 +139,10 @@ def _segment_image(segmenter: Segmenter, entries: Sequence[AreaEntry]) -> tuple[
     trials, issues = [], []
     image = entries[0].image
     try:
-        with open_raster(image, limits=DATASET_LIMITS) as raster:
+        with open_raster(image, DATASET_READING) as raster:
             for entry in entries:
                 try:
-                    found = segmenter.segment(raster, Prompt(box=entry.corners), limits=DATASET_LIMITS)
+                    found = segmenter.segment(raster, Prompt(box=entry.corners), limits=DATASET_READING.limits)
                 except VehAnchorError as error:
                     issues.append(FileIssue(image, error.code, f"{entry.name}: {error}"))
                 else:

@@ -16,7 +16,7 @@ from vehanchor.pictures.scale import caption_panel, draw_vehicles, fit_for_eyes,
 from vehanchor.scale.calibration import length_density
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX, Z95
 from vehanchor_evaluation.gsd import HIGH_ERROR
-from vehanchor_evaluation.known_scale import DATASET_LIMITS
+from vehanchor_evaluation.known_scale import DATASET_READING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -291,7 +291,7 @@ def sheet_cell(trial: ScaleTrial) -> SheetCell:
         ImageError: the image can no longer be read.
     """
     estimate = trial.analysis.estimate
-    with open_raster(trial.image.path, limits=DATASET_LIMITS) as raster:
+    with open_raster(trial.image.path, DATASET_READING) as raster:
         picture = fit_for_eyes(read_reduced(raster))
     whole = Window(0, 0, estimate.image_width_px, estimate.image_height_px)
     draw_vehicles(picture, trial.analysis, Placement.of(picture, whole))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_evaluation.known_scale import (
-    DATASET_LIMITS,
+    DATASET_READING,
     FileIssue,
     KnownScaleImage,
     KnownScaleSet,
@@ -38,7 +38,7 @@ def survey_geotiffs(paths: Sequence[Path]) -> KnownScaleSet:
     images, issues = [], []
     for file in files_of(paths):
         try:
-            with open_raster(file, limits=DATASET_LIMITS) as raster:
+            with open_raster(file, DATASET_READING) as raster:
                 gsd = raster.georeference_gsd_m_per_px
         except VehAnchorError as error:
             issues.append(FileIssue(file, error.code, str(error)))

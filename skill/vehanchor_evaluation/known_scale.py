@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.imagery.sources.files import SUFFIXES
-from vehanchor.options import ImageLimits
+from vehanchor.options import ImageLimits, Reading
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-DATASET_LIMITS = ImageLimits(max_bytes=2 << 30, max_pixels=500_000_000)
+DATASET_READING = Reading(limits=ImageLimits(max_bytes=2 << 30, max_pixels=500_000_000))
 """Limits for benchmark images, which users trust; the largest in DOTA have 20,000 x 20,000 px."""
 
 

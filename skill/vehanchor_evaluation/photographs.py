@@ -13,7 +13,7 @@ from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.rulers.registry import active_rulers
 from vehanchor.scale.lengths import Z95
 from vehanchor_evaluation.known_scale import (
-    DATASET_LIMITS,
+    DATASET_READING,
     FileIssue,
     KnownScaleImage,
     KnownScaleSet,
@@ -56,14 +56,14 @@ def survey_photographs(
     without_vehicles = replace(
         options,
         rulers=replace(options.rulers, rulers=rulers),
-        reading=replace(options.reading, limits=DATASET_LIMITS),
+        reading=replace(options.reading, limits=DATASET_READING.limits),
     )
     images, issues = [], []
     files = files_of(paths)
     lines = known_lengths(files) if known_lengths else {}
     for file in files:
         try:
-            with open_raster(file, bands=without_vehicles.reading.bands, limits=DATASET_LIMITS) as raster:
+            with open_raster(file, without_vehicles.reading) as raster:
                 record = analyse_raster(detector, raster, with_lines_of(without_vehicles, lines, file)).estimate
         except VehAnchorError as error:
             issues.append(FileIssue(file, error.code, str(error)))

@@ -29,7 +29,7 @@ from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.storage.codec import Codec
 from vehanchor.storage.journal import Journal, Source
 from vehanchor.tilt.camera_tilt import metadata_tilt
-from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
+from vehanchor_evaluation.known_scale import DATASET_READING, FileIssue
 from vehanchor_evaluation.pool import finished
 
 if TYPE_CHECKING:
@@ -196,7 +196,7 @@ def search_known_scale(
     """Search all images that the cache lacks.
 
     Args:
-        data: images of known scale, which belong to the user; ``DATASET_LIMITS`` apply.
+        data: images of known scale, which belong to the user; the limits of ``DATASET_READING`` apply.
         detector: the detector.
         options: options of the search.
         classes: detector classes that count as vehicles, as when the detector was opened.
@@ -208,7 +208,7 @@ def search_known_scale(
         InvalidParameterError: the cache is not a log of a search.
         OutputError: the cache cannot be read or written.
     """
-    options = replace(options, reading=replace(options.reading, limits=DATASET_LIMITS))
+    options = replace(options, reading=replace(options.reading, limits=DATASET_READING.limits))
     return dict(
         search_images(
             (image.path for image in data.images),
@@ -229,7 +229,7 @@ def _search(
     file: Path, detector: Detector, options: ScaleOptions, alphas: Sequence[float | None]
 ) -> SearchedImage | FileIssue:
     try:
-        with open_raster(os.fspath(file), bands=options.reading.bands, limits=options.reading.limits) as raster:
+        with open_raster(os.fspath(file), options.reading) as raster:
             view = search_raster(raster, detector, options)
             resolved = {alpha: _resolved(raster, view, alpha) for alpha in alphas}
             return SearchedImage(view.detections, view.image, resolved, view.prior)

@@ -10,17 +10,19 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from vehanchor.analysis.pipeline import analyse_view, search_raster
 from vehanchor.detection.detector import networks_sha256
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
+from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.imagery.tiles import read_preview
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Journal, Key, Source
 from vehanchor_flight.components import single_component
-from vehanchor_flight.copies import reduced_picture, without_copies
 from vehanchor_flight.features import find_features
 from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.linking import link_photographs
@@ -30,11 +32,19 @@ from vehanchor_flight.record import Failure, conclude_flight
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from numpy.typing import NDArray
+
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
+    from vehanchor.imagery.raster import Raster
     from vehanchor.rulers.known_length_table import KnownLengthTable
     from vehanchor_flight.features import Features
     from vehanchor_flight.records import FlightEstimate
+
+_REDUCED_PX = 32
+_READ_PX = 512  # long side that is read, at least
+_MOST_DIFFERENT = 3.0  # grey levels on average, a choice: JPEG and resampling change about 1
+_SAME_SHAPE = 0.01  # relative, of copies
 
 
 def conclude(results: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
@@ -111,15 +121,45 @@ def _search(
     """Search one photograph and find its features; a known photograph needs its features only."""
     if known is not None and not featured:
         return known, None
-    reading = options.reading
-    bgr = reading.bgr and taken.film is None  # frames of a video are always RGB
-    with open_raster(taken.image, bands=reading.bands, limits=reading.limits, bgr=bgr) as raster:
+    reading = options.reading if taken.film is None else replace(options.reading, bgr=False)  # a video's frames are RGB
+    with open_raster(taken.image, reading) as raster:
         features = find_features(raster) if featured else None
         if known is not None:
             return known, features
         view = search_raster(raster, detector, options)
         kept = StoredPhotograph.of(view, analyse_view(view))
         return replace(kept, reduced=reduced_picture(raster)), features
+
+
+def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
+    """Reduce an image to ``[32, 32]`` grey levels."""
+    factor = max(1, max(raster.width_px, raster.height_px) // _READ_PX)
+    whole = Window(0, 0, max(1, raster.width_px // factor), max(1, raster.height_px // factor))
+    grey = cv2.cvtColor(read_preview(raster, whole, factor), cv2.COLOR_RGB2GRAY)
+    return np.asarray(cv2.resize(grey, (_REDUCED_PX, _REDUCED_PX), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def without_copies(found: Sequence[Photograph | Failure]) -> list[Photograph | Failure]:
+    """Keep the largest of several sizes of a photograph; the others become failures that name it."""
+    kept = list(found)
+    photographs = [(place, each) for place, each in enumerate(found) if isinstance(each, Photograph)]
+    largest: list[Photograph] = []
+    for place, each in sorted(photographs, key=lambda one: -one[1].view.image.width_px):
+        original = next((other for other in largest if _is_copy(each, other)), None)
+        if original is None:
+            largest.append(each)
+        else:
+            error = ImageError(f"it is a smaller copy of {original.name!r}, which counts once")
+            kept[place] = Failure(each.name, error)
+    return kept
+
+
+def _is_copy(small: Photograph, large: Photograph) -> bool:
+    one, other = small.view.image, large.view.image
+    shape = one.width_px * other.height_px / (one.height_px * other.width_px)
+    if one.width_px == other.width_px or abs(shape - 1) > _SAME_SHAPE or small.reduced is None or large.reduced is None:
+        return False
+    return float(np.abs(small.reduced.astype(float) - large.reduced).mean()) <= _MOST_DIFFERENT
 
 
 def check_options(options: ScaleOptions) -> None:

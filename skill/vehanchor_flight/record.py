@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
+from datetime import datetime, timedelta
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -21,7 +23,6 @@ from vehanchor_flight.photograph import of_photographs
 from vehanchor_flight.pooling import pool
 from vehanchor_flight.project import SCALE
 from vehanchor_flight.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler
-from vehanchor_flight.sorties import number_sorties
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -31,12 +32,15 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
     from vehanchor.errors import VehAnchorError
+    from vehanchor.imagery.facts import ImageFacts
     from vehanchor.records import GsdEstimate, Reason, Status
     from vehanchor_flight.components import Component
     from vehanchor_flight.photograph import Photograph
     from vehanchor_flight.records import FlightLink
 
 _MOST_RULERS = 4  # listed per photograph
+_PAUSE = timedelta(minutes=20)  # between two photographs of one camera: longer than a change of battery
+_EXIF_TIME = "%Y:%m:%d %H:%M:%S"
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,40 @@ def _sorties(results: Sequence[Photograph | Failure]) -> dict[int, int]:
     usable = [(place, result) for place, result in enumerate(results) if not isinstance(result, Failure)]
     numbers = number_sorties([result.view.image for _, result in usable])
     return {place: number for (place, _), number in zip(usable, numbers, strict=True)}
+
+
+def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
+    """Number the sorties of photographs.
+
+    A sortie has one camera and no pause of more than 20 minutes. Photographs without a time belong to the first sortie
+    of their camera.
+
+    Args:
+        images: their facts.
+
+    Returns:
+        The number of each photograph's sortie, from 0 on, in the order of the photographs.
+    """
+    places = []
+    for place, image in enumerate(images):
+        camera = image.camera
+        kind = ("", "") if camera is None else (camera.make, camera.model)
+        places.append((kind, _taken_at(image) or datetime.min, place))
+    places.sort()
+    found, sortie = {places[0][2]: 0} if places else {}, 0
+    for (kind_before, before, _), (kind, taken, place) in pairwise(places):
+        sortie += kind != kind_before or (before > datetime.min and taken - before > _PAUSE)
+        found[place] = sortie
+    numbers: dict[int, int] = {}
+    return [numbers.setdefault(found[place], len(numbers)) for place in range(len(images))]
+
+
+def _taken_at(image: ImageFacts) -> datetime | None:
+    """Read the camera's local time of a photograph; None without a valid one."""
+    try:
+        return None if image.camera is None else datetime.strptime(image.camera.taken_at, _EXIF_TIME)
+    except ValueError:
+        return None
 
 
 def _several_sorties(numbers: Iterable[int]) -> tuple[Notice, ...]:

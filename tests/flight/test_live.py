@@ -25,10 +25,9 @@ from vehanchor.options import Reading, ScaleOptions
 from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.posterior import Witness
-from vehanchor_flight.live.estimator import LiveEstimator
+from vehanchor_flight.live.estimator import WINDOW_PX, LiveEstimator, next_window, reduction_factor
 from vehanchor_flight.live.filter import FilterState, Measurement, Motion, corrected, predicted, started
 from vehanchor_flight.live.frames import Frame, camera_frames, folder_frames, open_frames
-from vehanchor_flight.live.windows import WINDOW_PX, next_window, reduction_factor
 
 
 def write(path: Path, level: int) -> None:

@@ -18,9 +18,8 @@ from vehanchor.scale.reliability import Shared
 from vehanchor_flight.components import single_component
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.pooling import _pooled_witness, combined_density, pool, pooled_detections
-from vehanchor_flight.record import conclude_flight
+from vehanchor_flight.record import conclude_flight, number_sorties
 from vehanchor_flight.records import FlightEstimate
-from vehanchor_flight.sorties import number_sorties
 
 
 def _photograph(lengths: NDArray[np.float64], name: str = "one", resolved: float = 1.0) -> Photograph:

@@ -41,7 +41,7 @@ from vehanchor.imagery.metadata.xmp import read_xmp
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.files import external_locations
-from vehanchor.options import ImageLimits
+from vehanchor.options import ImageLimits, Reading
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.scale.calibration import Calibration, load_calibration
 from vehanchor_server.calls.messages import (
@@ -85,7 +85,7 @@ def header(data: bytes) -> None:
 def image(data: bytes) -> None:
     """Open an image and read a window and the whole of it."""
     try:
-        with warnings.catch_warnings(), open_raster(data, limits=FUZZ_LIMITS) as raster:
+        with warnings.catch_warnings(), open_raster(data, Reading(limits=FUZZ_LIMITS)) as raster:
             warnings.simplefilter("ignore")
             raster.read(Window(0, 0, min(16, raster.width_px), min(16, raster.height_px)))
             if raster.width_px * raster.height_px <= FUZZ_LIMITS.max_pixels:

@@ -99,6 +99,6 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: Question
     options = scale_options(asked.given, services.settings, services.models)
     checked_detector(detector, options)
     job.stop.check()
-    with open_raster(source, limits=options.reading.limits) as raster:
+    with open_raster(source, options.reading) as raster:
         analysis = services.models.memory.analyse(detector, raster, options)
         return scale_reply(raster, analysis, asked.wanted, job)

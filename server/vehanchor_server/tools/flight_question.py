@@ -81,7 +81,7 @@ def estimate_with_flight(
     _refuse_duplicates(members)
     flight = conclude(photographs, detector.card, same_scale=question.subject)
     analysis = replace(members[0].analysis, estimate=_estimate_of_image(flight, asked))
-    with open_raster(source, limits=asked.reading.limits) if question.wanted.kind else nullcontext() as raster:
+    with open_raster(source, asked.reading) if question.wanted.kind else nullcontext() as raster:
         return scale_reply(raster, analysis, question.wanted, job)
 
 

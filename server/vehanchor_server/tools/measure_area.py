@@ -88,7 +88,7 @@ def _measure(
     options, scale = resolve_source(asked.given, services, job)
     wanted, height = asked.wanted, asked.given.get("object_height_m")
     job.stop.check()
-    with open_raster(source, limits=options.reading.limits) as raster:
+    with open_raster(source, options.reading) as raster:
         job.segmenting()
         found = analyse_objects(raster, prompts, segmenter, scale, options, object_height_m=height)
         picture = draw_picture(

@@ -96,7 +96,7 @@ def _measure(
     options, scale = resolve_source(asked.given, services, job)
     height = asked.given.get("object_height_m")
     job.stop.check()
-    with open_raster(source, limits=options.reading.limits) as raster:
+    with open_raster(source, options.reading) as raster:
         found = analyse_paths(raster, paths, scale, options, object_height_m=height)
         measured = tuple(each.measurement for each in found)
         picture = draw_picture(

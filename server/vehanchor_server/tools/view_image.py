@@ -187,7 +187,7 @@ def _view(services: Services, job: Job, source: OpenedImage, wanted: PictureRequ
 
     job.stop.check()
     reading = Reading(limits=services.settings.image_limits)
-    with open_raster(source, limits=reading.limits) as raster:
+    with open_raster(source, reading) as raster:
         window = part_window(raster, wanted)
         job.stop.check()
         picture = draw_grid(raster, window, wanted.long_side_px, _MAX_ENLARGEMENT, wanted.kind == "evidence")

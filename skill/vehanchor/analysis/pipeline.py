@@ -9,6 +9,7 @@ threads.
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,7 +20,7 @@ from vehanchor.detection.corrections import corrected
 from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import ImageSearch
-from vehanchor.errors import InvalidParameterError
+from vehanchor.errors import ImageListError, InvalidParameterError, VehAnchorError
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.identity import begin_image_id
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
     from vehanchor.scale.posterior import Remark, Witness
 
 _MODEL_DIGITS = 12
+_SHOWN_FAILURES = 10  # of a list of images
 _NO_ONE_SCALE = (NoticeCode.STRETCHED, NoticeCode.TILT_SUSPECTED)
 _SAME_SCALE = 0.02  # of the log: a stated scale this near to the answer repeats it; a choice
 GEOREFERENCE_TOLERANCE = 0.10  # largest difference of the file's own scale without a warning
@@ -78,11 +80,47 @@ def checked_detector(detector: Detector, options: ScaleOptions) -> Detector:
 
 def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
     """Open an image, search it and measure its scale; see ``Engine.analyse_scale``."""
-    reading = options.reading
-    with open_raster(image, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+    with open_raster(image, options.reading) as raster:
         analysis = analyse_raster(detector, raster, options)
     seen = image if can_be_read_again(image) else None
-    return replace(analysis, image=seen, reading=reading, ground=raster.ground)
+    return replace(analysis, image=seen, reading=options.reading, ground=raster.ground)
+
+
+def estimate_each(images: Sequence[ImageSource], detector: Detector, options: ScaleOptions) -> list[GsdEstimate]:
+    """Estimate the scale of each image; one that fails does not end the work on the others.
+
+    Raises:
+        ImageListError: images failed; the error names them and holds all results.
+    """
+    results: list[GsdEstimate | VehAnchorError] = []
+    for image in images:
+        try:
+            results.append(analyse_image(image, detector, options).estimate)
+        except VehAnchorError as error:
+            results.append(error)
+    records = [each for each in results if not isinstance(each, VehAnchorError)]
+    if len(records) < len(results):
+        raise ImageListError(_failures_text(images, results), results)
+    return records
+
+
+def _failures_text(images: Sequence[ImageSource], results: Sequence[GsdEstimate | VehAnchorError]) -> str:
+    """Name the failed images, the first of them with their errors."""
+    failures = [
+        f"image {number} ({_image_name(image)}): {error}"
+        for number, (image, error) in enumerate(zip(images, results, strict=True), 1)
+        if isinstance(error, VehAnchorError)
+    ]
+    shown = "; ".join(failures[:_SHOWN_FAILURES])
+    more = f"; and {len(failures) - _SHOWN_FAILURES} more" if len(failures) > _SHOWN_FAILURES else ""
+    return (
+        f"{len(failures)} of {len(results)} images cannot be used: {shown}{more}. Leave them out; results of this "
+        "error has the records of the others"
+    )
+
+
+def _image_name(image: ImageSource) -> str:
+    return os.fspath(image) if isinstance(image, str | os.PathLike) else type(image).__name__
 
 
 def analyse_raster(detector: Detector, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:

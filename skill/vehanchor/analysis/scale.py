@@ -57,8 +57,7 @@ class Analysis:
         source = self.image if image is None else image
         if source is None:
             raise InvalidParameterError("the analysis does not have its image: give it, as overlay(image)")
-        reading = self.reading
-        with open_raster(source, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+        with open_raster(source, self.reading) as raster:
             cut = self._cut()
             return self._draw(read_reduced(raster, cut and cut.part), cut)
 

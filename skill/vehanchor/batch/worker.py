@@ -124,8 +124,7 @@ class Worker:
         return MadeRow(self.row(task, opened), time.perf_counter() - started, waited_s)
 
     def _open(self, task: Task) -> Raster:
-        reading = self._options.reading
-        return open_raster(task.path, bands=reading.bands, limits=reading.limits, bgr=reading.bgr)
+        return open_raster(task.path, self._options.reading)
 
     def row(self, task: Task, opened: Future[Raster]) -> BatchRow:
         """Make the row of one image; any error goes into the row."""

@@ -23,6 +23,7 @@ from vehanchor.errors import ModelError
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
+    from vehanchor.rulers.standards import Standard, Variant
 
 _SHORT_SHA = 12
 
@@ -45,15 +46,38 @@ def _show(
 ) -> None:
     """Show bundled models, your own model files and the things of known size, and check the installation."""
     if sizes:
-        from vehanchor.cli.sizes import print_sizes
-
         with exit_on_error():
-            print_sizes(as_json=as_json)
+            _print_sizes(as_json=as_json)
         raise typer.Exit
     if check:
         with exit_on_error():
             _check_installation(provider)
         raise typer.Exit
+
+
+def _print_sizes(*, as_json: bool) -> None:
+    """Print the things of known size for --known-length X1 Y1 X2 Y2 NAME."""
+    from vehanchor.rulers.standards import standards
+
+    for each in standards().values():
+        if as_json:
+            print_json({**each._asdict(), "variants": [variant._asdict() for variant in each.variants]})
+        else:
+            print_table(facts_table(each.name, _size_facts(each)))
+
+
+def _size_facts(standard: Standard) -> list[tuple[str, str]]:
+    return [
+        ("between", standard.between),
+        *(("length", _size_text(each)) for each in standard.variants),
+        ("chance of another thing", f"{100 * standard.chance_wrong:.0f} %"),
+        ("source", standard.source),
+    ]
+
+
+def _size_text(variant: Variant) -> str:
+    countries = f": {', '.join(variant.countries)}" if variant.countries else ""
+    return f"{variant.metres:g} m +- {100 * variant.log_sd:.2g} %{countries}"
 
 
 def _check_installation(providers: list[str] | None) -> None:

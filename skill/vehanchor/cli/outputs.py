@@ -124,10 +124,10 @@ def _write_metric(analysis: ScaleAnalysis, outputs: Mapping[str, Path]) -> None:
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.pictures.scale import draw_scale_bar, fit_for_eyes, read_reduced, write_picture
 
-    gsd, reading = analysis.estimate.gsd_m_per_px, analysis.reading
+    gsd = analysis.estimate.gsd_m_per_px
     assert gsd is not None
     assert analysis.image is not None
-    with open_raster(analysis.image, bands=reading.bands, limits=reading.limits) as raster:
+    with open_raster(analysis.image, analysis.reading) as raster:
         if "scale_bar" in outputs:
             picture = fit_for_eyes(read_reduced(raster))
             draw_scale_bar(picture, gsd * raster.width_px / picture.shape[1])

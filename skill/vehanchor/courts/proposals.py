@@ -124,16 +124,14 @@ class CourtNetwork(LoadedModel):
         return found
 
 
+_opened = file_cached(max_models=2)(CourtNetwork)
+
+
 def load_court_network(runtime: Runtime | None = None) -> CourtNetwork:
     """Load the bundled network once for each runtime, on one thread."""
     # one thread: the network is small, and must not occupy all cores of a single-threaded worker
     chosen = replace(runtime or Runtime(), threads=1)
-    return _loaded(COURTS, runtime=chosen.idle).under(chosen)
-
-
-@file_cached(max_models=2)
-def _loaded(path: Path, *, runtime: Runtime) -> CourtNetwork:
-    return CourtNetwork(path, runtime=runtime)
+    return _opened(COURTS, runtime=chosen.idle).under(chosen)
 
 
 def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[Proposal]:

@@ -241,6 +241,9 @@ class Detector(LoadedModel):
         return Objects(canonical_boxes(boxes[sane]), np.clip(found.scores[sane], 0.0, 1.0), found.classes[sane])
 
 
+_opened = file_cached(max_models=4)(Detector)
+
+
 def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
     """Open a detector, or return the open one while its files are unchanged; see ``Detector``.
 
@@ -255,15 +258,8 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
         ModelError: as ``Detector``.
     """
     file, chosen = Path(path), runtime or Runtime()
-    loaded = _loaded(
-        file, verifier=auxiliary_model(file, "verifier"), chips=auxiliary_model(file, "chips"), runtime=chosen.idle
-    )
-    return loaded.under(chosen)
-
-
-@file_cached(max_models=4)
-def _loaded(path: Path, *, verifier: Path | None, chips: Path | None, runtime: Runtime) -> Detector:
-    return Detector(path, verifier=verifier, chips=chips, runtime=runtime)
+    verifier, chips = auxiliary_model(file, "verifier"), auxiliary_model(file, "chips")
+    return _opened(file, verifier=verifier, chips=chips, runtime=chosen.idle).under(chosen)
 
 
 def networks_sha256(card: DetectorCard) -> str:

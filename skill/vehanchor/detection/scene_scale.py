@@ -220,15 +220,13 @@ class SceneScaleNetwork(LoadedModel):
         return SceneScalePrior(tuple(levels), self.calibration)
 
 
+_opened = file_cached(max_models=2)(SceneScaleNetwork)
+
+
 def load_scene_scale(runtime: Runtime | None = None) -> SceneScaleNetwork:
     """Load the bundled network once for each runtime."""
     chosen = runtime or Runtime()
-    return _loaded(SCENE_SCALE, runtime=chosen.idle).under(chosen)
-
-
-@file_cached(max_models=2)
-def _loaded(path: Path, *, runtime: Runtime) -> SceneScaleNetwork:
-    return SceneScaleNetwork(path, runtime=runtime)
+    return _opened(SCENE_SCALE, runtime=chosen.idle).under(chosen)
 
 
 def _with_finer(density: NDArray[np.float64], chance: float) -> NDArray[np.float64]:

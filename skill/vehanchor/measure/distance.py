@@ -6,8 +6,9 @@ Raster + path -> pixels x GSD -> record. The scale comes from the whole image, o
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from vehanchor.measure.resolved_scale import resolve_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import DistanceMeasurement, ImagePoint
-from vehanchor.records.interop import places_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,7 +40,7 @@ def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
         PromptError: fewer than two points, or one that is not two finite numbers.
     """
     places = []
-    for each in places_of(path):
+    for each in _places_of(path):
         try:
             x, y = (float(value) for value in each)
         except (TypeError, ValueError):
@@ -51,6 +51,21 @@ def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
     if not 2 <= len(places) <= MAX_PATH_POINTS:
         raise PromptError(f"the path has {len(places)} points: give two, or up to {MAX_PATH_POINTS} along a line")
     return tuple(places)
+
+
+def _places_of(path: Any) -> Any:
+    """Take the points of a shapely line; return other values unchanged.
+
+    Raises:
+        PromptError: the geometry is not a line.
+    """
+    try:
+        places = getattr(path, "coords", path)
+    except NotImplementedError:  # of shapely's polygons and collections
+        raise PromptError(f"the path is a {type(path).__name__}: give a line, or points") from None
+    if isinstance(places, str) or not isinstance(places, Iterable):
+        raise PromptError(f"the path is {path!r}: give a line, or points as x, y")
+    return places
 
 
 def analyse_paths(

@@ -131,9 +131,8 @@ def measure_targets(
     Returns:
         One row per target, in order. An error of the image goes into each row.
     """
-    reading = options.reading
     try:
-        with open_raster(image, bands=reading.bands, limits=reading.limits) as raster:
+        with open_raster(image, options.reading) as raster:
             return list(_rows(raster, targets, detector, segmenter, options))
     except VehAnchorError as error:
         return [TargetRow(target, error=error) for target in targets]

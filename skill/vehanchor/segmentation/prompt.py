@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.errors import PromptError
 from vehanchor.options.reading import CoordinateFrame
-from vehanchor.records.interop import as_box
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,7 +71,7 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
         found = "neither is given" if box is None else "both are given"
         raise PromptError(f"give a box or points, one of the two: {found}")
     if box is not None:
-        corners = tuple(_coordinate(value, "box") for value in _parts(as_box(box), "box", "x1, y1, x2, y2"))
+        corners = tuple(_coordinate(value, "box") for value in _parts(_as_box(box), "box", "x1, y1, x2, y2"))
         if len(corners) != 4:
             raise PromptError(f"box has {len(corners)} numbers: use x1, y1, x2, y2")
         x1, y1, x2, y2 = corners
@@ -146,3 +145,20 @@ def _coordinate(value: float, what: str) -> float:
 
 def _numbers(values: Sequence[float]) -> str:
     return ", ".join(f"{value:g}" for value in values)
+
+
+def _as_box(box: Any) -> Any:
+    """Take the box of a shapely or supervision object, without importing either; return other values unchanged.
+
+    Args:
+        box: a geometry of shapely (its ``bounds``), or supervision's ``Detections`` of one object.
+
+    Raises:
+        PromptError: the detections are not of exactly one object.
+    """
+    found = getattr(box, "xyxy", None)
+    if found is not None:
+        if len(found) != 1:
+            raise PromptError(f"the detections are of {len(found)} objects: give one, as detections[i : i + 1]")
+        return tuple(float(value) for value in found[0])
+    return getattr(box, "bounds", box)

@@ -269,15 +269,13 @@ class _View(NamedTuple):
     encoding: Encoding
 
 
+_opened = file_cached(max_models=2)(Segmenter)
+
+
 def load_segmenter(encoder_path: Path, decoder_path: Path, runtime: Runtime | None = None) -> Segmenter:
     """Open a segmenter, or return the open one while its files are unchanged; see ``Segmenter``."""
     chosen = runtime or Runtime()
-    return _loaded(encoder_path, decoder_path, runtime=chosen.idle).under(chosen)
-
-
-@file_cached(max_models=2)
-def _loaded(encoder_path: Path, decoder_path: Path, *, runtime: Runtime) -> Segmenter:
-    return Segmenter(encoder_path, decoder_path, runtime=runtime)
+    return _opened(encoder_path, decoder_path, runtime=chosen.idle).under(chosen)
 
 
 def _allowed(window: Window, limits: ImageLimits) -> bool:

@@ -1,4 +1,7 @@
-"""Scale of each frame of a running camera: features, one searched window, and the filter."""
+"""Scale of each frame of a running camera: features, one searched window, and the filter.
+
+The window lies where the last frames had cars, and now and then elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,18 @@ import numpy as np
 
 from vehanchor.analysis.pipeline import checked_detector, conclude, search_raster
 from vehanchor.detection.scene_scale import load_scene_scale
+from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import read_reduced_window
 from vehanchor.options.option import Limits
 from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import quantile
 from vehanchor.scale.lengths import Z95
 from vehanchor_flight.features import find_features
 from vehanchor_flight.live.filter import FilterState, Measurement, Motion, corrected, predicted
-from vehanchor_flight.live.windows import next_window, reduction_factor
 from vehanchor_flight.matching import match
 from vehanchor_flight.records import LiveScale
 
@@ -31,7 +35,7 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.detector import Detector
     from vehanchor.detection.scene_scale import SceneScalePrior
-    from vehanchor.imagery.raster import Raster, Window
+    from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate
     from vehanchor_flight.features import Features
@@ -41,6 +45,12 @@ if TYPE_CHECKING:
 HOLD_S = Limits(above=0, most=3600)
 """Limits of the seconds without vehicles after which there is no scale."""
 
+WINDOW_PX = 640
+"""Side of a searched window in the reduced frame."""
+
+_LONGEST_CAR_PX = 60.0  # in the reduced frame
+_MOST_FACTOR = 8
+_ELSEWHERE_EVERY = 4  # one window in four is the next in turn
 _FEATURES_SIDE_PX = 480  # of the reduced copy: a third of the side of 1280 px
 _STRETCH_EVERY = 10  # frames; a camera's proportions do not change in flight, so that the last result is kept
 _PRIOR_FRAMES = 1.0  # new ground, in frames, after which the scene-scale prior is taken again
@@ -161,6 +171,62 @@ class LiveEstimator:
             image_width_px=frame.image.shape[1],
             image_height_px=frame.image.shape[0],
         )
+
+
+def reduction_factor(gsd_m_per_px: float | None, width_px: int, height_px: int) -> int:
+    """Choose the reduction of a frame at which cars have a length that the detector knows.
+
+    Args:
+        gsd_m_per_px: expected scale; None if unknown.
+        width_px: width of the frame.
+        height_px: height of the frame.
+
+    Returns:
+        A power of two, at which the frame's shorter side still has half a window.
+    """
+    factor = 1
+    length_px = 0.0 if gsd_m_per_px is None else CAR_LENGTH_M / gsd_m_per_px
+    while (
+        length_px / factor > _LONGEST_CAR_PX
+        and factor < _MOST_FACTOR
+        and min(width_px, height_px) // (2 * factor) >= WINDOW_PX // 4
+    ):
+        factor *= 2
+    return factor
+
+
+def next_window(width_px: int, height_px: int, factor: int, turn: int, cars: NDArray[np.float64]) -> Window:
+    """Choose the window to search in a frame.
+
+    Args:
+        width_px: width of the frame.
+        height_px: height of the frame.
+        factor: reduction of the frame.
+        turn: number of the frame.
+        cars: ``[n, 2]`` centres of the cars of the last frames, pixels of this frame.
+
+    Returns:
+        In pixels of the reduced frame: the window around the car with the most neighbours, or in every fourth turn and
+        without cars the next of all windows.
+    """
+    width, height = width_px // factor, height_px // factor
+    side = min(WINDOW_PX, width), min(WINDOW_PX, height)
+    if len(cars) and turn % _ELSEWHERE_EVERY:
+        corners = np.clip(np.rint(cars / factor - np.array(side) / 2), 0, np.array([width, height]) - np.array(side))
+        around = [Window(int(left), int(top), *side) for left, top in corners]
+        return around[int(np.argmax([_inside(cars / factor, each) for each in around]))]
+    lefts, tops = (
+        np.linspace(0, extent - own, math.ceil(extent / own)).astype(int).tolist()  # spread evenly
+        for extent, own in zip((width, height), side, strict=True)
+    )
+    windows = [Window(left, top, *side) for top in tops for left in lefts]
+    return windows[(turn // _ELSEWHERE_EVERY if len(cars) else turn) % len(windows)]
+
+
+def _inside(points: NDArray[np.float64], window: Window) -> int:
+    low = np.array([window.x_px, window.y_px])
+    high = low + np.array([window.width_px, window.height_px])
+    return int(np.all((points >= low) & (points < high), axis=1).sum())
 
 
 def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:

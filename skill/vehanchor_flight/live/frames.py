@@ -129,7 +129,7 @@ def folder_frames(
         for older, name in enumerate(ready, start=1):
             try:
                 path = folder / name
-                with open_raster(path, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+                with open_raster(path, reading) as raster:
                     image = raster.read()
             except ImageError as error:
                 tell(f"{name}: {error}")

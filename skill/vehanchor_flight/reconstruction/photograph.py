@@ -180,7 +180,7 @@ def search_photograph(
         TooObliqueError: the horizon is in the photograph or close to it.
     """
     reading = options.reading
-    with open_raster(image, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+    with open_raster(image, reading) as raster:
         sight = Sight.of(shot, points, whole, (raster.width_px, raster.height_px))
         view = search_raster(raster, detector, options)
         if sight.tilted:

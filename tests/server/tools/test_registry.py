@@ -14,6 +14,7 @@ from mcp.types import CallToolResult
 
 from tests.server.conversation import by_path, error_of, input_schema, text_of
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.options import Reading
 from vehanchor_server.app import create_server
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
@@ -56,7 +57,7 @@ def image_size_tool(services: Services) -> StrictTool:
 @work(Size)
 def _image_size(services: Services, job: Job, source: OpenedImage, _: None) -> Reply[Size]:
     job.stop.check()
-    with open_raster(source, limits=services.settings.image_limits) as raster:
+    with open_raster(source, Reading(limits=services.settings.image_limits)) as raster:
         return Reply((Size(width_px=raster.width_px, height_px=raster.height_px),))
 
 

@@ -25,6 +25,7 @@ from vehanchor.errors import ImageDecodeError
 from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.metadata.camera import CameraMetadata, read_camera
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.options import Reading
 
 WIDTH_PX, HEIGHT_PX = 60, 40
 
@@ -74,7 +75,7 @@ def geotiff(path: Path, bands_hwc: NDArray[Any], mask: NDArray[Any] | None = Non
 
 
 def read_all(image: Any, **options: Any) -> NDArray[np.uint8]:
-    with open_raster(image, **options) as raster:
+    with open_raster(image, Reading(**options)) as raster:
         pixels = raster.read()
         assert pixels.shape == (raster.height_px, raster.width_px, 3)
         assert pixels.dtype == np.uint8

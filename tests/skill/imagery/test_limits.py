@@ -46,7 +46,7 @@ from vehanchor.imagery.formats.jpeg import MAX_SCANS, MAX_SEGMENTS
 from vehanchor.imagery.limits import MIN_SIDE_PX, check_header
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.options import ImageLimits
+from vehanchor.options import ImageLimits, Reading
 
 HUGE = [
     (png_header, 100_000),
@@ -102,7 +102,7 @@ def test_the_byte_limit_holds_for_every_kind_of_source(tmp_path: Path) -> None:
     for make in (lambda: data, lambda: bytearray(data), lambda: path, lambda: io.BytesIO(data)):
         read_all(make(), limits=exact)
         with pytest.raises(ImageTooLargeError, match=str(len(data) - 1)):
-            open_raster(make(), limits=tight)
+            open_raster(make(), Reading(limits=tight))
 
 
 def test_an_endless_file_object_is_left_at_the_limit() -> None:
@@ -119,7 +119,7 @@ def test_an_endless_file_object_is_left_at_the_limit() -> None:
 
     stream: Any = Endless()
     with pytest.raises(ImageTooLargeError):
-        open_raster(stream, limits=ImageLimits(max_bytes=3_000_000))
+        open_raster(stream, Reading(limits=ImageLimits(max_bytes=3_000_000)))
     assert stream.given == 3_000_001
 
 
@@ -128,9 +128,9 @@ def test_a_tiff_over_the_limits_for_whole_decoding_is_read_by_windows(tmp_path: 
     for limits in (ImageLimits(max_pixels=NOISE[..., 0].size - 1), ImageLimits(max_bytes=1000)):
         np.testing.assert_array_equal(read_all(path, limits=limits), NOISE)
         with without_rasterio(), pytest.raises(MissingExtraError):
-            open_raster(path, limits=limits)
+            open_raster(path, Reading(limits=limits))
     with pytest.raises(ImageTooLargeError):
-        open_raster(path, limits=ImageLimits(max_windowed_pixels=NOISE[..., 0].size - 1))
+        open_raster(path, Reading(limits=ImageLimits(max_windowed_pixels=NOISE[..., 0].size - 1)))
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -146,9 +146,9 @@ def test_the_mask_of_a_tiff_is_held_to_the_same_limit_as_its_pixels(tmp_path: Pa
         data += struct.pack(order + "HHII", tag, 4, 1, value)
     data += bytes(4)
     (tmp_path / "masked.tif").write_bytes(data)
-    open_raster(tmp_path / "masked.tif", limits=ImageLimits(max_decoded_bytes=2_000_000)).close()
+    open_raster(tmp_path / "masked.tif", Reading(limits=ImageLimits(max_decoded_bytes=2_000_000))).close()
     with pytest.raises(ImageTooLargeError, match="mask is stored in blocks of 1000000 pixels"):
-        open_raster(tmp_path / "masked.tif", limits=ImageLimits(max_decoded_bytes=1_999_999))
+        open_raster(tmp_path / "masked.tif", Reading(limits=ImageLimits(max_decoded_bytes=1_999_999)))
 
 
 def test_a_tiff_of_more_directories_than_a_thousand_is_refused_and_a_circle_of_them_ends() -> None:
@@ -214,8 +214,8 @@ def test_more_scans_than_pictures_have_are_refused_before_decoding() -> None:
 def test_scans_count_against_the_limit_on_pixels() -> None:
     data = bombs.jpeg_of_scans(50, 64)
     with pytest.raises(ImageTooLargeError, match="50 scans"):
-        open_raster(data, limits=ImageLimits(max_pixels=64 * 64))
-    open_raster(data, limits=ImageLimits(max_pixels=2 * 64 * 64)).close()
+        open_raster(data, Reading(limits=ImageLimits(max_pixels=64 * 64)))
+    open_raster(data, Reading(limits=ImageLimits(max_pixels=2 * 64 * 64))).close()
 
 
 def test_more_segments_than_pictures_have_are_refused() -> None:
@@ -300,23 +300,21 @@ def test_the_limit_is_what_decoding_takes_not_what_the_file_weighs(
     make: Callable[[], bytes], decoded_bytes: int
 ) -> None:
     data = make()
-    open_raster(data, limits=ImageLimits(max_decoded_bytes=decoded_bytes, max_unpacked_bytes=1)).close()
+    open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=decoded_bytes, max_unpacked_bytes=1))).close()
     with pytest.raises(ImageTooLargeError, match=f"takes {decoded_bytes} bytes"):
-        open_raster(data, limits=ImageLimits(max_decoded_bytes=decoded_bytes - 1, max_unpacked_bytes=1))
+        open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=decoded_bytes - 1, max_unpacked_bytes=1)))
 
 
 @pytest.mark.parametrize(("dtype", "bands"), [("float64", 4), ("uint16", 4), ("float64", 1), ("uint8", 3)])
 def test_a_tiff_that_takes_too_much_is_read_by_windows_unless_its_strips_do(dtype: str, bands: int) -> None:
-    side = 256
+    side, data = 256, bombs.zero_tiff(256, dtype, bands)
     pixel = max(4, bands * np.dtype(dtype).itemsize)
     tight = ImageLimits(max_decoded_bytes=side * side * pixel)
-    with open_raster(bombs.zero_tiff(side, dtype, bands, rows=16), limits=tight) as raster:
+    with open_raster(bombs.zero_tiff(side, dtype, bands, rows=16), Reading(limits=tight)) as raster:
         assert not raster.read(Window(0, 0, side, side)).any()
     with pytest.raises(ImageTooLargeError, match="stored in blocks"):
-        open_raster(
-            bombs.zero_tiff(side, dtype, bands), limits=ImageLimits(max_decoded_bytes=side * side * pixel // 4 * 3)
-        )
-    open_raster(bombs.zero_tiff(side, dtype, bands), limits=ImageLimits(max_decoded_bytes=3 * side * side * pixel))
+        open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=side * side * pixel // 4 * 3)))
+    open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=3 * side * side * pixel)))
 
 
 def test_a_tile_larger_than_its_image_counts() -> None:

@@ -34,7 +34,7 @@ from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.raster import Raster, Window, outer_sides
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid
-from vehanchor.options import ImageLimits
+from vehanchor.options import ImageLimits, Reading
 
 UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     1: lambda a: a,
@@ -168,12 +168,13 @@ def test_a_reduced_window_is_the_mean_of_blocks_and_is_read_in_small_pieces(
         assert max(max(w.width_px, w.height_px) for w in read) <= 1024
 
 
-WINDOWED = ImageLimits(max_pixels=1_000_000)
+READ_WHOLE = Reading()
+WINDOWED = Reading(limits=ImageLimits(max_pixels=1_000_000))
 SIDE_PX, UNREAD_PX = 4800, 560  # along the longer side, a window of 512 px every 600 px
 
 
-def _id(source: ImageSource, limits: ImageLimits | None = None) -> str:
-    with open_raster(source, limits=limits) as raster:
+def _id(source: ImageSource, reading: Reading = READ_WHOLE) -> str:
+    with open_raster(source, reading) as raster:
         return image_id(raster)
 
 

@@ -28,7 +28,7 @@ from vehanchor.imagery.sources.arrays import ArrayRaster
 from vehanchor.imagery.sources.files import existing
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
-from vehanchor.options import ImageLimits
+from vehanchor.options import ImageLimits, Reading
 
 if TYPE_CHECKING:
     from vehanchor.imagery.bands import BandChoice
@@ -42,17 +42,12 @@ ImageSource: TypeAlias = (
 rasterio dataset, or a Pillow image."""
 
 _MIB = 1 << 20
+_DEFAULT_READING = Reading()
 _JPEG = b"\xff\xd8\xff"
 _WITH_ALPHA = frozenset({"PNG", "WebP", "AVIF"})  # formats whose fourth band is alpha
 
 
-def open_raster(
-    image: ImageSource,
-    *,
-    bands: tuple[int, int, int] | None = None,
-    limits: ImageLimits | None = None,
-    bgr: bool = False,
-) -> Raster:
+def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Raster:
     """Open an image of any kind for reading by windows.
 
     uint8 stays unchanged. uint16 is stretched between percentiles 2 and 98 of the whole image. Floats within 0..1 are
@@ -68,23 +63,19 @@ def open_raster(
             * an array [h, w] or [h, w, bands] of uint8, uint16 or floats, RGB; it is neither copied nor changed,
             * an open rasterio dataset, which stays open,
             * a Pillow image, whose EXIF orientation is applied.
-        bands: bands to use as red, green and blue, counted from 1.
-        limits: limits to apply; None for the defaults.
-        bgr: whether an array's first three bands are blue, green and red, as in OpenCV; ignored for files.
+        reading: bands, limits, and the order of an array's bands.
 
     Raises:
-        InvalidParameterError: ``bands`` names a missing band, or ``image`` has an unknown type.
+        InvalidParameterError: a band is missing, or ``image`` has an unknown type.
         ImageNotFoundError: there is no regular file at the path.
         ImageDecodeError: the file is empty, truncated, damaged, or not an image.
         ImageTooLargeError: the file has more bytes or declared pixels than the limits allow.
         ImageFormatError: the image decodes but cannot be measured: a side under 16 px, NaN, an unsupported dtype.
         MissingExtraError: the file needs rasterio or libheif, which is not installed.
     """
-    limits = limits or ImageLimits()
-    if bands is not None and (len(bands) != 3 or not all(isinstance(band, int) and band >= 1 for band in bands)):
-        raise InvalidParameterError(f"bands must be three numbers from 1 up, got {bands!r}")
+    bands, limits = reading.bands, reading.limits
     if isinstance(image, np.ndarray):
-        return ArrayRaster(image, "array", bands, bgr=bgr)
+        return ArrayRaster(image, "array", bands, bgr=reading.bgr)
     if isinstance(image, str | os.PathLike):
         return _open_path(existing(os.fspath(image)), bands, limits)
     if isinstance(image, bytes | bytearray | memoryview):

@@ -15,7 +15,7 @@ from vehanchor.errors import ImageDecodeError, ImageError, ImageTooLargeError
 from vehanchor.imagery.formats import decoding
 from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.options import ImageLimits
+from vehanchor.options import ImageLimits, Reading
 
 HEIGHT, WIDTH = 96, 128
 
@@ -39,7 +39,7 @@ def declaring(data: bytes, width: int, height: int) -> bytes:
 
 
 def read(data: bytes, limits: ImageLimits | None = None) -> np.ndarray:
-    with open_raster(data, limits=limits or ImageLimits()) as raster:
+    with open_raster(data, Reading(limits=limits or ImageLimits())) as raster:
         return raster.read()
 
 

@@ -17,7 +17,7 @@ import pytest
 import vehanchor
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError, MissingExtraError
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.options import ImageLimits
+from vehanchor.options import ImageLimits, Reading
 
 HEIC = base64.b64decode(
     "AAAAHGZ0eXBoZWl4AAAAAG1pZjFoZWl4bWlhZgAAAcltZXRhAAAAAAAAACFoZGxyAAAAAAAAAABwaWN0AAAAAAAAAAAAAAAAAAAAADRpbG9jAA"
@@ -51,9 +51,9 @@ def test_it_is_turned_upright(tmp_path: Path) -> None:
 
 def test_its_size_is_held_against_the_limits_before_it_is_decoded() -> None:
     with pytest.raises(ImageTooLargeError, match="the HEIC declares 48 x 64 px, the limit is 3000 pixels"):
-        open_raster(HEIC, limits=ImageLimits(max_pixels=3000))
+        open_raster(HEIC, Reading(limits=ImageLimits(max_pixels=3000)))
     with pytest.raises(ImageTooLargeError, match="decoding the HEIC"):
-        open_raster(HEIC, limits=ImageLimits(max_decoded_bytes=10_000))
+        open_raster(HEIC, Reading(limits=ImageLimits(max_decoded_bytes=10_000)))
 
 
 @pytest.mark.parametrize("kept", [0.3, 0.6, 0.9, 0.99])

@@ -286,15 +286,15 @@ def test_a_truncated_one_and_one_that_is_too_large_are_refused_by_their_codes() 
     with pytest.raises(ImageDecodeError, match="Pillow"):
         open_raster(Image.open(BytesIO(encoded.getvalue()[:2000])))
     with pytest.raises(ImageTooLargeError, match="--max-megapixels"):
-        open_raster(Image.fromarray(PIXELS), limits=ImageLimits(max_pixels=2000))
+        open_raster(Image.fromarray(PIXELS), Reading(limits=ImageLimits(max_pixels=2000)))
 
 
 def test_the_memory_that_it_takes_is_limited_by_its_mode_and_told_by_its_code(monkeypatch: pytest.MonkeyPatch) -> None:
     for mode, n_bytes in (("L", 3), ("RGB", 10), ("RGBA", 12), ("F", 12), ("CMYK", 10)):
         image = Image.fromarray(PIXELS).convert(mode)
-        open_raster(image, limits=ImageLimits(max_decoded_bytes=2400 * n_bytes))
+        open_raster(image, Reading(limits=ImageLimits(max_decoded_bytes=2400 * n_bytes)))
         with pytest.raises(ImageTooLargeError, match=f"takes {2400 * n_bytes} bytes"):
-            open_raster(image, limits=ImageLimits(max_decoded_bytes=2400 * n_bytes - 1))
+            open_raster(image, Reading(limits=ImageLimits(max_decoded_bytes=2400 * n_bytes - 1)))
 
     def fail(self: Image.Image) -> None:
         raise MemoryError
@@ -305,7 +305,7 @@ def test_the_memory_that_it_takes_is_limited_by_its_mode_and_told_by_its_code(mo
 
 
 def test_an_array_of_opencv_is_read_as_bgr_where_that_is_said() -> None:
-    assert (open_raster(PIXELS[:, :, ::-1], bgr=True).read() == PIXELS).all()
+    assert (open_raster(PIXELS[:, :, ::-1], Reading(bgr=True)).read() == PIXELS).all()
 
 
 def test_megapixels_are_a_limit_of_pixels_and_of_memory() -> None:

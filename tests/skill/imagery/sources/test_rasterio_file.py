@@ -33,7 +33,7 @@ from vehanchor.errors import (
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import read_preview, read_reduced_window
-from vehanchor.options import ImageLimits
+from vehanchor.options import ImageLimits, Reading
 
 
 def test_a_geotiff_is_read_from_a_path_or_from_bytes(tmp_path: Path) -> None:
@@ -190,9 +190,9 @@ def test_a_dataset_that_cannot_be_read_is_a_wrong_parameter(tmp_path: Path) -> N
 def test_the_limits_hold_for_datasets(tmp_path: Path) -> None:
     with rasterio.open(geotiff(tmp_path / "a.tif", NOISE, blockysize=NOISE.shape[0])) as dataset:
         with pytest.raises(ImageTooLargeError, match="dataset declares 130 x 90 px"):
-            open_raster(dataset, limits=ImageLimits(max_windowed_pixels=NOISE[..., 0].size - 1))
+            open_raster(dataset, Reading(limits=ImageLimits(max_windowed_pixels=NOISE[..., 0].size - 1)))
         with pytest.raises(ImageTooLargeError, match="store it tiled"):
-            open_raster(dataset, limits=ImageLimits(max_pixels=2000))
+            open_raster(dataset, Reading(limits=ImageLimits(max_pixels=2000)))
         np.testing.assert_array_equal(read_all(dataset, limits=ImageLimits(max_pixels=20_000)), NOISE)
     low = geotiff(tmp_path / "b.tif", RGB[:15])
     with rasterio.open(low) as dataset, pytest.raises(ImageFormatError, match="60 x 15 px"):
