@@ -15,41 +15,23 @@ from vehanchor_server.images.fetch import Fetcher
 from vehanchor_server.images.path_access import PathAccess
 from vehanchor_server.images.source import ImageSources
 from vehanchor_server.models import Models
+from vehanchor_server.parts import Parts
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from vehanchor_server.settings import Settings
 
 
 @dataclass(frozen=True)
-class Services:
+class Services(Parts):
     """Shared parts of a server's tools; a worker has its own.
 
     Attributes:
-        settings: the operator's options.
-        models: the operator's models.
-        sources: image sources.
         capacity: limit of concurrent calls.
         workers: worker processes; None if this process does the work.
     """
 
-    settings: Settings
-    models: Models
-    sources: ImageSources
     capacity: Capacity
     workers: WorkerPool | None
-
-    @property
-    def readable(self) -> tuple[Path, ...] | None:
-        """Files and folders that workers may read; None for no confinement.
-
-        Workers with accelerators are unconfined, because drivers need devices, sockets and caches.
-        """
-        providers = {name.strip().lower().removesuffix("executionprovider") for name in self.settings.providers}
-        if self.settings.isolation != "confined" or providers - {"cpu"}:
-            return None
-        return (*self.settings.roots, *self.models.files())
 
     @property
     def ready(self) -> bool:

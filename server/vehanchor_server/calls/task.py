@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.job import Job
     from vehanchor_server.calls.reply import Reply
     from vehanchor_server.images.argument import AnyImage
-    from vehanchor_server.services import Services
+    from vehanchor_server.parts import Parts
 
 Record = TypeVar("Record", bound=BaseModel)
 
@@ -69,7 +69,7 @@ class Task(Generic[Record]):
     images: tuple[tuple[AnyImage, bytes | None], ...]
 
 
-def perform(services: Services, task: Task[Record], job: Job) -> Reply[Record]:
+def perform(services: Parts, task: Task[Record], job: Job) -> Reply[Record]:
     """Open the first image and do the work in this thread.
 
     Raises:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from vehanchor_server.calls.messages import WorkerMessage
     from vehanchor_server.calls.task import Task
-    from vehanchor_server.services import Services
+    from vehanchor_server.parts import Parts
 
 _IDLE_S = 5.0  # idle time before freed memory is returned; a call after that maps it again, for some 25 ms
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
@@ -58,7 +58,7 @@ class WorkerLimits:
 
 
 def serve_tasks(
-    connection: Connection, log: Connection, make_services: Callable[[], Services], limits: WorkerLimits
+    connection: Connection, log: Connection, make_services: Callable[[], Parts], limits: WorkerLimits
 ) -> None:
     """Confine this process, load the models and run tasks until the server ends: the main function of a worker.
 
@@ -114,7 +114,7 @@ def _keep_streams(connection: Connection, log: Connection) -> None:
     os.closerange(kept + 1, os.sysconf("SC_OPEN_MAX"))
 
 
-def _outcome(services: Services, task: Task[Any], connection: Connection) -> WorkerMessage | None:
+def _outcome(services: Parts, task: Task[Any], connection: Connection) -> WorkerMessage | None:
     """Run a task and send its reply; otherwise return the message for the failure."""
 
     def report(percent: float, message: str) -> None:

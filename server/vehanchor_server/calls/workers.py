@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.reply import Reply
     from vehanchor_server.calls.task import Record, Task
     from vehanchor_server.calls.worker_process import WorkerLimits
+    from vehanchor_server.parts import Parts
     from vehanchor_server.sandbox.confinement import Confinement
-    from vehanchor_server.services import Services
 
 _ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
 _POLL_S = 0.05  # interval at which a waiting thread checks for a stop request
@@ -69,7 +69,7 @@ class WorkerPool:
         failure: error code of the last failed load of the models, or None.
     """
 
-    def __init__(self, make_services: Callable[[], Services], limits: WorkerLimits) -> None:
+    def __init__(self, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
         self.make_services = make_services
         self.limits = limits
         self.closed = False
