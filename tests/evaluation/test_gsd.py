@@ -133,7 +133,7 @@ def test_the_ablation_repeats_the_second_half_with_one_choice_changed(tmp_path: 
         return float(table[choice, setting, boxes]["median"])
 
     def expected(**options: Any) -> float:
-        chosen = ScaleOptions.of(options)
+        chosen = ScaleOptions.of({"rulers": ("vehicles",), **options})
         vehicles = analyse_scale(tmp_path / "images" / "a.png", chosen, detector=detector).vehicles
         assert vehicles is not None
         assert vehicles.gsd_m_per_px is not None

@@ -309,18 +309,14 @@ def test_an_image_that_was_replaced_meanwhile_is_looked_at_again(
     assert [row["n_vehicles"] for row in _rows(table)] == [20, 20, 0]
 
 
-@pytest.mark.parametrize("trouble", ["detector", "provider", "input"])
-def test_what_is_wrong_is_told_before_a_finished_table_is_given_up(trouble: str, detector: Path, table: Path) -> None:
-    run_batch(["cars.png"], table, detector=detector, workers=1)
+def test_what_is_wrong_is_told_before_a_finished_table_is_given_up(detector: Path, table: Path) -> None:
+    right: dict[str, Any] = {"inputs": ["cars.png"], "output": table, "detector": detector, "workers": 1}
+    run_batch(**right)
     before = table.read_bytes()
-    wrong: dict[str, dict[str, Any]] = {
-        "detector": {"detector": "nowhere.onnx"},
-        "provider": {"detector": detector, "runtime": Runtime(providers=["cuda"])},
-        "input": {"inputs": ["nowhere"], "detector": detector},
-    }
-    with pytest.raises(VehAnchorError):
-        run_batch(**{"inputs": ["cars.png"], "output": table, "overwrite": True, "workers": 1, **wrong[trouble]})
-    assert table.read_bytes() == before
+    for wrong in ({"detector": "nowhere.onnx"}, {"runtime": Runtime(providers=["cuda"])}, {"inputs": ["nowhere"]}):
+        with pytest.raises(VehAnchorError):
+            run_batch(**right | {"overwrite": True} | wrong)
+        assert table.read_bytes() == before
 
 
 # --- Engines ---------------------------------------------------------------------------------------------------------
