@@ -93,6 +93,41 @@ def paint_vehicles(
     return found
 
 
+def assert_same_boxes(found: NDArray[np.float64], expected: NDArray[np.float64], within: float = 1e-3) -> None:
+    """Compare boxes in any order."""
+    assert len(found) == len(expected)
+    order = np.argmin(np.linalg.norm(found[:, None, :2] - expected[None, :, :2], axis=2), axis=0)
+    np.testing.assert_allclose(found[order][:, :4], expected[:, :4], atol=within * 10)
+    assert np.abs(np.sin(found[order][:, 4] - expected[:, 4])).max() < 10 * within
+
+
+def fleet(n: int, mean: float = 30.0) -> NDArray[np.float64]:
+    """Lengths of one fleet, most of them near the mean."""
+    return mean * (1 + 0.06 * np.linspace(-1, 1, n) ** 3)
+
+
+def car_park(
+    lengths: ArrayLike, width_px: int = 480, height_px: int = 360, *, scores: Sequence[float] | None = None
+) -> NDArray[np.uint8]:
+    """RGB with a vehicle of each length, in rows from the upper left corner."""
+    image, columns = blank_image(width_px, height_px), (width_px - 60) // 70
+    rows = [[40 + 70 * (k % columns), 50 + 60 * (k // columns), x, 12, 0.4] for k, x in enumerate(np.asarray(lengths))]
+    paint_vehicles(image, np.reshape(rows, (-1, 5)), scores=scores)
+    return image
+
+
+POOL = (420, 280, 468, 376)
+POOL_RGB = (40, 140, 210)
+
+
+def pool_among_cars(n_vehicles: int = 30, rectangle: tuple[int, int, int, int] = POOL) -> NDArray[np.uint8]:
+    """RGB of 800 x 600 px with a pool below rows of cars."""
+    image = car_park(fleet(n_vehicles), 800, 600)
+    x1, y1, x2, y2 = rectangle
+    image[y1:y2, x1:x2] = POOL_RGB
+    return image
+
+
 def write_detector(
     path: Path,
     *,

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import subprocess
 import sys
-import time
-import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,9 +13,9 @@ import cv2
 import numpy as np
 
 from research.scenes import render_scene
+from tests.packaging.container import free_port, wait_until_ready
 
 SERVE = [sys.executable, "-c", "import typer; from vehanchor_server.command import serve; typer.run(serve)"]
-START_S = 120
 
 
 class HttpServer(NamedTuple):
@@ -69,18 +66,10 @@ def _write(path: Path, image: np.ndarray) -> None:
 @contextlib.contextmanager
 def http_server(*flags: str) -> Iterator[HttpServer]:
     """A server on a free port, ready."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     process = subprocess.Popen([*SERVE, "--http", "--port", str(port), *flags], stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + START_S
     try:
-        while True:
-            with contextlib.suppress(OSError), urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz"):
-                break
-            if process.poll() is not None or time.monotonic() > deadline:
-                sys.exit("the server did not start")
-            time.sleep(0.1)
+        wait_until_ready(port, process)
         yield HttpServer(f"http://127.0.0.1:{port}/mcp", process)
     finally:
         process.terminate()

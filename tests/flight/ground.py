@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.models import blank_image, paint_vehicles
+from tests.models import car_park
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -62,14 +62,6 @@ def sighting_of(lengths: NDArray[np.float64]) -> Detections:
     return Detections(boxes, np.full(len(boxes), 0.8))
 
 
-def car_park(lengths: Sequence[float]) -> NDArray[np.uint8]:
-    """RGB with a vehicle of each length."""
-    image = blank_image(480, 360)
-    boxes = [[40 + 70 * (k % 6), 50 + 60 * (k // 6), length, 12, 0.4] for k, length in enumerate(lengths)]
-    paint_vehicles(image, np.reshape(boxes, (-1, 5)))
-    return image
-
-
 def write_flight(folder: Path, fleets: Sequence[Sequence[float]]) -> list[str]:
     """A photograph for each of some fleets, ``0.png``, ``1.png`` and so on; their paths."""
     paths = []
@@ -78,3 +70,13 @@ def write_flight(folder: Path, fleets: Sequence[Sequence[float]]) -> list[str]:
         cv2.imwrite(str(path), car_park(lengths)[:, :, ::-1])
         paths.append(str(path))
     return paths
+
+
+def write_film(path: Path, frames: Iterable[NDArray[np.uint8]], per_second: float = 10.0, codec: str = "MJPG") -> str:
+    """A video of these frames, BGR; its path."""
+    first, *rest = frames
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), per_second, first.shape[1::-1])
+    for frame in (first, *rest):
+        writer.write(frame)
+    writer.release()
+    return str(path)

@@ -3,12 +3,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
-from tests.flight.ground import car_park, write_flight
-from tests.models import write_detector
+from tests.flight.ground import write_film, write_flight
+from tests.models import car_park, write_detector
 from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError, KnownLengthError
@@ -126,17 +125,13 @@ def test_an_interrupted_flight_goes_on_where_it_stopped(
 def test_an_interrupted_flight_of_a_video_goes_on_where_it_stopped(
     detector: Detector, tmp_path: Path, searched: list[object]
 ) -> None:
-    film, journal = tmp_path / "film.avi", tmp_path / "flight.journal"
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 1.0, (480, 360))
-    for _ in range(3):
-        writer.write(car_park(FLEET)[:, :, ::-1])
-    writer.release()
-
-    frames = sample_video(str(film), 1.0)
+    journal = tmp_path / "flight.journal"
+    film = write_film(tmp_path / "film.avi", [car_park(FLEET)[:, :, ::-1]] * 3, 1.0)
+    frames = sample_video(film, 1.0)
     with pytest.raises(KeyboardInterrupt):
         estimate_flight(frames, same_scale=True, detector=detector, journal=journal, progress=_stop)
     searched.clear()
-    again = estimate_flight(sample_video(str(film), 1.0), same_scale=True, detector=detector, journal=journal)
+    again = estimate_flight(sample_video(film, 1.0), same_scale=True, detector=detector, journal=journal)
     assert len(searched) == 1
     assert len(again.photographs) == 3
 

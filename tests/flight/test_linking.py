@@ -140,37 +140,40 @@ def test_an_overlap_with_a_copy_of_the_ground_elsewhere_is_dropped() -> None:
     assert np.exp(component.offsets) == pytest.approx(np.ones(len(seen)), abs=0.01)
 
 
+CORNERS = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
+TILT = CameraTilt(35.0, 0.0, 700.0, "metadata")
+NO_CARS = sighting_of(np.zeros(0))
+
+
+def _features_between(there: NDArray[np.float64]) -> Features:
+    """The features of a photograph whose corners show these places of the ground."""
+    move = cv2.getPerspectiveTransform(there.astype(np.float32), CORNERS.astype(np.float32))
+    return features_of(np.asarray(cv2.warpPerspective(WORLD, move, (500, 500)), dtype=np.uint8))
+
+
+def _tilted(name: str, facts: ImageFacts) -> Photograph:
+    return Photograph.of(name, StoredPhotograph(facts, NO_CARS, 1.0, (), tilt=TILT), made_card(5.0), ScaleOptions())
+
+
 def test_photographs_of_one_height_and_tilt_have_one_scale() -> None:
-    tilt = CameraTilt(35.0, 0.0, 700.0, "metadata")
-    plane = tilt.plane(ImageFacts(500, 500))
-    corners = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
-    flight, seen = [], []
-    for number, y in enumerate((900.0, 800.0, 700.0)):
-        there = plane.from_above(corners) + np.array([800.0, y])
-        move = cv2.getPerspectiveTransform(there.astype(np.float32), corners.astype(np.float32))
-        seen.append(features_of(np.asarray(cv2.warpPerspective(WORLD, move, (500, 500)), dtype=np.uint8)))
-        stored = StoredPhotograph(ImageFacts(500, 500), sighting_of(np.zeros(0)), 1.0, (), tilt=tilt)
-        flight.append(Photograph.of(str(number), stored, made_card(5.0), ScaleOptions()))
+    plane = TILT.plane(ImageFacts(500, 500))
+    seen = [_features_between(plane.from_above(CORNERS) + np.array([800.0, y])) for y in (900.0, 800.0, 700.0)]
+    flight = [_tilted(name, ImageFacts(500, 500)) for name in "012"]
     ((component,), _) = link_photographs(flight, seen)
     assert np.exp(component.offsets) == pytest.approx(np.ones(3), abs=0.02)
 
 
 def test_positions_of_tilted_photographs_are_below_their_cameras() -> None:
-    tilt = CameraTilt(35.0, 0.0, 700.0, "metadata")
-    plane = tilt.plane(ImageFacts(500, 500))
-    corners = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
+    plane = TILT.plane(ImageFacts(500, 500))
     flight, seen, stood = [], [], []
     for number, heading_deg in enumerate((0.0, 50.0, 100.0)):
         heading = np.radians(heading_deg)
         turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
         middle = np.array([800.0, 800.0 - 40.0 * number])
-        there = plane.from_above(corners) @ turn.T + middle
+        seen.append(_features_between(plane.from_above(CORNERS) @ turn.T + middle))
         stood.append(turn @ plane.foot + middle)
-        move = cv2.getPerspectiveTransform(there.astype(np.float32), corners.astype(np.float32))
-        seen.append(features_of(np.asarray(cv2.warpPerspective(WORLD, move, (500, 500)), dtype=np.uint8)))
         east_m, south_m = 0.1 * stood[-1]
-        stored = StoredPhotograph(facts_at(east_m, -south_m), sighting_of(np.zeros(0)), 1.0, (), tilt=tilt)
-        flight.append(Photograph.of(str(number), stored, made_card(5.0), ScaleOptions()))
+        flight.append(_tilted(str(number), facts_at(east_m, -south_m)))
     assert np.linalg.norm(stood[1] - stood[0]) > 200
     (positions,) = link_photographs(flight, seen)[0][0].extra
     assert positions.gsd_m_per_px == pytest.approx(0.1, rel=0.05)
@@ -179,13 +182,10 @@ def test_positions_of_tilted_photographs_are_below_their_cameras() -> None:
 @pytest.mark.parametrize(("tilt_deg", "doubted"), [(0.0, False), (35.0, True)])
 def test_ratios_of_an_unknown_tilt_are_doubted_and_those_of_two_heights_are_not(tilt_deg: float, doubted: bool) -> None:
     plane = CameraTilt(tilt_deg, 0.0, 500.0, "metadata").plane(ImageFacts(500, 500))
-    corners = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
     flight, seen = [], []
     for number in range(6):
         scale = 1.0 if doubted or number % 2 else 0.75
-        there = plane.from_above(corners) * scale + np.array([800.0, 1050.0 - 90.0 * number])
-        move = cv2.getPerspectiveTransform(there.astype(np.float32), corners.astype(np.float32))
-        seen.append(features_of(np.asarray(cv2.warpPerspective(WORLD, move, (500, 500)), dtype=np.uint8)))
+        seen.append(_features_between(plane.from_above(CORNERS) * scale + np.array([800.0, 1050.0 - 90.0 * number])))
         flight.append(_photograph(str(number), ImageFacts(500, 500), np.zeros(0)))
     ((component,), _) = link_photographs(flight, seen)
     off = np.abs(component.offsets)
@@ -283,7 +283,7 @@ SCENE = np.kron(np.random.default_rng(3).integers(0, 255, (30, 40, 3)), np.ones(
 def _reduced(name: str, step: int, scene: np.ndarray = SCENE) -> Photograph:
     with open_raster(np.ascontiguousarray(scene[::step, ::step])) as raster:
         facts = ImageFacts(raster.width_px, raster.height_px)
-        stored = StoredPhotograph(facts, sighting_of(np.zeros(0)), 1.0, (), reduced=reduced_picture(raster))
+        stored = StoredPhotograph(facts, NO_CARS, 1.0, (), reduced=reduced_picture(raster))
     return Photograph.of(name, stored, made_card(5.0), ScaleOptions())
 
 

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.flight.ground import ground, photograph_of
+from tests.flight.ground import ground, photograph_of, write_film
 from tests.models import paint_vehicles, write_detector
 from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import load_detector
@@ -134,12 +134,8 @@ def test_a_lost_camera_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_video_gives_every_interval_in_its_own_time(tmp_path: Path) -> None:
-    path = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (64, 48))
-    for level in range(30):
-        writer.write(np.full((48, 64, 3), 5 * level, np.uint8))
-    writer.release()
-    frames = list(open_frames(str(path), Reading(), every_s=1.0, idle_s=None, tell=print))
+    path = write_film(tmp_path / "film.avi", [np.full((48, 64, 3), 5 * level, np.uint8) for level in range(30)])
+    frames = list(open_frames(path, Reading(), every_s=1.0, idle_s=None, tell=print))
     assert [each.at_s for each in frames] == [0.0, 1.0, 2.0]
     assert sum(each.n_skipped for each in frames) == 0
 

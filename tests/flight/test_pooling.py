@@ -23,9 +23,8 @@ from vehanchor_flight.records import FlightEstimate
 
 
 def _photograph(lengths: NDArray[np.float64], name: str = "one", resolved: float = 1.0) -> Photograph:
-    boxes = np.column_stack([lengths, lengths, lengths, lengths / 2, np.zeros(len(lengths))])
-    found = Detections(boxes, np.full(len(boxes), 0.8))
-    return Photograph.of(name, StoredPhotograph(ImageFacts(800, 600), found, resolved), made_card(5.0), ScaleOptions())
+    stored = StoredPhotograph(ImageFacts(800, 600), sighting_of(lengths), resolved)
+    return Photograph.of(name, stored, made_card(5.0), ScaleOptions())
 
 
 _FLEET = 30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3)

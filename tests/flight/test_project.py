@@ -7,6 +7,7 @@ import pytest
 
 from tests.analyses import made_card
 from tests.flight.ground import sighting_of
+from tests.models import fleet
 from tests.skill.tilt.test_camera_tilt import CAR_M, FACTS, FOCAL, GSD, _cars
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import ImageNotFoundError
@@ -21,11 +22,17 @@ from vehanchor_flight.records import FlightEstimate
 
 LOOKED = CameraTilt(35.0, 0.0, FOCAL, "metadata")
 NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
+FLEET = fleet(12, 50.0)
 
 
 def _photograph(name: str, image: ImageFacts, found: Detections) -> Photograph:
     kept = StoredPhotograph(image, found, 1.0, tilt=metadata_tilt(image, ScaleOptions()))
     return Photograph.of(name, kept, made_card(CAR_M), ScaleOptions())
+
+
+def _with_and_without_cars() -> list[Photograph]:
+    cars = _photograph("cars", ImageFacts(500, 500), sighting_of(FLEET))
+    return [cars, _photograph("bare", ImageFacts(500, 400), NOTHING)]
 
 
 def _flight(*photographs: Photograph | Failure) -> FlightEstimate:
@@ -34,9 +41,7 @@ def _flight(*photographs: Photograph | Failure) -> FlightEstimate:
 
 
 def test_a_photograph_of_a_flight_has_its_own_record_with_the_flights_scale() -> None:
-    fleet = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)
-    cars = _photograph("cars", ImageFacts(500, 500), sighting_of(fleet))
-    bare = _photograph("bare", ImageFacts(500, 400), NOTHING)
+    cars, bare = _with_and_without_cars()
     flight = _flight(cars, bare)
     record = estimate_in_flight(flight, flight.photographs[1])
     assert bare.analysis.estimate.gsd_m_per_px is None
@@ -56,11 +61,7 @@ def test_a_photograph_that_could_not_be_read_has_no_record() -> None:
 
 
 def test_what_is_carried_too_far_to_be_used_says_why() -> None:
-    fleet = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)
-    photographs = [
-        _photograph("cars", ImageFacts(500, 500), sighting_of(fleet)),
-        _photograph("far", ImageFacts(500, 400), NOTHING),
-    ]
+    photographs = _with_and_without_cars()
     component = replace(single_component([0, 1], 0), log_sds=np.array([0.0, 0.4]))
     flight = conclude_flight(photographs, [component], made_card(CAR_M), same_scale=False)
     near, far = (estimate_in_flight(flight, each) for each in flight.photographs)
@@ -74,11 +75,7 @@ def test_what_is_carried_too_far_to_be_used_says_why() -> None:
 
 
 def test_photographs_and_components_that_nothing_links_have_advice_of_their_own() -> None:
-    fleet = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)
-    photographs = [
-        _photograph("cars", ImageFacts(500, 500), sighting_of(fleet)),
-        _photograph("bare", ImageFacts(500, 400), NOTHING),
-    ]
+    photographs = _with_and_without_cars()
     components = [single_component([place], 0) for place in range(2)]
     flight = conclude_flight(photographs, components, made_card(CAR_M), same_scale=False)
     assert (flight.photographs[0].reason, flight.components[0].advice) == (None, None)

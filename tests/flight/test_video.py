@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.flight.ground import ground
+from tests.flight.ground import ground, write_film
 from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError, InvalidParameterError
 from vehanchor.options import ImageLimits
 from vehanchor_flight.video import is_video, sample_video, sharpness
@@ -16,14 +16,11 @@ from vehanchor_flight.video import is_video, sample_video, sharpness
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four seconds of ten frames, all blurred but frames 4 and 28."""
-    path = tmp_path_factory.mktemp("film") / "film.avi"
     world = ground(500)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (320, 240))
-    for number in range(40):
-        frame = world[number : number + 240, 2 * number : 2 * number + 320]
-        writer.write(frame if number in (4, 28) else cv2.GaussianBlur(frame, (0, 0), 3))
-    writer.release()
-    return path
+    frames = [world[number : number + 240, 2 * number : 2 * number + 320] for number in range(40)]
+    blurred = [np.asarray(cv2.GaussianBlur(frame, (0, 0), 3), dtype=np.uint8) for frame in frames]
+    blurred[4], blurred[28] = frames[4], frames[28]
+    return Path(write_film(tmp_path_factory.mktemp("film") / "film.avi", blurred))
 
 
 def test_of_each_stretch_the_sharpest_frame_is_taken(film: Path) -> None:
@@ -49,14 +46,9 @@ def test_what_is_no_video_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".avi"])
 def test_every_offered_container_is_read(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"film{suffix}"
-    writer = cv2.VideoWriter(
-        str(path), cv2.VideoWriter.fourcc(*("MJPG" if suffix in (".avi", ".mkv") else "mp4v")), 10, (64, 48)
-    )
-    for _ in range(10):
-        writer.write(np.full((48, 64, 3), 90, np.uint8))
-    writer.release()
-    (only,) = sample_video(str(path), 2.0)
+    codec = "MJPG" if suffix in (".avi", ".mkv") else "mp4v"
+    path = write_film(tmp_path / f"film{suffix}", [np.full((48, 64, 3), 90, np.uint8)] * 10, codec=codec)
+    (only,) = sample_video(path, 2.0)
     assert isinstance(only.image, np.ndarray)
     assert only.image.shape == (48, 64, 3)
 

@@ -29,6 +29,7 @@ from rasterio.transform import Affine
 
 from research.scenes import render_scene
 from tests import bombs
+from tests.skill.cut_off import CALIBRATION
 from tests.skill.imagery import files as blocks
 from vehanchor import estimate_gsd
 from vehanchor.detection.card import ChipCard, VerifierCard, read_card, read_detector_card
@@ -43,7 +44,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.files import external_locations
 from vehanchor.options import ImageLimits, Reading
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
-from vehanchor.scale.calibration import Calibration, load_calibration
+from vehanchor.scale.calibration import load_calibration
 from vehanchor_server.calls.messages import (
     DRAWING,
     HEADER,
@@ -247,19 +248,7 @@ def _geotiffs(rgb: Any) -> list[bytes]:
 
 
 def _calibrations() -> list[bytes]:
-    made = Calibration(
-        reference_length_m=4.6,
-        reference_length_ci95_low_m=4.5,
-        reference_length_ci95_high_m=4.7,
-        reference_length_sd_m=0.1,
-        source="detections",
-        n_vehicles=1000,
-        n_images=20,
-        mode_length_px=30.0,
-        median_gsd_m_per_px=0.15,
-        detector="vehicles",
-        detector_sha256="0" * 64,
-    )
+    made = CALIBRATION.model_copy(update={"detector": "vehicles", "detector_sha256": "0" * 64})
     return [made.model_dump_json().encode(), made.model_dump_json(indent=1).encode()]
 
 

@@ -14,6 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import anyio
+from mcp import Client, StdioServerParameters
+
 
 @dataclass(frozen=True)
 class Instruction:
@@ -85,7 +88,7 @@ def free_port() -> int:
         return port
 
 
-def wait_until_ready(port: int, process: subprocess.Popen[str], seconds: float = 120) -> None:
+def wait_until_ready(port: int, process: subprocess.Popen[Any], seconds: float = 120) -> None:
     """Wait for /readyz, as a readiness probe does."""
     deadline = time.monotonic() + seconds
     while True:
@@ -115,30 +118,12 @@ def tools_over_http(port: int, token: str | None = None) -> list[str]:
         return [tool["name"] for tool in json.load(answer)["result"]["tools"]]
 
 
-def stdio_answers(command: list[str], *calls: tuple[str, dict[str, Any]], **options: Any) -> list[Any]:
-    """The results of requests (method, parameters) sent to a server on its standard input."""
-    initialize = {
-        "protocolVersion": "2025-06-18",
-        "capabilities": {},
-        "clientInfo": {"name": "packaging", "version": "1"},
-    }
-    requests = [("initialize", initialize), *calls]
-    lines = [json.dumps({"jsonrpc": "2.0", "id": i, "method": m, "params": p}) for i, (m, p) in enumerate(requests)]
-    lines.insert(1, json.dumps({"jsonrpc": "2.0", "method": "notifications/initialized"}))
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, **options
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.write("\n".join(lines) + "\n")
-        process.stdin.flush()
-        answers: dict[int, Any] = {}
-        while len(answers) < len(requests):
-            line = process.stdout.readline()
-            assert line, f"the server closed its output after {sorted(answers)}"
-            message = json.loads(line)
-            if "id" in message:
-                answers[message["id"]] = message["result"]
-        process.stdin.close()
-        process.wait(30)
-    return [answers[i] for i in range(1, len(requests))]
+def stdio_answers(command: list[str], image: str, **options: Any) -> tuple[list[str], Any]:
+    """The names of the tools of a server on its standard input, and its estimate of an image."""
+
+    async def answers() -> tuple[list[str], Any]:
+        async with Client(StdioServerParameters(command=command[0], args=command[1:], **options)) as client:
+            called = await client.call_tool("estimate_gsd", {"image": {"kind": "path", "path": image}})
+            return [tool.name for tool in (await client.list_tools()).tools], called.structured_content
+
+    return anyio.run(answers)

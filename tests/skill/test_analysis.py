@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.analyses import make_analysis
-from tests.models import blank_image, paint_vehicles
+from tests.models import car_park
 from vehanchor import analyse_area, analyse_distance, analyse_scale
 from vehanchor.analysis.measured import AreaAnalysis
 from vehanchor.cli.app import app
@@ -29,9 +29,7 @@ from vehanchor.records.text import ADVICE, advice_for
 
 @pytest.fixture(scope="module")
 def cars() -> np.ndarray:
-    image = blank_image(480, 360)
-    paint_vehicles(image, [(50 + 60 * (i % 6), 60 + 80 * (i // 6), 30 + i % 3, 13, 0.4) for i in range(18)])
-    return image
+    return car_park(30.0 + np.arange(18) % 3)
 
 
 def test_the_overlay_and_the_plot_are_those_of_the_command(cars: np.ndarray, detector: Detector) -> None:

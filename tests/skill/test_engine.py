@@ -12,7 +12,7 @@ import onnxruntime
 import pytest
 
 import vehanchor
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import car_park, write_detector
 from tests.sam_models import write_sam
 from tests.tiles import watched_tiles
 from vehanchor import Cancellation, Engine, Runtime, ScaleOptions
@@ -22,7 +22,6 @@ from vehanchor.errors import (
     ImageFormatError,
     ImageListError,
     InvalidParameterError,
-    ModelNotFoundError,
     VehAnchorError,
 )
 from vehanchor.segmentation.segmenter import Segmenter
@@ -53,10 +52,7 @@ def engine(files: Path, segmenter: tuple[Path, Path]) -> Engine:
 
 
 def _place() -> np.ndarray:
-    image = blank_image(800, 600)
-    boxes = [[40 + 70 * (k % 10), 40 + 60 * (k // 10), 30 + 0.1 * k, 12, 0.4] for k in range(30)]
-    paint_vehicles(image, np.array(boxes))
-    return image
+    return car_park(30 + 0.1 * np.arange(30), 800, 600)
 
 
 @pytest.fixture
@@ -86,14 +82,6 @@ def test_each_model_is_loaded_once_and_not_before_it_is_needed(
     engine.measure_area(image, box=BOX, scale=estimate)
     engine.replace(runtime=Runtime(threads=3, progress=lambda _done, _total: None)).measure_area(image, box=BOX)
     assert opened == [Detector, Segmenter]
-
-
-def test_a_known_scale_needs_no_detector(tmp_path: Path, segmenter: tuple[Path, Path]) -> None:
-    engine = Engine(tmp_path / "nowhere.onnx", segmenter)
-    assert engine.measure_area(_place(), box=BOX, gsd_m_per_px=0.1).scale_source == "given"
-    assert engine.measure_distance(_place(), PATH, gsd_m_per_px=0.1).distance_m == pytest.approx(50)
-    with pytest.raises(ModelNotFoundError):
-        engine.estimate(_place())
 
 
 def test_many_threads_share_one_engine(tmp_path: Path, opened: list[type]) -> None:

@@ -54,10 +54,10 @@ def searched(detector: Detector, _large: None) -> dict[str, ScaleAnalysis]:
 
 
 def _town(spread: float = 0.07, seed: int = 0) -> NDArray[np.uint8]:
-    """A picture of 2000 x 1600 px, a third of it full of cars of 30 px, the rest empty."""
+    """A picture of 1400 x 1120 px, a third of it full of cars of 30 px, the rest empty."""
     rng = np.random.default_rng(seed)
-    image = blank_image(2000, 1600)
-    grid = np.stack(np.meshgrid(np.arange(830, 1960, 36), np.arange(30, 1100, 26)), axis=-1).reshape(-1, 2)
+    image = blank_image(1400, 1120)
+    grid = np.stack(np.meshgrid(np.arange(581, 1360, 36), np.arange(30, 770, 26)), axis=-1).reshape(-1, 2)
     n = len(grid)
     lengths = 30 * np.exp(rng.normal(0, spread, n))
     paint_vehicles(image, np.column_stack([grid, lengths, np.full(n, 12.0), np.full(n, 0.4)]))

@@ -42,7 +42,7 @@ def _fleet(mean: float, n: int = 30, spread: float = 0.07) -> list[float]:
 # --- Levels that disagree --------------------------------------------------------------------------------------------
 
 
-def _analysis(detector: Detector, groups: list[tuple[float, int, float, float]], **options: Any) -> Any:
+def _analysis(detector: Detector, groups: list[tuple[float, int, float, float]], resolved: float = 1.0) -> Any:
     """An analysis of groups of (length, number, score, scale), their lengths spread as a fleet's."""
     lengths = np.concatenate([_fleet(length, n) for length, n, _, _ in groups])
     boxes = np.column_stack([np.arange(len(lengths)) * 999, lengths * 0, lengths, lengths / 2.2, lengths * 0])
@@ -51,9 +51,9 @@ def _analysis(detector: Detector, groups: list[tuple[float, int, float, float]],
     return analyse_found(
         Detections(boxes, scores, scales=scales),
         detector.card,
-        ScaleOptions.of(options),
         image_width_px=4000,
         image_height_px=4000,
+        resolved=resolved,
     ).estimate
 
 
@@ -142,16 +142,7 @@ def test_a_fleet_at_the_border_of_two_levels_is_one_fleet(searching: Detector) -
 def test_vehicles_without_the_detail_of_their_pixels_are_guarded(
     searching: Detector, resolved: float, guarded: bool
 ) -> None:
-    lengths = np.array(_fleet(30.0, 40))
-    boxes = np.column_stack([np.arange(40) * 99, lengths * 0, lengths, lengths / 2, lengths * 0])
-    e = analyse_found(
-        Detections(boxes, np.full(40, 0.9)),
-        searching.card,
-        ScaleOptions(),
-        image_width_px=4000,
-        image_height_px=40,
-        resolved=resolved,
-    ).estimate  # the guard asks for 16.8 px
+    e = _analysis(searching, [(30.0, 40, 0.9, 1.0)], resolved)  # the guard asks for 16.8 px
     assert (e.status == "low_confidence") is guarded
     assert [w.code for w in e.warnings] == (["detail_missing"] if guarded else [])
 

@@ -1,9 +1,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,14 +16,14 @@ from rasterio.warp import transform
 from typer.testing import CliRunner
 
 from tests.analyses import analyse_found, made_card, make_analysis
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import blank_image, car_park, write_detector
 from vehanchor import analyse_scale
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.cli.app import app
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import MissingExtraError, OutputError
+from vehanchor.errors import OutputError
 from vehanchor.export.geojson import PIXELS_WKT, write_shapes
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
@@ -54,8 +55,7 @@ def _count(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> int:
     return int(_near(picture, colour).sum())
 
 
-def _grey(width: int, height: int) -> NDArray[np.uint8]:
-    return np.full((height, width, 3), 100, np.uint8)
+_grey = partial(blank_image, level=100)
 
 
 def _judged(analysis: ScaleAnalysis, status: str, reason: str | None) -> ScaleAnalysis:
@@ -164,20 +164,14 @@ def test_pictures_that_cannot_be_written_say_why(tmp_path: Path, name: str) -> N
         write_picture(tmp_path / name, np.zeros((10, 10, 3), np.uint8))
 
 
-def _measured_by_lines(lines: list[tuple[float, float, float, float, float]], n_boxes: int = 4) -> ScaleAnalysis:
-    boxes = _fleet(n_boxes)
-    return analyse_found(
-        Detections(boxes, np.full(len(boxes), 0.8)),
-        made_card(),
-        ScaleOptions.of({"known_lengths": lines}),
-        image_width_px=1000,
-        image_height_px=800,
-    )
+def _analysed(boxes: NDArray[np.float64], **options: Any) -> ScaleAnalysis:
+    found = Detections(boxes, np.full(len(boxes), 0.8))
+    return analyse_found(found, made_card(), ScaleOptions.of(options), image_width_px=1000, image_height_px=800)
 
 
 def test_a_line_of_known_length_is_drawn_where_it_lies_with_its_metres_beside_it() -> None:
-    with_line = draw_overlay(_grey(1000, 800), _measured_by_lines([(200, 400, 700, 400, 84)]))
-    without = draw_overlay(_grey(1000, 800), _measured_by_lines([]))
+    with_line = draw_overlay(_grey(1000, 800), _analysed(_fleet(4), known_lengths=[(200, 400, 700, 400, 84)]))
+    without = draw_overlay(_grey(1000, 800), _analysed(_fleet(4)))
     green = _near(with_line[:800], MARK_RGB)
     assert not _near(without, MARK_RGB).any()
     rows, columns = np.nonzero(green)
@@ -188,7 +182,8 @@ def test_a_line_of_known_length_is_drawn_where_it_lies_with_its_metres_beside_it
 
 
 def test_a_label_stays_inside_the_picture_and_a_line_beside_its_edge_is_no_error() -> None:
-    corner = draw_overlay(_grey(1000, 800), _measured_by_lines([(990, 0, 1000, 6, 1), (0, 800, 9, 791, 1)], 0))
+    lines = [(990, 0, 1000, 6, 1), (0, 800, 9, 791, 1)]
+    corner = draw_overlay(_grey(1000, 800), _analysed(_fleet(0), known_lengths=lines))
     assert corner.shape[1] == 1000
     draw_marks(
         np.zeros((20, 20, 3), np.uint8),
@@ -207,13 +202,10 @@ def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
 
 
 def test_a_height_is_written_in_the_middle_of_the_picture() -> None:
-    def drawn(**options: float) -> NDArray[np.uint8]:
-        none = Detections(np.zeros((0, 5)), np.zeros(0))
-        chosen = ScaleOptions.of(dict(options))
-        analysis = analyse_found(none, made_card(), chosen, image_width_px=1000, image_height_px=800)
-        return draw_overlay(_grey(1000, 800), analysis)[:800]
-
-    with_height, without = drawn(height_m=42.0, focal_35mm=24.0), drawn()
+    with_height, without = (
+        draw_overlay(_grey(1000, 800), analysis)[:800]
+        for analysis in (_analysed(_fleet(0), height_m=42.0, focal_35mm=24.0), _analysed(_fleet(0)))
+    )
     rows, columns = np.nonzero(_near(with_height, MARK_RGB))
     assert (rows.mean(), columns.mean()) == (pytest.approx(400, abs=2), pytest.approx(500, abs=2))
     assert max(np.ptp(rows), np.ptp(columns)) < 40
@@ -282,26 +274,14 @@ def test_every_aggregation_and_any_number_of_vehicles_can_be_drawn(
     write_plot(tmp_path / "plot.png", figure)
 
 
-def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'vehanchor\[plots\]'"):
-        plot_scale(make_analysis(_boxes([30.0]), 100, 100))
-
-
-def _with_line(n: int, metres: float) -> ScaleAnalysis:
-    boxes = _boxes(list(np.random.default_rng(1).normal(30, 2, n)))
-    return analyse_found(
-        Detections(boxes, np.full(n, 0.8)),
-        made_card(),
-        ScaleOptions.of({"known_lengths": [(0, 0, 500, 0, metres, "measured")]}),
-        image_width_px=800,
-        image_height_px=600,
-    )
+def _beside_a_line(n: int, metres: float) -> ScaleAnalysis:
+    boxes = _boxes(np.random.default_rng(1).normal(30, 2, n))
+    return _analysed(boxes, known_lengths=[(0, 0, 500, 0, metres, "measured")])
 
 
 @pytest.mark.parametrize("n", [0, 30])
 def test_the_densities_of_all_rulers_and_of_all_together_share_one_axis(n: int, tmp_path: Path) -> None:
-    analysis = _with_line(n, 84.0)
+    analysis = _beside_a_line(n, 84.0)
     figure = plot_scale(analysis)
     axes = figure.axes[-1] if n == 0 else figure.axes[1]
     legend = axes.get_legend()
@@ -321,7 +301,7 @@ def test_the_densities_of_all_rulers_and_of_all_together_share_one_axis(n: int, 
 
 
 def test_a_ruler_that_is_probably_wrong_is_dashed_in_the_plot() -> None:
-    lines = plot_scale(_with_line(30, 840.0)).axes[1].lines
+    lines = plot_scale(_beside_a_line(30, 840.0)).axes[1].lines
     dashed = [str(line.get_label()) for line in lines if line.get_linestyle() == "--"]
     assert dashed
     assert all("(right: 0." in label for label in dashed)
@@ -343,9 +323,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def cars() -> np.ndarray:
-    image = blank_image(400, 300)
-    paint_vehicles(image, [(50 + 60 * (i % 6), 60 + 80 * (i // 6), 30 + i % 3, 13, 0.4) for i in range(12)])
-    return image
+    return car_park(30.0 + np.arange(12) % 3, 400, 300)
 
 
 @pytest.fixture(scope="module")

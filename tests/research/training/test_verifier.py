@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -19,26 +18,9 @@ from research.training.verifier.combine import fitted, rescaled, verifier_logits
 from research.training.verifier.data import STORED_PX, Candidates, ChipStream, load, middle, save
 from research.training.verifier.network import VerifierNet
 from research.training.verifier.train import export, logits, report
-from vehanchor.detection.verifier import CHIP_PX, Weights, surroundings
+from vehanchor.detection.verifier import CHIP_PX, Weights
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.mark.parametrize(("length", "angle"), [(20.0, 0.0), (14.0, 0.7), (60.0, 2.0), (150.0, -1.2)])
-def test_a_chip_shows_its_candidate_level_and_at_one_length(length: float, angle: float) -> None:
-    from vehanchor.detection.boxes import box_corners
-
-    box = np.array([250.0, 240.0, length, 0.4 * length, angle])
-    image = np.zeros((500, 500, 3), np.uint8)
-    corners = box_corners(box[None])[0]
-    cv2.fillPoly(image, [np.round((corners - 0.5) * 256).astype(np.int32)], (255, 255, 255), cv2.LINE_AA, 8)
-    lit = surroundings(image, box)[0, :, :, 0] / 255
-    rows, columns = lit.sum(axis=1), lit.sum(axis=0)
-    assert columns.max() == pytest.approx(8, abs=2.6)  # the drawing itself is a pixel wider
-    assert rows.max() == pytest.approx(20, abs=2.6)
-    centre = np.arange(CHIP_PX) + 0.5
-    assert (rows @ centre) / rows.sum() == pytest.approx(24, abs=0.6)
-    assert (columns @ centre) / columns.sum() == pytest.approx(24, abs=0.6)
 
 
 def _candidates() -> Candidates:

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import car_park, write_detector
 from vehanchor import estimate_gsd
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch
 from vehanchor.batch.engines.local import local_workers
@@ -52,9 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("batch")
     (path / "deep" / "below").mkdir(parents=True)
     for name, n_vehicles in (("cars.png", 20), ("empty.png", 0), ("deep/below/cars.PNG", 12)):
-        image = blank_image(800, 300)
-        boxes = [[50 + 70 * (i % 10), 60 + 90 * (i // 10), 29 + 0.1 * i, 12, 0.3] for i in range(n_vehicles)]
-        paint_vehicles(image, np.reshape(boxes, (-1, 5)))
+        image = car_park(29 + 0.1 * np.arange(n_vehicles), 800, 300)
         cv2.imwrite(str(path / name), image[:, :, ::-1])
     (path / "broken.jpg").write_text("this is no image")
     (path / "notes.txt").write_text("nor is this, and its name says so")
@@ -311,18 +309,14 @@ def test_an_image_that_was_replaced_meanwhile_is_looked_at_again(
     assert [row["n_vehicles"] for row in _rows(table)] == [20, 20, 0]
 
 
-@pytest.mark.parametrize("trouble", ["detector", "provider", "input"])
-def test_what_is_wrong_is_told_before_a_finished_table_is_given_up(trouble: str, detector: Path, table: Path) -> None:
-    run_batch(["cars.png"], table, detector=detector, workers=1)
+def test_what_is_wrong_is_told_before_a_finished_table_is_given_up(detector: Path, table: Path) -> None:
+    right: dict[str, Any] = {"inputs": ["cars.png"], "output": table, "detector": detector, "workers": 1}
+    run_batch(**right)
     before = table.read_bytes()
-    wrong: dict[str, dict[str, Any]] = {
-        "detector": {"detector": "nowhere.onnx"},
-        "provider": {"detector": detector, "runtime": Runtime(providers=["cuda"])},
-        "input": {"inputs": ["nowhere"], "detector": detector},
-    }
-    with pytest.raises(VehAnchorError):
-        run_batch(**{"inputs": ["cars.png"], "output": table, "overwrite": True, "workers": 1, **wrong[trouble]})
-    assert table.read_bytes() == before
+    for wrong in ({"detector": "nowhere.onnx"}, {"runtime": Runtime(providers=["cuda"])}, {"inputs": ["nowhere"]}):
+        with pytest.raises(VehAnchorError):
+            run_batch(**right | {"overwrite": True} | wrong)
+        assert table.read_bytes() == before
 
 
 # --- Engines ---------------------------------------------------------------------------------------------------------

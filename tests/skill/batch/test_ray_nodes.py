@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import car_park, write_detector
 from vehanchor.batch import run_batch
 from vehanchor.batch.run import journal_path
 from vehanchor.models.runtime import Runtime
@@ -40,10 +40,7 @@ def test_a_node_killed_in_the_middle_costs_no_row_and_doubles_none(
     monkeypatch.chdir(tmp_path)
     detector = write_detector(tmp_path / "painted.onnx")
     for k in range(N_IMAGES):
-        image = blank_image(800, 300)
-        paint_vehicles(
-            image, np.array([[50 + 70 * (i % 10), 60 + 90 * (i // 10), 29 + k / 40, 12, 0.3] for i in range(20)])
-        )
+        image = car_park(np.full(20, 29 + k / 40), 800, 300)
         cv2.imwrite(str(tmp_path / f"{k:03}.png"), image[:, :, ::-1])
     expected = tmp_path / "local.jsonl"
     run_batch(["*.png"], expected, detector=detector, workers=1)

@@ -7,13 +7,12 @@ import json
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 import rasterio
 from affine import Affine
 from typer.testing import CliRunner, Result
 
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import pool_among_cars, write_detector
 from vehanchor.cli.app import app
 
 _HEADER = "file,kind,x1,y1,x2,y2,name\n"
@@ -30,12 +29,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("targets")
     (folder / "photos").mkdir()
     for name, n_cars in (("cars", 24), ("bare", 0)):
-        image = blank_image(800, 600)
-        image[200:250, 100:200] = (40, 140, 210)
-        lengths = 30 * (1 + 0.06 * np.linspace(-1, 1, 24) ** 3)[:n_cars]
-        paint_vehicles(
-            image, np.array([[40 + 70 * (k % 10), 300 + 60 * (k // 10), x, 12, 0.4] for k, x in enumerate(lengths)])
-        )
+        image = pool_among_cars(n_cars, (100, 200, 200, 250))
         assert cv2.imwrite(str(folder / f"photos/{name}.png"), image[:, :, ::-1])
     (folder / "targets.csv").write_text(_HEADER + _TARGETS)
     write_detector(folder / "painted.onnx")

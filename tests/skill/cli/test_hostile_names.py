@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import car_park, fleet, write_detector
 from tests.skill.imagery.files import exif
 from vehanchor.cli import app as cli
 from vehanchor.records import Notice
@@ -25,10 +24,7 @@ CARS, BROKEN = f"{HOSTILE}.jpg", f"{HOSTILE}, broken.jpg"
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Runs ``vehanchor`` in a folder of two images with hostile names, one of them with hostile metadata."""
-    image = blank_image(640, 480)
-    rng = np.random.default_rng(0)
-    boxes = [[50 + 80 * (i % 7), 60 + 90 * (i // 7), rng.normal(30, 1.5), 12, rng.uniform(0, 3)] for i in range(20)]
-    paint_vehicles(image, np.reshape(boxes, (-1, 5)))
+    image = car_park(fleet(20), 640, 480)
     said = exif({"Make": HOSTILE, "Model": HOSTILE, "FocalLengthIn35mmFilm": 24})
     encoded = cv2.imencode(".jpg", image[:, :, ::-1])[1].tobytes()
     block = b"Exif\0\0" + said

@@ -76,10 +76,3 @@ def test_a_copy_in_local_metres_is_the_whole_picture_with_the_size_of_its_pixels
         assert 'UNIT["metre",1' in written.crs.to_wkt()
         assert written.crs.to_epsg() is None  # nobody knows where on Earth
         assert tuple(written.bounds) == pytest.approx((0, -70, 110, 0), rel=1e-3)
-
-
-def test_a_copy_that_cannot_be_is_refused_before_the_work(image: Path) -> None:
-    out = image.with_name("out.png")
-    code, told = run(image, "--scale-bar", out, "--geotiff", image.with_name("copy.png"), *LINE)
-    assert (code, "use one of .tif, .tiff" in told) == (2, True)
-    assert not out.exists()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.models import BODIES, blank_image, paint_vehicles, write_detector, write_other_model
+from tests.models import BODIES, assert_same_boxes, blank_image, paint_vehicles, write_detector, write_other_model
 from vehanchor.detection.card import (
     LENGTH_RANGE_PX,
     MIN_SCORE,
@@ -44,13 +44,6 @@ def _picture(boxes: NDArray[np.float64] = _BOXES, **kinds: Any) -> tuple[NDArray
     return image, paint_vehicles(image, boxes, **kinds)
 
 
-def _assert_same(found: NDArray[np.float64], expected: NDArray[np.float64], within: float = 1e-3) -> None:
-    assert len(found) == len(expected)
-    order = np.argmin(np.linalg.norm(found[:, None, :2] - expected[None, :, :2], axis=2), axis=0)
-    np.testing.assert_allclose(found[order][:, :4], expected[:, :4], atol=within * 10)
-    assert np.abs(np.sin(found[order][:, 4] - expected[:, 4])).max() < 10 * within
-
-
 @pytest.mark.parametrize("fixed_size", [None, 256, 320])
 @pytest.mark.parametrize(
     ("layout", "names"),
@@ -67,7 +60,7 @@ def test_every_layout_gives_the_painted_boxes(
     detector = Detector(write_detector(tmp_path / "m.onnx", layout=layout, names=names, fixed_size=fixed_size))
     with open_raster(image) as raster:
         found = search(raster, detector)
-    _assert_same(found.boxes, painted)
+    assert_same_boxes(found.boxes, painted)
     np.testing.assert_allclose(found.scores, 0.9, atol=1 / 255)
 
 
@@ -80,7 +73,9 @@ def test_swapped_sides_unbounded_angles_and_half_precision_are_the_same_boxes(
 ) -> None:
     image, painted = _picture()
     with open_raster(image) as raster:
-        _assert_same(search(raster, Detector(write_detector(tmp_path / "m.onnx", **changes))).boxes, painted, within)
+        assert_same_boxes(
+            search(raster, Detector(write_detector(tmp_path / "m.onnx", **changes))).boxes, painted, within
+        )
 
 
 def test_other_classes_are_not_vehicles_unless_asked_for(tmp_path: Path) -> None:
@@ -91,9 +86,9 @@ def test_other_classes_are_not_vehicles_unless_asked_for(tmp_path: Path) -> None
         with open_raster(image) as raster:
             return search(raster, Detector(path, classes=classes)).boxes
 
-    _assert_same(found(None), painted[:1])
-    _assert_same(found(["small-vehicle", "Large_Vehicle"]), painted[:2])
-    _assert_same(found([0]), painted[2:])
+    assert_same_boxes(found(None), painted[:1])
+    assert_same_boxes(found(["small-vehicle", "Large_Vehicle"]), painted[:2])
+    assert_same_boxes(found([0]), painted[2:])
     for unknown in ("bus", 15):
         with pytest.raises(InvalidParameterError, match=str(unknown)):
             found([unknown])

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import assert_same_boxes, blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, level_shares, search_levels
@@ -226,13 +226,6 @@ def test_a_search_ends_at_the_limit_of_tiles_or_seconds_and_says_so(searching: D
 # --- Tiles -----------------------------------------------------------------------------------------------------------
 
 
-def _assert_same(found: NDArray[np.float64], expected: NDArray[np.float64]) -> None:
-    assert len(found) == len(expected)
-    order = np.argmin(np.linalg.norm(found[:, None, :2] - expected[None, :, :2], axis=2), axis=0)
-    np.testing.assert_allclose(found[order][:, :4], expected[:, :4], atol=1e-2)
-    assert np.abs(np.sin(found[order][:, 4] - expected[:, 4])).max() < 1e-2
-
-
 def _street(width: int, height: int, seed: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     rng = np.random.default_rng(seed)
     image = blank_image(width, height)
@@ -250,7 +243,7 @@ def test_tiles_find_each_vehicle_once_in_image_coordinates(tmp_path: Path, width
     detector = Detector(write_detector(tmp_path / "m.onnx"))
     with open_raster(image) as raster:
         found = search(raster, detector, Search(tile_px=tile))
-    _assert_same(found.boxes, painted)
+    assert_same_boxes(found.boxes, painted)
     assert found.n_tiles > 1
 
 
@@ -258,7 +251,7 @@ def test_a_model_of_fixed_size_sets_the_tile_and_pads_small_images(tmp_path: Pat
     image, painted = _street(400, 200)
     detector = Detector(write_detector(tmp_path / "m.onnx", fixed_size=320))
     with open_raster(image) as raster:
-        _assert_same(search(raster, detector).boxes, painted)
+        assert_same_boxes(search(raster, detector).boxes, painted)
         with pytest.raises(InvalidParameterError, match="fixed"):
             search(raster, detector, Search(tile_px=1024))
 
@@ -280,10 +273,10 @@ def test_objects_of_other_classes_are_kept_beside_the_vehicles_with_their_class(
     with open_raster(image) as raster:
         for options in (Search(), Search(tile_px=256)):
             found = search(raster, detector, options)
-            _assert_same(found.boxes, painted[[0, 3]])
+            assert_same_boxes(found.boxes, painted[[0, 3]])
             assert found.classes is not None
             assert found.classes.tolist() == [0, 0]
-            _assert_same(found.others.boxes, painted[[1, 2, 4, 5]])
+            assert_same_boxes(found.others.boxes, painted[[1, 2, 4, 5]])
             np.testing.assert_allclose(found.others.scores, [0.7, 0.6, 0.5, 0.4], atol=1 / 255)  # best first
             assert found.others.classes.tolist() == [2, 1, 1, 2]
         ships = search(raster, Detector(detector.path, classes=["ship", "small vehicle"]))

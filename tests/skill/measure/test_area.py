@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import POOL, POOL_RGB, blank_image, pool_among_cars, write_detector
 from tests.sam_models import EMPTY, write_sam
 from vehanchor import analyse_area, estimate_gsd, measure_area
 from vehanchor.detection.detector import Detector
@@ -18,25 +18,10 @@ from vehanchor.segmentation.segmenter import Segmenter
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from vehanchor.records import BoundingBox
 
-POOL_RGB = (40, 140, 210)
-POOL = (420, 280, 468, 376)  # 48 x 96 px, in the middle of a 256 px crop from (316, 200)
-BOX = (410.7, 273.9, 477.3, 382.1)
+BOX = (410.7, 273.9, 477.3, 382.1)  # its crop of 256 px has the pool in its middle
 GSD = 0.15
-
-
-def _place(n_vehicles: int = 30, rectangle: tuple[int, int, int, int] = POOL) -> NDArray[np.uint8]:
-    """A pool of 48 x 96 px below rows of cars."""
-    image = blank_image(800, 600)
-    x1, y1, x2, y2 = rectangle
-    image[y1:y2, x1:x2] = POOL_RGB
-    lengths = 30 * (1 + 0.06 * np.linspace(-1, 1, n_vehicles) ** 3)
-    boxes = [[40 + 70 * (k % 10), 40 + 60 * (k // 10), length, 12, 0.4] for k, length in enumerate(lengths)]
-    paint_vehicles(image, np.reshape(boxes, (-1, 5)))
-    return image
 
 
 def _codes(record: AreaMeasurement) -> list[str]:
@@ -49,7 +34,7 @@ def _corners(box: BoundingBox | None) -> tuple[float, float, float, float]:
 
 
 def test_the_area_is_the_masks_pixels_times_the_scale_squared(detector: Detector, segmenter: Segmenter) -> None:
-    image = _place()
+    image = pool_among_cars()
     analysis = analyse_area(image, box=BOX, detector=detector, segmenter=segmenter, rulers=("vehicles",))
     record, scale = analysis.measurement, estimate_gsd(image, detector=detector, rulers=("vehicles",))
     assert (record.estimate, record.scale) == (scale, scale.scale)
@@ -75,7 +60,7 @@ def test_the_area_is_the_masks_pixels_times_the_scale_squared(detector: Detector
 
 
 def test_the_outline_is_in_the_images_pixels(detector: Detector, segmenter: Segmenter) -> None:
-    (polygon,) = measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter).outline
+    (polygon,) = measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter).outline
     xs, ys = [p.x_px for p in polygon.exterior.points], [p.y_px for p in polygon.exterior.points]
     assert (min(xs), min(ys), max(xs), max(ys)) == POOL
     assert polygon.holes == ()
@@ -83,7 +68,7 @@ def test_the_outline_is_in_the_images_pixels(detector: Detector, segmenter: Segm
 
 def test_a_given_scale_needs_no_detector(segmenter: Segmenter, tmp_path: Path) -> None:
     record = measure_area(
-        _place(0), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter, detector=tmp_path / "there is none.onnx"
+        pool_among_cars(0), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter, detector=tmp_path / "there is none.onnx"
     )
     assert record.area_m2 == pytest.approx(record.mask_area_px * GSD**2)
     assert (record.status, record.scale_source, record.gsd_m_per_px) == ("ok", "given", GSD)
@@ -91,7 +76,7 @@ def test_a_given_scale_needs_no_detector(segmenter: Segmenter, tmp_path: Path) -
 
 
 def test_no_vehicles_mean_no_area_but_the_mask_all_the_same(detector: Detector, segmenter: Segmenter) -> None:
-    record = measure_area(_place(0), box=BOX, detector=detector, segmenter=segmenter)
+    record = measure_area(pool_among_cars(0), box=BOX, detector=detector, segmenter=segmenter)
     assert (record.status, record.scale_confidence, record.n_vehicles) == ("no_scale", 0.0, 0)
     metric = {name: value for name, value in record.model_dump().items() if name.endswith(("_m2", "_m", "_per_px"))}
     assert len(metric) == 10
@@ -104,17 +89,17 @@ def test_no_vehicles_mean_no_area_but_the_mask_all_the_same(detector: Detector, 
 
 def test_a_mask_that_the_segmenter_doubts_is_low_confidence(tmp_path: Path) -> None:
     doubting = Segmenter(*write_sam(tmp_path, scores=[0.4]))
-    record = measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=doubting)
+    record = measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=doubting)
     assert (record.status, _codes(record)) == ("low_confidence", ["mask_score_low"])
     assert record.area_m2 is not None
     (tmp_path / "trusting").mkdir()
     trusting = Segmenter(*write_sam(tmp_path / "trusting", scores=[0.4], metadata={"vehanchor.min_score": "0.3"}))
-    assert measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=trusting).status == "ok"
+    assert measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=trusting).status == "ok"
 
 
 def test_an_empty_mask_is_no_measurement(tmp_path: Path) -> None:
     blind = Segmenter(*write_sam(tmp_path, masks=[EMPTY]))
-    record = measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=blind)
+    record = measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=blind)
     assert (record.status, record.area_m2, record.mask_area_px) == ("low_confidence", None, 0)
     assert (record.bounding_box, record.outline, record.inscribed_center) == (None, (), None)
     assert _codes(record) == ["mask_empty"]
@@ -124,7 +109,7 @@ def test_the_interval_joins_scale_and_mask(detector: Detector, tmp_path: Path) -
     def ratio(log_sd: float, name: str, **options: Any) -> tuple[float, AreaMeasurement]:
         (tmp_path / name).mkdir()
         files = write_sam(tmp_path / name, metadata={"vehanchor.mask_area_log_sd": str(log_sd)})
-        record = measure_area(_place(), box=BOX, segmenter=files, **options)
+        record = measure_area(pool_among_cars(), box=BOX, segmenter=files, **options)
         assert record.area_m2 is not None
         assert record.area_ci95_high_m2 is not None
         return math.log(record.area_ci95_high_m2 / record.area_m2), record
@@ -183,7 +168,7 @@ def test_the_interval_at_a_point_is_wide_and_wider_at_a_low_score(tmp_path: Path
 
 
 def test_what_is_cut_by_the_image_is_a_lower_bound(segmenter: Segmenter) -> None:
-    image = _place(0, (752, 280, 800, 376))
+    image = pool_among_cars(0, (752, 280, 800, 376))
     record = measure_area(image, box=(742.0, 270.0, 800.0, 386.0), gsd_m_per_px=GSD, segmenter=segmenter)
     assert _codes(record) == ["mask_touches_edge"]
     assert _corners(record.bounding_box)[2] == 800
@@ -191,13 +176,13 @@ def test_what_is_cut_by_the_image_is_a_lower_bound(segmenter: Segmenter) -> None
 
 def test_a_mask_that_leaves_its_box_is_told(tmp_path: Path) -> None:
     spilling = Segmenter(*write_sam(tmp_path, masks=["full"]))
-    record = measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=spilling)
+    record = measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=spilling)
     assert _codes(record) == ["mask_leaves_box"]
     assert "89 %" in record.warnings[0].message
 
 
 def test_separate_pieces_are_told(segmenter: Segmenter) -> None:
-    image = _place()
+    image = pool_among_cars()
     image[344:360, 412:476] = 70
     record = measure_area(image, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
     assert "mask_in_pieces" in _codes(record)
@@ -205,15 +190,16 @@ def test_separate_pieces_are_told(segmenter: Segmenter) -> None:
 
 
 def test_a_narrow_object_is_told(segmenter: Segmenter) -> None:
-    image = _place(0, (444, 280, 452, 376))
+    image = pool_among_cars(0, (444, 280, 452, 376))
     box = (431.4, 273.9, 457.4, 382.1)
     assert _codes(measure_area(image, box=box, gsd_m_per_px=GSD, segmenter=segmenter)) == ["target_small"]
 
 
 def test_the_scales_warnings_and_the_rasters_are_among_them(segmenter: Segmenter, tmp_path: Path) -> None:
+    image = pool_among_cars()
     capped = Detector(write_detector(tmp_path / "m.onnx", layout="end2end", cap=10))
-    assert _codes(measure_area(_place(), box=BOX, detector=capped, segmenter=segmenter)) == ["detections_capped"]
-    bands = np.concatenate([_place(), _place()], axis=2)
+    assert _codes(measure_area(image, box=BOX, detector=capped, segmenter=segmenter)) == ["detections_capped"]
+    bands = np.concatenate([image, image], axis=2)
     assert _codes(measure_area(bands, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)) == ["bands_selected"]
 
 
@@ -224,7 +210,7 @@ def test_a_given_scale_that_contradicts_the_file_is_told(segmenter: Segmenter, t
         path, "w", driver="GTiff", width=800, height=600, count=3, dtype="uint8", crs="EPSG:32631",
         transform=rasterio.Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000),
     ) as dataset:  # fmt: skip
-        dataset.write(_place().transpose(2, 0, 1))
+        dataset.write(pool_among_cars().transpose(2, 0, 1))
     for gsd, codes in ((0.15, []), (0.2, ["georeference_differs"])):
         assert _codes(measure_area(path, box=BOX, gsd_m_per_px=gsd, segmenter=segmenter)) == codes
 
@@ -233,7 +219,7 @@ def test_a_given_scale_that_contradicts_the_file_is_told(segmenter: Segmenter, t
 
 
 def test_prompts_are_read_in_the_frame_and_answered_in_the_image(segmenter: Segmenter) -> None:
-    image = _place()
+    image = pool_among_cars()
     full = measure_area(image, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
     options: dict[str, Any] = {"frame": (400, 300), "segmenter": segmenter}
     half = tuple(side / 2 for side in BOX)
@@ -254,7 +240,7 @@ def test_prompts_are_read_in_the_frame_and_answered_in_the_image(segmenter: Segm
 
 
 def test_a_cut_shows_every_pixel_of_the_mask(segmenter: Segmenter) -> None:
-    image = _place(0)
+    image = pool_among_cars(0)
     analysis = analyse_area(image, segmenter=segmenter, box=BOX, gsd_m_per_px=GSD)
     cut = cut_to_objects([analysis], 4000)
     part = cut.part

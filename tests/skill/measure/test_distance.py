@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 import vehanchor
-from tests.models import blank_image, paint_vehicles
+from tests.models import blank_image, pool_among_cars
 from tests.sam_models import write_sam
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
@@ -20,22 +19,12 @@ from vehanchor.pictures.scale import write_picture
 from vehanchor.records import KnownScale
 from vehanchor.segmentation.segmenter import Segmenter
 
-SIZE = 800, 600
 BOX = (410.7, 273.9, 477.3, 382.1)
 ALONE: dict[str, Any] = {"rulers": ("vehicles",)}  # quicker: no other network looks at the image
 
 
-def _place(n_vehicles: int = 30) -> NDArray[np.uint8]:
-    image = blank_image(*SIZE)
-    image[280:376, 420:468] = (40, 140, 210)
-    lengths = 30 * (1 + 0.06 * np.linspace(-1, 1, n_vehicles) ** 3)
-    boxes = [[40 + 70 * (k % 10), 40 + 60 * (k // 10), length, 12, 0.4] for k, length in enumerate(lengths)]
-    paint_vehicles(image, np.reshape(boxes, (-1, 5)))
-    return image
-
-
 def test_a_distance_is_the_paths_pixels_times_the_scale_of_the_vehicles(detector: Detector) -> None:
-    image = _place()
+    image = pool_among_cars()
     alone: dict[str, Any] = {"detector": detector, **ALONE}
     estimate = vehanchor.estimate_gsd(image, **alone)
     record = vehanchor.measure_distance(image, [(100, 500), (400, 500), (400, 100)], **alone)
@@ -50,7 +39,7 @@ def test_a_distance_is_the_paths_pixels_times_the_scale_of_the_vehicles(detector
 
 
 def test_a_known_scale_leaves_the_pointing_as_the_only_doubt() -> None:
-    across = vehanchor.measure_distance(_place(0), [(100, 100), (200, 100)], gsd_m_per_px=0.1)
+    across = vehanchor.measure_distance(pool_among_cars(0), [(100, 100), (200, 100)], gsd_m_per_px=0.1)
     assert across.distance_m == pytest.approx(10)
     assert across.distance_ci95_low_m == pytest.approx(10 * math.exp(-1.96 * math.sqrt(2) / 100), rel=1e-4)
     assert (across.status, across.scale_source, across.scale_confidence, across.n_vehicles) == (
@@ -59,7 +48,7 @@ def test_a_known_scale_leaves_the_pointing_as_the_only_doubt() -> None:
         None,
         None,
     )
-    stop = vehanchor.measure_distance(_place(0), [(100, 100), (150, 100), (200, 100)], gsd_m_per_px=0.1)
+    stop = vehanchor.measure_distance(pool_among_cars(0), [(100, 100), (150, 100), (200, 100)], gsd_m_per_px=0.1)
     assert stop.distance_ci95_high_m == pytest.approx(across.distance_ci95_high_m)  # a stop on the way is no doubt
 
 
@@ -73,22 +62,22 @@ def test_a_known_scale_leaves_the_pointing_as_the_only_doubt() -> None:
     ],
 )
 def test_a_path_means_the_same_in_every_kind_of_coordinates(path: Any, options: Any) -> None:
-    record = vehanchor.measure_distance(_place(0), path, gsd_m_per_px=0.1, **options)
+    record = vehanchor.measure_distance(pool_among_cars(0), path, gsd_m_per_px=0.1, **options)
     assert record.distance_m == pytest.approx(50)
     assert [(point.x_px, point.y_px) for point in record.path] == [(100, 150), (500, 450)]
 
 
 def test_a_coarser_copy_is_pointed_at_less_exactly() -> None:
-    fine = vehanchor.measure_distance(_place(0), [(100, 150), (500, 450)], gsd_m_per_px=0.1)
+    fine = vehanchor.measure_distance(pool_among_cars(0), [(100, 150), (500, 450)], gsd_m_per_px=0.1)
     path, frame = [(25.0, 37.5), (125.0, 112.5)], {"frame": (200, 150)}
-    coarse = vehanchor.measure_distance(_place(0), path, gsd_m_per_px=0.1, **frame)  # type: ignore[arg-type]
+    coarse = vehanchor.measure_distance(pool_among_cars(0), path, gsd_m_per_px=0.1, **frame)  # type: ignore[arg-type]
     assert fine.distance_ci95_high_m is not None
     assert coarse.distance_ci95_high_m is not None
     assert math.log(coarse.distance_ci95_high_m / 50) == pytest.approx(4 * math.log(fine.distance_ci95_high_m / 50))
 
 
 def test_no_vehicles_mean_pixels_and_no_metres(detector: Detector) -> None:
-    record = vehanchor.measure_distance(_place(0), [(100, 100), (200, 100)], detector=detector)
+    record = vehanchor.measure_distance(pool_among_cars(0), [(100, 100), (200, 100)], detector=detector)
     assert (record.status, record.scale_confidence, record.distance_m, record.length_px) == ("no_scale", 0, None, 100)
     assert record.distance_ci95_low_m is None
 
@@ -121,33 +110,33 @@ def test_a_path_that_makes_no_sense_is_refused_with_what_may_have_been_meant(
     path: Any, options: Any, words: str
 ) -> None:
     with pytest.raises(PromptError, match=words):
-        vehanchor.measure_distance(_place(0), path, gsd_m_per_px=0.1, **options)
+        vehanchor.measure_distance(pool_among_cars(0), path, gsd_m_per_px=0.1, **options)
 
 
 def test_a_box_is_refused_with_what_may_have_been_meant(segmenter: Segmenter) -> None:
     for box, words in (((700, 500, 950, 700), "copy of 1024 x 768"), ((0.1, 0.1, 0.4, 0.6), "as fractions")):
         with pytest.raises(PromptError, match=words):
-            vehanchor.measure_area(_place(0), box=box, gsd_m_per_px=0.1, segmenter=segmenter)
+            vehanchor.measure_area(pool_among_cars(0), box=box, gsd_m_per_px=0.1, segmenter=segmenter)
 
 
 def test_a_box_in_shares_of_the_sides_is_the_box_in_pixels(segmenter: Segmenter) -> None:
-    in_pixels = vehanchor.measure_area(_place(0), box=BOX, gsd_m_per_px=0.1, segmenter=segmenter)
+    in_pixels = vehanchor.measure_area(pool_among_cars(0), box=BOX, gsd_m_per_px=0.1, segmenter=segmenter)
     x1, y1, x2, y2 = BOX
     share = (x1 / 800, y1 / 600, x2 / 800, y2 / 600)
     assert in_pixels == vehanchor.measure_area(
-        _place(0), box=share, gsd_m_per_px=0.1, segmenter=segmenter, coordinates="fraction"
+        pool_among_cars(0), box=share, gsd_m_per_px=0.1, segmenter=segmenter, coordinates="fraction"
     )
 
 
 def test_a_line_of_known_length_in_shares_of_the_sides_is_the_line_in_pixels(detector: Detector) -> None:
-    in_pixels = vehanchor.estimate_gsd(_place(), detector=detector, known_lengths=[(80, 60, 480, 360, 80)])
+    in_pixels = vehanchor.estimate_gsd(pool_among_cars(), detector=detector, known_lengths=[(80, 60, 480, 360, 80)])
     shares = [(0.1, 0.1, 0.6, 0.6, 80)]
-    told = vehanchor.estimate_gsd(_place(), detector=detector, known_lengths=shares, coordinates="fraction")
+    told = vehanchor.estimate_gsd(pool_among_cars(), detector=detector, known_lengths=shares, coordinates="fraction")
     assert told == in_pixels
     assert "known_length" in [ruler.kind for ruler in told.rulers]
     short = [(0.1, 0.1, 0.101, 0.1, 8)]
     with pytest.raises(KnownLengthError, match="px long"):
-        vehanchor.estimate_gsd(_place(), detector=detector, known_lengths=short, coordinates="fraction")
+        vehanchor.estimate_gsd(pool_among_cars(), detector=detector, known_lengths=short, coordinates="fraction")
 
 
 # --- A scale that is given back --------------------------------------------------------------------------------------
@@ -155,7 +144,7 @@ def test_a_line_of_known_length_in_shares_of_the_sides_is_the_line_in_pixels(det
 
 @pytest.fixture(scope="module")
 def estimate(detector: Detector) -> vehanchor.GsdEstimate:
-    return vehanchor.estimate_gsd(_place(), detector=detector, **ALONE)
+    return vehanchor.estimate_gsd(pool_among_cars(), detector=detector, **ALONE)
 
 
 def test_a_distance_and_an_area_have_the_skewed_interval_of_their_scale(
@@ -165,13 +154,13 @@ def test_a_distance_and_an_area_have_the_skewed_interval_of_their_scale(
     scale = estimate.scale.model_copy(
         update={"gsd_m_per_px": 0.136, "gsd_ci95_low_m_per_px": 0.121, "gsd_ci95_high_m_per_px": 0.185}
     )
-    line = vehanchor.measure_distance(_place(), [(20, 580), (780, 580)], scale=scale)
+    line = vehanchor.measure_distance(pool_among_cars(), [(20, 580), (780, 580)], scale=scale)
     pointing = math.sqrt(2) / 760 * 1.96
     low, high = math.hypot(math.log(136 / 121), pointing), math.hypot(math.log(185 / 136), pointing)
     assert line.distance_ci95_low_m == pytest.approx(760 * 0.136 * math.exp(-low), rel=1e-4)
     assert line.distance_ci95_high_m == pytest.approx(760 * 0.136 * math.exp(high), rel=1e-4)
     exact = write_sam(tmp_path, metadata={"vehanchor.mask_area_log_sd": "0"})
-    roof = vehanchor.measure_area(_place(), box=BOX, segmenter=exact, scale=scale)
+    roof = vehanchor.measure_area(pool_among_cars(), box=BOX, segmenter=exact, scale=scale)
     assert roof.area_m2 is not None
     assert roof.area_ci95_low_m2 == pytest.approx(roof.area_m2 * (121 / 136) ** 2)
     assert roof.area_ci95_high_m2 == pytest.approx(roof.area_m2 * (185 / 136) ** 2)
@@ -185,62 +174,63 @@ def test_a_scale_given_back_needs_no_detector_and_keeps_interval_and_confidence(
     assert isinstance(estimate.scale, KnownScale)
     nowhere = "there is none.onnx"
     path = [(100.0, 500.0), (400.0, 500.0)]
-    searched = vehanchor.measure_distance(_place(), path, detector=detector, **ALONE)
-    reused = vehanchor.measure_distance(_place(), path, scale=estimate.scale, detector=nowhere)
+    searched = vehanchor.measure_distance(pool_among_cars(), path, detector=detector, **ALONE)
+    reused = vehanchor.measure_distance(pool_among_cars(), path, scale=estimate.scale, detector=nowhere)
     assert (reused.scale_source, reused.estimate, reused.n_vehicles) == ("reused", None, None)
     assert reused.scale == estimate.scale
     same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "scale_confidence", "status", "gsd_m_per_px")
     assert [getattr(reused, name) for name in same] == [getattr(searched, name) for name in same]
-    area = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, detector=detector, **ALONE)
-    again = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, scale=estimate, detector=nowhere)
+    area = vehanchor.measure_area(pool_among_cars(), box=BOX, segmenter=segmenter, detector=detector, **ALONE)
+    again = vehanchor.measure_area(pool_among_cars(), box=BOX, segmenter=segmenter, scale=estimate, detector=nowhere)
     same = ("area_m2", "area_ci95_low_m2", "inscribed_diameter_ci95_high_m", "scale_confidence", "status", "warnings")
     assert [getattr(again, name) for name in same] == [getattr(area, name) for name in same]
     assert again.scale_source == "reused"
 
 
 def test_a_scale_is_refused_for_another_image(estimate: vehanchor.GsdEstimate) -> None:
-    other = _place()
+    other = pool_among_cars()
     other[599, 799] += 1  # a single pixel
     with pytest.raises(ScaleMismatchError, match="measured on another image") as refused:
         vehanchor.measure_distance(other, [(1, 1), (99, 99)], scale=estimate)
     assert refused.value.code == "scale_mismatch"
 
 
+SIZES = ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
+
+
 @pytest.mark.parametrize(
-    "change",
-    [{"gsd_m_per_px": -1}, {"confidence": 2}, {"image_id": None}, {"more": 1}, {"gsd_ci95_high_m_per_px": 0.001}],
+    ("change", "words"),
+    [
+        *((change, "scale is not what an estimate gave") for change in ({"gsd_m_per_px": -1}, {"confidence": 2})),
+        *((change, "scale is not what an estimate gave") for change in ({"image_id": None}, {"more": 1})),
+        ({"gsd_ci95_high_m_per_px": 0.001}, "scale is not what an estimate gave"),
+        (dict.fromkeys(SIZES, 1e308), "is no image's"),  # too large to be squared
+    ],
 )
-def test_six_fields_without_meaning_are_refused(estimate: vehanchor.GsdEstimate, change: dict[str, Any]) -> None:
+def test_six_fields_without_meaning_are_refused(
+    estimate: vehanchor.GsdEstimate, change: dict[str, Any], words: str
+) -> None:
     assert estimate.scale is not None
-    with pytest.raises(InvalidParameterError, match="scale is not what an estimate gave"):
-        vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], scale={**estimate.scale.model_dump(), **change})
+    with pytest.raises(InvalidParameterError, match=words):
+        vehanchor.measure_distance(pool_among_cars(), [(1, 1), (9, 9)], scale={**estimate.scale.model_dump(), **change})
 
 
 def test_a_dumped_estimate_is_the_estimate(estimate: vehanchor.GsdEstimate, detector: Detector) -> None:
-    path, given = [(100.0, 150.0), (500.0, 450.0)], vehanchor.measure_distance
-    expected = given(_place(), path, scale=estimate)
-    assert given(_place(), path, scale=estimate.model_dump()) == expected
-    assert given(_place(), path, scale=estimate.model_dump(mode="json")) == expected
+    image, path, given = pool_among_cars(), [(100.0, 150.0), (500.0, 450.0)], vehanchor.measure_distance
+    expected = given(image, path, scale=estimate)
+    assert given(image, path, scale=estimate.model_dump()) == expected
+    assert given(image, path, scale=estimate.model_dump(mode="json")) == expected
     measured: Any = expected  # a measurement has the scale to give back, too
-    assert given(_place(), path, scale=measured) == given(_place(), path, scale=expected.model_dump()) == expected
-    nothing = vehanchor.estimate_gsd(_place(0), detector=detector)
+    assert given(image, path, scale=measured) == given(image, path, scale=expected.model_dump()) == expected
+    nothing = vehanchor.estimate_gsd(pool_among_cars(0), detector=detector)
     for known in (nothing, nothing.model_dump()):
         with pytest.raises(InvalidParameterError, match="without a scale"):
-            given(_place(0), path, scale=known)
-
-
-def test_a_scale_too_large_to_be_squared_is_refused(estimate: vehanchor.GsdEstimate) -> None:
-    assert estimate.scale is not None
-    sizes = ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
-    with pytest.raises(InvalidParameterError, match="is no image's"):
-        vehanchor.measure_distance(
-            _place(), [(1, 1), (9, 9)], scale={**estimate.scale.model_dump(), **dict.fromkeys(sizes, 1e308)}
-        )
+            given(pool_among_cars(0), path, scale=known)
 
 
 def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
     with pytest.raises(InvalidParameterError, match="not both"):
-        vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], scale=estimate, gsd_m_per_px=0.1)
+        vehanchor.measure_distance(pool_among_cars(), [(1, 1), (9, 9)], scale=estimate, gsd_m_per_px=0.1)
 
 
 @pytest.mark.parametrize(
@@ -254,23 +244,15 @@ def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
 )
 def test_what_is_no_scale_is_told(known: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidParameterError, match=words):
-        vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], **known)
+        vehanchor.measure_distance(pool_among_cars(), [(1, 1), (9, 9)], **known)
 
 
 def test_a_known_scale_leaves_no_line_unheard(estimate: vehanchor.GsdEstimate) -> None:
     for known in ({"scale": estimate}, {"gsd_m_per_px": 0.1}):
         with pytest.raises(InvalidParameterError, match=f"give {next(iter(known))} or lines of known length, not both"):
-            vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], known_lengths=[(0, 0, 100, 0, 12.0)], **known)
-
-
-def test_an_image_is_itself_however_it_is_handed_over(tmp_path: Path, estimate: vehanchor.GsdEstimate) -> None:
-    import cv2
-
-    path = tmp_path / "place.png"
-    assert cv2.imwrite(str(path), _place()[:, :, ::-1])
-    for image in (path, path.read_bytes(), _place()):
-        record = vehanchor.measure_distance(image, [(1, 1), (9, 9)], scale=estimate)
-        assert record.scale_source == "reused"
+            vehanchor.measure_distance(
+                pool_among_cars(), [(1, 1), (9, 9)], known_lengths=[(0, 0, 100, 0, 12.0)], **known
+            )
 
 
 FOCAL_35MM = 24.0
