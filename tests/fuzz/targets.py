@@ -275,7 +275,8 @@ def _cards() -> list[bytes]:
             {"reference_length_m": 4.3, "reference_length_sd_m": 0.3, "region_lengths_m": {"europe": 4.1}}
         ),
     }
-    return [json.dumps(each).encode() for each in (detector, chips, detector | chips)]
+    half = dict.fromkeys(("names", "vehanchor.region_lengths_m", "vehanchor.bodies"), '{"�": 4.1}')  # of a pair
+    return [json.dumps(each).encode() for each in (detector, chips, detector | chips, chips | half)]
 
 
 def _metadata() -> list[bytes]:

@@ -45,7 +45,7 @@ def _rising(value: tuple[float, float]) -> tuple[float, float]:
 
 
 _LENGTHS = f"{LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m"
-_JSON = BeforeValidator(lambda text: from_json(text) if isinstance(text, str) else text)
+_JSON = BeforeValidator(lambda text: from_json(text.encode(errors="replace")) if isinstance(text, str) else text)
 _LIST = BeforeValidator(lambda text: text.split(",") if isinstance(text, str) else text)
 _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
 _VehicleSpread = Annotated[float, Field(ge=0, le=LARGEST_VEHICLE_M)]
