@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict
 
 from vehanchor.records import GsdEstimate
 from vehanchor.records.flat import flat_columns, flat_row
+from vehanchor.records.text import Advice, advice_for
 
 if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
@@ -49,6 +50,16 @@ class BatchRow(BaseModel):
     def failed(cls, file: str, error: VehAnchorError) -> BatchRow:
         """Make the row of an image that could not be read."""
         return cls(file=file, error_code=error.code, error=str(error))
+
+    @property
+    def reason(self) -> str | None:
+        """Why the scale is not usable, or the error's code."""
+        return self.error_code if self.estimate is None else self.estimate.reason
+
+    @property
+    def advice(self) -> Advice | None:
+        """Problem and remedy; None for a usable scale. Errors say both at once."""
+        return advice_for(self.estimate) if self.error is None else Advice(self.error, "")
 
     def flat(self) -> dict[str, Any]:
         """Give the row's values by column; those of the estimate are null for an image with an error."""

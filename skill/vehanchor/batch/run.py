@@ -65,6 +65,13 @@ class Pace(NamedTuple):
         return "decoding" if self.waiting > _LEAST_WAITING else "computing"
 
 
+class Cause(NamedTuple):
+    """Rows without a usable scale that have the same reason and remedy: their number, and the first of them."""
+
+    n_rows: int
+    first: BatchRow
+
+
 @dataclass(frozen=True)
 class BatchSummary:
     """Summary of a finished run.
@@ -74,7 +81,7 @@ class BatchSummary:
         n_rows: its number of rows, one per image.
         n_resumed: number of rows from an interrupted run.
         statuses: number of rows by status; ``error`` counts rows with an error.
-        reasons: number of rows by the reason why a scale is not usable, or by the error's code.
+        causes: why scales are not usable, the most frequent first.
         pace: speed of the run; None if no row was made, or the images have a common scale.
     """
 
@@ -82,7 +89,7 @@ class BatchSummary:
     n_rows: int
     n_resumed: int
     statuses: Mapping[str, int]
-    reasons: Mapping[str, int]
+    causes: Sequence[Cause]
     pace: Pace | None = None
 
 
@@ -236,19 +243,19 @@ def _rows(
 
 def _write_counted(
     table: Path, rows: Iterable[BatchRow | None], *, details: bool
-) -> tuple[dict[str, int], dict[str, int]]:
-    """Write the table; return the number of rows by status and by reason."""
+) -> tuple[dict[str, int], tuple[Cause, ...]]:
+    """Write the table; return the number of rows by status, and the causes of those without a usable scale."""
     statuses: Counter[str] = Counter()
-    reasons: Counter[str] = Counter()
+    causes: dict[tuple[str | None, str], Cause] = {}
 
     def counted() -> Iterator[BatchRow]:
         for row in rows:
             assert row is not None  # the run is complete
             statuses["error" if row.estimate is None else row.estimate.status] += 1
-            reason = row.error_code if row.estimate is None else row.estimate.reason
-            if reason is not None:
-                reasons[reason] += 1
+            if (advice := row.advice) is not None:
+                n_before, first = causes.get(same := (row.reason, advice.helps), (0, row))
+                causes[same] = Cause(n_before + 1, first)
             yield row
 
     write_table(table, counted(), ALL_COLUMNS if details else COLUMNS)
-    return dict(statuses), dict(reasons)
+    return dict(statuses), tuple(sorted(causes.values(), key=lambda cause: -cause.n_rows))

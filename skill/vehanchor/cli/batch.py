@@ -14,10 +14,11 @@ from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import FAILED, counts_text, exit_on_error, image_progress, printable, resumable
 from vehanchor.errors import InvalidParameterError
-from vehanchor.records.text import ADVICE, count
+from vehanchor.records.text import count
 
 if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
+    from vehanchor.batch.run import Cause
 
 
 Inputs: TypeAlias = Annotated[
@@ -108,8 +109,8 @@ def batch(
 
 def _summarise(summary: BatchSummary, seconds: float) -> None:
     """Print what would help images without a usable scale, and the summary; fail if every image did."""
-    for line in _advice(summary):
-        print(line, file=sys.stderr)
+    for cause in summary.causes:
+        print(_advice(cause), file=sys.stderr)
     print(_summary_text(summary, seconds), file=sys.stderr)
     if summary.statuses.get("error", 0) == summary.n_rows:
         print("no image could be used: the columns error_code and error say why", file=sys.stderr)
@@ -129,8 +130,7 @@ def _summary_text(summary: BatchSummary, seconds: float) -> str:
     )
 
 
-def _advice(summary: BatchSummary) -> list[str]:
-    """Say how many images have no usable scale for each reason, and the remedy."""
-    advice = {str(reason): f"{each.why}; {each.helps}" for reason, each in ADVICE.items()}
-    most_first = sorted(summary.reasons.items(), key=lambda item: -item[1])
-    return [f"{n} x {reason}: {advice.get(reason, 'see the column error')}" for reason, n in most_first]
+def _advice(cause: Cause) -> str:
+    """Say how many images have no usable scale for a cause, and what is wrong with the first of them."""
+    n_rows, first = cause
+    return f"{n_rows} x {first.reason}, as in {printable(first.file)}: {'; '.join(filter(None, first.advice or ()))}"

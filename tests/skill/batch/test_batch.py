@@ -453,11 +453,12 @@ def test_the_command_tells_what_it_did(detector: Path, table: Path, monkeypatch:
     *lines, last = result.stderr.splitlines()
     assert lines == [
         *(f"{n} of 5 images" for n in range(6)),
-        "2 x disagree: the evidence contradicts itself; check what contradicts it, or draw a line over something of "
-        "known size",
-        "1 x image_undecodable: see the column error",
-        "1 x too_few: too little evidence; include more cars, or draw a line over something of known size",
-        "1 x image_not_found: see the column error",
+        "2 x disagree, as in cars.png: by the scene the scale is about 1.1 m/px; check what was taken for cars, or "
+        "draw a line over something of known size",
+        f"1 x image_undecodable, as in broken.jpg: {_rows(table)[0]['error']}",
+        "1 x too_few, as in empty.png: no car was found; draw a line over something of known size, or take a picture "
+        "with cars",
+        f"1 x image_not_found, as in no such.png: {_rows(table)[-1]['error']}",
     ]
     assert last.startswith(f"{table}: 5 rows (2 low_confidence, 1 no_scale, 2 error); 5 images in ")
     assert re.search(r"s, [\d.]+ a second \(\d\.\d workers busy, \d+% of it waiting for images; bounded by ", last)
