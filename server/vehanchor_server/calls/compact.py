@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.records import AreaMeasurement, BoundingBox, DistanceMeasurement, GsdEstimate, OtherObject
+from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, OtherObject
+from vehanchor.records.notices import NoticeCode
 from vehanchor_server.calls.remedies import advice_on
 
 if TYPE_CHECKING:
@@ -100,29 +101,28 @@ def _short(record: BaseModel) -> dict[str, Any]:
     if reason is not None:
         short["reason"] = reason
     if isinstance(record, AreaMeasurement) and record.alternatives:
-        short["alternatives"] = [_choice(record, other) for other in record.alternatives]
-    if (short.get("frame") or {}).get("bounding_box"):
+        short["alternatives"] = [_size(other) for other in record.alternatives]
+    frame = short.get("frame") or {}
+    if has_unknown_extent(record) or frame.get("bounding_box"):
         short.pop("bounding_box", None)  # the frame already has it in the caller's pixels
+    if has_unknown_extent(record):
+        frame.pop("bounding_box", None)
     return short
 
 
-def box_in_frame(area: AreaMeasurement, box: BoundingBox) -> BoundingBox:
-    """Convert a box from pixels of the image to the caller's."""
-    frame = area.frame
-    if frame is None:
-        return box
-    return box.scaled(frame.width_px / area.image_width_px, frame.height_px / area.image_height_px)
+def has_unknown_extent(record: BaseModel) -> bool:
+    """Tell whether the mask may be a part of the object, or more.
+
+    Its box is not told: given back, it would pass for one that somebody drew (``research/results/notes.md``).
+    """
+    notices = record.warnings if isinstance(record, AreaMeasurement) else ()
+    return any(notice.code == NoticeCode.EXTENT_UNKNOWN for notice in notices)
 
 
-def _choice(area: AreaMeasurement, other: OtherObject) -> dict[str, Any]:
-    """Return the size of another object that a point may mean, and its box as an argument."""
-    box = box_in_frame(area, other.bounding_box)
-    sides = {"x_min": box.x1_px, "y_min": box.y1_px, "x_max": box.x2_px, "y_max": box.y2_px}
-    size = {"mask_area_px": other.mask_area_px} if other.area_m2 is None else {"area_m2": other.area_m2}
-    return {
-        **{name: _rounded(name, value) for name, value in size.items()},
-        "box": {k: round(v) for k, v in sides.items()},
-    }
+def _size(other: OtherObject) -> dict[str, Any]:
+    """Return the size of another object that a point may mean."""
+    name = "mask_area_px" if other.area_m2 is None else "area_m2"
+    return {name: _rounded(name, getattr(other, name))}
 
 
 def _rounded(name: str, value: Any) -> Any:

@@ -21,7 +21,7 @@ _REMEDIES = {
 _BESIDE_CARS = "a parking bay or lane dash"
 _WITHOUT_CARS = "a container or court"
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"
-_ON_CHOICES = "give the box of the object that you mean"
+_ON_CHOICES = "give a tight box drawn by eye around the object that you mean"
 _ON_MASK = "look at it with view_image, and give a tight box drawn by eye"
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.records.text import advice_for, by_hand_text, ruler_names, significant
-from vehanchor_server.calls.compact import box_in_frame, brief
+from vehanchor_server.calls.compact import brief, has_unknown_extent
 from vehanchor_server.calls.remedies import advice_on
 
 if TYPE_CHECKING:
@@ -127,19 +127,16 @@ def _area_in_words(area: AreaMeasurement) -> str:
             size += f", {significant(area.length_m)} x {significant(area.width_m)} m"
             size += f", largest circle inside {significant(area.inscribed_diameter_m)} m across"
         words = f"{size}; {_scale_origin(area)}: {_verdict(area)}"
-    words += f" Mask: {_span(area, area)} in your {'image' if area.frame is None else 'copy'}."
-    others = [f"{_size(each)} in {_span(area, each)}" for each in area.alternatives]
-    return f"{words} Or you mean {' or '.join(others)}." if others else words
+    box, copy = (area.bounding_box, "image") if area.frame is None else (area.frame.bounding_box, "copy")
+    if box is not None and not has_unknown_extent(area):
+        span = f"x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f}"
+        words += f" Mask: {span} in your {copy}."
+    others = map(_size, area.alternatives)
+    return f"{words} Or you mean {' or '.join(others)}." if area.alternatives else words
 
 
 def _size(other: OtherObject) -> str:
     return f"{other.mask_area_px} px" if other.area_m2 is None else f"{significant(other.area_m2)} m2"
-
-
-def _span(area: AreaMeasurement, thing: AreaMeasurement | OtherObject) -> str:
-    assert thing.bounding_box is not None, "its mask is not empty"
-    box = box_in_frame(area, thing.bounding_box)
-    return f"x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f}"
 
 
 def _distance_in_words(record: DistanceMeasurement) -> str:

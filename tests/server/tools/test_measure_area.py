@@ -82,7 +82,7 @@ async def test_points_say_what_is_on_the_object_and_what_is_beside_it(
     assert other["bounding_box"] != expected.model_dump(mode="json")["bounding_box"]
 
 
-async def test_another_object_that_a_point_may_mean_is_told_in_the_callers_pixels(
+async def test_a_point_of_unknown_extent_is_told_with_the_sizes_that_it_may_mean_but_without_boxes(
     server: MCPServer[object], images: Path
 ) -> None:
     pools = cv2.imread(str(images / "pool_alone.png"))
@@ -91,17 +91,18 @@ async def test_another_object_that_a_point_may_mean_is_told_in_the_callers_pixel
     data = base64.b64encode(cv2.imencode(".png", pools)[1].tobytes()).decode()  # no file: other tests list the folder
     image = {"kind": "base64", "data": data}
     asking = {"image": image, "targets": [{"points": [{"x": 162, "y": 189}]}], "gsd_m_per_px": 0.15, **MEASURED}
-    result = await asked(server, {**asking, "frame": {"width_px": 320, "height_px": 256}})
-    assert record_of(result)["status"] == "low_confidence"
-    (first, *_) = record_of(
-        await asked(server, {**asking, "frame": {"width_px": 320, "height_px": 256}, "detail": "full"})
-    )["alternatives"]
-    assert first["area_m2"] == pytest.approx(first["mask_area_px"] * 0.15**2)
-    told = text_of(result)
-    assert "do not rely on it; give the box of the object that you mean." in told
-    assert "Mask: x 150 to 174, y 165 to 213 in your copy. Or you mean " in told
-    x1, y1, x2, y2 = (side / 2 for side in first["bounding_box"].values())
-    assert f"Or you mean {first['area_m2']:.3g} m2 in x {x1:.0f} to {x2:.0f}, y {y1:.0f} to {y2:.0f}" in told
+    asking["frame"] = {"width_px": 320, "height_px": 256}
+    short, full = await asked(server, asking), record_of(await asked(server, {**asking, "detail": "full"}))
+    sizes = [each["area_m2"] for each in full["alternatives"]]
+    assert full["status"] == record_of(short)["status"] == "low_confidence"
+    assert sizes == pytest.approx([each["mask_area_px"] * 0.15**2 for each in full["alternatives"]])
+    assert [each["area_m2"] for each in record_of(short)["alternatives"]] == pytest.approx(sizes, rel=0.005)
+    assert "bounding_box" in full["frame"]
+    assert "bounding_box" not in {**record_of(short), **record_of(short)["frame"]}
+    told = text_of(short)
+    assert "do not rely on it; give a tight box drawn by eye around the object that you mean." in told
+    assert f"Or you mean {' or '.join(f'{size:.3g} m2' for size in sizes)}." in told
+    assert "Mask:" not in told
 
 
 async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServer[object], images: Path) -> None:
