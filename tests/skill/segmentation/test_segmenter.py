@@ -85,9 +85,9 @@ def test_neighbours_of_one_size_share_an_encoding_and_their_masks_are_as_alone(
     alone = [full_mask(segmented(segmenter, image, prompt), image) for prompt in prompts]
     encode, crops = SamContract.encode, []
 
-    def counted(contract: SamContract, crop: NDArray[np.uint8], crop_size: tuple[int, int], *others: Any) -> Encoding:
-        crops.append(crop_size)
-        return encode(contract, crop, crop_size, *others)
+    def counted(contract: SamContract, crop: NDArray[np.uint8], window: Window) -> Encoding:
+        crops.append((window.width_px, window.height_px))
+        return encode(contract, crop, window)
 
     monkeypatch.setattr(SamContract, "encode", counted)
     with open_raster(image) as raster:
@@ -196,9 +196,9 @@ def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(segmenter:
 def test_a_mask_is_placed_by_bilinear_interpolation_between_cell_centres() -> None:
     rng = np.random.default_rng(5)
     logits = np.asarray(cv2.GaussianBlur(rng.normal(size=(40, 30)), (0, 0), 2), dtype=np.float32)
-    placed = place_mask(MaskLogits(logits, 1.0, (30 / 240, 40 / 320)), 240, 320)
+    placed = place_mask(MaskLogits(logits, 1.0, (30 / 240, 40 / 320), Window(9, 9, 240, 320)))
     assert (placed != (cv2.resize(logits, (240, 320), interpolation=cv2.INTER_LINEAR) > 0)).mean() < 1e-3
-    single = place_mask(MaskLogits(np.ones((1, 1), np.float32), 1.0, (0.01, 0.01)), 5, 7)
+    single = place_mask(MaskLogits(np.ones((1, 1), np.float32), 1.0, (0.01, 0.01), Window(0, 0, 5, 7)))
     assert single.all()
 
 
