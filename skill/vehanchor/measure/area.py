@@ -170,7 +170,7 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolyg
         return OutlineRing(points=tuple(ImagePoint(x_px=float(x) + left, y_px=float(y) + top) for x, y in points))
 
     return tuple(
-        OutlinePolygon(exterior=ring(part.exterior), holes=tuple(map(ring, part.holes))) for part in outline_parts(mask)
+        OutlinePolygon(exterior=ring(around), holes=tuple(map(ring, holes))) for around, *holes in outline_parts(mask)
     )
 
 
