@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
 
-from pydantic import BeforeValidator, Field, InstanceOf
+from pydantic import Field, InstanceOf
 
 from vehanchor.errors import FrameError
-from vehanchor.options.option import Flag, Limits, Option, group, set_frozen
+from vehanchor.options.option import Flag, Limits, Option, group, in_order, set_frozen
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,14 +64,6 @@ class FrameSize:
     height_px: _Side
 
 
-def _sides(value: Any) -> Any:
-    """Read a width and a height."""
-    parts = value.replace("x", " ").replace(",", " ").split() if isinstance(value, str) else value
-    if isinstance(parts, Sequence) and len(parts) == 2:
-        return {"width_px": parts[0], "height_px": parts[1]}
-    return value
-
-
 @group(frozen=True)
 class Frame:
     """The caller's resized copy of the image, and the units of its coordinates.
@@ -90,7 +81,7 @@ class Frame:
 
     frame: Annotated[
         FrameSize | None,
-        BeforeValidator(_sides),
+        in_order("width_px", "height_px"),
         Option("Size of your resized copy.", metavar="W H", tools="all"),
         Field(examples=[{"width_px": 1024, "height_px": 768}]),
     ] = None
@@ -215,10 +206,6 @@ _MEGAPIXEL = 1_000_000
 _Band = Annotated[int, Limits(least=1, whole=True)]
 
 
-def _words(value: Any) -> Any:
-    return value.replace(",", " ").split() if isinstance(value, str) else value
-
-
 @group(frozen=True)
 class Reading:
     """Options of reading an image.
@@ -237,7 +224,6 @@ class Reading:
 
     bands: Annotated[
         tuple[_Band, _Band, _Band] | None,
-        BeforeValidator(_words),
         Option("Bands for red, green and blue, from 1. Default: the first three.", metavar="R G B"),
     ] = None
     limits: Annotated[InstanceOf[ImageLimits], Option("Limits on the cost of an image.", cli=False)] = field(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from vehanchor.errors import InvalidParameterError
+from vehanchor.errors import InvalidParameterError, KnownLengthError
 from vehanchor.options.method import PRESETS, Lengths, Method, Reference, Search
 from vehanchor.options.option import Option
 from vehanchor.options.reading import Frame, Reading
@@ -45,7 +45,13 @@ class ScaleOptions:
 
     def __post_init__(self) -> None:
         if self.frame.coordinates == "pixels":
-            self.rulers.check_lengths()
+            self._check_lines(None)
+
+    def _check_lines(self, size: tuple[int, int] | None) -> None:
+        for line in self.rulers.known_lengths:
+            line.check("the line of known length", KnownLengthError, size)
+        for number, axis in enumerate(self.by_hand.add, 1):
+            axis.check(f"add {number}", InvalidParameterError, size)
 
     def in_pixels(self, width_px: int, height_px: int) -> ScaleOptions:
         """Convert lines and added vehicles to pixels of the frame, or of the image without a frame.
@@ -73,8 +79,7 @@ class ScaleOptions:
                 by_hand=replace(self.by_hand, add=tuple(map(in_picture, self.by_hand.add))),
                 frame=replace(self.frame, coordinates="pixels"),
             )
-        told.rulers.check(*picture)
-        told.by_hand.check(*picture)
+        told._check_lines(picture)
         return told
 
     @classmethod
