@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import Field, InstanceOf
 
@@ -77,8 +77,6 @@ class Frame:
         InvalidParameterError: a side is not a whole number >= 1, or the units are unknown.
     """
 
-    panel: ClassVar[str] = "Reading the image"
-
     frame: Annotated[
         FrameSize | None,
         in_order("width_px", "height_px"),
@@ -93,16 +91,6 @@ class Frame:
     def size(self) -> tuple[int, int] | None:
         """Width and height of the copy, pixels; None without a copy."""
         return None if self.frame is None else (self.frame.width_px, self.frame.height_px)
-
-    def extent(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """Give the largest coordinates to the right and down, in their own units.
-
-        Args:
-            width_px: width of the image.
-            height_px: height of the image.
-        """
-        share = _SHARES.get(self.coordinates)
-        return (share, share) if share else self.size or (width_px, height_px)
 
     def check(self, width_px: int, height_px: int) -> None:
         """Check that the frame has the aspect ratio of the image, and is not a crop or another image.
@@ -147,8 +135,9 @@ class CoordinateFrame:
 
     @property
     def extent(self) -> tuple[int, int]:
-        """Largest coordinates to the right and down."""
-        return self.frame.extent(self.width_px, self.height_px)
+        """Largest coordinates to the right and down, in their own units."""
+        share = _SHARES.get(self.frame.coordinates)
+        return (share, share) if share else self.frame.size or (self.width_px, self.height_px)
 
     @property
     def unit_px(self) -> tuple[float, float]:
@@ -219,8 +208,6 @@ class Reading:
     Raises:
         InvalidParameterError: a number is invalid, or the bands are not three whole numbers >= 1.
     """
-
-    panel: ClassVar[str] = "Reading the image"
 
     bands: Annotated[
         tuple[_Band, _Band, _Band] | None,

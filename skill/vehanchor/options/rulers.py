@@ -128,8 +128,6 @@ class ByHand:
         InvalidParameterError: a number or an axis is invalid.
     """
 
-    panel: ClassVar[str] = "Vehicles by hand"
-
     drop: Annotated[
         tuple[int, ...],
         BeforeValidator(vehicle_numbers),
@@ -295,8 +293,6 @@ class Rulers:
         KnownLengthError: a known length is invalid.
         InvalidParameterError: a number is invalid, or the rulers are not a list of names.
     """
-
-    panel: ClassVar[str] = "Other rulers"
 
     rulers: Annotated[
         Annotated[tuple[str, ...], BeforeValidator(_names)] | None,

@@ -165,42 +165,22 @@ class Segmenter(LoadedModel):
         bound._contract = self._contract.under(call)
         return bound
 
-    def segment(self, raster: Raster, prompt: Prompt, *, limits: ImageLimits = _DEFAULT_LIMITS) -> Segmentation:
-        """Segment the object that a prompt names.
-
-        Args:
-            raster: the image.
-            prompt: box or points inside the image, in its pixels.
-            limits: ``max_pixels`` bounds the crop.
-
-        Returns:
-            The mask with its window.
-
-        Raises:
-            ImageTooLargeError: the crop has more pixels than the limits allow.
-            ModelContractError: the model violates its contract.
-        """
-        return self.segment_all(raster, [prompt], limits=limits)[0]
-
-    def segment_all(
-        self,
-        raster: Raster,
-        prompts: Sequence[Prompt],
-        *,
-        limits: ImageLimits = _DEFAULT_LIMITS,
+    def segment(
+        self, raster: Raster, prompts: Sequence[Prompt], *, limits: ImageLimits = _DEFAULT_LIMITS
     ) -> tuple[Segmentation, ...]:
         """Segment the objects that prompts name; neighbours of similar size share an encoding.
 
         Args:
             raster: the image.
-            prompts: as in ``segment``.
-            limits: as in ``segment``.
+            prompts: boxes or points inside the image, in its pixels.
+            limits: ``max_pixels`` bounds each crop.
 
         Returns:
-            The result of ``segment`` for each prompt, in the window of the shared crop where there is one.
+            The mask of each prompt with its window, that of the shared crop where there is one.
 
         Raises:
-            VehAnchorError: as in ``segment``.
+            ImageTooLargeError: a crop has more pixels than the limits allow.
+            ModelContractError: the model violates its contract.
         """
         found: dict[int, Segmentation] = {}
         for first, prompt in enumerate(prompts):

@@ -91,7 +91,7 @@ def test_neighbours_of_one_size_share_an_encoding_and_their_masks_are_as_alone(
 
     monkeypatch.setattr(SamContract, "encode", counted)
     with open_raster(image) as raster:
-        together = segmenter.segment_all(raster, prompts)
+        together = segmenter.segment(raster, prompts)
     assert crops == [(256, 256), (256, 256), (368, 368)]  # the second lies beside the first, the others far or large
     assert together[0].window == together[1].window
     for mask, found in zip(alone, together, strict=True):
@@ -117,12 +117,12 @@ def test_a_box_or_points_are_read_as_numbers() -> None:
         (5, None, "box is 5: use x1, y1, x2, y2"),
         (None, 5, "points is 5: use one or more of x, y"),
         (None, [5], "a point is 5: use x, y"),
-        ((0, 0, 5), None, "3 numbers"),
+        ((0, 0, 5), None, "box is .*: use x1, y1, x2, y2, finite numbers"),
         ((5, 0, 5, 5), None, "reversed or empty"),
         ((0, 6, 5, 5), None, "reversed or empty"),
         ((0, 0, float("nan"), 5), None, "finite"),
-        ((0, 0, "wide", 5), None, "use numbers"),
-        (None, [(1,)], "1 parts"),
+        ((0, 0, "wide", 5), None, "wide.*: use x1, y1, x2, y2"),
+        (None, [(1,)], "a point is .*: use x, y and whether"),
         (None, [(1, float("nan"))], "finite"),
         (None, [(1, 2, False)], "no point is on the object"),
     ],
@@ -218,7 +218,7 @@ def test_points_in_a_call_with_a_box_have_crops_of_their_own(tmp_path: Path) -> 
     image = picture(900, 700, (102, 102, 138, 138))
     prompts = [Prompt(box=(100.0, 100.0, 140.0, 140.0)), Prompt(points=((120.0, 120.0, True),))]
     with open_raster(image) as raster:
-        boxed, pointed = sam.segment_all(raster, prompts)
+        boxed, pointed = sam.segment(raster, prompts)
     alone = segmented(sam, image, prompts[1])
     assert pointed.window == alone.window
     assert (pointed.mask == alone.mask).all()
