@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ import typer
 
 from research.paper.rs_gsd import CATEGORIES, DEFAULT_ENTRIES, build_benchmark
 from research.paper.service import plain_command
-from vehanchor.cli.terminal import tile_progress
+from vehanchor.cli.terminal import work_progress
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.commands.sources import print_issues
 from vehanchor_evaluation.report import write_issues
@@ -37,14 +38,14 @@ def rs_gsd(request: RsGsdRequest) -> None:
     """Choose a hundred objects of iSAID as the paper does; measure them with 'vehanchor evaluate area --segments'."""
     if len(request.isaid) != len(request.dota):
         raise InvalidParameterError("give a --dota DIR for each --isaid DIR")
-    with tile_progress(1, lines_on_terminal=False) as step:
+    with work_progress("files") as tell:
         built = build_benchmark(
             list(zip(request.isaid, request.dota, strict=True)),
             request.out,
             entries=request.entries or None,
             seed=request.seed,
             categories=tuple(request.category or CATEGORIES),
-            progress=step(0, "reading masks"),
+            progress=partial(tell, name="reading masks"),
         )
     if built.issues:
         print_issues(built.issues)

@@ -14,7 +14,7 @@ from research.paper.tools import open_tools
 from research.paper.vlm import Query, run_vlm_trials
 from research.paper.vlm_api import Provider
 from research.paper.vlm_report import report_stem, vlm_report
-from vehanchor.cli.terminal import tile_progress
+from vehanchor.cli.terminal import work_progress
 from vehanchor_evaluation.area_report import area_markdown, write_area_report
 from vehanchor_evaluation.areas import read_areas
 from vehanchor_evaluation.commands.sources import print_issues
@@ -74,8 +74,7 @@ def vlm(request: VlmRequest) -> None:
     query = Query(hint=request.hint, agent=request.agent, max_side_px=request.max_side, max_turns=request.max_turns)
     with ExitStack() as stack:
         tools = stack.enter_context(request.tools(entries)) if request.agent else None
-        step = stack.enter_context(tile_progress(1, lines_on_terminal=False))
-        progress = step(0, f"{len(entries)} questions")
+        progress = stack.enter_context(work_progress("questions"))
         run = run_vlm_trials(entries, api, query, tools=tools, progress=progress)
     print_issues(run.issues)
     report = vlm_report(data, api, query, run, len(entries))

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vehanchor.cli.collection import paused_collection
 from vehanchor.cli.terminal import exit_on_error
 from vehanchor_server.settings import Settings
 
@@ -83,14 +82,13 @@ def serve(
         return
     with exit_on_error():
         settings = Settings.from_environment(**_given(options))
-        with paused_collection():
-            from vehanchor_server.transport.quick_import import import_sdk
+        from vehanchor_server.transport.quick_import import import_sdk
 
-            import_sdk()
-            if http:
-                from vehanchor_server.transport.http import serve_http as run
-            else:
-                from vehanchor_server.transport.stdio import serve_stdio as run
+        import_sdk()
+        if http:
+            from vehanchor_server.transport.http import serve_http as run
+        else:
+            from vehanchor_server.transport.stdio import serve_stdio as run
         run(settings)
 
 

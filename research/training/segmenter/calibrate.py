@@ -20,7 +20,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.raster import Window
     from vehanchor.segmentation.contracts import MaskLogits, SamContract
 
 _GOOD_IOU = 0.7
@@ -72,32 +71,25 @@ def area_bias(trials: list[Trial]) -> dict[str, float]:
     return {name: float(np.median([t.area_ratio for t in trials if t.category == name])) - 1 for name in categories}
 
 
-class View(NamedTuple):
-    """What the network alone makes of a target: logits, and the part of the image that they are of."""
-
-    found: MaskLogits
-    window: Window
-
-
-def see(contract: SamContract, target: Target) -> View:
+def see(contract: SamContract, target: Target) -> MaskLogits:
     """Segment as the library does, up to the logits."""
     prompt = Prompt(box=target.box)
     with open_raster(target.image) as raster:
         window = crop_window(prompt, raster.width_px, raster.height_px, crop_side(prompt))
-        size = window.width_px, window.height_px
-        encoding = contract.encode(read_resized(raster, window, contract.input_size(*size)), size)
-    return View(contract.decode(encoding, prompt.moved(-window.x_px, -window.y_px)), window)
+        size = contract.input_size(window.width_px, window.height_px)
+        encoding = contract.encode(read_resized(raster, window, size), window)
+    return contract.decode(encoding, prompt)
 
 
-def finished(view: View, smoothing: float, offset: float) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:
+def finished(view: MaskLogits, smoothing: float, offset: float) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:
     """The mask of the whole image that smoothed and raised logits give, and its score."""
 
     def method(target: Target) -> tuple[NDArray[np.bool_], float]:
-        logits = smoothed(torch.from_numpy(view.found.logits)[None, None], smoothing)[0, 0].numpy() + np.float32(offset)
+        logits = smoothed(torch.from_numpy(view.logits)[None, None], smoothing)[0, 0].numpy() + np.float32(offset)
         window, whole = view.window, np.zeros(target.mask.shape, bool)
-        placed = place_mask(replace(view.found, logits=logits), window.width_px, window.height_px)
+        placed = place_mask(replace(view, logits=logits))
         whole[window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px] = placed
-        return whole, view.found.score
+        return whole, view.score
 
     return method
 

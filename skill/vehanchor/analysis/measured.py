@@ -7,43 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.analysis.scale import Analysis, ScaleAnalysis, import_supervision
+from vehanchor.analysis.scale import Analysis, import_supervision
+from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.pictures.placement import Cut
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
-    from vehanchor.segmentation.prompt import Prompt
-    from vehanchor.segmentation.segmenter import Segmentation
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MeasuredAnalysis(Analysis):
-    """Evidence of a measurement.
-
-    Attributes:
-        scale: the analysis of the scale; None for a known scale.
-        nadir: whether the camera points straight down, so that one scale holds everywhere.
-    """
-
-    scale: ScaleAnalysis | None
-    nadir: bool = True
 
 
 @dataclass(frozen=True, eq=False)
-class AreaAnalysis(MeasuredAnalysis):
-    """Area with its evidence, drawing and export.
-
-    Attributes:
-        measurement: the record.
-        segmentation: the mask, and its window in the image.
-        prompt: the box or points, in pixels of the full image.
-    """
-
-    measurement: AreaMeasurement
-    segmentation: Segmentation
-    prompt: Prompt
+class AreaAnalysis(Analysis, AreaEvidence):
+    """Area with its evidence, drawing and export."""
 
     def _cut(self) -> Cut:
         from vehanchor.pictures.measured import cut_to_objects
@@ -95,14 +71,8 @@ class AreaAnalysis(MeasuredAnalysis):
 
 
 @dataclass(frozen=True, eq=False)
-class DistanceAnalysis(MeasuredAnalysis):
-    """Distance with its evidence, drawing and export.
-
-    Attributes:
-        measurement: the record.
-    """
-
-    measurement: DistanceMeasurement
+class DistanceAnalysis(Analysis, DistanceEvidence):
+    """Distance with its evidence, drawing and export."""
 
     def _cut(self) -> Cut:
         from vehanchor.pictures.measured import cut_to_lines

@@ -11,18 +11,14 @@ from vehanchor.detection.boxes import box_corners
 from vehanchor.errors import InvalidParameterError, MissingExtraError
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.options import Reading
-from vehanchor.rulers.vehicles import measured_vehicles
+from vehanchor.pictures.evidence import ScaleEvidence
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from vehanchor.detection.detections import Detections
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.pictures.placement import Cut
-    from vehanchor.records import GsdEstimate
-    from vehanchor.rulers.vehicles import VehicleWitness
-    from vehanchor.scale.posterior import Answer, Mark, Witness
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,36 +89,8 @@ def import_supervision() -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class ScaleAnalysis(Analysis):
-    """Estimate with its evidence, drawing and export.
-
-    Attributes:
-        estimate: the record.
-        witnesses: of all rulers.
-        detections: all vehicles found, in pixels of the image: ``boxes`` and ``scores``, best first.
-        answer: decision on the scale; None without a scale, and in the preset ``paper``.
-    """
-
-    estimate: GsdEstimate
-    witnesses: tuple[Witness, ...]
-    detections: Detections
-    answer: Answer | None = None
-
-    @property
-    def vehicles(self) -> VehicleWitness | None:
-        """Witness of the vehicles; None if the caller excludes them."""
-        return measured_vehicles(self.witnesses)
-
-    @property
-    def kept(self) -> NDArray[np.bool_]:
-        """``[n]`` bool, the vehicles behind the scale."""
-        vehicles = self.vehicles
-        return np.zeros(0, dtype=bool) if vehicles is None else vehicles.fleet.kept
-
-    @property
-    def marks(self) -> tuple[Mark, ...]:
-        """Lines that rulers measured, in pixels of the image."""
-        return tuple(mark for each in self.witnesses for mark in each.marks)
+class ScaleAnalysis(Analysis, ScaleEvidence):
+    """Estimate with its evidence, drawing and export."""
 
     @property
     def resolved(self) -> float:

@@ -12,7 +12,7 @@ import typer
 
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
-from vehanchor.cli.terminal import FAILED, counts_text, exit_on_error, image_progress, printable, resumable
+from vehanchor.cli.terminal import FAILED, counts_text, exit_on_error, printable, resumable, work_progress
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.text import count
 
@@ -79,7 +79,7 @@ def batch(
     """
     with exit_on_error():
         started = time.monotonic()
-        with image_progress() as progress:
+        with work_progress("images") as progress:
             if measure is not None:
                 if engine is not _Engine.local or workers or known_lengths or details:
                     raise InvalidParameterError("--measure excludes --engine, --workers, --known-lengths and --details")

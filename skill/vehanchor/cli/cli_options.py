@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
-from vehanchor.cli.collection import paused_collection
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.models.runtime import Progress, Runtime
@@ -45,7 +44,6 @@ OF_ONE_IMAGE = ("frame", "coordinates", "known_lengths", "drop", "add")
 """Options that belong to one image."""
 
 _FILE = "options_file"
-_PANEL = "Detector and runtime"
 _MODELS = {
     "detector": models.DETECTOR,
     "classes": models.CLASSES,
@@ -127,8 +125,7 @@ class ParsedOptions:
             InvalidParameterError: a value is invalid.
             CalibrationFileError: the calibration cannot be read.
         """
-        with paused_collection():
-            from vehanchor.engine import Engine
+        from vehanchor.engine import Engine
 
         options, runtime = self.options(), self.runtime(progress)
         return Engine(self.detector, segmenter, classes=self.classes, options=options, runtime=runtime)
@@ -150,7 +147,7 @@ def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., N
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        own = _resolved_parameters(command)
+        own = dict(inspect.signature(command, eval_str=True).parameters)  # Typer needs types, not their names
         del own["chosen"]
         shown = [(name, option, each) for name, option, each in _parameters() if name not in {*without, *own}]
         added = [each for _, _, each in sorted(shown, key=lambda one: not one[1].first)]
@@ -189,13 +186,13 @@ _FILE_PARAMETER = inspect.Parameter(
 def _parameters() -> Iterator[tuple[str, Option, inspect.Parameter]]:
     """Make the parameters of a Typer command: name, declaration, and a keyword-only parameter annotated for Typer."""
     for name, option in _MODELS.items():
-        yield name, option, _parameter(name, option, str, None, _PANEL)
+        yield name, option, _parameter(name, option, str, None)
     for name, each in declared_options().items():
         if each.option.cli:
-            yield name, each.option, _parameter(name, each.option, each.kind, each.default, each.panel)
+            yield name, each.option, _parameter(name, each.option, each.kind, each.default)
 
 
-def _parameter(name: str, option: Option, bare: Any, default: Any, panel: str) -> inspect.Parameter:
+def _parameter(name: str, option: Option, bare: Any, default: Any) -> inspect.Parameter:
     """Make a parameter that takes texts, which the option reads; a flag; or a list of texts."""
     flag = option.flag or re.sub("_(px|m)$", "", name).replace("_", "-")
     metavar = option.metavar or ("|".join(typing.get_args(bare)) if typing.get_origin(bare) is Literal else "")
@@ -211,19 +208,9 @@ def _parameter(name: str, option: Option, bare: Any, default: Any, panel: str) -
         f"--{flag}",
         help=rulers_help() if name == "rulers" else option.help,
         metavar=metavar or None,
-        rich_help_panel=None if option.first else panel,
         hidden=not option.first,
         show_default=str(default) if default not in (None, (), "assumed") and bare is not bool else False,
     )
     return inspect.Parameter(
         name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind | None, declared]
     )
-
-
-def _resolved_parameters(command: Callable[..., None]) -> dict[str, inspect.Parameter]:
-    """Resolve the annotations of the command's own parameters, which Typer needs."""
-    kinds = typing.get_type_hints(command, include_extras=True)
-    return {
-        name: each.replace(annotation=kinds.get(name, each.annotation))
-        for name, each in inspect.signature(command).parameters.items()
-    }

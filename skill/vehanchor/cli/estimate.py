@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -18,26 +19,22 @@ from vehanchor.cli.terminal import (
     Strict,
     exit_on_error,
     exit_strictly,
-    facts_table,
     failures_as_json,
+    print_facts,
     print_json,
-    print_table,
+    print_rows,
     print_warnings,
     printable,
     report,
-    rows_table,
-    scale_text,
-    tile_progress,
     under_one_folder,
     vehicles_text,
+    work_progress,
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
-from vehanchor.records.text import advice_for, significant
+from vehanchor.records.text import advice_for, scale_text, significant
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from vehanchor.engine import Engine
     from vehanchor.records import EstimateDetails, GsdEstimate, RulerScale, TiltEstimate
 
@@ -115,7 +112,7 @@ def estimate(
             engine.load()
         rows, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
         if rows and not as_json:
-            print_table(_summary_table(rows) if len(images) > 1 else _estimate_table(*rows[0]))
+            _print_summary(rows) if len(images) > 1 else print_facts(rows[0][0], _facts(rows[0][1]))
             for source, record in rows:
                 print_warnings(record.warnings, source if len(images) > 1 else "")
         if n_failed or n_refused:
@@ -137,11 +134,12 @@ def _estimate_all(
     """Estimate all images; return the records, the number of errors, and of images without metric outputs."""
     rows: list[tuple[str, GsdEstimate]] = []
     n_failed = n_refused = 0
-    with tile_progress(len(images), lines_on_terminal=as_json and sys.stdout.isatty()) as step:
+    with work_progress("tiles", lines=as_json and sys.stdout.isatty()) as tell:
         for number, source in enumerate(images):
             try:
                 with failures_as_json([source], as_json):
-                    analysis = engine.analyse_scale(source, progress=step(number, source))
+                    name = (f"{number + 1}/{len(images)} " if len(images) > 1 else "") + Path(source).name
+                    analysis = engine.analyse_scale(source, progress=partial(tell, name=name))
                 if as_json:
                     print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
                 rows.append((source, analysis.estimate))
@@ -172,11 +170,11 @@ def _names(images: Sequence[str], option: str, pattern: str) -> list[Path]:
     return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
 
 
-def _estimate_table(source: str, record: GsdEstimate) -> Table:
+def _facts(record: GsdEstimate) -> list[tuple[str, str]]:
     fused = any(ruler.sets_scale and ruler.kind != "vehicles" for ruler in record.rulers)
     guard = "; the vehicles are too coarse" if record.details.resolution_guard and not fused else ""
     facts = [
-        ("scale", scale_text(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)),
+        ("scale", scale_text(record)),
         ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
         ("vehicles", vehicles_text(record)),
     ]
@@ -195,12 +193,11 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
     facts.append(("image", size))
     if record.frame is not None:
         seen = record.frame
-        scale = scale_text(seen.gsd_m_per_px, seen.gsd_ci95_low_m_per_px, seen.gsd_ci95_high_m_per_px)
-        facts.append(("your frame", f"{seen.width_px} x {seen.height_px} px: {scale}"))
+        facts.append(("your frame", f"{seen.width_px} x {seen.height_px} px: {scale_text(seen)}"))
     if record.georeference_gsd_m_per_px is not None:
         facts.append(("file's own scale", f"{significant(record.georeference_gsd_m_per_px, 4)} m/px"))
     facts.append(("model", f"{record.model} ({record.details.model_sha256[:_SHORT_SHA]})"))
-    return facts_table(source, facts)
+    return facts
 
 
 def _length_text(mode_px: float, details: EstimateDetails) -> str:
@@ -225,11 +222,11 @@ def _tilt_text(tilt: TiltEstimate) -> str:
     return f"{text}; the scale is that of the centre, {least} to {largest} m/px over the image"
 
 
-def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
+def _print_summary(rows: Sequence[tuple[str, GsdEstimate]]) -> None:
     folder, names = under_one_folder([source for source, _ in rows])
     columns = {"image": "text", **dict.fromkeys(("m/px", "95 %", "confidence", "vehicles"), "number"), "status": "word"}
     cells = [(name, *_cells(record)) for name, (_, record) in zip(names, rows, strict=True)]
-    return rows_table(columns, cells, f"{len(rows)} images in {folder}" if folder else "")
+    print_rows(columns, cells, f"{len(rows)} images in {folder}" if folder else "")
 
 
 def _cells(record: GsdEstimate) -> tuple[str, ...]:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import platform
-import time
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import onnxruntime
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
+    from vehanchor.records import GsdEstimate
 
 _NEEDED = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pydantic", "mcp")
 _EXTRAS = {"rasterio": "geo", "matplotlib": "plots", "pyarrow": "parquet", "ray": "ray"}
-_PICTURE, _GSD_M_PER_PX = "bundled/check.jpg", 0.15  # a rendered car park: python -m research.scenes, seed 5
+_PICTURE, GSD_M_PER_PX = "bundled/check.jpg", 0.15  # a rendered car park: python -m research.scenes, seed 5
 _TOLERANCE = 0.15
 
 
@@ -31,39 +31,12 @@ def installed() -> list[tuple[str, str]]:
     return [*rows, ("providers", ", ".join(onnxruntime.get_available_providers()))]
 
 
-class PictureCheck(NamedTuple):
-    """Measurement of the bundled picture.
-
-    Attributes:
-        gsd_m_per_px: measured GSD; None if there is none.
-        status: status of the record.
-        seconds: duration of the measurement.
-    """
-
-    gsd_m_per_px: float | None
-    status: str
-    seconds: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether the scale is usable and correct."""
-        if self.gsd_m_per_px is None or self.status != "ok":
-            return False
-        return abs(self.gsd_m_per_px / _GSD_M_PER_PX - 1) <= _TOLERANCE
-
-    def facts(self) -> list[tuple[str, str]]:
-        """Describe the result by name and value."""
-        measured = "no scale" if self.gsd_m_per_px is None else f"{self.gsd_m_per_px:.4g} m/px"
-        return [
-            ("check", "passed" if self.passed else "FAILED: reinstall, or report this"),
-            ("measured", f"{measured} ({self.status}); true: {_GSD_M_PER_PX:g} m/px"),
-            ("seconds", f"{self.seconds:.1f}"),
-        ]
-
-
-def check_picture(engine: Engine) -> PictureCheck:
+def check_picture(engine: Engine) -> GsdEstimate:
     """Measure the bundled picture."""
-    picture = files("vehanchor.models").joinpath(_PICTURE).read_bytes()
-    started = time.perf_counter()
-    record = engine.estimate(picture)
-    return PictureCheck(record.gsd_m_per_px, record.status, time.perf_counter() - started)
+    return engine.estimate(files("vehanchor.models").joinpath(_PICTURE).read_bytes())
+
+
+def is_right(record: GsdEstimate) -> bool:
+    """Tell whether the scale of the bundled picture is usable and correct."""
+    gsd = record.gsd_m_per_px
+    return record.status == "ok" and gsd is not None and abs(gsd / GSD_M_PER_PX - 1) <= _TOLERANCE

@@ -12,9 +12,9 @@ from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_sc
 from vehanchor.cli.measured import show_measured
 from vehanchor.cli.outputs import chosen_outputs
 from vehanchor.cli.spaced import parse_point
-from vehanchor.cli.terminal import STATUS_TEXTS, Strict, quantity_text, scale_text, vehicles_text
+from vehanchor.cli.terminal import STATUS_TEXTS, Strict, vehicles_text
 from vehanchor.options.models import SEGMENTER
-from vehanchor.records.text import significant
+from vehanchor.records.text import scale_text, significant, with_interval
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -95,22 +95,14 @@ def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tupl
 
 def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
     """List the facts of the record, results first and sources last."""
-    area = quantity_text(record.area_m2, record.area_ci95_low_m2, record.area_ci95_high_m2, "m2")
-    facts = [("area", area or "none: there is no scale, or no mask")]
+    none, low, high = "none: there is no scale, or no mask", record.area_ci95_low_m2, record.area_ci95_high_m2
+    facts = [("area", with_interval(record.area_m2, low, high, "m2", none))]
     if record.area_m2 is not None:
         length, width, perimeter = (record.length_m or 0, record.width_m or 0, record.perimeter_m or 0)
+        low, high = record.inscribed_diameter_ci95_low_m, record.inscribed_diameter_ci95_high_m
         facts += [
             ("size", f"{significant(length, 4)} x {significant(width, 4)} m, perimeter {significant(perimeter, 4)} m"),
-            (
-                "largest circle",
-                quantity_text(
-                    record.inscribed_diameter_m,
-                    record.inscribed_diameter_ci95_low_m,
-                    record.inscribed_diameter_ci95_high_m,
-                    "m",
-                )
-                or "none",
-            ),
+            ("largest circle", with_interval(record.inscribed_diameter_m, low, high, "m")),
         ]
     facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
     facts += [("or the object", _other_object(each)) for each in record.alternatives]
@@ -119,7 +111,7 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
     else:
         scale = record.estimate
         facts += [
-            ("scale", scale_text(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)),
+            ("scale", scale_text(scale)),
             ("scale confidence", f"{scale.confidence:.2f}   {STATUS_TEXTS[scale.status]}"),
             ("vehicles", vehicles_text(scale)),
         ]

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.cli.outputs import check_outputs, write_outputs
 from vehanchor.cli.terminal import (
     exit_on_error,
     exit_strictly,
-    facts_table,
     failures_as_json,
+    print_facts,
     print_json,
-    print_table,
     print_warnings,
-    tile_progress,
+    work_progress,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
 
 
 def show_measured(
@@ -43,13 +43,13 @@ def show_measured(
     with exit_on_error():
         with failures_as_json([image], as_json):
             check_outputs([image], outputs.items())
-            with tile_progress(1, lines_on_terminal=as_json) as step:
-                analysis = measure(step(0, image))
+            with work_progress("tiles", lines=as_json) as tell:
+                analysis = measure(partial(tell, name=Path(image).name))
         record = analysis.measurement
         if as_json:
             print_json({"source": image, **record.model_dump(mode="json")})
         else:
-            print_table(facts_table(image, facts(record)))
+            print_facts(image, facts(record))
             print_warnings(record.warnings)
         write_outputs(analysis, outputs)
         exit_strictly(strict, [record.status])

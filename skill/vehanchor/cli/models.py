@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vehanchor.cli.cli_options import read_classes
-from vehanchor.cli.terminal import (
-    FAILED,
-    exit_on_error,
-    facts_table,
-    failures_as_json,
-    print_failure,
-    print_json,
-    print_table,
-    printable,
-)
-from vehanchor.errors import ModelError
+from vehanchor.cli.terminal import FAILED, exit_on_error, failures_as_json, print_facts, print_json
+from vehanchor.records.text import scale_text
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
     from vehanchor.rulers.standards import Standard, Variant
-
-_SHORT_SHA = 12
 
 models = typer.Typer(no_args_is_help=True, add_completion=False)
 
@@ -63,7 +51,7 @@ def _print_sizes(*, as_json: bool) -> None:
         if as_json:
             print_json({**each._asdict(), "variants": [variant._asdict() for variant in each.variants]})
         else:
-            print_table(facts_table(each.name, _size_facts(each)))
+            print_facts(each.name, _size_facts(each))
 
 
 def _size_facts(standard: Standard) -> list[tuple[str, str]]:
@@ -82,14 +70,19 @@ def _size_text(variant: Variant) -> str:
 
 def _check_installation(providers: list[str] | None) -> None:
     """List installed versions, and measure the bundled picture."""
-    from vehanchor.cli.installation import check_picture, installed
+    from vehanchor.cli import installation
     from vehanchor.engine import Engine
     from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 
-    print_table(facts_table("installed", installed()))
-    found = check_picture(Engine(runtime=Runtime(providers=providers or DEFAULT_PROVIDERS)))
-    print_table(facts_table("a picture of known scale", found.facts()))
-    if not found.passed:
+    print_facts("installed", installation.installed())
+    record = installation.check_picture(Engine(runtime=Runtime(providers=providers or DEFAULT_PROVIDERS)))
+    passed = installation.is_right(record)
+    facts = [
+        ("check", "passed" if passed else "FAILED: reinstall, or report this"),
+        ("measured", f"{scale_text(record)}, {record.status}; true: {installation.GSD_M_PER_PX:g} m/px"),
+    ]
+    print_facts("a picture of known scale", facts)
+    if not passed:
         raise typer.Exit(FAILED)
 
 
@@ -100,43 +93,29 @@ def list_models(
     """List the bundled detectors and the segmenter."""
     with exit_on_error():
         from vehanchor.engine import Engine
-        from vehanchor.models.zoo import DEFAULT_DETECTOR, SEGMENTER, bundled_models
+        from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models
 
         for name, path in bundled_models().items():
             default = name == DEFAULT_DETECTOR
-            engine = Engine(path)
-            try:
-                card = engine.detector.card
-            except ModelError as error:
-                if as_json:
-                    print_failure(str(path), error)
-                else:
-                    print(printable(f"{name}: {path}") + "\n" + printable(f"  not a detector: {error}"))
-                continue
-            if as_json:
-                print_json({"kind": "detector", "file": str(path), "default": default, **card.model_dump(mode="json")})
-            else:
-                facts = [("file", str(path)), *_card_facts(engine, sha_digits=_SHORT_SHA)]
-                print_table(facts_table(f"{name} (default)" if default else name, facts))
-        _list_segmenter(*SEGMENTER, as_json=as_json)
+            title = f"{name} (default)" if default else name
+            _print_detector(Engine(path), title, {"kind": "detector", "default": default}, as_json=as_json)
+        _print_segmenter(Engine(), as_json=as_json)
 
 
-def _list_segmenter(encoder: Path, decoder: Path, *, as_json: bool) -> None:
-    from vehanchor.engine import Engine
-
-    card = Engine(segmenter=(encoder, decoder)).segmenter.card
+def _print_segmenter(engine: Engine, *, as_json: bool) -> None:
+    segmenter, card = engine.segmenter, engine.segmenter.card
+    files = {"encoder": str(segmenter.encoder_path), "decoder": str(segmenter.decoder_path)}
     if as_json:
-        print_json({"kind": "segmenter", "encoder": str(encoder), "decoder": str(decoder), **asdict(card)})
+        print_json({"kind": "segmenter", **files, **asdict(card)})
         return
     facts = [
-        ("encoder", str(encoder)),
-        ("decoder", str(decoder)),
-        ("sha256", card.sha256[:_SHORT_SHA]),
+        *files.items(),
+        ("sha256", card.sha256),
         ("input", f"{card.input_px} px a side, {card.contract} contract"),
         ("minimum score", f"{card.min_score:g}"),
         ("licence", card.licence or "not stated"),
     ]
-    print_table(facts_table(f"{card.name} (segmenter of measure)", facts))
+    print_facts(f"{card.name} (segmenter of measure)", facts)
 
 
 @models.command("info")
@@ -154,39 +133,30 @@ def show_model(
             from vehanchor.engine import Engine
 
             engine = Engine(file, classes=read_classes(classes or ()))
-            model = engine.detector
-        if as_json:
-            print_json(
-                {"file": str(model.path), "fixed_size_px": model.fixed_size, **model.card.model_dump(mode="json")}
-            )
-            return
-        card = model.card
-        size = "any" if model.fixed_size is None else f"{model.fixed_size[1]} x {model.fixed_size[0]} px"
-        regions = ", ".join(
-            f"{name} {length:.4g} m" for name, length in sorted((card.bodies or card).region_lengths_m.items())
-        )
-        facts = [
-            ("file", str(model.path)),
-            ("input", size),
-            ("classes", ", ".join(card.class_names.values()) or "not named"),
-            *_card_facts(engine, sha_digits=len(card.sha256)),
-            ("regions", regions),
-        ]
-        print_table(facts_table(card.name, facts))
+            title = engine.detector.card.name
+        _print_detector(engine, title, {}, as_json=as_json)
 
 
-def _card_facts(engine: Engine, *, sha_digits: int) -> list[tuple[str, str]]:
-    card = engine.detector.card
-    shortest, longest = card.length_range_px
-    length_m, sd_m = (card.bodies or card).reference_length_m, (card.bodies or card).reference_length_sd_m
+def _print_detector(engine: Engine, title: str, about: dict[str, object], *, as_json: bool) -> None:
+    """Print the metadata of a detector's file; ``about`` has further members of the JSON object."""
+    model, card = engine.detector, engine.detector.card
+    if as_json:
+        file = {"file": str(model.path), "fixed_size_px": model.fixed_size}
+        print_json({**about, **file, **card.model_dump(mode="json")})
+        return
+    (shortest, longest), of_lengths = card.length_range_px, card.bodies or card
     unbiased = f"; measured without bias from {card.min_length_px:g} px" if card.min_length_px else ""
-    return [
-        ("sha256", card.sha256[:sha_digits]),
-        (
-            "reference length",
-            f"{length_m:.4g} m, sd {sd_m:.2g} m between regions",
-        ),
+    regions = (f"{name} {length:.4g} m" for name, length in sorted(of_lengths.region_lengths_m.items()))
+    mean, sd = of_lengths.reference_length_m, of_lengths.reference_length_sd_m
+    facts = [
+        ("file", str(model.path)),
+        ("input", "any" if model.fixed_size is None else f"{model.fixed_size[1]} x {model.fixed_size[0]} px"),
+        ("classes", ", ".join(card.class_names.values()) or "not named"),
+        ("sha256", card.sha256),
+        ("reference length", f"{mean:.4g} m, sd {sd:.2g} m between regions"),
         ("vehicle lengths", f"{shortest:g} to {longest:g} px{unbiased}"),
         ("minimum score", f"{card.min_score:g}"),
         ("licence", card.licence or "not stated"),
+        ("regions", ", ".join(regions)),
     ]
+    print_facts(title, facts)

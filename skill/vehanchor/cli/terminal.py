@@ -6,28 +6,24 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeAlias
 
 import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
 from vehanchor.records.foreign_text import on_one_line
-from vehanchor.records.text import by_hand_text, with_interval
+from vehanchor.records.text import by_hand_text
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
-    from rich.table import Table
-
     from vehanchor.records import GsdEstimate, Notice
 
 BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
 NOT_OK = 3  # with --strict: a result that is not usable
 FAILED = 1  # a self-test, or every image of a batch
 _LINE_EVERY_S = 10.0  # if stderr is not a terminal
-_NAME = "{task.description}"
 
 Strict: TypeAlias = Annotated[
     bool,
@@ -39,19 +35,6 @@ def exit_strictly(strict: bool, statuses: Iterable[str]) -> None:
     """Exit with ``NOT_OK`` if the caller chose ``--strict`` and a result is not usable."""
     if strict and any(status != "ok" for status in statuses):
         raise typer.Exit(NOT_OK)
-
-
-def _seldom(words: Callable[[int, int], str]) -> Callable[[int, int], None]:
-    """Report progress in one line on stderr every ten seconds, for logs."""
-    last = time.monotonic()
-
-    def tell(done: int, total: int) -> None:
-        nonlocal last
-        if time.monotonic() - last >= _LINE_EVERY_S:
-            last = time.monotonic()
-            print(words(done, total), file=sys.stderr, flush=True)
-
-    return tell
 
 
 def report(error: VehAnchorError, about: str = "") -> None:
@@ -87,59 +70,44 @@ def exit_on_error() -> Iterator[None]:
         raise typer.Exit(UNFORESEEN) from None
 
 
-@contextmanager
-def _bar(*columns: str) -> Iterator[tuple[Progress, TaskID]]:
-    """Show a progress bar on stderr, with further columns of ``rich.progress`` by name or format."""
-    from rich import progress
-    from rich.console import Console
+class Tell(Protocol):
+    """Callback for finished and all units of a work, and its name."""
 
-    made = [getattr(progress, each)() if each.isidentifier() else progress.TextColumn(each) for each in columns]
-    # By default, rich redirects stdout to stderr.
-    with progress.Progress(*made, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
-        yield bar, bar.add_task("", total=None)
+    def __call__(self, done: int, total: int, name: str = "") -> None: ...  # noqa: D102
 
 
 @contextmanager
-def tile_progress(
-    n_images: int, *, lines_on_terminal: bool
-) -> Iterator[Callable[[int, str], Callable[[int, int], None]]]:
-    """Show a progress bar if stderr is a terminal; yield a function that makes the callback for an image's tiles."""
-    if lines_on_terminal or not sys.stderr.isatty():
-        yield lambda number, source: _seldom(
-            lambda done, total: f"{printable(source)}: {done} of {total} tiles (image {number + 1} of {n_images})"
-        )
-        return
-    from rich.markup import escape
-
-    with _bar(_NAME, "BarColumn", "{task.percentage:>3.0f} %", "TimeRemainingColumn") as (bar, task):
-
-        def step(number: int, source: str) -> Callable[[int, int], None]:
-            count = f"{number + 1}/{n_images} " if n_images > 1 else ""
-            bar.reset(task, total=None, description=escape(printable(count + Path(source).name)))
-            return lambda done, total: bar.update(task, completed=done, total=total)
-
-        yield step
-
-
-@contextmanager
-def image_progress(work: Callable[[int, int], str] | None = None) -> Iterator[Callable[[int, int], None]]:
-    """Report finished images on stderr: a bar on a terminal, a line now and then in a log.
+def work_progress(unit: str, *, lines: bool = False) -> Iterator[Tell]:
+    """Report work on stderr: a bar on a terminal, else a line every ten seconds; yield the callback.
 
     Args:
-        work: names the present work by the numbers of finished and of all images; None for no name.
+        unit: what is counted, in the plural.
+        lines: write lines also on a terminal.
     """
-    name = work or (lambda _done, _total: "")
-    if not sys.stderr.isatty():
-        yield _seldom(lambda done, total: f"{name(done, total)} {done} of {total} images".lstrip())
+    if lines or not sys.stderr.isatty():
+        last = time.monotonic()
+
+        def tell(done: int, total: int, name: str = "") -> None:
+            nonlocal last
+            if time.monotonic() - last >= _LINE_EVERY_S:
+                last = time.monotonic()
+                print(printable(f"{name} {done} of {total} {unit}".lstrip()), file=sys.stderr, flush=True)
+
+        yield tell
         return
-    named = (_NAME,) if work else ()
-    with _bar(*named, "MofNCompleteColumn", "BarColumn", "TimeElapsedColumn", "TimeRemainingColumn") as (bar, task):
-        yield lambda done, total: bar.update(task, completed=done, total=total, description=name(done, total))
+    from rich import progress
+    from rich.console import Console
+    from rich.markup import escape
 
-
-def print_failure(source: str, error: VehAnchorError) -> None:
-    """Print the JSON object of a failed image."""
-    print_json({"source": source, "error": {"code": error.code, "message": str(error)}})
+    columns = (progress.TextColumn("{task.description}"), progress.BarColumn(), progress.MofNCompleteColumn())
+    # By default, rich redirects stdout to stderr.
+    with progress.Progress(
+        *columns, progress.TimeRemainingColumn(), console=Console(stderr=True), transient=True, redirect_stdout=False
+    ) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total, name="": bar.update(
+            task, completed=done, total=total, description=escape(printable(name))
+        )
 
 
 @contextmanager
@@ -149,7 +117,7 @@ def failures_as_json(sources: Iterable[str], wanted: bool) -> Iterator[None]:
         yield
     except VehAnchorError as error:
         for source in sources if wanted else ():
-            print_failure(source, error)
+            print_json({"source": source, "error": {"code": error.code, "message": str(error)}})
         raise
 
 
@@ -163,67 +131,54 @@ def printable(text: str, *, lines: bool = False) -> str:
     return "\n".join(map(on_one_line, text.split("\n"))) if lines else on_one_line(text)
 
 
-def print_table(table: Table) -> None:
-    """Print a table on stdout, as wide as the terminal."""
-    from rich.console import Console
-
-    Console(soft_wrap=False, highlight=False).print(table)
+def print_facts(title: str, facts: Iterable[tuple[str, str]]) -> None:
+    """Print names and values in two columns under a title."""
+    print_rows({"name": "name", "value": "text"}, facts, title, heading=False)
 
 
-def facts_table(title: str, facts: Sequence[tuple[str, str]]) -> Table:
-    """Make a table of names and values in two columns."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(
-        box=box.SIMPLE_HEAD, show_header=False, title=Text(printable(title)), title_justify="left", title_style="bold"
-    )
-    table.add_column(style="cyan", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in facts:
-        table.add_row(name, Text(printable(value)))
-    return table
-
-
-def rows_table(columns: Mapping[str, str], rows: Iterable[Sequence[str]], title: str = "") -> Table:
-    """Make a table with a heading for each column.
+def print_rows(
+    columns: Mapping[str, str], rows: Iterable[Sequence[str]], title: str = "", *, heading: bool = True
+) -> None:
+    """Print a table on stdout, as wide as the terminal.
 
     Args:
-        columns: their kinds by heading: ``text`` is folded, ``number`` is on the right, ``word`` on the left.
+        columns: their kinds by heading: ``text`` is folded, ``number`` is on the right, ``word`` on the left, ``name``
+            is coloured.
         rows: the cells of each row.
-        title: heading of the table; empty for none.
+        title: title of the table; empty for none.
+        heading: print the headings of the columns.
     """
     from rich import box
+    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    heading = Text(printable(title)) if title else None
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=heading, title_justify="left", title_style="bold")
+    shown = Text(printable(title)) if title else None
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        pad_edge=not heading,
+        show_header=heading,
+        title=shown,
+        title_justify="left",
+        title_style="bold",
+    )
     for name, kind in columns.items():
-        if kind == "text":
-            table.add_column(name, overflow="fold")
-        else:
-            table.add_column(name, justify="right" if kind == "number" else "left", no_wrap=True)
+        table.add_column(
+            name,
+            style="cyan" if kind == "name" else None,
+            overflow="fold" if kind == "text" else "ellipsis",
+            no_wrap=kind != "text",
+            justify="right" if kind == "number" else "left",
+        )
     for row in rows:
         table.add_row(*(Text(printable(cell)) for cell in row))
-    return table
+    Console(soft_wrap=False, highlight=False).print(table)
 
 
 def counts_text(counts: Mapping[str, int]) -> str:
     """List the numbers of results by status."""
     statuses = ("ok", "low_confidence", "no_scale", "error")
     return ", ".join(f"{counts[status]} {status}" for status in statuses if status in counts)
-
-
-def scale_text(gsd: float | None, low: float | None, high: float | None) -> str:
-    """Format a scale with its interval."""
-    return quantity_text(gsd, low, high, "m/px") or "none: nothing of known size found"
-
-
-def quantity_text(value: float | None, low: float | None, high: float | None, unit: str) -> str:
-    """Format a quantity with its interval; empty without a value."""
-    return "" if value is None else with_interval(value, low, high, unit)
 
 
 STATUS_TEXTS = {

@@ -66,7 +66,7 @@ def analyse_objects(
     options.frame.check(raster.width_px, raster.height_px)
     prompts = [prompt_in_image(each, options.frame, raster.width_px, raster.height_px) for each in prompts]
     # Masks first: they are faster than the search, and an invalid prompt fails early.
-    masks = segmenter.segment_all(raster, prompts, limits=options.reading.limits)
+    masks = segmenter.segment(raster, prompts, limits=options.reading.limits)
     found = resolve_scale(raster, scale, options, object_height_m=object_height_m)
     return tuple(
         AreaAnalysis(
@@ -92,7 +92,6 @@ def _conclude(
     mask, left, top = found.mask, found.window.x_px, found.window.y_px
     circle = inscribed_circle(mask)
     n_px = int(mask.sum())
-    gsd, estimate = scale.gsd_m_per_px, scale.estimate
     outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
     measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, not a size of zero
     area = diameter = _Size()
@@ -108,11 +107,7 @@ def _conclude(
         area_m2=area.value,
         area_ci95_low_m2=area.low,
         area_ci95_high_m2=area.high,
-        scale_confidence=scale.confidence,
-        gsd_m_per_px=gsd,
-        n_vehicles=None if estimate is None else estimate.n_vehicles,
-        mode_length_px=None if estimate is None else estimate.mode_length_px,
-        scale_source=scale.source,
+        mode_length_px=scale.estimate and scale.estimate.mode_length_px,
         mask_area_px=n_px,
         mask_score=found.score,
         perimeter_m=measured and outline_px * measured,
@@ -125,14 +120,11 @@ def _conclude(
         bounding_box=box,
         alternatives=tuple(_other_object(each, scale) for each in found.alternatives),
         outline=_outline(mask, left, top),
-        image_width_px=raster.width_px,
-        image_height_px=raster.height_px,
-        frame=_frame(options.frame, raster, gsd, box),
-        scale=scale.known,
-        estimate=estimate,
+        frame=_frame(options.frame, raster, scale.gsd_m_per_px, box),
         segmenter=card.name,
         segmenter_sha256=card.sha256,
         warnings=(*scale.notices, *mask_notices(raster, found, prompt, card, width_px)),
+        **scale.fields(raster.width_px, raster.height_px),
     )
 
 
@@ -170,7 +162,7 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolyg
         return OutlineRing(points=tuple(ImagePoint(x_px=float(x) + left, y_px=float(y) + top) for x, y in points))
 
     return tuple(
-        OutlinePolygon(exterior=ring(part.exterior), holes=tuple(map(ring, part.holes))) for part in outline_parts(mask)
+        OutlinePolygon(exterior=ring(around), holes=tuple(map(ring, holes))) for around, *holes in outline_parts(mask)
     )
 
 

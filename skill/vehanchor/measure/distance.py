@@ -18,6 +18,7 @@ from vehanchor.measure.resolved_scale import resolve_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import DistanceMeasurement, ImagePoint
+from vehanchor.segmentation.prompt import read_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,12 +42,7 @@ def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
     """
     places = []
     for each in _places_of(path):
-        try:
-            x, y = (float(value) for value in each)
-        except (TypeError, ValueError):
-            raise PromptError(f"a point of the path is {each!r}: use x, y") from None
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise PromptError(f"a point of the path is {x}, {y}: use finite numbers")
+        x, y = read_numbers(each, (2,), "a point of the path", "x, y")
         places.append((x, y))
     if not 2 <= len(places) <= MAX_PATH_POINTS:
         raise PromptError(f"the path has {len(places)} points: give two, or up to {MAX_PATH_POINTS} along a line")
@@ -133,7 +129,7 @@ def _length_sd(places: Sequence[Place], unit_px: tuple[float, float]) -> float:
 
 def _conclude(places: Sequence[Place], coordinates: CoordinateFrame, scale: ResolvedScale) -> DistanceMeasurement:
     """Make the record from path and scale."""
-    length_px, gsd, estimate = _length(places), scale.gsd_m_per_px, scale.estimate
+    length_px = _length(places)
     distance, low, high = scale.length_m(places), None, None
     if distance is not None:
         low, high = scale.spread.plus(_length_sd(places, coordinates.unit_px) / length_px).around(distance)
@@ -142,15 +138,8 @@ def _conclude(places: Sequence[Place], coordinates: CoordinateFrame, scale: Reso
         distance_m=distance,
         distance_ci95_low_m=low,
         distance_ci95_high_m=high,
-        scale_confidence=scale.confidence,
-        gsd_m_per_px=gsd,
-        n_vehicles=None if estimate is None else estimate.n_vehicles,
-        scale_source=scale.source,
         length_px=length_px,
         path=tuple(ImagePoint(x_px=x, y_px=y) for x, y in places),
-        image_width_px=coordinates.width_px,
-        image_height_px=coordinates.height_px,
-        scale=scale.known,
-        estimate=estimate,
         warnings=scale.notices,
+        **scale.fields(coordinates.width_px, coordinates.height_px),
     )

@@ -143,6 +143,19 @@ class ResolvedScale:
         """Record of the scale; None unless it was estimated now."""
         return None if self.analysis is None else self.analysis.estimate
 
+    def fields(self, width_px: int, height_px: int) -> dict[str, Any]:
+        """Make the fields that the records of areas and distances share, for an image of this size."""
+        return {
+            "scale_confidence": self.confidence,
+            "gsd_m_per_px": self.gsd_m_per_px,
+            "n_vehicles": None if self.estimate is None else self.estimate.n_vehicles,
+            "scale_source": self.source,
+            "image_width_px": width_px,
+            "image_height_px": height_px,
+            "scale": self.known,
+            "estimate": self.estimate,
+        }
+
     @property
     def status(self) -> Status:
         """Status of the scale."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from vehanchor.analysis.pipeline import analyse_raster
@@ -16,7 +16,7 @@ from vehanchor.segmentation.prompt import prompt_in_image, read_prompt
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.metadata.georeference import Ground
@@ -133,7 +133,8 @@ def measure_targets(
     """
     try:
         with open_raster(image, options.reading) as raster:
-            return list(_rows(raster, targets, detector, segmenter, options))
+            rows = _rows(raster, targets, detector, segmenter, options)
+            return [rows[target] for target in targets]
     except VehAnchorError as error:
         return [TargetRow(target, error=error) for target in targets]
 
@@ -150,16 +151,19 @@ def _target(row: Mapping[str, str | None]) -> Target:
 
 def _rows(
     raster: Raster, targets: Sequence[Target], detector: Detector, segmenter: Segmenter, options: ScaleOptions
-) -> Iterator[TargetRow]:
-    """Measure objects together, because their search and their decoding are shared; then lines with that scale."""
-    scale: ScaleInput = partial(analyse_raster, detector)
+) -> dict[Target, TargetRow]:
+    """Measure all targets with one search; objects together, because they share their decoding."""
+    search = cache(lambda: analyse_raster(detector, raster, options))
+    scale: ScaleInput = lambda *_: search()  # noqa: E731
     rows: dict[Target, TargetRow] = {}
     prompts = {}
     for target in targets:
-        if target.kind == "line":
-            continue
+        given: Any = target.numbers
         try:
-            given: Any = target.numbers
+            if target.kind == "line":
+                (line,) = analyse_paths(raster, [read_path([given[:2], given[2:]])], scale, options)
+                rows[target] = TargetRow(target, line.measurement, raster.ground)
+                continue
             prompt = read_prompt(given, None) if target.kind == "box" else read_prompt(None, [given])
             prompt_in_image(prompt, options.frame, raster.width_px, raster.height_px)
             prompts[target] = prompt
@@ -169,15 +173,4 @@ def _rows(
         found = analyse_objects(raster, list(prompts.values()), segmenter, scale, options)
         for target, each in zip(prompts, found, strict=True):
             rows[target] = TargetRow(target, each.measurement, raster.ground)
-        scale = found[0].measurement.scale or scale
-    for target in targets:
-        if target.kind == "line":
-            try:
-                x1, y1, x2, y2 = target.numbers
-                path = read_path([(x1, y1), (x2, y2)])
-                (line,) = analyse_paths(raster, [path], scale, options)
-                rows[target] = TargetRow(target, line.measurement, raster.ground)
-                scale = line.measurement.scale or scale
-            except PromptError as error:
-                rows[target] = TargetRow(target, error=error)
-    return (rows[target] for target in targets)
+    return rows

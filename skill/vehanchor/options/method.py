@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import BeforeValidator, Field
 
@@ -51,8 +51,6 @@ class Search:
     Raises:
         InvalidParameterError: a number is invalid, or the effort is unknown.
     """
-
-    panel: ClassVar[str] = "Search"
 
     min_score: Annotated[
         _Share | None, Option("Lowest accepted detection score, 0 to 1. Default: the model's.", metavar="P")
@@ -120,8 +118,6 @@ class Lengths:
         InvalidParameterError: alpha is not a number >= 1, or the aggregation is unknown.
     """
 
-    panel: ClassVar[str] = "Lengths"
-
     aggregation: Annotated[
         Aggregation | None,
         Option("Statistic of the lengths; a KDE becomes the median below 5 vehicles. Default: the model's, or kde."),
@@ -163,8 +159,6 @@ class Reference:
         InvalidParameterError: two are given, or the length is not a number from 2 to 20.
         CalibrationFileError: the calibration cannot be read.
     """
-
-    panel: ClassVar[str] = "Reference length"
 
     reference_length_m: Annotated[
         Annotated[float, Limits(LEAST_VEHICLE_M, LARGEST_VEHICLE_M, unit="m")] | None,
@@ -232,8 +226,6 @@ class Method:
     Raises:
         InvalidParameterError: the preset is unknown.
     """
-
-    panel: ClassVar[str] = "Method"
 
     preset: Annotated[
         Preset | None,

@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 import numbers
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
-from pydantic import ConfigDict, Strict, ValidationError
+from pydantic import BeforeValidator, ConfigDict, Strict, ValidationError
 from pydantic.dataclasses import dataclass as validated
 from pydantic_core import PydanticCustomError, core_schema
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from dataclasses import dataclass as group  # mypy knows it; below is what runs
 
-__all__ = ["Flag", "Limits", "Number", "Option", "group", "refusal", "set_frozen"]
+__all__ = ["Flag", "Limits", "Number", "Option", "group", "in_order", "refusal", "set_frozen"]
 
 _TEXT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)\s*([a-z%]*)", re.IGNORECASE)
 _UNITS = {
@@ -203,6 +204,18 @@ def refusal(kind: Any, error: ValidationError) -> VehAnchorError:
         words = f"use one of {first['ctx']['expected'].replace(' or ', ', ').replace(chr(39), '')}"
     refused: VehAnchorError = made(f"{'.'.join(place)} is {_shown(first['input'])}: {words}")
     return refused
+
+
+def in_order(*names: str) -> BeforeValidator:
+    """Make a validator that reads the fields of a group from their values in order, or from one text."""
+
+    def read(value: Any) -> Any:
+        values = value.replace(",", " ").split() if isinstance(value, str) else value
+        if isinstance(values, dict) or not isinstance(values, Iterable):
+            return values
+        return dict(zip((*names, *map(str, range(64))), values, strict=False))
+
+    return BeforeValidator(read)
 
 
 def set_frozen(group: Any, name: str, value: Any) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
-from pydantic import BeforeValidator, Field, InstanceOf
+from pydantic import Field, InstanceOf
 
 from vehanchor.errors import FrameError
-from vehanchor.options.option import Flag, Limits, Option, group, set_frozen
+from vehanchor.options.option import Flag, Limits, Option, group, in_order, set_frozen
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,14 +64,6 @@ class FrameSize:
     height_px: _Side
 
 
-def _sides(value: Any) -> Any:
-    """Read a width and a height."""
-    parts = value.replace("x", " ").replace(",", " ").split() if isinstance(value, str) else value
-    if isinstance(parts, Sequence) and len(parts) == 2:
-        return {"width_px": parts[0], "height_px": parts[1]}
-    return value
-
-
 @group(frozen=True)
 class Frame:
     """The caller's resized copy of the image, and the units of its coordinates.
@@ -86,11 +77,9 @@ class Frame:
         InvalidParameterError: a side is not a whole number >= 1, or the units are unknown.
     """
 
-    panel: ClassVar[str] = "Reading the image"
-
     frame: Annotated[
         FrameSize | None,
-        BeforeValidator(_sides),
+        in_order("width_px", "height_px"),
         Option("Size of your resized copy.", metavar="W H", tools="all"),
         Field(examples=[{"width_px": 1024, "height_px": 768}]),
     ] = None
@@ -102,16 +91,6 @@ class Frame:
     def size(self) -> tuple[int, int] | None:
         """Width and height of the copy, pixels; None without a copy."""
         return None if self.frame is None else (self.frame.width_px, self.frame.height_px)
-
-    def extent(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """Give the largest coordinates to the right and down, in their own units.
-
-        Args:
-            width_px: width of the image.
-            height_px: height of the image.
-        """
-        share = _SHARES.get(self.coordinates)
-        return (share, share) if share else self.size or (width_px, height_px)
 
     def check(self, width_px: int, height_px: int) -> None:
         """Check that the frame has the aspect ratio of the image, and is not a crop or another image.
@@ -156,8 +135,9 @@ class CoordinateFrame:
 
     @property
     def extent(self) -> tuple[int, int]:
-        """Largest coordinates to the right and down."""
-        return self.frame.extent(self.width_px, self.height_px)
+        """Largest coordinates to the right and down, in their own units."""
+        share = _SHARES.get(self.frame.coordinates)
+        return (share, share) if share else self.frame.size or (self.width_px, self.height_px)
 
     @property
     def unit_px(self) -> tuple[float, float]:
@@ -215,10 +195,6 @@ _MEGAPIXEL = 1_000_000
 _Band = Annotated[int, Limits(least=1, whole=True)]
 
 
-def _words(value: Any) -> Any:
-    return value.replace(",", " ").split() if isinstance(value, str) else value
-
-
 @group(frozen=True)
 class Reading:
     """Options of reading an image.
@@ -233,11 +209,8 @@ class Reading:
         InvalidParameterError: a number is invalid, or the bands are not three whole numbers >= 1.
     """
 
-    panel: ClassVar[str] = "Reading the image"
-
     bands: Annotated[
         tuple[_Band, _Band, _Band] | None,
-        BeforeValidator(_words),
         Option("Bands for red, green and blue, from 1. Default: the first three.", metavar="R G B"),
     ] = None
     limits: Annotated[InstanceOf[ImageLimits], Option("Limits on the cost of an image.", cli=False)] = field(

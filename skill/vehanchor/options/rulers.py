@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, get
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
-from vehanchor.options.option import Flag, Limits, Number, Option, group, refusal
+from vehanchor.options.option import Flag, Limits, Number, Option, group, in_order, refusal
 from vehanchor.scale.defaults import LARGEST_GSD_M_PER_PX, LEAST_GSD_M_PER_PX
 
 GSD_M_PER_PX = Limits(LEAST_GSD_M_PER_PX, LARGEST_GSD_M_PER_PX)
@@ -33,18 +33,6 @@ _NUMBER = Limits(1, 1_000_000, whole=True)
 _MIN_LINE_PX = 5.0  # on a shorter line, an error of a pixel at each end exceeds a quarter
 
 
-def in_order(*names: str) -> BeforeValidator:
-    """Make a validator that reads the fields of a group from their values in order, or from one text."""
-
-    def read(value: Any) -> Any:
-        values = value.replace(",", " ").split() if isinstance(value, str) else value
-        if isinstance(values, dict) or not isinstance(values, Iterable):
-            return values
-        return dict(zip((*names, *map(str, range(64))), values, strict=False))
-
-    return BeforeValidator(read)
-
-
 @group(frozen=True)
 class Segment:
     """Straight line in the picture.
@@ -66,15 +54,29 @@ class Segment:
         """Length of the line in pixels."""
         return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
 
-    @property
-    def ends(self) -> str:
-        """Both ends, for messages."""
-        return f"from ({self.x1:g}, {self.y1:g}) to ({self.x2:g}, {self.y2:g})"
+    def check(self, name: str, error: type[InvalidParameterError], size: tuple[int, int] | None = None) -> None:
+        """Check that the line is long enough, and inside a picture.
 
-    def inside(self, width_px: int, height_px: int) -> bool:
-        """Tell whether both ends are in a picture of this size."""
-        across, down = (self.x1, self.x2), (self.y1, self.y2)
-        return all(0 <= x <= width_px for x in across) and all(0 <= y <= height_px for y in down)
+        Args:
+            name: of the line, for the message.
+            error: class of the error.
+            size: width and height of the picture, pixels; None checks the length alone.
+
+        Raises:
+            InvalidParameterError: the line is shorter than five pixels, or an end is outside.
+        """
+        if self.length_px < _MIN_LINE_PX:
+            raise error(f"{name} is {self.length_px:.1f} px long: give both ends of one of {_MIN_LINE_PX:g} px or more")
+        if size and not (
+            min(self.x1, self.x2) >= 0
+            and max(self.x1, self.x2) <= size[0]
+            and min(self.y1, self.y2) >= 0
+            and max(self.y1, self.y2) <= size[1]
+        ):
+            raise error(
+                f"{name}, from ({self.x1:g}, {self.y1:g}) to ({self.x2:g}, {self.y2:g}), leaves the picture of "
+                f"{size[0]} x {size[1]} px: give both ends in its pixels"
+            )
 
 
 @group(frozen=True)
@@ -126,8 +128,6 @@ class ByHand:
         InvalidParameterError: a number or an axis is invalid.
     """
 
-    panel: ClassVar[str] = "Vehicles by hand"
-
     drop: Annotated[
         tuple[int, ...],
         BeforeValidator(vehicle_numbers),
@@ -159,28 +159,6 @@ class ByHand:
         """
         if self.given:
             raise InvalidParameterError(f"{self.given} belongs to one image: estimate that image by itself")
-
-    def check(self, width_px: int, height_px: int) -> None:
-        """Check that all axes are inside the image or frame, and long enough.
-
-        Args:
-            width_px: width of the frame, or of the image without a frame.
-            height_px: its height.
-
-        Raises:
-            InvalidParameterError: an end is outside, or an axis is shorter than five pixels.
-        """
-        for number, axis in enumerate(self.add, 1):
-            if not axis.inside(width_px, height_px):
-                raise InvalidParameterError(
-                    f"add {number}, {axis.ends}, leaves the picture of {width_px} x {height_px} px: give both ends in "
-                    "its pixels"
-                )
-            if axis.length_px < _MIN_LINE_PX:
-                raise InvalidParameterError(
-                    f"add {number} is {axis.length_px:.1f} px long: give both ends of a car of {_MIN_LINE_PX:g} px "
-                    "or more"
-                )
 
 
 Basis: TypeAlias = Literal["assumed", "measured"]
@@ -316,8 +294,6 @@ class Rulers:
         InvalidParameterError: a number is invalid, or the rulers are not a list of names.
     """
 
-    panel: ClassVar[str] = "Other rulers"
-
     rulers: Annotated[
         Annotated[tuple[str, ...], BeforeValidator(_names)] | None,
         Option("Rulers to use, with commas. Default: all.", metavar="NAMES", first=True),
@@ -383,33 +359,3 @@ class Rulers:
         if gsd is None:
             return None
         return StatedScale(gsd, self.gsd_basis, self.gsd_tolerance or _STATED_TOLERANCE * gsd)
-
-    def check_lengths(self) -> None:
-        """Check that no line is too short.
-
-        Raises:
-            KnownLengthError: a line is shorter than five pixels.
-        """
-        for line in self.known_lengths:
-            if line.length_px < _MIN_LINE_PX:
-                raise KnownLengthError(
-                    f"the line of known length is {line.length_px:.1f} px long: use one of {_MIN_LINE_PX:g} px or more"
-                )
-
-    def check(self, width_px: int, height_px: int) -> None:
-        """Check that all lines are inside the image or frame, and long enough.
-
-        Args:
-            width_px: width of the frame, or of the image without a frame.
-            height_px: its height.
-
-        Raises:
-            KnownLengthError: an end is outside, or a line is shorter than five pixels.
-        """
-        self.check_lengths()
-        for line in self.known_lengths:
-            if not line.inside(width_px, height_px):
-                raise KnownLengthError(
-                    f"the line {line.ends} leaves the picture of {width_px} x {height_px} px: give both ends in its "
-                    "pixels"
-                )

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from vehanchor.errors import InvalidParameterError
+from vehanchor.errors import InvalidParameterError, KnownLengthError
 from vehanchor.options.method import PRESETS, Lengths, Method, Reference, Search
 from vehanchor.options.option import Option
-from vehanchor.options.reading import Frame, Reading
+from vehanchor.options.reading import CoordinateFrame, Frame, Reading
 from vehanchor.options.rulers import AddedVehicle, ByHand, KnownLength, Rulers
 
 if TYPE_CHECKING:
@@ -45,7 +45,13 @@ class ScaleOptions:
 
     def __post_init__(self) -> None:
         if self.frame.coordinates == "pixels":
-            self.rulers.check_lengths()
+            self._check_lines(None)
+
+    def _check_lines(self, size: tuple[int, int] | None) -> None:
+        for line in self.rulers.known_lengths:
+            line.check("the line of known length", KnownLengthError, size)
+        for number, axis in enumerate(self.by_hand.add, 1):
+            axis.check(f"add {number}", InvalidParameterError, size)
 
     def in_pixels(self, width_px: int, height_px: int) -> ScaleOptions:
         """Convert lines and added vehicles to pixels of the frame, or of the image without a frame.
@@ -59,7 +65,7 @@ class ScaleOptions:
             InvalidParameterError: so does an added vehicle.
         """
         picture = self.frame.size or (width_px, height_px)
-        extent = self.frame.extent(width_px, height_px)
+        extent = CoordinateFrame(self.frame, width_px, height_px).extent
         across, down = picture[0] / extent[0], picture[1] / extent[1]
 
         def in_picture(line: _Line) -> _Line:
@@ -73,8 +79,7 @@ class ScaleOptions:
                 by_hand=replace(self.by_hand, add=tuple(map(in_picture, self.by_hand.add))),
                 frame=replace(self.frame, coordinates="pixels"),
             )
-        told.rulers.check(*picture)
-        told.by_hand.check(*picture)
+        told._check_lines(picture)
         return told
 
     @classmethod
@@ -123,7 +128,6 @@ class DeclaredOption(NamedTuple):
     Attributes:
         keyword: keyword of the verbs, and field of the group.
         group: name of the group in ``ScaleOptions``.
-        panel: heading in ``--help``.
         option: its declaration.
         annotation: its type with limits and declaration.
         kind: type of its values alone.
@@ -132,7 +136,6 @@ class DeclaredOption(NamedTuple):
 
     keyword: str
     group: str
-    panel: str
     option: Option
     annotation: Any
     kind: Any
@@ -149,5 +152,5 @@ def declared_options() -> dict[str, DeclaredOption]:
             option = next(part for part in annotations[name].__metadata__ if isinstance(part, Option))
             given = [kind for kind in typing.get_args(kinds[name]) if kind is not type(None)]
             kind = given[0] if type(None) in typing.get_args(kinds[name]) else kinds[name]
-            found[name] = DeclaredOption(name, group, options.panel, option, annotations[name], kind, default)
+            found[name] = DeclaredOption(name, group, option, annotations[name], kind, default)
     return found

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from vehanchor.pictures.lettering import FONT, font_scale
+from vehanchor.pictures.lettering import write_on
+from vehanchor.pictures.placement import Cut
 from vehanchor.pictures.scale import read_reduced
 
 if TYPE_CHECKING:
@@ -44,11 +45,7 @@ def draw_grid(raster: Raster, part: Window, long_side_px: int, max_enlargement: 
         max_enlargement: largest side of the image's pixels in the picture.
         lines: whether to draw the grid.
     """
-    picture = read_reduced(raster, part)
-    factor = min(max_enlargement, long_side_px / max(part.width_px, part.height_px))
-    size = max(1, round(part.width_px * factor)), max(1, round(part.height_px * factor))
-    method = cv2.INTER_AREA if size[0] < picture.shape[1] else cv2.INTER_CUBIC
-    rgb = np.array(cv2.resize(picture, size, interpolation=method), dtype=np.uint8)
+    rgb = Cut(part, long_side_px).sized(read_reduced(raster, part), max_enlargement, cv2.INTER_CUBIC)
     step = _round_step(max(part.width_px, part.height_px) / _LINES)
     if lines:
         _draw_lines(rgb, part, step)
@@ -66,9 +63,9 @@ def _draw_lines(rgb: NDArray[np.uint8], part: Window, step: int) -> None:
         _lighten(rgb[at : at + 1])
     capital = min(_MAX_TEXT_PX, max(_MIN_TEXT_PX, max(width, height) // _TEXT_SHARE))
     for x, at in columns:
-        _write(rgb, f"{x}", (at + 3, capital + 3), capital)
+        write_on(rgb, f"{x}", (at + 3, capital + 3), capital)
     for y, at in rows:
-        _write(rgb, f"{y}", (3, at - 3), capital)
+        write_on(rgb, f"{y}", (3, at - 3), capital)
 
 
 def _round_step(pixels: float) -> int:
@@ -84,12 +81,3 @@ def _multiples(step: int, start: int, length: int) -> range:
 
 def _lighten(line: NDArray[np.uint8]) -> None:
     line[:] = np.rint((1 - _LIGHT) * line + _LIGHT * 255).astype(np.uint8)
-
-
-def _write(rgb: NDArray[np.uint8], text: str, origin: tuple[int, int], capital_px: int) -> None:
-    """Write white text with a black rim, which is legible on any background."""
-    cover = np.zeros(rgb.shape[:2], np.uint8)
-    cv2.putText(cover, text, origin, FONT, font_scale(capital_px), 255, 1, cv2.LINE_AA)
-    rim = cv2.dilate(cover, np.ones((3, 3), np.uint8))
-    rgb[:] = np.rint(rgb * (1 - rim[:, :, None] / 255.0)).astype(np.uint8)
-    rgb[:] = np.maximum(rgb, cover[:, :, None])

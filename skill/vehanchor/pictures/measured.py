@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.pictures.drawable import DrawableArea, DrawableDistance, DrawableMeasurement
+    from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence, MeasuredEvidence
     from vehanchor.pictures.placement import Placement
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
@@ -35,7 +35,7 @@ _OUTSIDE_RGB = (213, 94, 0)  # Okabe and Ito's vermilion, for points outside the
 _TINT = 0.35
 
 
-def draw_area(image: NDArray[np.uint8], *analyses: DrawableArea, cut: Cut | None = None) -> NDArray[np.uint8]:
+def draw_area(image: NDArray[np.uint8], *analyses: AreaEvidence, cut: Cut | None = None) -> NDArray[np.uint8]:
     """Draw measured objects with their evidence and a caption with area, mask, scale and confidence.
 
     Several objects are numbered. A cut that is enlarged shows the pixels of the masks.
@@ -58,14 +58,14 @@ def draw_area(image: NDArray[np.uint8], *analyses: DrawableArea, cut: Cut | None
     return _finished(canvas, analyses[0], [_area_text(analysis.measurement) for analysis in analyses])
 
 
-def cut_to_objects(analyses: Sequence[DrawableArea], long_side_px: int = CUT_SIDE_PX) -> Cut:
+def cut_to_objects(analyses: Sequence[AreaEvidence], long_side_px: int = CUT_SIDE_PX) -> Cut:
     """Cut the image to measured objects and their prompts."""
     points = np.concatenate([_extent(analysis) for analysis in analyses])
     record = analyses[0].measurement
     return Cut(part_around(points, record.image_width_px, record.image_height_px), long_side_px)
 
 
-def _extent(analysis: DrawableArea) -> NDArray[np.float64]:
+def _extent(analysis: AreaEvidence) -> NDArray[np.float64]:
     """Return points that span the mask and the prompt, ``[n, 2]`` pixels of the image."""
     prompt, box = analysis.prompt, analysis.measurement.bounding_box
     points = [(x, y) for x, y, _ in prompt.points]
@@ -76,7 +76,7 @@ def _extent(analysis: DrawableArea) -> NDArray[np.float64]:
     return np.array(points, dtype=np.float64)
 
 
-def full_mask(analysis: DrawableArea, max_pixels: int) -> NDArray[np.uint8]:
+def full_mask(analysis: AreaEvidence, max_pixels: int) -> NDArray[np.uint8]:
     """Draw the mask in the size of the image: ``[h, w, 3]``, 255 on the object and 0 elsewhere.
 
     Raises:
@@ -95,7 +95,7 @@ def full_mask(analysis: DrawableArea, max_pixels: int) -> NDArray[np.uint8]:
     return full
 
 
-def draw_distance(image: NDArray[np.uint8], *analyses: DrawableDistance, cut: Cut | None = None) -> NDArray[np.uint8]:
+def draw_distance(image: NDArray[np.uint8], *analyses: DistanceEvidence, cut: Cut | None = None) -> NDArray[np.uint8]:
     """Draw measured lines with their evidence and a caption with length, scale and confidence.
 
     A usable length is also written beside the middle of its line. Several lines are numbered.
@@ -123,7 +123,7 @@ def cut_to_lines(records: Sequence[DistanceMeasurement], long_side_px: int = CUT
     return Cut(part_around(points, records[0].image_width_px, records[0].image_height_px), long_side_px)
 
 
-def _draw_mask(picture: NDArray[np.uint8], analysis: DrawableArea, place: Placement) -> None:
+def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placement) -> None:
     """Tint the object and draw its outline, both from the mask, because the record's outline is simplified."""
     mask, window = analysis.segmentation.mask, analysis.segmentation.window
     corners = place.at([[window.x_px, window.y_px], [window.x_px + window.width_px, window.y_px + window.height_px]])
@@ -143,7 +143,7 @@ def _draw_mask(picture: NDArray[np.uint8], analysis: DrawableArea, place: Placem
     cv2.polylines(picture, [ring + at for ring in rings], True, MEASURED_RGB, line_px(picture))
 
 
-def _draw_prompt(picture: NDArray[np.uint8], analysis: DrawableArea, place: Placement) -> None:
+def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placement) -> None:
     prompt, line, fine = analysis.prompt, line_px(picture), 1 << SUBPIXEL_BITS
     if prompt.box is not None:
         corners = place.fine(np.reshape(prompt.box, (2, 2))).tolist()
@@ -155,7 +155,7 @@ def _draw_prompt(picture: NDArray[np.uint8], analysis: DrawableArea, place: Plac
         cv2.circle(picture, at, 2 * line * fine, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
-def _write_number(picture: NDArray[np.uint8], number: str, analysis: DrawableArea, place: Placement) -> None:
+def _write_number(picture: NDArray[np.uint8], number: str, analysis: AreaEvidence, place: Placement) -> None:
     """Write an object's number on its middle; nothing for a single object."""
     if number:
         capital = text_px(picture.shape[1])
@@ -167,7 +167,7 @@ def _area_text(record: AreaMeasurement) -> str:
     if not record.mask_area_px:
         return "no object found"
     low, high, mask = record.area_ci95_low_m2, record.area_ci95_high_m2, f"{record.mask_area_px} px"
-    size = _size_text(record.area_m2, low, high, "m2", mask)
+    size = with_interval(record.area_m2, low, high, "m2", f"{mask}; {NO_SCALE}")
     pixels = "" if record.area_m2 is None else f"{mask}, "
     low_score = any(notice.code == NoticeCode.MASK_SCORE_LOW for notice in record.warnings)
     return f"{size}; mask {pixels}score {record.mask_score:.2f}{' - low' if low_score else ''}"
@@ -184,10 +184,10 @@ def _label(record: DistanceMeasurement) -> str:
 
 def _distance_text(record: DistanceMeasurement) -> str:
     low, high = record.distance_ci95_low_m, record.distance_ci95_high_m
-    return _size_text(record.distance_m, low, high, "m", f"{record.length_px:.0f} px")
+    return with_interval(record.distance_m, low, high, "m", f"{record.length_px:.0f} px; {NO_SCALE}")
 
 
-def _finished(canvas: Canvas, analysis: DrawableMeasurement, sizes: Sequence[str]) -> NDArray[np.uint8]:
+def _finished(canvas: Canvas, analysis: MeasuredEvidence, sizes: Sequence[str]) -> NDArray[np.uint8]:
     """Add the caption with sizes and scale, a reason against their use first; no bar for a tilted or unusable scale."""
     record = analysis.measurement
     objection = _objection(record)
@@ -204,13 +204,6 @@ def _numbered(labels: Sequence[str]) -> list[str]:
     if len(labels) == 1:
         return list(labels)
     return [f"{number}: {label}".removesuffix(": ") for number, label in enumerate(labels, 1)]
-
-
-def _size_text(value: float | None, low: float | None, high: float | None, unit: str, pixels: str) -> str:
-    """Format a size with its interval; without a scale, its pixels."""
-    if value is None:
-        return f"{pixels}; {NO_SCALE}"
-    return with_interval(value, low, high, unit)
 
 
 def _objection(record: Measured) -> str:

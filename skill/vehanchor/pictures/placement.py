@@ -69,12 +69,14 @@ class Cut(NamedTuple):
     part: Window
     long_side_px: int
 
-    def sized(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Copy the part's pixels, ``[h, w, 3]`` RGB, at the size of the picture; small parts show their pixels."""
+    def sized(
+        self, image: NDArray[np.uint8], most: float = _MAX_ENLARGEMENT, enlarging: int = cv2.INTER_NEAREST
+    ) -> NDArray[np.uint8]:
+        """Copy the part's pixels, ``[h, w, 3]`` RGB, at the size of the picture, enlarged by ``most`` at most."""
         width, height = self.part.width_px, self.part.height_px
-        factor = min(_MAX_ENLARGEMENT, self.long_side_px / max(width, height))
+        factor = min(most, self.long_side_px / max(width, height))
         size = max(1, round(width * factor)), max(1, round(height * factor))
-        method = cv2.INTER_AREA if size[0] < image.shape[1] else cv2.INTER_NEAREST
+        method = cv2.INTER_AREA if size[0] < image.shape[1] else enlarging
         return np.array(cv2.resize(image, size, interpolation=method), dtype=np.uint8)
 
 

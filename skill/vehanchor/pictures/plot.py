@@ -18,18 +18,14 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
-    from vehanchor.pictures.drawable import DrawableScale
-    from vehanchor.records import GsdEstimate
-    from vehanchor.rulers.vehicles import VehicleWitness
+    from vehanchor.pictures.evidence import ScaleEvidence
     from vehanchor.scale.defaults import Aggregation
 
 _KEPT, _KEPT_DARK, _DROPPED = "#56B4E9", "#0072B2", "#E69F00"  # Okabe and Ito: blues, orange
 _GUARD, _INK = "#D55E00", "#222222"
 _SIZE_IN, _DPI = (8.0, 4.6), 150
 _RULERS_IN = 2.8  # height of the rulers' densities
-_MAX_BINS = 60
 _SHOWN_LENGTHS = 2.0  # limit of the axis, in lengths of the longest kept vehicle
 _PAD = 1.25  # factor beyond the widest interval, of the rulers' axis
 _DRAWN = 0.004  # of the maximum; lower parts of a ruler's curve are not drawn
@@ -49,7 +45,7 @@ def require_plots() -> type[Figure]:
     return Figure
 
 
-def plot_scale(analysis: DrawableScale) -> Figure:
+def plot_scale(analysis: ScaleEvidence) -> Figure:
     """Plot the vehicle lengths behind a scale, and the densities of all rulers.
 
     Args:
@@ -81,18 +77,14 @@ def plot_scale(analysis: DrawableScale) -> Figure:
         _plot_lengths(figure, rows[0], analysis)
     if fused:
         plot_rulers(rows[-1], analysis)
-    rows[0].set_title(_title(estimate), loc="left", fontsize=12)
+    confidence = "" if estimate.gsd_m_per_px is None else f",  confidence {estimate.confidence:.2f}"
+    rows[0].set_title(f"{scale_text(estimate)}{confidence}", loc="left", fontsize=12)
     return figure
 
 
-def _title(estimate: GsdEstimate) -> str:
-    confidence = "" if estimate.gsd_m_per_px is None else f",  confidence {estimate.confidence:.2f}"
-    return f"{scale_text(estimate)}{confidence}"
-
-
-def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
+def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
     """Plot the lengths, their density, the mode, the guard, and the interval of the vehicles' scale in pixels."""
-    estimate, vehicles = analysis.estimate, analysis.vehicles
+    vehicles = analysis.vehicles
     assert vehicles is not None
     gsd, mode, guard = vehicles.gsd_m_per_px, vehicles.mode_length_px, vehicles.guard_length_px
     assert gsd is not None
@@ -100,9 +92,8 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
     lengths = analysis.detections.boxes[:, 2]
     ends = [guard, mode, float(lengths.min()), float(lengths.max())]
     reference_m = vehicles.reference.length_m
-    interval = _vehicles_interval(estimate, vehicles)
-    if interval is not None:
-        low, high = (reference_m / scale for scale in reversed(interval))
+    if vehicles.interval is not None:
+        low, high = (reference_m / scale for scale in reversed(vehicles.interval))
         axes.axvspan(
             low, high, color="0.75", alpha=0.4, lw=0, zorder=0, label=f"95 % interval {low:.1f} to {high:.1f} px"
         )
@@ -125,14 +116,6 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
 
 
-def _vehicles_interval(estimate: GsdEstimate, own: VehicleWitness) -> tuple[float, float] | None:
-    """Return the interval of the scale if it is the vehicles' scale, else the vehicles' own; metres per pixel."""
-    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
-    if estimate.gsd_m_per_px != own.gsd_m_per_px:
-        return own.interval
-    return None if low is None or high is None else (low, high)
-
-
 def write_plot(path: str | Path, figure: Figure) -> Path:
     """Write a figure as PNG or JPEG.
 
@@ -146,20 +129,11 @@ def write_plot(path: str | Path, figure: Figure) -> Path:
     return write_picture(path, np.asarray(canvas.buffer_rgba())[:, :, :3])
 
 
-def _bin_edges(kept: NDArray[np.float64], shortest: float, longest: float) -> NDArray[np.float64]:
-    """Compute equal bins by Freedman and Diaconis' rule, in quarter pixels, centred on multiples of the width."""
-    quartiles = np.percentile(kept, [25, 75])
-    ideal = 2 * float(quartiles[1] - quartiles[0]) / np.cbrt(len(kept))
-    width = max(0.25, round(4 * max(ideal, (longest - shortest) / _MAX_BINS, float(np.median(kept)) / 50)) / 4)
-    first = (round(shortest / width) - 0.5) * width
-    return np.asarray(first + width * np.arange(max(1, int(np.ceil((longest - first) / width))) + 1))
-
-
-def _draw_lengths(axes: Axes, analysis: DrawableScale, right_px: float, aggregation: Aggregation) -> None:
+def _draw_lengths(axes: Axes, analysis: ScaleEvidence, right_px: float, aggregation: Aggregation) -> None:
     """Draw the histogram of kept and dropped lengths, and the density of the kept ones in the same units."""
     lengths = analysis.detections.boxes[:, 2]
     kept, dropped = lengths[analysis.kept], lengths[~analysis.kept]
-    edges = _bin_edges(kept, float(lengths.min()), min(float(lengths.max()), right_px))
+    edges = np.histogram_bin_edges(kept, "auto", (float(lengths.min()), min(float(lengths.max()), right_px)))
     groups, colours, labels = [kept], [_KEPT], [f"{count(len(kept), 'vehicle')} kept"]
     if len(dropped):
         n_beyond = int((dropped > right_px).sum())
@@ -179,7 +153,7 @@ def _draw_lengths(axes: Axes, analysis: DrawableScale, right_px: float, aggregat
         axes.set_ylim(0, max(axes.get_ylim()[1], 1.12 * float(np.nanmax(curve))))
 
 
-def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
+def plot_rulers(axes: Axes, analysis: ScaleEvidence) -> None:
     """Plot the densities of all witnesses, each normalised to its maximum, the posterior, and the scale's interval.
 
     The label of a witness has its scale and the chance that it is right.

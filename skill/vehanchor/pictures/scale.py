@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
-    from vehanchor.pictures.drawable import DrawableScale
+    from vehanchor.pictures.evidence import ScaleEvidence
     from vehanchor.pictures.placement import Cut
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
@@ -46,7 +46,7 @@ _JPEG_QUALITY = 92
 _ROWS_PER_READ = 1024  # rows of the image per strip
 
 
-def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale, cut: Cut | None = None) -> NDArray[np.uint8]:
+def draw_overlay(image: NDArray[np.uint8], analysis: ScaleEvidence, cut: Cut | None = None) -> NDArray[np.uint8]:
     """Draw the evidence of an estimate: kept vehicles in blue, outliers crossed in orange, other rulers in green.
 
     Small images are enlarged and large ones reduced. A caption below gives scale, interval and confidence. A usable
@@ -96,7 +96,7 @@ class Canvas(NamedTuple):
 def open_canvas(
     image: NDArray[np.uint8],
     record: GsdEstimate | AreaMeasurement | DistanceMeasurement,
-    scale: DrawableScale | None,
+    scale: ScaleEvidence | None,
     cut: Cut | None,
 ) -> Canvas:
     """Copy an image at display size and draw the evidence of its scale.
@@ -189,7 +189,7 @@ def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:
     return target
 
 
-def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, place: Placement) -> None:
+def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleEvidence, place: Placement) -> None:
     """Draw kept vehicles in blue, outliers crossed in orange, and their numbers.
 
     Args:
@@ -249,7 +249,7 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
     write_on(picture, f"{metres:g} m", (left, bottom - thick - rim - capital // 2), capital)
 
 
-def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
+def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:
     """Compose the caption: the reason against an unusable scale, scale, interval, confidence, and the legend."""
     estimate = analysis.estimate
     n_found, n_kept = estimate.details.n_detections or 0, estimate.n_vehicles or 0
@@ -276,7 +276,7 @@ def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
     return lines
 
 
-def _rulers_line(analysis: DrawableScale) -> CaptionLine:
+def _rulers_line(analysis: ScaleEvidence) -> CaptionLine:
     """List the rulers' scales, with a swatch for those with marks; empty if vehicles are the only ruler."""
     rulers = [ruler for ruler in analysis.estimate.rulers if ruler.sets_scale]
     if [ruler.kind for ruler in rulers] in ([], ["vehicles"]):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
-    from vehanchor.pictures.drawable import DrawableScale
+    from vehanchor.pictures.evidence import ScaleEvidence
 
 MOST_SHOWN = 24
 _CHIP_PX = 128
@@ -26,7 +26,7 @@ _LEAST_REACH_PX = 8
 _CAPITAL_PX = 14
 
 
-def draw_vehicle_strip(raster: Raster, analysis: DrawableScale, width_px: int) -> NDArray[np.uint8]:
+def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -> NDArray[np.uint8]:
     """Draw the first vehicles by their numbers, each enlarged with its box, in rows.
 
     Args:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from vehanchor.records import GsdEstimate, Reason
+    from vehanchor.records import FrameScale, GsdEstimate, Reason
 
 NO_SCALE = "no scale: nothing of known size found"
 
@@ -23,8 +23,10 @@ def significant(value: float, digits: int = 3) -> str:
     return f"{value:.{max(digits - 1 - exponent, 0)}f}"
 
 
-def with_interval(value: float, low: float | None, high: float | None, unit: str) -> str:
-    """Format a quantity with four digits, and with its 95 % interval if it has one."""
+def with_interval(value: float | None, low: float | None, high: float | None, unit: str, missing: str = "") -> str:
+    """Format a quantity with four digits, and with its 95 % interval if it has one; ``missing`` without a value."""
+    if value is None:
+        return missing
     interval = "" if low is None or high is None else f"  (95 %: {significant(low, 4)} to {significant(high, 4)})"
     return f"{significant(value, 4)} {unit}{interval}"
 
@@ -34,11 +36,9 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def scale_text(estimate: GsdEstimate) -> str:
+def scale_text(of: GsdEstimate | FrameScale) -> str:
     """Format the scale with its interval, or say that there is none."""
-    if estimate.gsd_m_per_px is None:
-        return NO_SCALE
-    return with_interval(estimate.gsd_m_per_px, estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px, "m/px")
+    return with_interval(of.gsd_m_per_px, of.gsd_ci95_low_m_per_px, of.gsd_ci95_high_m_per_px, "m/px", NO_SCALE)
 
 
 def by_hand_text(estimate: GsdEstimate) -> str:

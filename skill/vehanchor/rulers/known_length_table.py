@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.sources.files import where_it_is
-from vehanchor.options.rulers import KnownLength, Rulers
+from vehanchor.options.rulers import KnownLength
 from vehanchor.rulers.image_table import read_image_table
 from vehanchor.rulers.standards import check_name
 
@@ -77,6 +77,5 @@ def _line(row: Mapping[str, str | None]) -> KnownLength:
         (*(row[name] for name in _COLUMNS[1:5]), row["metres"] or what, basis or "assumed", tolerance)
     )
     check_name(line.what)
-    rulers = Rulers(known_lengths=(line,))
-    rulers.check_lengths()
-    return rulers.known_lengths[0]
+    line.check("the line of known length", KnownLengthError)
+    return line

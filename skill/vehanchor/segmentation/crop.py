@@ -105,18 +105,9 @@ def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArr
     return _resized(narrow, width, height)
 
 
-def place_mask(found: MaskLogits, width_px: int, height_px: int) -> NDArray[np.bool_]:
-    """Convert logits to the mask of a crop: bilinear interpolation, the object where they are > 0.
-
-    Args:
-        found: logits on the model's grid.
-        width_px: width of the crop.
-        height_px: height of the crop.
-
-    Returns:
-        ``[h, w]`` bool.
-    """
-    grid = found.logits
+def place_mask(found: MaskLogits) -> NDArray[np.bool_]:
+    """Convert logits to the mask ``[h, w]`` of their crop: bilinear interpolation, the object where they are > 0."""
+    grid, width_px, height_px = found.logits, found.window.width_px, found.window.height_px
     left, right, across = _between(width_px, found.cells_per_px[0], grid.shape[1])
     above, below, down = _between(height_px, found.cells_per_px[1], grid.shape[0])
     mask = np.empty((height_px, width_px), dtype=bool)

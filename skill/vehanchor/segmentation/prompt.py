@@ -66,25 +66,23 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
     Raises:
         PromptError: neither or both are given, or the prompt is invalid for every image.
     """
-    given = () if points is None else tuple(_parts(points, "points", "one or more of x, y"))
+    if isinstance(points, str) or not isinstance(points, Iterable | None):
+        raise PromptError(f"points is {points!r}: use one or more of x, y")
+    given = tuple(points or ())
     if (box is None) == (not given):
         found = "neither is given" if box is None else "both are given"
         raise PromptError(f"give a box or points, one of the two: {found}")
     if box is not None:
-        corners = tuple(_coordinate(value, "box") for value in _parts(_as_box(box), "box", "x1, y1, x2, y2"))
-        if len(corners) != 4:
-            raise PromptError(f"box has {len(corners)} numbers: use x1, y1, x2, y2")
-        x1, y1, x2, y2 = corners
+        x1, y1, x2, y2 = read_numbers(_as_box(box), (4,), "box", "x1, y1, x2, y2")
         if x2 <= x1 or y2 <= y1:
-            raise PromptError(f"box is {_numbers(corners)}: x1 < x2 and y1 < y2 are needed, it is reversed or empty")
+            raise PromptError(
+                f"box is {_numbers((x1, y1, x2, y2))}: x1 < x2 and y1 < y2 are needed, it is reversed or empty"
+            )
         return Prompt(box=(x1, y1, x2, y2))
     read = []
     for each in given:
-        point = tuple(_parts(each, "a point", "x, y"))
-        if len(point) not in (2, 3):
-            raise PromptError(f"a point has {len(point)} parts: use x, y and whether it is on the object")
-        include = point[2] if len(point) == 3 else True
-        read.append((_coordinate(point[0], "point"), _coordinate(point[1], "point"), bool(include)))
+        x, y, *include = read_numbers(each, (2, 3), "a point", "x, y and whether it is on the object")
+        read.append((x, y, all(include)))
     if not any(include for _, _, include in read):
         raise PromptError("no point is on the object: give at least one that is")
     return Prompt(points=tuple(read))
@@ -127,20 +125,25 @@ def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) 
     return Prompt(points=tuple((*coordinates.in_image((x, y)), include) for x, y, include in given.points))
 
 
-def _parts(value: Any, what: str, wanted: str) -> Iterable[Any]:
-    if isinstance(value, str) or not isinstance(value, Iterable):
-        raise PromptError(f"{what} is {value!r}: use {wanted}")
-    return value
+def read_numbers(values: Any, counts: tuple[int, ...], name: str, wanted: str) -> tuple[float, ...]:
+    """Read finite numbers of the caller.
 
+    Args:
+        values: the numbers.
+        counts: how many they may be.
+        name: what they are, for the message.
+        wanted: what they should be, for the message.
 
-def _coordinate(value: float, what: str) -> float:
+    Raises:
+        PromptError: they are something else.
+    """
     try:
-        number = float(value)
+        numbers = () if isinstance(values, str) else tuple(map(float, values))
     except (TypeError, ValueError):
-        raise PromptError(f"{what} has the coordinate {value!r}: use numbers") from None
-    if not math.isfinite(number):
-        raise PromptError(f"{what} has the coordinate {number}: use finite numbers")
-    return number
+        numbers = ()
+    if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
+        raise PromptError(f"{name} is {values!r}: use {wanted}, finite numbers")
+    return numbers
 
 
 def _numbers(values: Sequence[float]) -> str:

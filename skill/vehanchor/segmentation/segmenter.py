@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageTooLargeError, ModelContractError
 from vehanchor.imagery.raster import Window, outer_sides
@@ -58,7 +58,7 @@ class SegmenterCard:
         name: the model's name.
         sha256: checksum of the encoder's file followed by the decoder's (``cat ENCODER DECODER | sha256sum``); external
             weights follow their file.
-        contract: layout of inputs and outputs: ``sam``, ``sam2``, ``transformers`` or ``efficient_sam``.
+        contract: layout of inputs and outputs: ``sam``, ``sam2`` or ``transformers``.
         input_px: side of the input, pixels.
         min_score: masks with a lower score need a check of the outline.
         mask_area_log_sd: standard deviation of the log of mask area over true area, for boxes.
@@ -165,43 +165,22 @@ class Segmenter(LoadedModel):
         bound._contract = self._contract.under(call)
         return bound
 
-    def segment(self, raster: Raster, prompt: Prompt, *, limits: ImageLimits = _DEFAULT_LIMITS) -> Segmentation:
-        """Segment the object that a prompt names.
-
-        Args:
-            raster: the image.
-            prompt: box or points inside the image, in its pixels.
-            limits: ``max_pixels`` bounds the crop.
-
-        Returns:
-            The mask with its window.
-
-        Raises:
-            PromptError: this model cannot read the prompt.
-            ImageTooLargeError: the crop has more pixels than the limits allow.
-            ModelContractError: the model violates its contract.
-        """
-        return self.segment_all(raster, [prompt], limits=limits)[0]
-
-    def segment_all(
-        self,
-        raster: Raster,
-        prompts: Sequence[Prompt],
-        *,
-        limits: ImageLimits = _DEFAULT_LIMITS,
+    def segment(
+        self, raster: Raster, prompts: Sequence[Prompt], *, limits: ImageLimits = _DEFAULT_LIMITS
     ) -> tuple[Segmentation, ...]:
         """Segment the objects that prompts name; neighbours of similar size share an encoding.
 
         Args:
             raster: the image.
-            prompts: as in ``segment``.
-            limits: as in ``segment``.
+            prompts: boxes or points inside the image, in its pixels.
+            limits: ``max_pixels`` bounds each crop.
 
         Returns:
-            The result of ``segment`` for each prompt, in the window of the shared crop where there is one.
+            The mask of each prompt with its window, that of the shared crop where there is one.
 
         Raises:
-            VehAnchorError: as in ``segment``.
+            ImageTooLargeError: a crop has more pixels than the limits allow.
+            ModelContractError: the model violates its contract.
         """
         found: dict[int, Segmentation] = {}
         for first, prompt in enumerate(prompts):
@@ -210,11 +189,11 @@ class Segmenter(LoadedModel):
             if prompt.box is None:
                 found[first] = self._segment_points(raster, prompt, limits)
                 continue
-            view = self._encode(raster, prompt, crop_side(prompt), limits)
-            found[first] = self._decode(view, prompt)
+            encoding = self._encode(raster, prompt, crop_side(prompt), limits)
+            found[first] = self._decode(encoding, prompt)
             for k in range(first + 1, len(prompts)):
-                if k not in found and shares_window(prompts[k], view.window, raster.width_px, raster.height_px):
-                    found[k] = self._decode(view, prompts[k])
+                if k not in found and shares_window(prompts[k], encoding.window, raster.width_px, raster.height_px):
+                    found[k] = self._decode(encoding, prompts[k])
         return tuple(found[k] for k in range(len(prompts)))
 
     def _segment_points(self, raster: Raster, prompt: Prompt, limits: ImageLimits) -> Segmentation:
@@ -245,28 +224,19 @@ class Segmenter(LoadedModel):
                 return found
             side *= 2
 
-    def _encode(self, raster: Raster, prompt: Prompt, side_px: int, limits: ImageLimits) -> _View:
+    def _encode(self, raster: Raster, prompt: Prompt, side_px: int, limits: ImageLimits) -> Encoding:
         window = crop_window(prompt, raster.width_px, raster.height_px, side_px)
         if not _allowed(window, limits):
             raise ImageTooLargeError(
                 f"the object's surroundings are {window.width_px} x {window.height_px} px, the limit is "
                 f"{limits.max_pixels} pixels; give a smaller box, or measure in a reduced copy of the image"
             )
-        size = window.width_px, window.height_px
-        image = read_resized(raster, window, self._contract.input_size(*size))
-        return _View(window, self._contract.encode(image, size))
+        size = self._contract.input_size(window.width_px, window.height_px)
+        return self._contract.encode(read_resized(raster, window, size), window)
 
-    def _decode(self, view: _View, prompt: Prompt) -> Segmentation:
-        window = view.window
-        chosen = self._contract.decode(view.encoding, prompt.moved(-window.x_px, -window.y_px))
-        return Segmentation(place_mask(chosen, window.width_px, window.height_px), window, chosen.score)
-
-
-class _View(NamedTuple):
-    """Encoded crop of the image."""
-
-    window: Window
-    encoding: Encoding
+    def _decode(self, encoding: Encoding, prompt: Prompt) -> Segmentation:
+        found = self._contract.decode(encoding, prompt)
+        return Segmentation(place_mask(found), found.window, found.score)
 
 
 _opened = file_cached(max_models=2)(Segmenter)

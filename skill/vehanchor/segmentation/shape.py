@@ -8,13 +8,16 @@ half pixels. Corners, side midpoints and centres of the squares are points of th
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    Rings: TypeAlias = list[NDArray[np.float64]]
+    """Outline of one piece: ``[n, 2]`` of x, y in pixels around the piece, then around each hole."""
 
 MAX_OUTLINE_POINTS = 200
 PERIMETER_TOLERANCE_PX = 1.2  # smaller steps are taken as the pixel grid, not as the object's outline
@@ -39,18 +42,6 @@ class Circle(NamedTuple):
     x: float
     y: float
     diameter: float
-
-
-class OutlinePart(NamedTuple):
-    """Outline of one piece: rings ``[n, 2]`` of x, y in pixels around the piece and around each hole."""
-
-    exterior: NDArray[np.float64]
-    holes: tuple[NDArray[np.float64], ...]
-
-    @property
-    def rings(self) -> tuple[NDArray[np.float64], ...]:
-        """All rings, the exterior first."""
-        return self.exterior, *self.holes
 
 
 def mask_bounds(mask: NDArray[np.bool_]) -> PixelBounds | None:
@@ -90,7 +81,7 @@ def perimeter(mask: NDArray[np.bool_]) -> float:
     """
     traced = _traced(mask)
     parts = _simplified(traced, PERIMETER_TOLERANCE_PX * traced.cell_px)  # a reduced mask has larger steps
-    rings = [ring for part in parts for ring in part.rings]
+    rings = [ring for part in parts for ring in part]
     return float(sum(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum() for ring in rings))
 
 
@@ -106,15 +97,8 @@ def rotated_extents(mask: NDArray[np.bool_]) -> tuple[float, float]:
     upright = bounds.x2 - bounds.x1, bounds.y2 - bounds.y1
     if min(upright) == 1:  # a single row or column of pixels is upright
         return float(max(upright)), 1.0
-    hull = cv2.convexHull(_side_middles(_cut(mask, bounds))).reshape(-1, 2).astype(np.float64) / 2
-    sides = np.roll(hull, -1, axis=0) - hull
-    along = sides / np.linalg.norm(sides, axis=1, keepdims=True)
-    across = along[:, ::-1] * [-1.0, 1.0]
-    # The smallest rectangle shares the direction of one of the hull's sides.
-    lengths, widths = (np.ptp(hull @ axes.T, axis=0) for axes in (along, across))
-    best = int(np.argmin(lengths * widths))
-    first, second = float(lengths[best]), float(widths[best])
-    return max(first, second), min(first, second)
+    _, sides, _ = cv2.minAreaRect(_side_middles(_cut(mask, bounds)))
+    return max(sides) / 2, min(sides) / 2
 
 
 def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
@@ -139,7 +123,7 @@ def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
     return Circle(bounds.x1 + x, bounds.y1 + y, diameter)
 
 
-def outline_parts(mask: NDArray[np.bool_], max_points: int = MAX_OUTLINE_POINTS) -> tuple[OutlinePart, ...]:
+def outline_parts(mask: NDArray[np.bool_], max_points: int = MAX_OUTLINE_POINTS) -> list[Rings]:
     """Trace the outline of a mask ``[h, w]`` along its pixels' sides, simplified to at most ``max_points`` points.
 
     The tolerance starts at half a pixel and grows until the outline has few enough points. If many tiny pieces still
@@ -150,26 +134,26 @@ def outline_parts(mask: NDArray[np.bool_], max_points: int = MAX_OUTLINE_POINTS)
     traced = traced._replace(parts=[rings[: n_rings + 1] for rings in traced.parts[:n_rings]])
     tolerance = 0.5
     parts = _simplified(traced, tolerance)
-    while sum(len(ring) for part in parts for ring in part.rings) > max_points and tolerance < max(mask.shape):
+    while sum(len(ring) for part in parts for ring in part) > max_points and tolerance < max(mask.shape):
         tolerance *= _TOLERANCE_GROWTH
         parts = _simplified(traced, tolerance)
     return _within(parts, max_points)
 
 
-def _within(parts: tuple[OutlinePart, ...], max_points: int) -> tuple[OutlinePart, ...]:
+def _within(parts: list[Rings], max_points: int) -> list[Rings]:
     """Take parts in order, with as many of their holes as fit, up to ``max_points`` points."""
-    kept, left = [], max_points
-    for part in parts:
-        left -= len(part.exterior)
+    kept: list[Rings] = []
+    left = max_points
+    for exterior, *holes in parts:
+        left -= len(exterior)
         if left < 0:
             break
-        holes = []
-        for hole in part.holes:
+        kept.append([exterior])
+        for hole in holes:
             if len(hole) <= left:
-                holes.append(hole)
+                kept[-1].append(hole)
                 left -= len(hole)
-        kept.append(OutlinePart(part.exterior, tuple(holes)))
-    return tuple(kept)
+    return kept
 
 
 def _cut(mask: NDArray[np.bool_], bounds: PixelBounds) -> NDArray[np.uint8]:
@@ -180,10 +164,8 @@ def _closed_lattice(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Build the half-pixel lattice ``[2h + 1, 2w + 1]``: 1 on all points of a set square, its border included."""
     height, width = cells.shape
     lattice = np.zeros((2 * height + 1, 2 * width + 1), np.uint8)
-    for dy in range(3):
-        for dx in range(3):
-            lattice[dy : dy + 2 * height : 2, dx : dx + 2 * width : 2] |= cells
-    return lattice
+    lattice[1::2, 1::2] = cells
+    return np.asarray(cv2.dilate(lattice, np.ones((3, 3), np.uint8)), dtype=np.uint8)
 
 
 def _side_middles(cells: NDArray[np.uint8]) -> NDArray[np.int32]:
@@ -240,7 +222,7 @@ def _with_corners(ring: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.ascontiguousarray(doubled[kept]).reshape(-1, 1, 2)
 
 
-def _simplified(traced: _Traced, tolerance_px: float) -> tuple[OutlinePart, ...]:
+def _simplified(traced: _Traced, tolerance_px: float) -> list[Rings]:
     """Simplify rings (Douglas and Peucker); a ring with fewer than three points left becomes its upright box."""
 
     def simplified(ring: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -250,5 +232,4 @@ def _simplified(traced: _Traced, tolerance_px: float) -> tuple[OutlinePart, ...]
             simple = np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])
         return traced.origin + simple * (traced.cell_px / 2)
 
-    rings = [[simplified(ring) for ring in part] for part in traced.parts]
-    return tuple(OutlinePart(exterior, tuple(holes)) for exterior, *holes in rings)
+    return [[simplified(ring) for ring in part] for part in traced.parts]

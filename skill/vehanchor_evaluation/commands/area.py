@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.terminal import tile_progress
+from vehanchor.cli.terminal import work_progress
 from vehanchor_evaluation.commands.request import measuring_command
 from vehanchor_evaluation.commands.sources import WorkersOption, open_shared, print_issues
 
@@ -52,8 +53,9 @@ def area(request: AreaRequest, chosen: ParsedOptions) -> None:
 
     workers = request.workers or default_workers()
     engine = open_shared(chosen, workers, request.segmenter)
-    with tile_progress(1, lines_on_terminal=False) as step:
-        data = read_areas(request.segments, request.split, workers=workers, progress=step(0, "reading masks"))
+    with work_progress("objects") as tell:
+        reading = partial(tell, name="reading masks")
+        data = read_areas(request.segments, request.split, workers=workers, progress=reading)
         run = measure_areas(
             data,
             checked_detector(engine.detector, engine.options),
@@ -63,7 +65,7 @@ def area(request: AreaRequest, chosen: ParsedOptions) -> None:
             classes=chosen.classes,
             limit=request.limit,
             workers=workers,
-            progress=lambda what: step(0, what),
+            progress=lambda what: partial(tell, name=what),
         )
     print_issues(run.issues)
     write_area_report(request.out, "area", run.report, run.trials, run.issues)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.terminal import facts_table, print_table
+from vehanchor.cli.terminal import print_facts
 from vehanchor.errors import InvalidParameterError
 from vehanchor.storage.atomic import check_output_path, write_record
 from vehanchor_evaluation.commands.request import measuring_command
@@ -74,7 +74,7 @@ def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
     boxes = request.boxes or (_Boxes.detector if request.dota is None else _Boxes.labels)
     survey, calibration = (_from_labels if boxes is _Boxes.labels else _from_detections)(request, chosen)
     write_record(request.out, calibration, indent=2)
-    print_table(facts_table(str(request.out), _facts(calibration)))
+    print_facts(str(request.out), _facts(calibration))
     if request.plot is not None:
         from vehanchor.pictures.plot import write_plot
         from vehanchor_evaluation.figures import plot_reference_length

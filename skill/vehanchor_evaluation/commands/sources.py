@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand
 
 from vehanchor.cli.given_scale import KnownLengthsFile
-from vehanchor.cli.terminal import printable, tile_progress
+from vehanchor.cli.terminal import printable, work_progress
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -130,14 +130,12 @@ class KnownScaleRequest:
         from vehanchor_evaluation.search import search_known_scale
 
         n_done = 0
-        with tile_progress(1, lines_on_terminal=False) as step:
-            bar = step(0, f"{len(data.images)} images")
+        with work_progress("images") as show:
 
             def tell(done: int, total: int) -> None:
                 nonlocal n_done
                 n_done = done
-                if bar is not None:
-                    bar(done, total)
+                show(done, total)
 
             try:
                 return search_known_scale(

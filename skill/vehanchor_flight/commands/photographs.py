@@ -14,24 +14,20 @@ from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
     exit_on_error,
-    facts_table,
-    image_progress,
+    print_facts,
     print_json,
-    print_table,
+    print_rows,
     print_warnings,
     resumable,
-    rows_table,
-    scale_text,
     under_one_folder,
+    work_progress,
 )
 from vehanchor.errors import InvalidParameterError
-from vehanchor.records.text import significant
+from vehanchor.records.text import NO_SCALE, significant, with_interval
 from vehanchor.storage.atomic import check_output_path, write_record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-    from rich.table import Table
 
     from vehanchor.batch.row import BatchRow
     from vehanchor.options import ImageLimits
@@ -87,17 +83,14 @@ def photographs(
         images = _images(inputs, every, chosen.options().reading.limits, outputs)
         last = "pooling the evidence of" if same_scale else "linking"
         counted = isinstance(images, Sequence)  # the length of a video is unknown
-        with (
-            image_progress(lambda done, n: last if counted and done == n else "searching") as progress,
-            resumable(journal),
-        ):
+        with work_progress("images") as tell, resumable(journal):
             record = estimate_flight(
                 images,
                 engine=chosen.engine(),
                 same_scale=same_scale,
                 known_lengths_table=known_lengths,
                 journal=journal,
-                progress=progress,
+                progress=lambda done, n: tell(done, n, last if counted and done == n else "searching"),
             )
         if out is not None:
             write_record(out, record)
@@ -113,9 +106,9 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
     folder, names = under_one_folder([each.photograph for each in record.photographs])
     where = f" in {folder}" if folder else ""
     short = {each.photograph: name for each, name in zip(record.photographs, names, strict=True)}
-    print_table(facts_table(f"{len(record.photographs)} photographs{where}", _facts(record, short)))
+    print_facts(f"{len(record.photographs)} photographs{where}", _facts(record, short))
     if not record.same_scale:
-        print_table(_photographs_table(record.photographs, short))
+        _print_photographs(record.photographs, short)
     print_warnings(record.warnings)
 
 
@@ -147,7 +140,7 @@ def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, 
     facts = []
     if record.same_scale:
         low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
-        facts.append(("scale of all", scale_text(record.gsd_m_per_px, low, high)))
+        facts.append(("scale of all", with_interval(record.gsd_m_per_px, low, high, "m/px", NO_SCALE)))
     facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     facts.append(("vehicles", str(record.n_vehicles)))
     if rulers := [each for each in record.components[0].pooled.rulers if each.sets_scale]:
@@ -177,11 +170,9 @@ def _names(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_NAMED]) + more
 
 
-def _photographs_table(photographs: Sequence[FlightPhotograph], short: Mapping[str, str]) -> Table:
+def _print_photographs(photographs: Sequence[FlightPhotograph], short: Mapping[str, str]) -> None:
     columns = {"photograph": "text", **dict.fromkeys(("m/px", "95 %", "conf."), "number")}
-    return rows_table(
-        {**columns, "supported by": "text", "status": "word"}, [_cells(each, short) for each in photographs]
-    )
+    print_rows({**columns, "supported by": "text", "status": "word"}, [_cells(each, short) for each in photographs])
 
 
 def _cells(each: FlightPhotograph, short: Mapping[str, str]) -> tuple[str, ...]:

@@ -14,22 +14,19 @@ from vehanchor.cli.terminal import (
     Strict,
     exit_on_error,
     exit_strictly,
-    facts_table,
-    image_progress,
+    print_facts,
     print_json,
-    print_table,
+    print_rows,
     print_warnings,
     printable,
     resumable,
-    rows_table,
+    work_progress,
 )
 from vehanchor.errors import InvalidParameterError
 from vehanchor.storage.atomic import check_output_path, write_record
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from rich.table import Table
 
     from vehanchor_flight.reconstruction.model import Reconstruction
     from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
@@ -84,7 +81,7 @@ def rescale(
 
         journal = out and check_output_path(out, (".json",), kind="a record").with_name(out.name + ".journal")
         model = _model(source, project, geo)
-        with image_progress() as progress, resumable(journal):
+        with work_progress("images") as progress, resumable(journal):
             engine = chosen.engine(progress=progress)
             record = rescaled(model, engine=engine, images=images, known_lengths_table=lines, journal=journal)
         written = _write_in_metres(model, record, project, geo)
@@ -145,9 +142,9 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
     outliers = (each for each in record.photographs if each.status == "outlier")
     facts += [("outlier", f"{each.photograph}: {', '.join(each.rulers)} {_interval(each)}") for each in outliers]
     facts += [("written", str(path)) for path in written]
-    print_table(facts_table(source, facts))
+    print_facts(source, facts)
     if used:
-        print_table(_photographs(used))
+        _print_photographs(used)
     for each in record.photographs:
         if each.status == "error":
             typer.echo(printable(f"not measured[{each.error_code}]: {each.photograph}: {each.error}"), err=True)
@@ -158,9 +155,9 @@ def _interval(each: ModelScale | ModelRuler | ModelPhotograph) -> str:
     return f"{each.factor:.4g}   (95 %: {each.factor_ci95_low:.4g} to {each.factor_ci95_high:.4g})"
 
 
-def _photographs(used: Sequence[ModelPhotograph]) -> Table:
+def _print_photographs(used: Sequence[ModelPhotograph]) -> None:
     columns = {"photograph": "text", **dict.fromkeys(("factor", "95 %", "cars"), "number"), "rulers": "text"}
-    return rows_table(
+    print_rows(
         columns,
         [
             (

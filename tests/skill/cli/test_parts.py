@@ -1,24 +1,26 @@
-"""Parts of the command line: what is installed, names as people read them, garbage collection during imports."""
+"""Parts of the command line: what is installed, names as people read them."""
 
 from __future__ import annotations
 
-import gc
 import importlib.metadata
 import re
+from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
 
 from vehanchor.cli import installation
 from vehanchor.cli.app import app
-from vehanchor.cli.collection import paused_collection
-from vehanchor.cli.installation import PictureCheck
 from vehanchor.cli.terminal import under_one_folder
 
 
 def _checked() -> tuple[int, str]:
     result = CliRunner().invoke(app, ["models", "--check"])
     return result.exit_code, result.stdout
+
+
+def _record(gsd: float | None, status: str) -> SimpleNamespace:
+    return SimpleNamespace(gsd_m_per_px=gsd, gsd_ci95_low_m_per_px=None, gsd_ci95_high_m_per_px=None, status=status)
 
 
 def test_the_bundled_picture_has_the_scale_that_is_known() -> None:
@@ -33,7 +35,7 @@ def test_the_bundled_picture_has_the_scale_that_is_known() -> None:
 def test_a_scale_that_is_wrong_or_not_usable_fails(
     gsd: float | None, status: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(installation, "check_picture", lambda engine: PictureCheck(gsd, status, 1.0))
+    monkeypatch.setattr(installation, "check_picture", lambda engine: _record(gsd, status))
     code, out = _checked()
     assert code == 1
     assert "FAILED" in out
@@ -48,7 +50,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
         return original(name)
 
     monkeypatch.setattr(installation, "version", version)
-    monkeypatch.setattr(installation, "check_picture", lambda engine: PictureCheck(0.15, "ok", 1.0))
+    monkeypatch.setattr(installation, "check_picture", lambda engine: _record(0.15, "ok"))
     assert re.search(r"rasterio\s+missing: pip install 'vehanchor\[geo\]'", _checked()[1])
 
 
@@ -67,21 +69,3 @@ def test_without_an_option_the_help_is_shown() -> None:
 )
 def test_names_are_told_without_the_folder_that_all_lie_in(names: list[str], folder: str, short: list[str]) -> None:
     assert under_one_folder(names) == (folder, short)
-
-
-def test_collection_is_paused_in_the_block_and_leaves_its_objects_out_later() -> None:
-    frozen = gc.get_freeze_count()
-    try:
-        with paused_collection():
-            assert not gc.isenabled()
-            assert gc.get_freeze_count() <= frozen  # what is frozen can still be freed
-        assert gc.isenabled()
-        assert gc.get_freeze_count() > frozen
-    finally:
-        gc.unfreeze()
-
-
-def test_collection_goes_on_after_an_error() -> None:
-    with pytest.raises(ImportError), paused_collection():
-        raise ImportError
-    assert gc.isenabled()

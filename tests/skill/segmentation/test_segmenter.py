@@ -85,13 +85,13 @@ def test_neighbours_of_one_size_share_an_encoding_and_their_masks_are_as_alone(
     alone = [full_mask(segmented(segmenter, image, prompt), image) for prompt in prompts]
     encode, crops = SamContract.encode, []
 
-    def counted(contract: SamContract, crop: NDArray[np.uint8], crop_size: tuple[int, int], *others: Any) -> Encoding:
-        crops.append(crop_size)
-        return encode(contract, crop, crop_size, *others)
+    def counted(contract: SamContract, crop: NDArray[np.uint8], window: Window) -> Encoding:
+        crops.append((window.width_px, window.height_px))
+        return encode(contract, crop, window)
 
     monkeypatch.setattr(SamContract, "encode", counted)
     with open_raster(image) as raster:
-        together = segmenter.segment_all(raster, prompts)
+        together = segmenter.segment(raster, prompts)
     assert crops == [(256, 256), (256, 256), (368, 368)]  # the second lies beside the first, the others far or large
     assert together[0].window == together[1].window
     for mask, found in zip(alone, together, strict=True):
@@ -117,12 +117,12 @@ def test_a_box_or_points_are_read_as_numbers() -> None:
         (5, None, "box is 5: use x1, y1, x2, y2"),
         (None, 5, "points is 5: use one or more of x, y"),
         (None, [5], "a point is 5: use x, y"),
-        ((0, 0, 5), None, "3 numbers"),
+        ((0, 0, 5), None, "box is .*: use x1, y1, x2, y2, finite numbers"),
         ((5, 0, 5, 5), None, "reversed or empty"),
         ((0, 6, 5, 5), None, "reversed or empty"),
         ((0, 0, float("nan"), 5), None, "finite"),
-        ((0, 0, "wide", 5), None, "use numbers"),
-        (None, [(1,)], "1 parts"),
+        ((0, 0, "wide", 5), None, "wide.*: use x1, y1, x2, y2"),
+        (None, [(1,)], "a point is .*: use x, y and whether"),
         (None, [(1, float("nan"))], "finite"),
         (None, [(1, 2, False)], "no point is on the object"),
     ],
@@ -196,9 +196,9 @@ def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(segmenter:
 def test_a_mask_is_placed_by_bilinear_interpolation_between_cell_centres() -> None:
     rng = np.random.default_rng(5)
     logits = np.asarray(cv2.GaussianBlur(rng.normal(size=(40, 30)), (0, 0), 2), dtype=np.float32)
-    placed = place_mask(MaskLogits(logits, 1.0, (30 / 240, 40 / 320)), 240, 320)
+    placed = place_mask(MaskLogits(logits, 1.0, (30 / 240, 40 / 320), Window(9, 9, 240, 320)))
     assert (placed != (cv2.resize(logits, (240, 320), interpolation=cv2.INTER_LINEAR) > 0)).mean() < 1e-3
-    single = place_mask(MaskLogits(np.ones((1, 1), np.float32), 1.0, (0.01, 0.01)), 5, 7)
+    single = place_mask(MaskLogits(np.ones((1, 1), np.float32), 1.0, (0.01, 0.01), Window(0, 0, 5, 7)))
     assert single.all()
 
 
@@ -218,7 +218,7 @@ def test_points_in_a_call_with_a_box_have_crops_of_their_own(tmp_path: Path) -> 
     image = picture(900, 700, (102, 102, 138, 138))
     prompts = [Prompt(box=(100.0, 100.0, 140.0, 140.0)), Prompt(points=((120.0, 120.0, True),))]
     with open_raster(image) as raster:
-        boxed, pointed = sam.segment_all(raster, prompts)
+        boxed, pointed = sam.segment(raster, prompts)
     alone = segmented(sam, image, prompts[1])
     assert pointed.window == alone.window
     assert (pointed.mask == alone.mask).all()

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.imagery.raster import Window
     from vehanchor.segmentation.prompt import Prompt
 
 MEAN_RGB = np.array([123.675, 116.28, 103.53], dtype=np.float32)  # SAM's and ImageNet's, in 0..255
@@ -43,11 +44,13 @@ class MaskLogits:
         logits: ``[gh, gw]`` float32, the object where > 0.
         score: IoU predicted by the model, 0..1.
         cells_per_px: columns and rows of the grid per pixel of the crop, from the common top left corner.
+        window: the crop, pixels of the image.
     """
 
     logits: NDArray[np.float32]
     score: float
     cells_per_px: tuple[float, float]
+    window: Window
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +60,12 @@ class Encoding:
     Attributes:
         outputs: outputs of the encoder, by name.
         size: width and height of the encoder's input picture.
-        crop_size: width and height of the crop, pixels.
+        window: the crop, pixels of the image.
     """
 
     outputs: dict[str, NDArray[Any]]
     size: tuple[int, int]
-    crop_size: tuple[int, int]
+    window: Window
 
 
 class SamContract(LoadedModel, ABC):
@@ -146,19 +149,15 @@ class SamContract(LoadedModel, ABC):
         del width_px, height_px
         return self.input_px, self.input_px
 
-    def encode(
-        self,
-        image: NDArray[np.uint8],
-        crop_size: tuple[int, int],
-    ) -> Encoding:
+    def encode(self, image: NDArray[np.uint8], window: Window) -> Encoding:
         """Run the encoder.
 
         Args:
             image: ``[h, w, 3]`` uint8 RGB, the crop resized to ``input_size``.
-            crop_size: width and height of the crop, pixels.
+            window: the crop, pixels of the image.
         """
         outputs = self._run(self._encoder, {self._image.name: self._prepared(image)})
-        return Encoding(outputs, (image.shape[1], image.shape[0]), crop_size)
+        return Encoding(outputs, (image.shape[1], image.shape[0]), window)
 
     def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Convert the resized crop to the encoder's input."""
@@ -171,21 +170,19 @@ class SamContract(LoadedModel, ABC):
 
         Args:
             encoding: encoding of the crop.
-            prompt: in pixels of the crop.
-
-        Returns:
-            The mask.
+            prompt: in pixels of the image.
 
         Raises:
-            PromptError: this model cannot read the prompt.
             ModelContractError: the outputs are not masks with scores.
         """
-        across, down = (side / crop for side, crop in zip(encoding.size, encoding.crop_size, strict=True))
+        window = encoding.window
+        prompt = prompt.moved(-window.x_px, -window.y_px)
+        across, down = encoding.size[0] / window.width_px, encoding.size[1] / window.height_px
         outputs = self._run(self._decoder, self._feeds(encoding, prompt, (across, down)))
         masks, (width, height) = self._masks(outputs, encoding.size)
         grid, score = self._chosen(masks, outputs[self.decoder_outputs[1]], prompt)
         rows, columns = grid.shape
-        return MaskLogits(grid, score, (columns / width * across, rows / height * down))
+        return MaskLogits(grid, score, (columns / width * across, rows / height * down), window)
 
     @abstractmethod
     def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
@@ -197,11 +194,7 @@ class SamContract(LoadedModel, ABC):
         """Choose the output with the masks; return it with the width and height of the input that it covers."""
         return outputs[self.decoder_outputs[0]], size
 
-    def _run(
-        self,
-        session: Session,
-        feeds: Mapping[str, NDArray[Any]],
-    ) -> dict[str, NDArray[Any]]:
+    def _run(self, session: Session, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Run a session on its inputs, converted to its types; return the outputs by name."""
         inputs = {item.name: feeds[item.name].astype(DTYPES[item.type]) for item in session.get_inputs()}
         names = [output.name for output in session.get_outputs()]
@@ -234,11 +227,6 @@ class SamContract(LoadedModel, ABC):
         return grids[index].astype(np.float32), float(np.clip(flat[index], 0.0, 1.0))
 
 
-def resized_side(side_px: int, scale: float) -> int:
-    """Scale a side and round it half up, as SAM does, to at least one pixel."""
-    return max(1, int(side_px * scale + 0.5))
-
-
 def fixed_side(items: Sequence[Any], name: str) -> int | None:
     """Read the last side of an input or output; None if it is not fixed."""
     for item in items:
@@ -247,14 +235,11 @@ def fixed_side(items: Sequence[Any], name: str) -> int | None:
     return None
 
 
-def corner_prompt(
-    prompt: Prompt, scale: tuple[float, float], *, shift: float | tuple[float, float]
-) -> tuple[list[tuple[float, float]], list[int]]:
-    """Convert a prompt to SAM's points and labels, in input pixels minus ``shift``; box corners have labels 2 and 3."""
-    across, down = shift if isinstance(shift, tuple) else (shift, shift)
+def corner_prompt(prompt: Prompt, scale: tuple[float, float]) -> tuple[list[tuple[float, float]], list[int]]:
+    """Convert a prompt to SAM's points and labels, in pixel indices of the input; box corners have labels 2 and 3."""
 
     def place(x: float, y: float) -> tuple[float, float]:
-        return x * scale[0] - across, y * scale[1] - down
+        return x * scale[0] - 0.5, y * scale[1] - 0.5
 
     coords, labels = [], []
     if prompt.box is not None:

@@ -12,14 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.segmentation.contracts.base import (
-    MEAN_RGB,
-    SD_RGB,
-    Encoding,
-    SamContract,
-    corner_prompt,
-    resized_side,
-)
+from vehanchor.segmentation.contracts.base import MEAN_RGB, SD_RGB, Encoding, SamContract, corner_prompt
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -48,13 +41,13 @@ class Sam(SamContract):
         super()._check_image_shape()
 
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """Scale the crop's size so that its long side fills the model's input."""
+        """Scale the crop so that its long side fills the model's input; sides are rounded half up, as SAM does."""
         scale = self.input_px / max(width_px, height_px)
-        return resized_side(width_px, scale), resized_side(height_px, scale)
+        return max(1, int(width_px * scale + 0.5)), max(1, int(height_px * scale + 0.5))
 
     def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
         width, height = encoding.size
-        coords, labels = corner_prompt(prompt, scale, shift=0.5)
+        coords, labels = corner_prompt(prompt, scale)
         return {
             "image_embeddings": encoding.outputs["image_embeddings"],
             "point_coords": np.array([[*coords, (0.0, 0.0)]], np.float32),

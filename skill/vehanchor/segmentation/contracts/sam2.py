@@ -30,7 +30,7 @@ class Sam2(SamContract):
     embedding = "image_embed"
 
     def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
-        coords, labels = corner_prompt(prompt, scale, shift=0.5)  # this graph adds the padding point
+        coords, labels = corner_prompt(prompt, scale)  # this graph adds the padding point
         return {
             **encoding.outputs,
             "point_coords": np.array([coords], np.float32),

@@ -48,8 +48,8 @@ class Transformers(SamContract):
 
     def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
         """Build separate inputs for boxes and points."""
-        coords, labels = corner_prompt(Prompt(points=prompt.points), scale, shift=0.5)
-        corners, _ = corner_prompt(Prompt(box=prompt.box), scale, shift=0.5)
+        coords, labels = corner_prompt(Prompt(points=prompt.points), scale)
+        corners, _ = corner_prompt(Prompt(box=prompt.box), scale)
         return {
             **encoding.outputs,
             "input_points": np.array(coords, np.float32).reshape(1, 1, -1, 2),

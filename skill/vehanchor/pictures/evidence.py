@@ -1,0 +1,92 @@
+"""Results with their evidence, as pictures draw them; the analyses add the image and export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.rulers.vehicles import measured_vehicles
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.detections import Detections
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+    from vehanchor.rulers.vehicles import VehicleWitness
+    from vehanchor.scale.posterior import Answer, Mark, Witness
+    from vehanchor.segmentation.prompt import Prompt
+    from vehanchor.segmentation.segmenter import Segmentation
+
+
+@dataclass(frozen=True, eq=False)
+class ScaleEvidence:
+    """Estimate with its evidence.
+
+    Attributes:
+        estimate: the record.
+        witnesses: of all rulers.
+        detections: all vehicles found, in pixels of the image: ``boxes`` and ``scores``, best first.
+        answer: decision on the scale; None without a scale, and in the preset ``paper``.
+    """
+
+    estimate: GsdEstimate
+    witnesses: tuple[Witness, ...]
+    detections: Detections
+    answer: Answer | None = None
+
+    @property
+    def vehicles(self) -> VehicleWitness | None:
+        """Witness of the vehicles; None if the caller excludes them."""
+        return measured_vehicles(self.witnesses)
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """``[n]`` bool, the vehicles behind the scale."""
+        vehicles = self.vehicles
+        return np.zeros(0, dtype=bool) if vehicles is None else vehicles.fleet.kept
+
+    @property
+    def marks(self) -> tuple[Mark, ...]:
+        """Lines that rulers measured, in pixels of the image."""
+        return tuple(mark for each in self.witnesses for mark in each.marks)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeasuredEvidence:
+    """Scale of a measurement.
+
+    Attributes:
+        scale: the scale with its evidence; None for a known scale.
+        nadir: whether the camera points straight down, so that one scale holds everywhere.
+    """
+
+    scale: ScaleEvidence | None
+    nadir: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class AreaEvidence(MeasuredEvidence):
+    """Area with its evidence.
+
+    Attributes:
+        measurement: the record.
+        segmentation: the mask, and its window in the image.
+        prompt: the box or points, in pixels of the full image.
+    """
+
+    measurement: AreaMeasurement
+    segmentation: Segmentation
+    prompt: Prompt
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceEvidence(MeasuredEvidence):
+    """Distance with its evidence.
+
+    Attributes:
+        measurement: the record.
+    """
+
+    measurement: DistanceMeasurement
