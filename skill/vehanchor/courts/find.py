@@ -52,7 +52,6 @@ _MOST_DISTORTION = 0.06
 _QUARTER = math.pi / 2
 _BINS = 45  # of a quarter turn: 2 degrees each
 _SMOOTH_PX = 1.2  # the pixel steps of a thin line have spurious directions
-_SUPPORT_PX = 8  # rows that affect the smoothed edges of a row, with a margin
 _CLEAREST = 160.0  # in Scharr sums, about ten grey levels: one shadow's edge must not outweigh all painted lines
 _NO_EDGE = 0.7  # share of the patch that is texture and noise; rounded grey levels have spurious directions
 _SECOND = 0.8  # share of the strongest direction that a second one needs
@@ -254,7 +253,10 @@ def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[f
     Returns:
         One or two angles, radians from 0 to a quarter turn, the strongest first; each includes its perpendicular.
     """
-    across, down = _gradients(grey, x, y, radius)
+    rows, columns = np.ogrid[: grey.shape[0], : grey.shape[1]]
+    near = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
+    smoothed = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX)
+    across, down = (np.asarray(cv2.Scharr(smoothed, cv2.CV_32F, *order))[near] for order in ((1, 0), (0, 1)))
     steepness = np.hypot(across, down)
     clear = steepness > np.quantile(steepness, _NO_EDGE)
     weights = np.minimum(steepness[clear], _CLEAREST)
@@ -274,21 +276,6 @@ def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[f
         found.append((peak + 0.5 + shift) * _QUARTER / _BINS)
         left[(peak + np.arange(-_APART_BINS, _APART_BINS + 1)) % _BINS] = 0.0
     return found
-
-
-def _gradients(
-    grey: NDArray[np.float32], x: float, y: float, radius: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Compute horizontal and vertical Scharr gradients within a radius of a point; only nearby rows are smoothed."""
-    top, left = max(math.floor(y - radius), 0), max(math.floor(x - radius), 0)
-    bottom, right = min(math.ceil(y + radius) + 1, grey.shape[0]), min(math.ceil(x + radius) + 1, grey.shape[1])
-    first = max(top - _SUPPORT_PX, 0)
-    smoothed = cv2.GaussianBlur(grey[first : bottom + _SUPPORT_PX], (0, 0), _SMOOTH_PX)
-    rows, columns = np.ogrid[top:bottom, left:right]
-    near = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
-    box = slice(top - first, bottom - first), slice(left, right)
-    across, down = cv2.Scharr(smoothed, cv2.CV_32F, 1, 0), cv2.Scharr(smoothed, cv2.CV_32F, 0, 1)
-    return np.asarray(across[box][near], np.float32), np.asarray(down[box][near], np.float32)
 
 
 @dataclass(frozen=True, eq=False)

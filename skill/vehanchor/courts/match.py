@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,8 +19,6 @@ _LEAST_CONTRAST = 3.0  # grey levels
 _CONTRAST_PER_TEXTURE = 1.5
 _TEXTURE_PX, _SMOOTH_PX = 15, 5
 _MARGIN_M = 1.5
-_LONG = 0.35  # share of a court's length; only its longer lines select the candidates for all lines
-_MOST_CANDIDATES = 48  # positions and sizes for each angle
 
 
 class Pose(NamedTuple):
@@ -169,14 +166,12 @@ class _Ends(NamedTuple):
         last: ``[sizes, lines]`` index of each segment's end.
         weights: ``[sizes, lines]`` share of the score divided by the length in pixels; negative for blanks.
         shift: ``[places, places]`` offsets of the indices for a court that far down and across.
-        long: ``first``, ``last`` and ``weights`` of the long painted lines at the first position.
     """
 
     first: NDArray[np.intp]
     last: NDArray[np.intp]
     weights: NDArray[np.float32]
     shift: NDArray[np.intp]
-    long: tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]
 
     @classmethod
     def of(
@@ -187,7 +182,6 @@ class _Ends(NamedTuple):
         metres = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
         wanted, along = np.arange(len(lines)) < len(template.lines), lines[:, 1] == lines[:, 3]
         shares = np.where(wanted, metres / metres[wanted].sum(), -metres / metres[~wanted].sum())
-        (long,) = np.nonzero(wanted & (metres >= _LONG * template.length_m))
         pixels = np.rint(lines[None] * sizes[:, None, None]).astype(np.intp)
         x1, y1, x2, y2 = np.moveaxis(pixels, 2, 0)
         pitch = 2 * half_x + 2
@@ -195,29 +189,13 @@ class _Ends(NamedTuple):
         first = base + y1 * pitch + x1
         last = base + (y2 + ~along) * pitch + x2 + along
         weights = np.asarray(shares / (np.where(along, x2 - x1, y2 - y1) + 1), np.float32)
-        shift = pitch * places[:, None] + places
-        of_long = first[:, long] + shift[0, 0], last[:, long] + shift[0, 0], weights[:, long]
-        return cls(first, last, weights, shift, of_long)
+        return cls(first, last, weights, pitch * places[:, None] + places)
 
     def best(self, sums: NDArray[np.float32]) -> tuple[float, int, int, int]:
         """Find the best score over all positions, and the indices of its size, row and column."""
-        first, last, weights = self.long
-        everywhere = self._everywhere(sums)
-        seen = everywhere[last]
-        seen -= everywhere[first]
-        rough = np.einsum("sl,slp->sp", weights, seen.reshape(*seen.shape[:2], -1)).ravel()
-        count = min(_MOST_CANDIDATES, len(rough))
-        kept = np.argpartition(rough, -count)[-count:] if len(rough) > count else np.arange(len(rough))
-        size, place = np.divmod(kept, self.shift.size)
-        there = self.shift.ravel()[place, None]
-        whole = self.weights[size] * (sums.take(self.last[size] + there) - sums.take(self.first[size] + there))
-        scores = whole.sum(axis=1)
-        top = int(scores.argmax())
-        row, column = divmod(int(place[top]), len(self.shift))
-        return float(scores[top]), int(size[top]), row, column
-
-    def _everywhere(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Create a view ``[index, places, places]`` of the sums at all positions from each index on."""
-        shift, width = self.shift - self.shift[0, 0], sums.itemsize
-        strides = width, width * int(shift[1, 0]), width * int(shift[0, 1])
-        return as_strided(sums, (len(sums) - int(shift[-1, -1]), *shift.shape), strides, writeable=False)
+        scores = np.zeros((len(self.first), *self.shift.shape), np.float32)
+        for line, first, last in zip(self.weights.T, self.first.T, self.last.T, strict=True):
+            seen = sums.take(last[:, None, None] + self.shift) - sums.take(first[:, None, None] + self.shift)
+            scores += line[:, None, None] * seen
+        size, row, column = np.unravel_index(int(scores.argmax()), scores.shape)
+        return float(scores[size, row, column]), int(size), int(row), int(column)

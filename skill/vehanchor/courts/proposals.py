@@ -142,17 +142,7 @@ def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[
         for row, column in zip(*np.nonzero((shares >= highest) & (shares >= _LEAST_SHARE)), strict=True):
             cos, sin, log_length = (float(value) for value in seen[2:, row, column])
             length_px = _LENGTH_PX * math.exp(min(max(log_length, -1.0), 1.0)) * factor
-            cell = column + _between(shares[row], column), row + _between(shares[:, column], row)
-            x, y = ((left, top) + (np.array(cell) + 0.5) * _CELL_PX) * factor - 0.5
+            x, y = ((left, top) + (np.array((column, row)) + 0.5) * _CELL_PX) * factor - 0.5
             pose = Pose(float(x), float(y), math.atan2(sin, cos) / 2, length_px / LENGTHS_M[which])
             found.append(Proposal(which, float(shares[row, column]), pose, factor))
     return found
-
-
-def _between(shares: NDArray[np.float32], at: int) -> float:
-    """Interpolate the offset of a peak from its cell, in cells, assuming that scores fall like a normal density."""
-    if not 0 < at < len(shares) - 1:
-        return 0.0
-    before, here, after = np.log(np.maximum(shares[at - 1 : at + 2], 1e-6))
-    bend = before - 2 * here + after
-    return float(np.clip((before - after) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
