@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehanchor.analysis.convergence import search_until_settled
 from vehanchor.analysis.scale import ScaleAnalysis
-from vehanchor.detection.corrections import corrected
-from vehanchor.detection.detections import NOT_SEARCHED
+from vehanchor.detection.detections import NOT_SEARCHED, corrected
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import ImageListError, InvalidParameterError, VehAnchorError

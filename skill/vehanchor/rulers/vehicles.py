@@ -15,7 +15,7 @@ from vehanchor.rulers.look_alikes import look_alikes
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.density import GRID, blurred, flat, lognormal, on_grid, product
+from vehanchor.scale.density import GRID, UNCALIBRATED, blurred, flat, lognormal, on_grid, product, vehicle_likelihood
 from vehanchor.scale.lengths import (
     LEAST_SCORE,
     dominant_group,
@@ -27,8 +27,7 @@ from vehanchor.scale.lengths import (
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.scale.reliability import CAR_LOG_SD, RELIABILITY, uncalibrated_wrong, unresolved
-from vehanchor.scale.votes import UNCALIBRATED, vehicle_likelihood
-from vehanchor.tilt.rectified import rectified
+from vehanchor.tilt.camera_tilt import rectified
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -41,8 +40,8 @@ if TYPE_CHECKING:
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.defaults import Aggregation, Reason
+    from vehanchor.scale.density import Votes
     from vehanchor.scale.paper import PaperScale
-    from vehanchor.scale.votes import Votes
 
 _LOOK_ALIKE_LENGTHS = 1.5  # of cars: vans, caravans, lorries, containers, boats; a choice
 _LOOK_ALIKE_LOG_SD = 0.4  # of the scale, if the vehicles are look-alikes; a choice

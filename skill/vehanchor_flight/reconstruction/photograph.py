@@ -21,8 +21,7 @@ from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.plane import LEAST_DESCENT
-from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt
-from vehanchor.tilt.rectified import length_off_nadir
+from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt, length_off_nadir
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.reconstruction.ground import local_heights, plane_below
 

@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 from tests.models import assert_same_boxes, blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, level_shares, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
-from vehanchor.detection.scheduler import TileScheduler
+from vehanchor.detection.scheduler import MIN_LEVEL_SIDE_PX, TileScheduler, level_shares, search_levels, tile_prior_map
 from vehanchor.detection.search import ImageSearch, search
-from vehanchor.detection.tile_prior import tile_prior_map
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid

@@ -9,10 +9,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from vehanchor.scale.density import blurred, flat, lognormal, normalised, on_grid
+from vehanchor.scale.density import Votes, blurred, flat, lognormal, normalised, on_grid, vehicle_likelihood
 from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judged
 from vehanchor.scale.reliability import CALLER, LOOKS_LOG_MEAN, LOOKS_LOG_SD, Shared
-from vehanchor.scale.votes import Votes, vehicle_likelihood
 
 VOTES = Votes(-13.76, 17.4)
 LENS, HEIGHT = Shared("lens", 0.03), Shared("height", 0.12)
