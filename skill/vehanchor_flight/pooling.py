@@ -7,8 +7,7 @@ flight are correlated, so that n densities of a ruler count as fewer than n.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -16,12 +15,14 @@ import numpy as np
 from vehanchor.analysis.pipeline import conclude
 from vehanchor.detection.detections import Detections, Looks, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
+from vehanchor.imagery.raster import RasterNote
+from vehanchor.records import Notice
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.scale.density import quantile, shifted
-from vehanchor.scale.posterior import Lack, Remark, Witness
+from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.tilt.camera_tilt import known_plane, with_scale
 from vehanchor_flight.photograph import of_photographs
 
@@ -35,23 +36,7 @@ if TYPE_CHECKING:
     from vehanchor_flight.photograph import Photograph
 
 _LEAST = 1e-12
-AnyRemark = TypeVar("AnyRemark", bound=Remark)
-
-
-@dataclass(frozen=True, eq=False)
-class _PooledPrior(SceneScalePrior):
-    """Scene-scale prior of many photographs, in the pixels of one.
-
-    Attributes:
-        pooled: ``[g]`` density of all photographs.
-    """
-
-    pooled: NDArray[np.float64]
-
-    @cached_property
-    def density(self) -> NDArray[np.float64]:
-        """Probabilities on ``vehanchor.scale.density.GRID``."""
-        return self.pooled
+AnyNotice = TypeVar("AnyNotice", Notice, RasterNote)
 
 
 def pool(
@@ -184,8 +169,7 @@ def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneS
     if not priors:
         return None
     density = combined_density([shifted(prior.density, offset) for prior, offset in priors], SceneScale.pooling_gain)
-    levels = tuple(level for prior, _ in priors for level in prior.levels)
-    return _PooledPrior(levels, priors[0][0].calibration, density)
+    return SceneScalePrior(density, sum(prior.n_tiles for prior, _ in priors))
 
 
 def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Witness]:
@@ -246,9 +230,9 @@ def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:
     return members[reference].view.image._replace(notices=notices)
 
 
-def _distinct(notices: Iterable[AnyRemark]) -> tuple[AnyRemark, ...]:
-    """Keep the first remark of each code: photographs of one camera have the same remarks."""
-    first: dict[str, AnyRemark] = {}
+def _distinct(notices: Iterable[AnyNotice]) -> tuple[AnyNotice, ...]:
+    """Keep the first notice of each code: photographs of one camera have the same notices."""
+    first: dict[str, AnyNotice] = {}
     for notice in notices:
         first.setdefault(notice.code, notice)
     return tuple(first.values())

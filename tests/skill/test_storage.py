@@ -20,7 +20,7 @@ from tests.conftest import ROOT
 from tests.skill.cut_off import CALIBRATION
 from vehanchor.analysis.stored import STORED_CLASSES
 from vehanchor.detection.detections import Detections
-from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
+from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -215,7 +215,7 @@ def test_a_link_is_not_followed(tmp_path: Path, sole: bool, exists: bool) -> Non
 
 
 def _stored() -> StoredPhotograph:
-    scene = SceneScalePrior((SceneLevel(2, 9, np.linspace(-4, -1, 7)),), SceneCalibration(-4.6, 0.1))
+    scene = SceneScalePrior(np.linspace(0.1, 0.3, 7), 9)
     found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4))
     facts = ImageFacts(10, 20, None, (RasterNote("a", "b"),), CameraMetadata(make="x", height_m=3.0))
     return StoredPhotograph(facts, found, 0.7, prior=scene)

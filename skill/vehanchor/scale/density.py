@@ -61,12 +61,12 @@ def blurred(density: NDArray[np.float64], log_sd: float, log_mean: float = 0.0) 
     """Add a normal error of the log scale.
 
     Args:
-        density: ``[g]`` probabilities.
+        density: ``[g]``, of any sum.
         log_sd: standard deviation of the error; less than a sixtieth of a cell is taken as exact.
         log_mean: its mean.
 
     Returns:
-        ``[g]`` probabilities.
+        ``[g]`` of the same sum.
     """
     reach = abs(log_mean) + KERNEL_REACH_SDS * log_sd
     if reach < LOG_STEP / 10:
@@ -75,7 +75,7 @@ def blurred(density: NDArray[np.float64], log_sd: float, log_mean: float = 0.0) 
     errors = np.arange(-cells, cells + 1) * LOG_STEP
     kernel = normalised(np.exp(-0.5 * ((errors - log_mean) / max(log_sd, LOG_STEP)) ** 2))
     padded = np.pad(density, cells, mode="edge")  # a flat floor stays flat
-    return normalised(np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0))
+    return density.sum() * normalised(np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0))
 
 
 def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
 MIN_KDE_VEHICLES = 5  # paper, section III-C: with fewer vehicles the median is used
-GROUP_LOG_REACH = 0.4  # a fleet lies within a factor of 1.5 of its modal length, as in the paper's outlier filter
+GROUP_LOG_REACH = math.log(OUTLIER_ALPHA)  # of a fleet around its modal length, as in the paper's outlier filter
 _GROUP_LOG_BANDWIDTH = 0.15  # more than the spread of a fleet (0.09) and of the measurement (0.05 to 0.1) together
 _GROUP_LOG_STEP = 0.01
 _GRID_STEP = 0.2  # of a bandwidth; the maximum is then refined between grid points

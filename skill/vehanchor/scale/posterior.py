@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.records import Notice
     from vehanchor.scale.defaults import Reason
 
 _LEAST_GAIN = 1e-6
@@ -55,18 +56,6 @@ class Mark(NamedTuple):
     points: tuple[tuple[float, float], ...]
     label: str = ""
     closed: bool = False
-
-
-class Remark(Protocol):
-    """Warning of a ruler."""
-
-    @property
-    def code(self) -> str:
-        """Stable identifier."""
-
-    @property
-    def message(self) -> str:
-        """The fact with its value, and its meaning for the result."""
 
 
 class Lack(NamedTuple):
@@ -91,8 +80,7 @@ class Witness:
             was found.
         right: ``[g]`` density of the scale if it measured what it thinks, without shared errors; None if nothing was
             found.
-        chance_wrong: 0..1, chance that it did not.
-        wrong: ``[g]`` density in that case.
+        chance_wrong: 0..1, chance that it did not, and says nothing.
         sets_scale: whether it can set a scale; a prior cannot.
         assumed: whether it rests on a guess of the caller, neither found in the picture nor measured.
         shared: errors in common with other witnesses.
@@ -107,7 +95,6 @@ class Witness:
     gsd_m_per_px: float | None = None
     right: NDArray[np.float64] | None = None
     chance_wrong: float = 0.0
-    wrong: NDArray[np.float64] = field(default_factory=flat, repr=False)
     sets_scale: bool = True
     assumed: bool = False
     shared: tuple[Shared, ...] = ()
@@ -115,7 +102,7 @@ class Witness:
     n: int = 1
     said: str | None = None
     marks: tuple[Mark, ...] = ()
-    notices: tuple[Remark, ...] = ()
+    notices: tuple[Notice, ...] = ()
 
     @property
     def found(self) -> bool:
@@ -132,17 +119,13 @@ class Witness:
         """Its own 95 % interval if it is right, metres per pixel, extended to its scale; None if nothing was found."""
         if self.right is None or self.gsd_m_per_px is None:
             return None
-        low, high = credible_interval(_blurred(self.right, self.shared))
+        low, high = credible_interval(blurred(self.right, _log_sd(self.shared)))
         return Interval(min(low, self.gsd_m_per_px), max(high, self.gsd_m_per_px))
 
     def factor(self, shared: Sequence[Shared]) -> NDArray[np.float64]:
         """Compute the density ``[g]`` with some of the shared errors."""
         assert self.right is not None
-        return _mixed(self.right * (1.0 - self.chance_wrong) + self.wrong * self.chance_wrong, shared, self.wrong)
-
-    def floor(self, factor: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Keep the part of a factor ``[g]`` that says nothing: the largest multiple of ``wrong`` below it."""
-        return np.asarray(self.wrong * float((factor / self.wrong).min()))
+        return _mixed(self.right * (1.0 - self.chance_wrong) + flat() * self.chance_wrong, shared)
 
 
 def sharing(witness: Witness, error: Shared, removes: Reason) -> Witness:
@@ -268,12 +251,10 @@ class _Component(NamedTuple):
     """Witnesses that are linked by shared errors.
 
     Attributes:
-        members: by their index.
-        factors: ``[g]`` each, with the errors of one member alone.
+        factors: ``[g]`` of each member by its index, with the errors of that member alone.
         common: errors of two or more members.
     """
 
-    members: Mapping[int, Witness]
     factors: Mapping[int, NDArray[np.float64]]
     common: tuple[Shared, ...]
 
@@ -292,15 +273,15 @@ class _Component(NamedTuple):
             k: witness.factor([each for each in witness.shared if len(named[each.name]) == 1])
             for k, witness in members.items()
         }
-        return cls(members, factors, common)
+        return cls(factors, common)
 
     def density(self, floored: Collection[int]) -> NDArray[np.float64]:
         """Compute the factor ``[g]``; of the members in ``floored`` only the part that says nothing is kept."""
-        kept = [each.floor(self.factors[k]) if k in floored else self.factors[k] for k, each in self.members.items()]
+        kept = [np.full_like(each, each.min()) if k in floored else each for k, each in self.factors.items()]
         if len(kept) == 1:
             return kept[0]
         total = float(np.prod(list(self.factors.values()), axis=0).sum())
-        return _mixed(np.prod(kept, axis=0) / total, self.common, flat())
+        return _mixed(np.prod(kept, axis=0) / total, self.common)
 
 
 def _components(heard: Sequence[Witness]) -> list[_Component]:
@@ -317,16 +298,14 @@ def _components(heard: Sequence[Witness]) -> list[_Component]:
     return [_Component.of(group) for group in groups]
 
 
-def _mixed(density: NDArray[np.float64], shared: Sequence[Shared], wrong: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Blur a density by errors, and mix it with the case that their causes make it wrong."""
+def _mixed(density: NDArray[np.float64], shared: Sequence[Shared]) -> NDArray[np.float64]:
+    """Blur a density ``[g]`` of any sum by errors, and mix it with the case that their causes make it wrong."""
     chance_right = math.prod(1.0 - each.chance_wrong for each in shared)
-    return chance_right * _blurred(density, shared) + (1.0 - chance_right) * wrong
+    return chance_right * blurred(density, _log_sd(shared)) + (1.0 - chance_right) * flat()
 
 
-def _blurred(density: NDArray[np.float64], shared: Sequence[Shared]) -> NDArray[np.float64]:
-    """Blur a density ``[g]`` of any sum by errors."""
-    total = float(density.sum())
-    return total * blurred(density / total, math.hypot(*(each.log_sd for each in shared)))
+def _log_sd(shared: Sequence[Shared]) -> float:
+    return math.hypot(*(each.log_sd for each in shared))
 
 
 def _log_product(parts: Sequence[_Component], floored: Collection[int] = ()) -> NDArray[np.float64]:

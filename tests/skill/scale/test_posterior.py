@@ -92,7 +92,7 @@ def _contradicts(one: Witness, other: Witness) -> bool:
     """Whether the other witness is ten times likelier to be wrong than to be right where this one is."""
     assert one.right is not None
     assert other.right is not None
-    right, wrong = (float((one.right * each).sum()) for each in (other.right, other.wrong))
+    right, wrong = (float((one.right * each).sum()) for each in (other.right, flat()))
     return right * (1 - other.chance_wrong) < 0.1 * wrong * other.chance_wrong
 
 
