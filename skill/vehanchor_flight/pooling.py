@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from vehanchor.analysis.pipeline import conclude
-from vehanchor.detection.detections import Detections, Looks, Objects
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
@@ -103,10 +103,6 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     ]
     looks = [each.looks for each in detections if each.looks is not None]
     place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among boxes with looks
-    named = all(each.classes is not None for each in detections)
-    classes = np.concatenate(
-        [each.classes for each in detections if each.classes is not None] or [np.zeros(0, np.intp)]
-    )
     ends = (each.stopped_because for each in detections if each.stopped_because is not None)
     return Detections(
         boxes[order],
@@ -115,8 +111,6 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         sum(each.n_capped_tiles for each in detections),
         np.concatenate(scales)[order] if scaled else None,
         Looks.joined(looks).take(place) if looks else None,
-        classes[order] if named else None,
-        Objects.joined(),
         n_tiles_total=sum(each.n_tiles_total or each.n_tiles for each in detections),
         n_skipped=sum(each.n_skipped for each in detections),
         stopped_because=next(ends, None),

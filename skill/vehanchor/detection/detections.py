@@ -110,7 +110,6 @@ class Detections:
         scales: ``[n]`` float64, scale of the image in which each was found: 1, 0.5, 0.25 or 0.125; None for a search
             at full resolution only.
         looks: sizes of the first m = min(n, 64) vehicles by their appearance; None without a chip network.
-        classes: ``[n]`` int, class index of each vehicle; None without classes, as for labels.
         others: objects of the model's other classes, in image pixels, best score first; overlapping boxes are merged
             within a class, not between classes.
         n_tiles_total: number of tiles of the image at all resolutions; None if it was not counted.
@@ -128,7 +127,6 @@ class Detections:
     n_capped_tiles: int = 0
     scales: NDArray[np.float64] | None = None
     looks: Looks | None = None
-    classes: NDArray[np.intp] | None = None
     others: Objects = field(default_factory=Objects.joined)
     n_tiles_total: int | None = None
     stopped_because: Stopped | None = None
@@ -185,17 +183,13 @@ def corrected(
     kept = ~np.isin(numbers, by_hand.drop) & ~overlaps
     n_added = len(added)
 
-    looks, classes = detections.looks, detections.classes
-    if classes is not None:
-        commonest = int(np.bincount(classes).argmax()) if len(classes) else 0
-        classes = np.concatenate([classes[kept], np.full(n_added, commonest, np.intp)])
+    looks = detections.looks
     return replace(
         detections,
         boxes=np.concatenate([detections.boxes[kept], added]),
         scores=np.concatenate([detections.scores[kept], np.full(n_added, _STATED_SCORE)]),
         scales=None if detections.scales is None else np.concatenate([detections.scales[kept], np.ones(n_added)]),
         looks=None if looks is None else looks.take(kept[: len(looks)]),
-        classes=classes,
         corrections=Corrections(
             numbers=np.concatenate([numbers[kept], found + 1 + np.arange(n_added)]),
             pointed_log_sds=np.concatenate([np.zeros(int(kept.sum())), pointed_log_sds]),

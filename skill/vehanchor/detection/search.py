@@ -312,7 +312,6 @@ class ImageSearch:
             sum(part.ran_out for part in parts),
             1 / factors[kept] if self._search_scales else None,
             looks,
-            vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
             self._because,

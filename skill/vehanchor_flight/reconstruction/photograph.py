@@ -262,7 +262,6 @@ def _taken(detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.
         scores=detections.scores[kept],
         scales=None if detections.scales is None else detections.scales[kept],
         looks=None if looks is None else looks.take(kept[: len(looks)]),
-        classes=None if detections.classes is None else detections.classes[kept],
         stretch=None,  # width and height have the scales that the model gives them
     )
 
