@@ -15,14 +15,12 @@ import numpy as np
 from vehanchor.analysis.pipeline import conclude
 from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.scene_scale import SceneScalePrior
-from vehanchor.imagery.raster import RasterNote
-from vehanchor.records import Notice
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.scale.density import quantile, shifted
-from vehanchor.scale.posterior import Lack, Witness
+from vehanchor.scale.posterior import Lack, Remark, Witness
 from vehanchor.tilt.camera_tilt import known_plane, with_scale
 from vehanchor_flight.photograph import of_photographs
 
@@ -36,7 +34,7 @@ if TYPE_CHECKING:
     from vehanchor_flight.photograph import Photograph
 
 _LEAST = 1e-12
-AnyNotice = TypeVar("AnyNotice", Notice, RasterNote)
+AnyRemark = TypeVar("AnyRemark", bound=Remark)
 
 
 def pool(
@@ -224,9 +222,9 @@ def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:
     return members[reference].view.image._replace(notices=notices)
 
 
-def _distinct(notices: Iterable[AnyNotice]) -> tuple[AnyNotice, ...]:
+def _distinct(notices: Iterable[AnyRemark]) -> tuple[AnyRemark, ...]:
     """Keep the first notice of each code: photographs of one camera have the same notices."""
-    first: dict[str, AnyNotice] = {}
+    first: dict[str, AnyRemark] = {}
     for notice in notices:
         first.setdefault(notice.code, notice)
     return tuple(first.values())

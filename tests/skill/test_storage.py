@@ -26,7 +26,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.rulers.ruler import assumed, point_witness, prior_witness
-from vehanchor.scale.density import flat, lognormal
+from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import Shared
 from vehanchor.storage.atomic import whole_file, write_record
@@ -266,7 +266,6 @@ def test_all_witnesses_of_the_rulers_can_be_stored(witness: Witness) -> None:
     assert (found.shared, found.marks, found.assumed) == (witness.shared, witness.marks, witness.assumed)
     assert [lack.reason for lack in found.lacks] == [lack.reason for lack in witness.lacks]
     assert np.array_equal(found.density, witness.density)
-    assert np.array_equal(found.wrong, flat())
 
 
 def test_a_refused_flush_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

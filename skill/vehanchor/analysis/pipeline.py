@@ -36,36 +36,35 @@ from vehanchor.records import (
     VehiclesByHand,
 )
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.measurement import disagreements, measure_all
+from vehanchor.rulers.measurement import disagreements, measure_all, with_doubts
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.stated_scale import StatedScale
-from vehanchor.rulers.vehicles import Vehicles, measured_vehicles
+from vehanchor.rulers.vehicles import measured_vehicles
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
-from vehanchor.scale.posterior import Answer, answer, judged, sharing
-from vehanchor.scale.reliability import NO_CARS, NO_ONE_SCALE, SAME_NUMBER
+from vehanchor.scale.posterior import Answer, answer, judged
+from vehanchor.scale.reliability import SAME_NUMBER
 from vehanchor.tilt.camera_tilt import known_plane, metadata_tilt, tilt_notice
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
     from vehanchor.detection.scene_scale import SceneScalePrior
-    from vehanchor.imagery.raster import Raster, RasterNote
+    from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
     from vehanchor.records import Reason
     from vehanchor.rulers.vehicles import VehicleWitness
     from vehanchor.scale.lengths import Interval
-    from vehanchor.scale.posterior import Witness
+    from vehanchor.scale.posterior import Remark, Witness
 
 _MODEL_DIGITS = 12
 _SHOWN_FAILURES = 10  # of a list of images
-_NO_ONE_SCALE = (NoticeCode.STRETCHED, NoticeCode.TILT_SUSPECTED)
 GEOREFERENCE_TOLERANCE = 0.10  # largest difference of the file's own scale without a warning
 
 
@@ -195,8 +194,8 @@ def conclude(view: View, measured: tuple[Witness, ...], notices: Sequence[Notice
         notices: of the tilt.
     """
     witnesses = _without_repetition(measured)
-    own = [notice for each in witnesses for notice in each.notices]
-    witnesses = _with_doubts(witnesses, {notice.code for notice in (*own, *notices)})
+    own = notices_of(notice for each in witnesses for notice in each.notices)
+    witnesses = with_doubts(witnesses, notices)
     vehicles = measured_vehicles(witnesses)
     if view.options.method.preset == "paper":
         found, decided = None, _by_paper(vehicles)
@@ -220,16 +219,6 @@ def _without_repetition(witnesses: tuple[Witness, ...]) -> tuple[Witness, ...]:
         return witnesses
     repeats = abs(math.log(stated.gsd_m_per_px / found.gsd_m_per_px)) <= SAME_NUMBER
     return rest if repeats else witnesses
-
-
-def _with_doubts(witnesses: tuple[Witness, ...], codes: Container[str]) -> tuple[Witness, ...]:
-    """Give witnesses the errors that doubts make common: all of them, or the vehicles and a prior that agrees."""
-    if any(code in codes for code in _NO_ONE_SCALE):
-        witnesses = tuple(sharing(each, NO_ONE_SCALE, "disagree") if each.found else each for each in witnesses)
-    if NoticeCode.LOOK_ALIKES in codes:
-        of_cars = {each for each in witnesses if each.found and (each.kind == Vehicles.kind or not each.sets_scale)}
-        witnesses = tuple(sharing(each, NO_CARS, "not_cars") if each in of_cars else each for each in witnesses)
-    return witnesses
 
 
 class _Decided(NamedTuple):
@@ -358,8 +347,8 @@ def _with_ci95(gsd: float | None, interval: tuple[float, float] | None, factor: 
     return {name: value and value * factor for name, value in values.items()}
 
 
-def notices_of(notes: Iterable[RasterNote]) -> tuple[Notice, ...]:
-    """Convert the warnings of an image to notices."""
+def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
+    """Convert the warnings of an image and of rulers to notices."""
     return tuple(Notice(code=note.code, message=note.message) for note in notes)
 
 

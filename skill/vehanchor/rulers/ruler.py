@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.models.runtime import Runtime
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import Notice
     from vehanchor.scale.lengths import Interval
     from vehanchor.scale.plane import GroundPlane
+    from vehanchor.scale.posterior import Remark
     from vehanchor.scale.reliability import Shared
     from vehanchor.tilt.camera_tilt import CameraTilt
 
@@ -140,7 +140,7 @@ def mark_of_height(image: ImageFacts, height_m: float) -> Mark:
     return Mark(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
 
 
-def unusable(kind: str, *notices: Notice) -> Witness:
+def unusable(kind: str, *notices: Remark) -> Witness:
     """Make the witness of a ruler that cannot measure; notices say why."""
     return Witness(kind, n=0, notices=notices)
 
@@ -154,7 +154,7 @@ def point_witness(
     *,
     shared: Sequence[Shared] = (),
     n: int = 1,
-    notices: Sequence[Notice] = (),
+    notices: Sequence[Remark] = (),
     marks: Sequence[Mark] = (),
 ) -> Witness:
     """Make a witness from a scale and its standard deviation.

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.records import Notice
     from vehanchor.scale.defaults import Reason
 
 _LEAST_GAIN = 1e-6
@@ -56,6 +55,18 @@ class Mark(NamedTuple):
     points: tuple[tuple[float, float], ...]
     label: str = ""
     closed: bool = False
+
+
+class Remark(Protocol):
+    """Warning of a ruler."""
+
+    @property
+    def code(self) -> str:
+        """Stable identifier."""
+
+    @property
+    def message(self) -> str:
+        """The fact with its value, and its meaning for the result."""
 
 
 class Lack(NamedTuple):
@@ -102,7 +113,7 @@ class Witness:
     n: int = 1
     said: str | None = None
     marks: tuple[Mark, ...] = ()
-    notices: tuple[Notice, ...] = ()
+    notices: tuple[Remark, ...] = ()
 
     @property
     def found(self) -> bool:
