@@ -219,7 +219,6 @@ def without_vehicles(photograph: Photograph) -> Photograph:
         scores=seen.scores[:0],
         scales=None if seen.scales is None else seen.scales[:0],
         looks=None if seen.looks is None else seen.looks.take(np.zeros(len(seen.looks), bool)),
-        classes=None if seen.classes is None else seen.classes[:0],
     )
     again = StoredPhotograph(photograph.view.image, bare, 1.0, of_photographs(photograph.analysis.witnesses))
     return Photograph.of(photograph.name, again, photograph.view.card, photograph.view.options, photograph.features)

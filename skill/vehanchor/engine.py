@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
 
 from vehanchor.analysis.pipeline import analyse_image, analyse_raster, checked_detector, estimate_each
-from vehanchor.courts.proposals import load_court_network
+from vehanchor.courts.find import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError

@@ -7,14 +7,13 @@ flight are correlated, so that n densities of a ruler count as fewer than n.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from vehanchor.analysis.pipeline import conclude
-from vehanchor.detection.detections import Detections, Looks, Objects
+from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
@@ -36,22 +35,6 @@ if TYPE_CHECKING:
 
 _LEAST = 1e-12
 AnyRemark = TypeVar("AnyRemark", bound=Remark)
-
-
-@dataclass(frozen=True, eq=False)
-class _PooledPrior(SceneScalePrior):
-    """Scene-scale prior of many photographs, in the pixels of one.
-
-    Attributes:
-        pooled: ``[g]`` density of all photographs.
-    """
-
-    pooled: NDArray[np.float64]
-
-    @cached_property
-    def density(self) -> NDArray[np.float64]:
-        """Probabilities on ``vehanchor.scale.density.GRID``."""
-        return self.pooled
 
 
 def pool(
@@ -118,10 +101,6 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     ]
     looks = [each.looks for each in detections if each.looks is not None]
     place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among boxes with looks
-    named = all(each.classes is not None for each in detections)
-    classes = np.concatenate(
-        [each.classes for each in detections if each.classes is not None] or [np.zeros(0, np.intp)]
-    )
     ends = (each.stopped_because for each in detections if each.stopped_because is not None)
     return Detections(
         boxes[order],
@@ -130,8 +109,6 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         sum(each.n_capped_tiles for each in detections),
         np.concatenate(scales)[order] if scaled else None,
         Looks.joined(looks).take(place) if looks else None,
-        classes[order] if named else None,
-        Objects.joined(),
         n_tiles_total=sum(each.n_tiles_total or each.n_tiles for each in detections),
         n_skipped=sum(each.n_skipped for each in detections),
         stopped_because=next(ends, None),
@@ -184,8 +161,7 @@ def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneS
     if not priors:
         return None
     density = combined_density([shifted(prior.density, offset) for prior, offset in priors], SceneScale.pooling_gain)
-    levels = tuple(level for prior, _ in priors for level in prior.levels)
-    return _PooledPrior(levels, priors[0][0].calibration, density)
+    return SceneScalePrior(density, sum(prior.n_tiles for prior, _ in priors))
 
 
 def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Witness]:
@@ -247,7 +223,7 @@ def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:
 
 
 def _distinct(notices: Iterable[AnyRemark]) -> tuple[AnyRemark, ...]:
-    """Keep the first remark of each code: photographs of one camera have the same remarks."""
+    """Keep the first notice of each code: photographs of one camera have the same notices."""
     first: dict[str, AnyRemark] = {}
     for notice in notices:
         first.setdefault(notice.code, notice)

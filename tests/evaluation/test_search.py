@@ -19,7 +19,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor.rulers.ruler import View
-from vehanchor.scale.votes import Votes
+from vehanchor.scale.density import Votes
 from vehanchor_evaluation.dota import survey_dota
 from vehanchor_evaluation.geotiff import survey_geotiffs
 from vehanchor_evaluation.gsd import ScaleTrial

@@ -20,13 +20,13 @@ from tests.conftest import ROOT
 from tests.skill.cut_off import CALIBRATION
 from vehanchor.analysis.stored import STORED_CLASSES
 from vehanchor.detection.detections import Detections
-from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
+from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.rulers.ruler import assumed, point_witness, prior_witness
-from vehanchor.scale.density import flat, lognormal
+from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import Shared
 from vehanchor.storage.atomic import whole_file, write_record
@@ -215,7 +215,7 @@ def test_a_link_is_not_followed(tmp_path: Path, sole: bool, exists: bool) -> Non
 
 
 def _stored() -> StoredPhotograph:
-    scene = SceneScalePrior((SceneLevel(2, 9, np.linspace(-4, -1, 7)),), SceneCalibration(-4.6, 0.1))
+    scene = SceneScalePrior(np.linspace(0.1, 0.3, 7), 9)
     found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4))
     facts = ImageFacts(10, 20, None, (RasterNote("a", "b"),), CameraMetadata(make="x", height_m=3.0))
     return StoredPhotograph(facts, found, 0.7, prior=scene)
@@ -266,7 +266,6 @@ def test_all_witnesses_of_the_rulers_can_be_stored(witness: Witness) -> None:
     assert (found.shared, found.marks, found.assumed) == (witness.shared, witness.marks, witness.assumed)
     assert [lack.reason for lack in found.lacks] == [lack.reason for lack in witness.lacks]
     assert np.array_equal(found.density, witness.density)
-    assert np.array_equal(found.wrong, flat())
 
 
 def test_a_refused_flush_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,10 +24,9 @@ from research.training.chips.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, 
 from research.training.detector.data import TrainImage, is_dev, load_scenes, load_train_images
 from research.training.detector.places import is_held_out, places
 from research.training.detector.scenery import CAR_M, load_scenery
-from vehanchor.detection.boxes import box_corners, boxes_from_corners, oriented_iou
+from vehanchor.detection.boxes import box_corners, boxes_from_corners, oriented_iou, oriented_nms
 from vehanchor.detection.chips import KINDS
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.search import search
 from vehanchor.detection.verifier import surroundings
 from vehanchor.imagery.sources.opening import open_raster

@@ -1,10 +1,11 @@
 """Fit how a detector's boxes vote: ``python -m research.training.fusion.fit RUN DETECTOR.onnx``.
 
 Reads the searches that ``research.training.fusion.cases`` has kept in ``RUN``. A box of a car's length in metres is
-taken for a car: its log odds follow from the score by logistic regression (``vehanchor.scale.votes.Votes``), with equal
-weights of all photographs. The result becomes ``vehanchor.votes`` of the detector's file. Prints how often the answer
-is usable, how many usable ones are wrong, and how often the interval holds the true scale: by number of vehicles, and
-by place with votes that the other places chose. Without a detector, it only reports on the detector's own votes.
+taken for a car: its log odds follow from the score by logistic regression (``vehanchor.scale.density.Votes``), with
+equal weights of all photographs. The result becomes ``vehanchor.votes`` of the detector's file. Prints how often the
+answer is usable, how many usable ones are wrong, and how often the interval holds the true scale: by number of
+vehicles, and by place with votes that the other places chose. Without a detector, it only reports on the detector's own
+votes.
 """
 
 from __future__ import annotations
@@ -26,9 +27,8 @@ from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.options import ScaleOptions
-from vehanchor.scale.density import TOLERANCE
+from vehanchor.scale.density import TOLERANCE, Votes
 from vehanchor.scale.posterior import answer
-from vehanchor.scale.votes import Votes
 from vehanchor.storage.atomic import whole_file
 from vehanchor.storage.journal import Source
 from vehanchor_evaluation.known_scale import KnownScaleImage

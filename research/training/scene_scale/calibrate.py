@@ -42,7 +42,7 @@ _WITHIN = 1.5
 def density_of(case: Case, calibration: SceneCalibration) -> NDArray[np.float64]:
     """Combine what was seen on an image's tiles, as the library does."""
     levels = [
-        SceneLevel(factor, len(seen), seen.astype(np.float64).mean(axis=0))
+        SceneLevel(factor, seen.astype(np.float64).mean(axis=0))
         for factor, seen in zip(case.factors, case.log_probs, strict=True)
     ]
     return scene_density(levels, calibration)

@@ -3,7 +3,7 @@
 ``python -m research.training.tile_prior.fit ../shared/data``.
 
 A logistic regression of "somebody labelled a car here" on the log of the mean gradient at 1/8 of the resolution, on the
-train split of the sets of known scale; prints the two numbers of ``vehanchor.detection.tile_prior``, and the area under
+train split of the sets of known scale; prints the two numbers of ``vehanchor.detection.scheduler``, and the area under
 the curve on train and val.
 """
 
@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from research.training.logistic import area, logistic
-from vehanchor.detection.tile_prior import FLAT, gradient
+from vehanchor.detection.scheduler import NOISE_GRADIENT, gradient
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,7 +41,7 @@ def read_images(data: Path, split: str) -> tuple[NDArray[np.float64], NDArray[np
                 for reduced in (8, 16) if float(row["gsd_m_per_px"]) < _FINE_M else (8,):
                     size = image.shape[1] // reduced, image.shape[0] // reduced
                     coarse = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-                    logs.append(float(np.log(gradient(coarse).mean() + FLAT)))
+                    logs.append(float(np.log(gradient(coarse).mean() + NOISE_GRADIENT)))
                     cars.append(int(row["labelled_small_vehicles"]) > 0)
     return np.array(logs), np.array(cars)
 

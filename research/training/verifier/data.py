@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from research.training.detector.data import TrainImage, photometric
 from research.training.detector.shade import shaded
 from research.training.logistic import weight_of_sets
+from vehanchor.detection.boxes import oriented_nms
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.verifier import CHIP_LENGTH_PX, CHIP_PX, surroundings
 from vehanchor.storage.atomic import whole_file
 

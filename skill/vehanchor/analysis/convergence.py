@@ -18,6 +18,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.detection.scheduler import LARGE_PIXELS
+from vehanchor.rulers.measurement import with_doubts
 from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
@@ -121,13 +122,14 @@ def convergence(view: View) -> Convergence:
     if not vehicles.found:
         return Convergence(math.inf, 0.0, doubted=True)
     resampling, spread = vehicles.statistical_log_sds
-    found = answer([vehicles, *priors])
+    heard = with_doubts([vehicles, *priors])
+    found = answer(heard)
     return Convergence(
         math.hypot(resampling, spread),
         vehicles.reference.log_sd,
         doubted=vehicles.doubted or found is None or not _is_settled(found),
         value_log_sd=resampling if vehicles.n >= MIN_KDE_VEHICLES else math.inf,
-        density=product(vehicles.density, *(prior.density for prior in priors if prior.found)),
+        density=product(*(each.density for each in heard if each.found)),
     )
 
 

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehanchor.analysis.convergence import search_until_settled
 from vehanchor.analysis.scale import ScaleAnalysis
-from vehanchor.detection.corrections import corrected
-from vehanchor.detection.detections import NOT_SEARCHED
+from vehanchor.detection.detections import NOT_SEARCHED, corrected
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import ImageListError, InvalidParameterError, VehAnchorError
@@ -37,7 +36,7 @@ from vehanchor.records import (
     VehiclesByHand,
 )
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.measurement import disagreements, measure_all
+from vehanchor.rulers.measurement import disagreements, measure_all, with_doubts
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class
 from vehanchor.rulers.ruler import View
@@ -46,8 +45,8 @@ from vehanchor.rulers.stated_scale import StatedScale
 from vehanchor.rulers.vehicles import measured_vehicles
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
-from vehanchor.scale.posterior import Answer, answer, judged, sharing
-from vehanchor.scale.reliability import NO_ONE_SCALE
+from vehanchor.scale.posterior import Answer, answer, judged
+from vehanchor.scale.reliability import SAME_NUMBER
 from vehanchor.tilt.camera_tilt import known_plane, metadata_tilt, tilt_notice
 
 if TYPE_CHECKING:
@@ -66,8 +65,6 @@ if TYPE_CHECKING:
 
 _MODEL_DIGITS = 12
 _SHOWN_FAILURES = 10  # of a list of images
-_NO_ONE_SCALE = (NoticeCode.STRETCHED, NoticeCode.TILT_SUSPECTED)
-_SAME_SCALE = 0.02  # of the log: a stated scale this near to the answer repeats it; a choice
 GEOREFERENCE_TOLERANCE = 0.10  # largest difference of the file's own scale without a warning
 
 
@@ -198,8 +195,7 @@ def conclude(view: View, measured: tuple[Witness, ...], notices: Sequence[Notice
     """
     witnesses = _without_repetition(measured)
     own = notices_of(notice for each in witnesses for notice in each.notices)
-    if any(notice.code in _NO_ONE_SCALE for notice in (*own, *notices)):
-        witnesses = tuple(sharing(each, NO_ONE_SCALE, "disagree") if each.found else each for each in witnesses)
+    witnesses = with_doubts(witnesses, notices)
     vehicles = measured_vehicles(witnesses)
     if view.options.method.preset == "paper":
         found, decided = None, _by_paper(vehicles)
@@ -221,7 +217,7 @@ def _without_repetition(witnesses: tuple[Witness, ...]) -> tuple[Witness, ...]:
     found = None if stated is None else judged(rest)
     if stated is None or stated.gsd_m_per_px is None or found is None:
         return witnesses
-    repeats = abs(math.log(stated.gsd_m_per_px / found.gsd_m_per_px)) <= _SAME_SCALE
+    repeats = abs(math.log(stated.gsd_m_per_px / found.gsd_m_per_px)) <= SAME_NUMBER
     return rest if repeats else witnesses
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from vehanchor.detection.detections import Detections, Looks, Objects
-from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
+from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
@@ -29,8 +29,6 @@ STORED_CLASSES: dict[str, type[Any]] = {
     "notice": Notice,
     "objects": Objects,
     "raster_note": RasterNote,
-    "scene_calibration": SceneCalibration,
-    "scene_level": SceneLevel,
     "scene_scale_prior": SceneScalePrior,
 }
 """Classes of intermediate results by their stored names."""

@@ -12,8 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.courts.match import Pose
-    from vehanchor.courts.template import Template
+    from vehanchor.courts.match import Pose, Template
 
 _PIECE_M = 2.4  # length of line over which the profile is averaged; a player hides one piece, not all
 _STEP_PX = 0.25

@@ -1,27 +1,31 @@
-"""Template matching of courts: the whole template is tried at every nearby position, angle and size."""
+"""Templates of courts, and their matching: a whole template is tried at every nearby position, angle and size.
+
+A template has the painted lines in metres, by the rules of the game. The origin is the centre of the court, and x runs
+along it. Rules measure to the outside of lines, a fit finds their middle. The templates are therefore smaller by half a
+line's usual width.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from vehanchor.courts.template import Template
-
 _HALF_LINE_PX = 2  # a line is brighter than the pixels this far to either side
 _LEAST_CONTRAST = 3.0  # grey levels
 _CONTRAST_PER_TEXTURE = 1.5
 _TEXTURE_PX, _SMOOTH_PX = 15, 5
 _MARGIN_M = 1.5
-_LONG = 0.35  # share of a court's length; only its longer lines select the candidates for all lines
-_MOST_CANDIDATES = 48  # positions and sizes for each angle
+_HALF_LINE_M = 0.025  # tennis: 2.5 to 5 cm, base lines up to 10 cm (ITF); basketball: 5 cm (FIBA)
+_ARC_STEPS = 16
 
 
 class Pose(NamedTuple):
@@ -169,14 +173,12 @@ class _Ends(NamedTuple):
         last: ``[sizes, lines]`` index of each segment's end.
         weights: ``[sizes, lines]`` share of the score divided by the length in pixels; negative for blanks.
         shift: ``[places, places]`` offsets of the indices for a court that far down and across.
-        long: ``first``, ``last`` and ``weights`` of the long painted lines at the first position.
     """
 
     first: NDArray[np.intp]
     last: NDArray[np.intp]
     weights: NDArray[np.float32]
     shift: NDArray[np.intp]
-    long: tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]
 
     @classmethod
     def of(
@@ -187,7 +189,6 @@ class _Ends(NamedTuple):
         metres = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
         wanted, along = np.arange(len(lines)) < len(template.lines), lines[:, 1] == lines[:, 3]
         shares = np.where(wanted, metres / metres[wanted].sum(), -metres / metres[~wanted].sum())
-        (long,) = np.nonzero(wanted & (metres >= _LONG * template.length_m))
         pixels = np.rint(lines[None] * sizes[:, None, None]).astype(np.intp)
         x1, y1, x2, y2 = np.moveaxis(pixels, 2, 0)
         pitch = 2 * half_x + 2
@@ -195,29 +196,112 @@ class _Ends(NamedTuple):
         first = base + y1 * pitch + x1
         last = base + (y2 + ~along) * pitch + x2 + along
         weights = np.asarray(shares / (np.where(along, x2 - x1, y2 - y1) + 1), np.float32)
-        shift = pitch * places[:, None] + places
-        of_long = first[:, long] + shift[0, 0], last[:, long] + shift[0, 0], weights[:, long]
-        return cls(first, last, weights, shift, of_long)
+        return cls(first, last, weights, pitch * places[:, None] + places)
 
     def best(self, sums: NDArray[np.float32]) -> tuple[float, int, int, int]:
         """Find the best score over all positions, and the indices of its size, row and column."""
-        first, last, weights = self.long
-        everywhere = self._everywhere(sums)
-        seen = everywhere[last]
-        seen -= everywhere[first]
-        rough = np.einsum("sl,slp->sp", weights, seen.reshape(*seen.shape[:2], -1)).ravel()
-        count = min(_MOST_CANDIDATES, len(rough))
-        kept = np.argpartition(rough, -count)[-count:] if len(rough) > count else np.arange(len(rough))
-        size, place = np.divmod(kept, self.shift.size)
-        there = self.shift.ravel()[place, None]
-        whole = self.weights[size] * (sums.take(self.last[size] + there) - sums.take(self.first[size] + there))
-        scores = whole.sum(axis=1)
-        top = int(scores.argmax())
-        row, column = divmod(int(place[top]), len(self.shift))
-        return float(scores[top]), int(size[top]), row, column
+        scores = np.zeros((len(self.first), *self.shift.shape), np.float32)
+        for line, first, last in zip(self.weights.T, self.first.T, self.last.T, strict=True):
+            seen = sums.take(last[:, None, None] + self.shift) - sums.take(first[:, None, None] + self.shift)
+            scores += line[:, None, None] * seen
+        size, row, column = np.unravel_index(int(scores.argmax()), scores.shape)
+        return float(scores[size, row, column]), int(size), int(row), int(column)
 
-    def _everywhere(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Create a view ``[index, places, places]`` of the sums at all positions from each index on."""
-        shift, width = self.shift - self.shift[0, 0], sums.itemsize
-        strides = width, width * int(shift[1, 0]), width * int(shift[0, 1])
-        return as_strided(sums, (len(sums) - int(shift[-1, -1]), *shift.shape), strides, writeable=False)
+
+class Line(NamedTuple):
+    """Straight painted line.
+
+    Attributes:
+        x1: first end, metres along the court from its centre.
+        y1: first end, metres across.
+        x2: second end, metres along.
+        y2: second end, metres across.
+    """
+
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+
+    @property
+    def length_m(self) -> float:
+        """Length in metres."""
+        return float(np.hypot(self.x2 - self.x1, self.y2 - self.y1))
+
+
+@dataclass(frozen=True)
+class Template:
+    """Template of one kind of court.
+
+    Attributes:
+        kind: ``tennis``, ``basketball_fiba``, ``basketball_nba`` or ``basketball_ncaa``.
+        length_m: length to the outside of the lines.
+        width_m: width to the outside of the lines.
+        lines: straight lines along or across the court, used to find it.
+        blank: segments without paint between and around the lines; lines there indicate a car park or a roof.
+        arcs: all other paint, as short straight pieces.
+    """
+
+    kind: str
+    length_m: float
+    width_m: float
+    lines: tuple[Line, ...]
+    blank: tuple[Line, ...]
+    arcs: tuple[Line, ...] = ()
+
+    @property
+    def outline(self) -> NDArray[np.float64]:
+        """Corners ``[4, 2]`` in metres; the first two bound a long side."""
+        return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * [self.length_m / 2, self.width_m / 2]
+
+
+def _tennis() -> Template:
+    x, y = 23.77 / 2 - _HALF_LINE_M, 10.97 / 2 - _HALF_LINE_M
+    singles, service = 8.23 / 2 - _HALF_LINE_M, 6.40 - _HALF_LINE_M
+    lines = [Line(-x, side, x, side) for side in (-y, y, -singles, singles)]
+    lines += [Line(end, -y, end, y) for end in (-x, x)]
+    lines += [Line(end, -singles, end, singles) for end in (-service, service)]
+    lines.append(Line(-service, 0.0, service, 0.0))
+    blank = [Line(0.8 - x, side, x - 0.8, side) for side in (-singles / 2, singles / 2)]
+    blank += [Line(-x, side, x, side) for side in (-y - 1.2, y + 1.2)]
+    blank += [Line(end, 0.4 - singles, end, singles - 0.4) for end in (-9.1, 9.1)]
+    blank += [Line(end, -y, end, y) for end in (-x - 1.2, x + 1.2)]
+    return Template("tennis", 23.77, 10.97, tuple(lines), tuple(blank))
+
+
+def _basketball(kind: str) -> Template:
+    length, width, key_length, key_width, arc, from_side = {
+        "basketball_fiba": (28.0, 15.0, 5.8, 4.9, 6.75, 0.9),
+        "basketball_nba": (28.65, 15.24, 5.79, 4.88, 7.24, 0.91),
+        "basketball_ncaa": (28.65, 15.24, 5.79, 3.66, 6.75, 1.02),
+    }[kind]
+    x, y = length / 2 - _HALF_LINE_M, width / 2 - _HALF_LINE_M
+    key, free = key_width / 2 - _HALF_LINE_M, length / 2 - key_length + _HALF_LINE_M
+    lines = [Line(-x, side, x, side) for side in (-y, y)]
+    lines += [Line(end, -y, end, y) for end in (-x, 0.0, x)]
+    lines += [Line(end * free, side, end * x, side) for end in (-1, 1) for side in (-key, key)]
+    lines += [Line(end * free, -key, end * free, key) for end in (-1, 1)]
+    blank = [Line(-x, side, x, side) for side in (-y - 1.2, y + 1.2)]
+    blank += [Line(end, -y, end, y) for end in (-x - 1.2, x + 1.2)]
+    blank += [Line(-4.5, side, 4.5, side) for side in (-4.6, 4.6)]
+    blank += [Line(end, -y + 0.8, end, y - 0.8) for end in (-3.2, 3.2)]
+    straight, reach = width / 2 - from_side - _HALF_LINE_M, arc - _HALF_LINE_M
+    turn = np.arcsin(straight / reach)
+    angles = np.linspace(-turn, turn, _ARC_STEPS)
+    basket = length / 2 - 1.575
+    arcs = _pieces(np.stack([1.8 * np.cos(a := np.linspace(0, 2 * np.pi, 20)), 1.8 * np.sin(a)], axis=1))
+    for end in (-1.0, 1.0):
+        arcs += _pieces(np.stack([end * (basket - reach * np.cos(angles)), reach * np.sin(angles)], axis=1))
+    return Template(kind, length, width, tuple(lines), tuple(blank), tuple(arcs))
+
+
+def _pieces(points: NDArray[np.float64]) -> list[Line]:
+    return [Line(*map(float, (*a, *b))) for a, b in pairwise(points)]
+
+
+TENNIS = _tennis()
+"""ITF, Rules of Tennis, rule 1: 23.77 x 10.97 m for doubles, 8.23 m wide for singles, service lines 6.40 m from the
+net."""
+
+BASKETBALL = tuple(_basketball(kind) for kind in ("basketball_fiba", "basketball_nba", "basketball_ncaa"))
+"""FIBA, Official Basketball Rules, article 2: 28 x 15 m; NBA and NCAA rule books, rule 1: 94 x 50 ft."""

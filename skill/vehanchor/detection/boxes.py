@@ -1,4 +1,4 @@
-"""Oriented boxes: geometry and exact IoU.
+"""Oriented boxes: geometry, exact IoU and non-maximum suppression.
 
 A box is a row ``(x, y, length, width, angle)``: centre in pixels, the two sides in pixels with ``length >= width``, and
 the angle of the long side in radians, counted from +x towards +y (image axes: x right, y down), in [0, pi).
@@ -6,14 +6,21 @@ the angle of the long side in radians, counted from +x towards +y (image axes: x
 
 from __future__ import annotations
 
+from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from vehanchor.errors import ModelContractError
+from vehanchor.scale.defaults import NMS_IOU
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 _PARALLEL_RAD = 2e-4  # at smaller angles the closed form for parallel boxes errs by less than 0.001 in IoU
+_BLOCK_OVERLAPS = 16_384  # pairs whose overlaps are computed at once, in 30 MiB
+_FEW_PAIRS = 1 << 20  # that are compared at once, in 30 MiB
+_MOST_PAIRS = 20_000_000  # that are near each other
 
 
 def canonical_boxes(boxes: ArrayLike) -> NDArray[np.float64]:
@@ -189,3 +196,127 @@ def box_axes(boxes: NDArray[np.float64]) -> tuple[tuple[NDArray[np.float64], NDA
     across = np.column_stack([-along[:, 1], along[:, 0]])
     reaches = along * boxes[:, 2:3] / 2, across * boxes[:, 3:4] / 2
     return tuple((boxes[:, :2] - reach, boxes[:, :2] + reach) for reach in reaches)
+
+
+def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = NMS_IOU) -> NDArray[np.intp]:
+    """Suppress non-maximum boxes greedily with exact oriented IoU.
+
+    Boxes are visited by falling score; equal scores by position and size, independent of the input's order. A box is
+    dropped if its IoU with a kept box exceeds ``iou_threshold``. Three upper bounds of the IoU preselect pairs: the
+    distance of the centres (within and between size classes), the ratio of areas, and the boxes' extents in each
+    other's frame. The exact IoU is computed only for the remaining pairs with kept boxes.
+
+    Args:
+        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``.
+        scores: ``[n]`` detection scores.
+        iou_threshold: largest IoU that two kept boxes may have; paper: 0.45.
+
+    Returns:
+        Indices into ``boxes`` of those kept, from the highest score down.
+
+    Raises:
+        ModelContractError: too many boxes overlap; time and memory grow with the square of their number.
+    """
+    rows = canonical_boxes(boxes)
+    score = np.asarray(scores, dtype=np.float64).reshape(-1)
+    if len(rows) == 0:
+        return np.zeros(0, dtype=np.intp)
+    order = np.lexsort((*rows.T[::-1], -score))
+    rows = rows[order]
+    better, worse = _overlap_candidates(rows, iou_threshold)
+    kept, open_ = np.zeros(len(rows), bool), np.ones(len(rows), bool)
+    while len(better):  # each round keeps the boxes that no better open box may overlap
+        best = open_.copy()
+        best[worse] = False
+        kept |= best
+        of_best = best[better]
+        open_[_overlapping(rows, better[of_best], worse[of_best], iou_threshold)] = False
+        open_ &= ~best
+        both = open_[better] & open_[worse]
+        better, worse = better[both], worse[both]
+    result: NDArray[np.intp] = order[kept | open_]
+    return result
+
+
+def _overlapping(
+    rows: NDArray[np.float64], better: NDArray[np.intp], worse: NDArray[np.intp], iou_threshold: float
+) -> NDArray[np.intp]:
+    """List the worse boxes of the pairs whose IoU exceeds the threshold."""
+    blocks = [slice(start, start + _BLOCK_OVERLAPS) for start in range(0, len(better), _BLOCK_OVERLAPS)]
+    return np.concatenate(
+        [worse[:0], *(worse[each][pair_iou(rows[better[each]], rows[worse[each]]) > iou_threshold] for each in blocks)]
+    )
+
+
+def _shared_bound(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bound the area that each box of ``a`` shares with that of ``b`` by the extent of ``b`` along a's sides."""
+    turn = b[:, 4] - a[:, 4]
+    cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    dx, dy = (b[:, :2] - a[:, :2]).T
+    along = np.abs(dx * np.cos(a[:, 4]) + dy * np.sin(a[:, 4]))
+    across = np.abs(dy * np.cos(a[:, 4]) - dx * np.sin(a[:, 4]))
+    bound = np.ones(len(a))
+    for side, extent, distance in (
+        (a[:, 2], b[:, 2] * cosine + b[:, 3] * sine, along),
+        (a[:, 3], b[:, 2] * sine + b[:, 3] * cosine, across),
+    ):
+        bound *= np.clip((side + extent) / 2 - distance, 0.0, np.minimum(side, extent))
+    return bound
+
+
+def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """List the pairs, the earlier box first, that may exceed the threshold, by distance, area ratio and extent."""
+    area, radius = rows[:, 2] * rows[:, 3], np.maximum(np.hypot(rows[:, 2], rows[:, 3]) / 2, 1e-6)
+    share = iou_threshold / (1 + iou_threshold) * (1 - 1e-9)  # of both areas, which the boxes share at least
+    # Two boxes share at most 2 r min(r) of their circles, where r is the overlap along the line of the centres.
+    reach = radius - share * area / (2 * radius)
+    size_class = np.floor(np.log2(reach)).astype(int)
+    members = [np.flatnonzero(size_class == each) for each in np.unique(size_class)]
+    found = []
+    for c, d in combinations_with_replacement(members, 2):
+        i, j = _near_pairs(rows[c, :2], rows[d, :2], reach[c].max() + reach[d].max())
+        pairs = np.stack([c[i], d[j]])
+        found.append(pairs[:, i < j] if c is d else pairs)
+    first, second = np.concatenate(found, axis=1)
+    least = share * (area[first] + area[second])
+    possible = np.minimum(area[first], area[second]) > iou_threshold * np.maximum(area[first], area[second])
+    possible &= np.hypot(*(rows[second, :2] - rows[first, :2]).T) <= reach[first] + reach[second]
+    for one, other in ((first, second), (second, first)):
+        left = np.flatnonzero(possible)
+        possible[left] = _shared_bound(rows[one[left]], rows[other[left]]) > least[left]
+    better, worse = np.sort([first[possible], second[possible]], axis=0)
+    return better, worse
+
+
+def _near_pairs(
+    first: NDArray[np.float64], second: NDArray[np.float64], reach: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Find all pairs with a distance of at most ``reach``.
+
+    Few points are compared all with all, because ``scipy`` takes a quarter of the time of a short command to import.
+
+    Args:
+        first: ``[n, 2]`` x, y.
+        second: ``[m, 2]`` x, y.
+        reach: largest distance, >= 0.
+
+    Returns:
+        Indices ``[k]`` into ``first`` and into ``second``, in no particular order.
+
+    Raises:
+        ModelContractError: too many points are near each other; time and memory grow with the square of their number.
+    """
+    if len(first) * len(second) <= _FEW_PAIRS:
+        off = first[:, None] - second
+        i, j = np.nonzero(off[..., 0] ** 2 + off[..., 1] ** 2 <= reach**2)
+        return i, j
+    from scipy.spatial import KDTree
+
+    tree, other = KDTree(first), KDTree(second)
+    if tree.count_neighbors(other, reach) > _MOST_PAIRS:
+        raise ModelContractError(
+            f"more than {_MOST_PAIRS} pairs of the detector's {len(first)} boxes may overlap: it is not a vehicle "
+            "detector, or min_score is too low"
+        )
+    near = tree.sparse_distance_matrix(other, reach, output_type="ndarray")
+    return near["i"], near["j"]

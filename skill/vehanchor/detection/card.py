@@ -12,7 +12,7 @@ from pydantic_core import from_json
 
 from vehanchor.errors import ModelContractError
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
-from vehanchor.scale.votes import Votes
+from vehanchor.scale.density import Votes
 
 MIN_SCORE = 0.1  # paper, section III-B
 REFERENCE_LENGTH_M = 5.045  # paper, section III-F: KDE mode of the DOTA v1.5 training labels

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from vehanchor.detection.auxiliary import AuxiliaryModel
 from vehanchor.detection.boxes import box_axes, canonical_boxes
 from vehanchor.detection.card import ChipCard
 from vehanchor.detection.detections import Looks, Objects
-from vehanchor.detection.verifier import Weights, surroundings
+from vehanchor.detection.verifier import AuxiliaryModel, Weights, surroundings
 from vehanchor.imagery.tiles import read_around
 
 if TYPE_CHECKING:

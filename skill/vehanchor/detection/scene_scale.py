@@ -8,6 +8,7 @@ roads.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +26,7 @@ from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import SCENE_SCALE
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.density import GRID, blurred, flat
+from vehanchor.scale.density import GRID, blurred, flat, shifted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -51,13 +52,11 @@ class SceneLevel(NamedTuple):
     """Network's prediction at one resolution.
 
     Attributes:
-        factor: reduction factor of the image; a fraction in a prior that was ``scaled``.
-        n_tiles: number of tiles.
+        factor: reduction factor of the image.
         log_probs: ``[bins]`` mean of the tiles' log-probabilities; it is flat if the tiles disagree.
     """
 
-    factor: float
-    n_tiles: int
+    factor: int
     log_probs: NDArray[np.float64]
 
 
@@ -91,17 +90,12 @@ class SceneScalePrior:
     """Scene-scale prior of an image from all resolutions.
 
     Attributes:
-        levels: predictions, finest resolution first.
-        calibration: calibration of the network.
+        density: ``[g]`` probabilities on ``vehanchor.scale.density.GRID``.
+        n_tiles: number of tiles behind it.
     """
 
-    levels: tuple[SceneLevel, ...]
-    calibration: SceneCalibration
-
-    @cached_property  # used by the boxes' scores and by the ruler
-    def density(self) -> NDArray[np.float64]:
-        """Probabilities on ``vehanchor.scale.density.GRID``."""
-        return scene_density(self.levels, self.calibration)
+    density: NDArray[np.float64]
+    n_tiles: int
 
     @cached_property
     def _size_odds(self) -> NDArray[np.float64]:
@@ -111,8 +105,7 @@ class SceneScalePrior:
 
     def scaled(self, ratio: float) -> SceneScalePrior:
         """Move the prior to another image of the same ground, with ``ratio`` times the metres per pixel."""
-        levels = tuple(level._replace(factor=level.factor / ratio) for level in self.levels)
-        return replace(self, levels=levels)
+        return replace(self, density=shifted(self.density, -math.log(ratio)))
 
     def size_odds(self, lengths_px: ArrayLike) -> NDArray[np.float64]:
         """Compute how well lengths fit a car's length under this prior.
@@ -208,7 +201,7 @@ class SceneScaleNetwork(LoadedModel):
         Returns:
             The scene-scale prior.
         """
-        levels = []
+        levels, n_tiles = [], 0
         for factor, windows in tile_windows(raster.width_px, raster.height_px):
             tiles = np.stack([read_tile(raster, window, factor) for window in windows])
             described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
@@ -216,8 +209,9 @@ class SceneScaleNetwork(LoadedModel):
                 run_session(self._session, None, {"tiles": tiles[start : start + _BATCH]}, self.runtime, described)[0]
                 for start in range(0, len(tiles), _BATCH)
             ]
-            levels.append(SceneLevel(factor, len(tiles), np.concatenate(seen).astype(np.float64).mean(axis=0)))
-        return SceneScalePrior(tuple(levels), self.calibration)
+            levels.append(SceneLevel(factor, np.concatenate(seen).astype(np.float64).mean(axis=0)))
+            n_tiles += len(tiles)
+        return SceneScalePrior(scene_density(levels, self.calibration), n_tiles)
 
 
 _opened = file_cached(max_models=2)(SceneScaleNetwork)

@@ -17,22 +17,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.boxes import box_corners, oriented_nms
 from vehanchor.detection.chips import looked_at
 from vehanchor.detection.detections import Detections, Objects
-from vehanchor.detection.levels import level_chances, level_shares, search_levels
-from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.proportions import stretch, stretch_of_few
 from vehanchor.detection.scheduler import (
     LARGE_PIXELS,
     WINDOWED_PIXELS,
     TileScheduler,
     first_pause,
+    level_chances,
+    level_shares,
     most_tiles,
     next_pause,
     position_sample,
+    search_levels,
+    tile_prior_map,
+    tile_prior_of,
 )
-from vehanchor.detection.tile_prior import tile_prior_map, tile_prior_of
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.tiles import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_window, tile_grid
 from vehanchor.options import Search
@@ -43,8 +45,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector, PreparedTile, TileDetections
-    from vehanchor.detection.levels import SearchLevel
     from vehanchor.detection.scene_scale import SceneScalePrior
+    from vehanchor.detection.scheduler import SearchLevel
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.scale.defaults import Stopped
 
@@ -310,7 +312,6 @@ class ImageSearch:
             sum(part.ran_out for part in parts),
             1 / factors[kept] if self._search_scales else None,
             looks,
-            vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
             self._because,

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
-LENS, HEIGHT = "lens", "height above take-off"
-"""Errors that the metadata share with a stated height."""
+LENS = "lens"
+"""Error that the metadata share with a given height."""
 
 _HEIGHT_SD_M = 2.0  # barometer, and take-off from a hand or roof
 _MAX_HEIGHT_M = 20_000.0
@@ -97,9 +97,9 @@ class Camera(Ruler):
         elif tilt_deg is None:
             condition, tilt_log_sd = "camera, tilt unknown", RELIABILITY["camera, tilt unknown"].log_sd
             said += " The tilt is not stated: this holds at nadir."
-        errors = Shared(LENS, seen.log_sd), Shared(HEIGHT, height_log_sd(height_m))
-        chance_wrong = RELIABILITY[condition].chance_wrong
-        return point_witness(self.kind, gsd, tilt_log_sd, chance_wrong, said, shared=errors, notices=notices)
+        log_sd = math.hypot(tilt_log_sd, height_log_sd(height_m))
+        chance_wrong, errors = RELIABILITY[condition].chance_wrong, [Shared(LENS, seen.log_sd)]
+        return point_witness(self.kind, gsd, log_sd, chance_wrong, said, shared=errors, notices=notices)
 
     def _unusable(self, *why: str) -> Witness:
         message = f"The camera metadata are not usable: {'; '.join(filter(None, why))}."

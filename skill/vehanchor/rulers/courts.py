@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
-_UNKNOWN_RULES_LOG_SD = 0.012  # of a basketball court: FIBA's 28 m and the NBA's 28.65 m are hard to distinguish
 _APART = 0.06  # of the log of the scale: further from the median, it is not such a court
 
 
@@ -53,16 +52,17 @@ def witness_of(courts: Sequence[Court]) -> Witness | None:
     middle = float(np.median([math.log(court.gsd_m_per_px) for court in courts]))
     nearest = min(courts, key=lambda court: abs(math.log(court.gsd_m_per_px) - middle))
     kept = [court for court in courts if abs(math.log(court.gsd_m_per_px / nearest.gsd_m_per_px)) <= _APART]
-    weights = np.array([1 / _log_sd(court) ** 2 for court in kept])
+    reliability = RELIABILITY[Courts.kind]
+    weights = np.array([1 / (court.log_sd**2 + reliability.log_sd**2) for court in kept])
     logs = np.log([court.gsd_m_per_px for court in kept])
     mean = float(weights @ logs / weights.sum())
     spread = float(np.sqrt(weights @ (logs - mean) ** 2 / weights.sum()))
-    log_sd = max(min(_rules_log_sd(court) for court in kept), spread, float(weights.sum() ** -0.5))
+    log_sd = max(reliability.log_sd, spread, float(weights.sum() ** -0.5))
     return point_witness(
         Courts.kind,
         math.exp(mean),
         log_sd,
-        RELIABILITY[Courts.kind].chance_wrong,
+        reliability.chance_wrong,
         f"{_named(kept)} {{}}.",
         n=len(kept),
         marks=[mark for court in kept for mark in _marks(court)],
@@ -77,14 +77,6 @@ def _marks(court: Court) -> list[Mark]:
         Mark(tuple(points), closed=True),
         *(Mark(tuple(ends), f"{metres:g} m") for ends, metres in sides),
     ]
-
-
-def _rules_log_sd(court: Court) -> float:
-    return RELIABILITY[Courts.kind].log_sd if court.kind == "tennis" else _UNKNOWN_RULES_LOG_SD
-
-
-def _log_sd(court: Court) -> float:
-    return math.hypot(court.log_sd, _rules_log_sd(court))
 
 
 _GAMES = {

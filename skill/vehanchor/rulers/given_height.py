@@ -13,14 +13,13 @@ from vehanchor.rulers.registry import uses
 from vehanchor.rulers.ruler import Ruler, assumed, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95
-from vehanchor.scale.reliability import RELIABILITY, Shared
+from vehanchor.scale.reliability import RELIABILITY, SAME_NUMBER, Shared
 
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
-_SAME_HEIGHT = 0.02  # relative: a height this near to the file's repeats it
 _NO_LENS_OF_A_CROP = (
     "no focal length of the whole photograph holds for it, and the given height is not usable. If yours is that "
     "of the crop, leave out the metadata"
@@ -86,7 +85,7 @@ def _repeats(view: View, height_m: float) -> bool:
     camera = view.image.camera
     if camera is None or camera.height_m is None or not uses(view.options.rulers, "camera"):
         return False
-    return lens(view.image, camera) is not None and abs(height_m - camera.height_m) <= _SAME_HEIGHT * camera.height_m
+    return lens(view.image, camera) is not None and abs(height_m - camera.height_m) <= SAME_NUMBER * camera.height_m
 
 
 def _repeated(height_m: float) -> Notice:

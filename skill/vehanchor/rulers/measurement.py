@@ -11,8 +11,11 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.registry import active_rulers, ruler_class
 from vehanchor.rulers.ruler import unusable
+from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import product
+from vehanchor.scale.posterior import sharing
+from vehanchor.scale.reliability import NO_CARS, NO_ONE_SCALE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.rulers.ruler import Ruler, View
-    from vehanchor.scale.posterior import Answer, Witness
+    from vehanchor.scale.posterior import Answer, Remark, Witness
 
 _STATED = ("known_length", "height")
 _UNIT_RATIO, _UNIT_TOLERANCE = math.log(100.0), math.log(2.0)  # centimetres for metres; scenes tell a factor of two
@@ -79,6 +82,26 @@ def _witness(ruler: Ruler, view: View) -> Witness | None:
         "only measures nadir images."
     )
     return unusable(ruler.kind, Notice(code=NoticeCode.CAMERA_TILTED, message=message))
+
+
+def with_doubts(witnesses: Sequence[Witness], notices: Iterable[Remark] = ()) -> tuple[Witness, ...]:
+    """Give witnesses the errors that doubts make common.
+
+    An image without one scale misleads all of them; look-alikes mislead the vehicles, and a prior that agrees.
+
+    Args:
+        witnesses: of an image, with their own doubts.
+        notices: further doubts.
+    """
+    codes = {notice.code for notice in (*(own for each in witnesses for own in each.notices), *notices)}
+    no_one_scale = NoticeCode.STRETCHED in codes or NoticeCode.TILT_SUSPECTED in codes
+    found = []
+    for each in witnesses:
+        one = sharing(each, NO_ONE_SCALE, "disagree") if no_one_scale and each.found else each
+        if NoticeCode.LOOK_ALIKES in codes and each.found and (each.kind == Vehicles.kind or not each.sets_scale):
+            one = sharing(one, NO_CARS, "not_cars")
+        found.append(one)
+    return tuple(found)
 
 
 def disagreements(witnesses: Sequence[Witness], found: Answer) -> list[Notice]:

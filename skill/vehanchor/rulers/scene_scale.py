@@ -27,5 +27,4 @@ class SceneScale(Ruler):
         """Weigh the prior's density; None without a prior or in a tilted view."""
         if view.prior is None or view.plane is not None:
             return None
-        n_tiles = sum(level.n_tiles for level in view.prior.levels)
-        return prior_witness(self.kind, view.prior.density, PRIOR_POWER, n_tiles)
+        return prior_witness(self.kind, view.prior.density, PRIOR_POWER, view.prior.n_tiles)

@@ -27,7 +27,7 @@ from vehanchor.scale.lengths import (
     guard_length,
     kde_density,
     kde_mode,
-    scott_bandwidth,
+    resampled_modes,
     vehicle_weights,
 )
 
@@ -41,10 +41,6 @@ MIN_VEHICLES = 100
 
 _BLOCK_M = 50.0  # cars in one block (a car park, a street) are similar, so they are resampled together
 _MIN_BLOCKS = 10  # with fewer, single vehicles are resampled
-_REPLICATES = 400
-_SEED = 20260
-_CELLS_PER_BANDWIDTH = 5
-_MAX_CELLS = 8192
 _MAX_FILE_BYTES = 1 << 20
 _SHORT_SHA = 12
 
@@ -152,7 +148,7 @@ def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
     metres = _metres(images)
     weights, smoothing = _weights(images, metres)
     mode = kde_mode(metres, weights, smoothing=smoothing)
-    modes = _resampled_modes(metres, weights, smoothing, _blocks(images))
+    modes = resampled_modes(metres, weights, smoothing, _blocks(images))
     low, high = np.percentile(modes, [2.5, 97.5])
     spread = float(np.sqrt(np.mean(np.log(modes / mode) ** 2))) * mode
     return ModalLength(mode, min(float(low), mode), max(float(high), mode), spread)
@@ -195,28 +191,6 @@ def _blocks(images: Sequence[SurveyedImage]) -> NDArray[np.intp]:
     )
     squares, block = np.unique(places, axis=0, return_inverse=True)
     return np.asarray(block.ravel() if len(squares) >= _MIN_BLOCKS else np.arange(len(places)), dtype=np.intp)
-
-
-def _resampled_modes(
-    metres: NDArray[np.float64], weights: NDArray[np.float64], smoothing: float, block: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Compute the modes of resampled blocks; lengths are binned, so that the cost is independent of their number."""
-    from scipy.ndimage import gaussian_filter1d
-    from scipy.sparse import coo_array
-
-    low, high = float(metres.min()), float(metres.max())
-    bandwidth = smoothing * scott_bandwidth(metres, weights / weights.sum())
-    if bandwidth <= 1e-9 * high:
-        return np.full(_REPLICATES, float(metres.mean()))
-    cells = int(np.clip(np.ceil((high - low) * _CELLS_PER_BANDWIDTH / bandwidth), 8, _MAX_CELLS))
-    edges = np.linspace(low, high, cells + 1)
-    cell = np.clip(np.searchsorted(edges, metres, side="right") - 1, 0, cells - 1)
-    n_blocks = int(block.max()) + 1
-    counts = coo_array((weights, (block, cell)), shape=(n_blocks, cells)).tocsr()
-    drawn = np.random.default_rng(_SEED).multinomial(n_blocks, np.full(n_blocks, 1 / n_blocks), size=_REPLICATES)
-    sigma = bandwidth / (edges[1] - edges[0])
-    density = gaussian_filter1d(np.asarray(drawn @ counts), sigma, axis=1, mode="constant")
-    return np.asarray((edges[:-1] + edges[1:])[np.argmax(density, axis=1)] / 2)
 
 
 def _with_vehicles(images: Sequence[SurveyedImage], source: str) -> list[SurveyedImage]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
 MIN_KDE_VEHICLES = 5  # paper, section III-C: with fewer vehicles the median is used
-GROUP_LOG_REACH = 0.4  # a fleet lies within a factor of 1.5 of its modal length, as in the paper's outlier filter
+GROUP_LOG_REACH = math.log(OUTLIER_ALPHA)  # of a fleet around its modal length, as in the paper's outlier filter
 _GROUP_LOG_BANDWIDTH = 0.15  # more than the spread of a fleet (0.09) and of the measurement (0.05 to 0.1) together
 _GROUP_LOG_STEP = 0.01
 _GRID_STEP = 0.2  # of a bandwidth; the maximum is then refined between grid points
@@ -268,27 +269,37 @@ def modal_length(lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation
     raise InvalidParameterError(f"aggregation {aggregation!r} is not known: use kde, weighted_kde, median or mean")
 
 
-def _bootstrap_log_sd(
-    values: NDArray[np.float64], mode: float, weights: NDArray[np.float64], smoothing: float
-) -> float:
-    """Compute the standard deviation of the log of the KDE mode under resampling, from a fixed seed.
+def resampled_modes(
+    values: NDArray[np.float64], weights: NDArray[np.float64], smoothing: float, block: NDArray[np.intp] | None = None
+) -> NDArray[np.float64]:
+    """Compute the KDE modes of 400 resamples, from a fixed seed.
 
-    Resamples are multinomial counts over a fine histogram, so that the cost is independent of the number of vehicles.
+    Lengths are binned to a fifth of a bandwidth, so that the cost hardly depends on their number.
+
+    Args:
+        values: ``[n]`` lengths.
+        weights: ``[n]``.
+        smoothing: factor on Scott's bandwidth.
+        block: ``[n]`` number of each length's block, 0 and up; blocks are drawn whole. None draws single lengths.
     """
     bandwidth = smoothing * scott_bandwidth(values, weights / weights.sum())
     low, high = float(values.min()), float(values.max())
     if bandwidth <= 1e-9 * high:
-        return 0.0
+        return np.full(_BOOTSTRAP_REPLICATES, kde_mode(values, weights, smoothing=smoothing))
     cells = int(np.clip(np.ceil((high - low) / (_GRID_STEP * bandwidth)), 8, 1024))
     counts, edges = np.histogram(values, bins=cells, range=(low, high))
     mass, _ = np.histogram(values, bins=cells, range=(low, high), weights=weights)
     centres = (edges[:-1] + edges[1:]) / 2
     kernel = np.exp(-0.5 * ((centres[:, None] - centres[None, :]) / bandwidth) ** 2)
     rng = np.random.default_rng(_BOOTSTRAP_SEED)
-    resampled = rng.multinomial(len(values), counts / counts.sum(), size=_BOOTSTRAP_REPLICATES)
-    each = mass / np.maximum(counts, 1)  # mean weight of a cell's vehicles
-    modes = centres[np.argmax((resampled * each) @ kernel, axis=1)]
-    return float(np.sqrt(np.mean(np.log(modes / mode) ** 2)))
+    if block is None:
+        each = mass / np.maximum(counts, 1)  # mean weight of a cell's vehicles
+        drawn = rng.multinomial(len(values), counts / counts.sum(), size=_BOOTSTRAP_REPLICATES) * each
+    else:
+        cell, n = np.minimum(np.searchsorted(edges, values, side="right") - 1, cells - 1), int(block.max()) + 1
+        times = rng.multinomial(n, np.full(n, 1 / n), size=_BOOTSTRAP_REPLICATES)
+        drawn = np.array([np.bincount(cell, weights * each[block], cells) for each in times])
+    return np.asarray(centres[np.argmax(drawn @ kernel, axis=1)])
 
 
 def statistical_log_sds(
@@ -310,7 +321,9 @@ def statistical_log_sds(
     weights, smoothing = np.ones(len(values)), 1.0
     if aggregation == "weighted_kde":
         weights, smoothing = vehicle_weights(values, scores), WEIGHTED_SMOOTHING
-    resampling = _bootstrap_log_sd(values, mode_px, weights, smoothing) if len(values) >= MIN_KDE_VEHICLES else 0.0
+    resampling = 0.0
+    if len(values) >= MIN_KDE_VEHICLES:
+        resampling = float(np.sqrt(np.mean(np.log(resampled_modes(values, weights, smoothing) / mode_px) ** 2)))
     return resampling, _FLEET_LOG_SD / np.sqrt(len(values))
 
 

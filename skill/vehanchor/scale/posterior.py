@@ -91,8 +91,7 @@ class Witness:
             was found.
         right: ``[g]`` density of the scale if it measured what it thinks, without shared errors; None if nothing was
             found.
-        chance_wrong: 0..1, chance that it did not.
-        wrong: ``[g]`` density in that case.
+        chance_wrong: 0..1, chance that it did not, and says nothing.
         sets_scale: whether it can set a scale; a prior cannot.
         assumed: whether it rests on a guess of the caller, neither found in the picture nor measured.
         shared: errors in common with other witnesses.
@@ -107,7 +106,6 @@ class Witness:
     gsd_m_per_px: float | None = None
     right: NDArray[np.float64] | None = None
     chance_wrong: float = 0.0
-    wrong: NDArray[np.float64] = field(default_factory=flat, repr=False)
     sets_scale: bool = True
     assumed: bool = False
     shared: tuple[Shared, ...] = ()
@@ -132,17 +130,13 @@ class Witness:
         """Its own 95 % interval if it is right, metres per pixel, extended to its scale; None if nothing was found."""
         if self.right is None or self.gsd_m_per_px is None:
             return None
-        low, high = credible_interval(_blurred(self.right, self.shared))
+        low, high = credible_interval(blurred(self.right, _log_sd(self.shared)))
         return Interval(min(low, self.gsd_m_per_px), max(high, self.gsd_m_per_px))
 
     def factor(self, shared: Sequence[Shared]) -> NDArray[np.float64]:
         """Compute the density ``[g]`` with some of the shared errors."""
         assert self.right is not None
-        return _mixed(self.right * (1.0 - self.chance_wrong) + self.wrong * self.chance_wrong, shared, self.wrong)
-
-    def floor(self, factor: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Keep the part of a factor ``[g]`` that says nothing: the largest multiple of ``wrong`` below it."""
-        return np.asarray(self.wrong * float((factor / self.wrong).min()))
+        return _mixed(self.right * (1.0 - self.chance_wrong) + flat() * self.chance_wrong, shared)
 
 
 def sharing(witness: Witness, error: Shared, removes: Reason) -> Witness:
@@ -198,15 +192,14 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
     found = judged(heard)
     if found is None:
         return None
-    parts = _components(heard)
-    whole = _log_product(parts)
-    p_wrong = [float(np.exp(_log_product(parts, (k,)) - whole.max()).sum()) for k in range(len(heard))]
-    total = float(np.exp(whole - whole.max()).sum())
+    _, *wrong = _posterior(heard, *((k,) for k in range(len(heard))))
+    without = [judged([*heard[:k], *heard[k + 1 :]]) for k in range(len(heard))]
+    widths = [math.inf if each is None else each.interval.high / each.interval.low for each in without]
     return replace(
         found,
-        p_right=tuple(max(0.0, 1.0 - each / total) for each in p_wrong),
-        leading=_leading(heard),
-        gains={} if found.usable else _gains(heard, found.chance),
+        p_right=tuple(max(0.0, 1.0 - float(each.sum())) for each in wrong),
+        leading=max((k for k, each in enumerate(heard) if each.sets_scale), key=widths.__getitem__),
+        gains={} if found.usable else _gains(heard, without, found.chance),
     )
 
 
@@ -216,64 +209,60 @@ def judged(witnesses: Sequence[Witness]) -> Answer | None:
     setting = [k for k, each in enumerate(heard) if each.sets_scale]
     if not setting:
         return None
-    parts = _components(heard)
-    whole = _log_product(parts)
-    posterior = np.exp(whole - whole.max())
-    none_right = np.exp(_log_product(parts, setting) - whole.max())
+    posterior, none_right = _posterior(heard, setting)
     given_any = normalised(np.maximum(posterior - none_right, 0.0) + LEAST_PROBABILITY)
     value = quantile(given_any, 0.5)
-    chance = mass_within(normalised(posterior), value)
-    if any(each.assumed for each in heard):
-        chance = _unconfirmed(heard, value, chance)
+    chance = mass_within(posterior, value)
+    if any(each.assumed for each in heard):  # a prior narrows a guess, no more
+        with_priors, without = _unconfirmed(heard, value), _unconfirmed([heard[k] for k in setting], value)
+        chance += min(0.0, without - with_priors)
     return Answer(value, credible_interval(given_any), min(chance, MOST_SURE), given_any)
 
 
-def _unconfirmed(heard: Sequence[Witness], value: float, chance: float) -> float:
-    """Limit the chance by assumed witnesses alone to that without priors: a prior narrows a guess, no more."""
-    masses = []
-    for some in (heard, [each for each in heard if each.sets_scale]):
-        parts = _components(some)
-        known = [k for k, each in enumerate(some) if each.sets_scale and not each.assumed]
-        whole, rest = _log_product(parts), _log_product(parts, known)
-        total = float(np.exp(whole - whole.max()).sum())
-        masses.append(mass_within(np.exp(rest - whole.max()), value) / total)
-    with_priors, without = masses
-    return chance - with_priors + min(with_priors, without)
+def _unconfirmed(heard: Sequence[Witness], value: float) -> float:
+    """Compute the part of the chance in which no witness that is found or measured is right."""
+    known = [k for k, each in enumerate(heard) if each.sets_scale and not each.assumed]
+    return mass_within(_posterior(heard, known)[1], value)
 
 
-def _gains(heard: Sequence[Witness], chance: float) -> dict[Reason, float]:
+def _gains(heard: Sequence[Witness], without: Sequence[Answer | None], chance: float) -> dict[Reason, float]:
     """Compute the rise of the chance without each doubt, lack or contradiction; only those that raise it."""
     gains: dict[Reason, float] = {}
     for k, each in enumerate(heard):
         others = [*heard[:k], *heard[k + 1 :]]
         better = [(lack.reason, judged([*others, lack.without])) for lack in each.lacks]
-        for reason, found in (*better, ("disagree", judged(others))):
+        for reason, found in (*better, ("disagree", without[k])):
             gain = 0.0 if found is None else found.chance - chance
             if gain > max(gains.get(reason, 0.0), _LEAST_GAIN):
                 gains[reason] = gain
     return dict(sorted(gains.items(), key=lambda each: -each[1]))
 
 
-def _leading(heard: Sequence[Witness]) -> int:
-    """Find the setting witness without which the interval is widest; the first of equals."""
+def _posterior(heard: Sequence[Witness], *floored: Collection[int]) -> tuple[NDArray[np.float64], ...]:
+    """Multiply the factors of all witnesses.
 
-    def width_without(k: int) -> float:
-        rest = judged([*heard[:k], *heard[k + 1 :]])
-        return math.inf if rest is None else rest.interval.high / rest.interval.low
-
-    return max((k for k, each in enumerate(heard) if each.sets_scale), key=width_without)
+    Returns:
+        The posterior ``[g]``, and for each of ``floored`` the part in which these witnesses say nothing.
+    """
+    parts = _components(heard)
+    logs = np.array(
+        [
+            np.sum([np.log(np.maximum(each.density(floor), LEAST_PROBABILITY)) for each in parts], axis=0)
+            for floor in ((), *floored)
+        ]
+    )
+    masses = np.exp(logs - logs[0].max())
+    return tuple(masses / masses[0].sum())
 
 
 class _Component(NamedTuple):
     """Witnesses that are linked by shared errors.
 
     Attributes:
-        members: by their index.
-        factors: ``[g]`` each, with the errors of one member alone.
+        factors: ``[g]`` of each member by its index, with the errors of that member alone.
         common: errors of two or more members.
     """
 
-    members: Mapping[int, Witness]
     factors: Mapping[int, NDArray[np.float64]]
     common: tuple[Shared, ...]
 
@@ -292,15 +281,15 @@ class _Component(NamedTuple):
             k: witness.factor([each for each in witness.shared if len(named[each.name]) == 1])
             for k, witness in members.items()
         }
-        return cls(members, factors, common)
+        return cls(factors, common)
 
     def density(self, floored: Collection[int]) -> NDArray[np.float64]:
         """Compute the factor ``[g]``; of the members in ``floored`` only the part that says nothing is kept."""
-        kept = [each.floor(self.factors[k]) if k in floored else self.factors[k] for k, each in self.members.items()]
+        kept = [np.full_like(each, each.min()) if k in floored else each for k, each in self.factors.items()]
         if len(kept) == 1:
             return kept[0]
         total = float(np.prod(list(self.factors.values()), axis=0).sum())
-        return _mixed(np.prod(kept, axis=0) / total, self.common, flat())
+        return _mixed(np.prod(kept, axis=0) / total, self.common)
 
 
 def _components(heard: Sequence[Witness]) -> list[_Component]:
@@ -317,19 +306,11 @@ def _components(heard: Sequence[Witness]) -> list[_Component]:
     return [_Component.of(group) for group in groups]
 
 
-def _mixed(density: NDArray[np.float64], shared: Sequence[Shared], wrong: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Blur a density by errors, and mix it with the case that their causes make it wrong."""
+def _mixed(density: NDArray[np.float64], shared: Sequence[Shared]) -> NDArray[np.float64]:
+    """Blur a density ``[g]`` of any sum by errors, and mix it with the case that their causes make it wrong."""
     chance_right = math.prod(1.0 - each.chance_wrong for each in shared)
-    return chance_right * _blurred(density, shared) + (1.0 - chance_right) * wrong
+    return chance_right * blurred(density, _log_sd(shared)) + (1.0 - chance_right) * flat()
 
 
-def _blurred(density: NDArray[np.float64], shared: Sequence[Shared]) -> NDArray[np.float64]:
-    """Blur a density ``[g]`` of any sum by errors."""
-    total = float(density.sum())
-    return total * blurred(density / total, math.hypot(*(each.log_sd for each in shared)))
-
-
-def _log_product(parts: Sequence[_Component], floored: Collection[int] = ()) -> NDArray[np.float64]:
-    """Multiply the factors of all components, as logs ``[g]``."""
-    densities = [np.maximum(each.density(floored), LEAST_PROBABILITY) for each in parts]
-    return np.asarray(np.sum(np.log(densities), axis=0))
+def _log_sd(shared: Sequence[Shared]) -> float:
+    return math.hypot(*(each.log_sd for each in shared))

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES
+
 
 class Reliability(NamedTuple):
     """Errors of one ruler.
@@ -50,33 +52,34 @@ of 1,191 photographs are usable, 9, 8 and 9 of them wrong."""
 MOST_SURE = 0.99
 """Largest chance: no estimate is certain. A choice."""
 
+SAME_NUMBER = 0.02
+"""Largest relative difference of two numbers of which one repeats the other. A choice."""
+
 _NOT_MEASURED = 0.05
 """Chance that a fact is wrong of whose errors nobody has counted any. A choice."""
 
+_ROUGH, _EXACT = 0.10, 0.01
+"""Standard deviations of the logs of scales by a guess, and of those by tape, plan, survey or rule. Choices."""
+
 RELIABILITY: dict[str, Reliability] = {
     "vehicles": Reliability(CAR_LOG_SD, 0.01, 1191, _PLACES),
-    "vehicles, uncalibrated": Reliability(CAR_LOG_SD, _NOT_MEASURED, 0, "a choice for detectors without fitted votes"),
-    "vehicles, look-alikes": Reliability(CAR_LOG_SD, 0.8, 0, "a choice: 1 of 204 fleets is taken for look-alikes"),
     "vehicles, too coarse": Reliability(0.5, 0.33, 136, "per log of coarseness; 70 photographs at 0.3 to 0.6 m/px"),
-    "courts": Reliability(0.006, 0.08, 8, "1 of 8 finds in 1,006 random photographs is false; 30 known ones"),
+    "courts": Reliability(_EXACT, 0.08, 8, "1 of 8 finds in 1,006 random photographs is false; 30 known ones"),
     "camera": Reliability(
         0.12, _NOT_MEASURED, 0, "height above take-off, 10 to 15 % between the ground there and below; a choice"
     ),
-    "camera, tilt unknown": Reliability(0.10, 0.25, 0, "a choice"),
+    "camera, tilt unknown": Reliability(_ROUGH, 0.25, 0, "a choice"),
     "positions": Reliability(0.02, _NOT_MEASURED, 0, "a choice; 31 pairs of photographs agree within 2 %"),
-    "measured": Reliability(0.01, _NOT_MEASURED, 0, "a length by tape, plan or survey; a choice"),
+    "measured": Reliability(_EXACT, _NOT_MEASURED, 0, "a length by tape, plan or survey; a choice"),
     "measured height": Reliability(0.05, _NOT_MEASURED, 0, "a choice"),
-    "assumed": Reliability(0.10, _NOT_MEASURED, 0, "a length or height that the caller assumes; a choice"),
+    "assumed": Reliability(_ROUGH, _NOT_MEASURED, 0, "a length or height that the caller assumes; a choice"),
 }
 """By ruler, and by its condition."""
 
-_UNCALIBRATED_FEW = _NOT_MEASURED  # more chance of error for each car below five, without fitted votes; a choice
-_ENOUGH_CARS = 5
-
 
 def uncalibrated_wrong(n_likely: int) -> float:
-    """Choose the chance that vehicles of a detector without fitted votes are wrong, by the number of likely cars."""
-    return RELIABILITY["vehicles, uncalibrated"].chance_wrong + _UNCALIBRATED_FEW * max(0, _ENOUGH_CARS - n_likely)
+    """Choose the chance that vehicles of a detector without fitted votes are wrong: as much for each lacking car."""
+    return _NOT_MEASURED * (1 + max(0, MIN_KDE_VEHICLES - n_likely))
 
 
 def unresolved(coarseness: float) -> Reliability:
@@ -110,6 +113,12 @@ CALLER = Shared("caller", 0.0, 0.11)
 RECOGNITION = Shared("caller", 0.0, _NOT_MEASURED)
 """A caller mistakes all things of known size in an image. A choice."""
 
-NO_ONE_SCALE = Shared("stretched or tilted image", 0.0, 0.5)
-"""A stretched or tilted image has no one scale for any ruler: 5 of 9 photographs whose proportions are doubted are
-stretched. All 3 whose cars are larger on one side are tilted, and their scales 1 to 24 % off."""
+_DOUBTED = 0.5  # 5 of 9 photographs whose proportions are doubted are stretched
+
+NO_ONE_SCALE = Shared("stretched or tilted image", 0.0, _DOUBTED)
+"""A stretched or tilted image has no one scale for any ruler. All 3 photographs whose cars are larger on one side are
+tilted, and their scales 1 to 24 % off."""
+
+NO_CARS = Shared("look-alikes", 0.0, _DOUBTED)
+"""Look-alikes are no cars: their own scale says nothing, nor does a prior that agrees with it. 1 of 204 fleets is taken
+for look-alikes."""

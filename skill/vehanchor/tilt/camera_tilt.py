@@ -1,16 +1,25 @@
-"""Tilt of the camera: its value, the ground plane that it implies, and its form in records."""
+"""Tilt of the camera: its value, the ground plane that it implies, its form in records, and vehicles at nadir.
+
+In a tilted view nearer cars are longer than farther ones, and cars that point away are foreshortened. A detector
+trained on nadir images still draws boxes with a car's proportions. On the ground plane a car that points away is
+therefore too long and too narrow; a car across the view is too short and too wide. Three quarters of the log length
+plus one quarter of the log width do not depend on the car's direction.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.detection.boxes import box_axes
 from vehanchor.errors import TooObliqueError
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
 from vehanchor.records import KnownPlane, Notice, TiltEstimate
 from vehanchor.records.notices import NoticeCode
+from vehanchor.scale.defaults import CAR_LENGTH_OVER_WIDTH
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 
@@ -34,6 +43,8 @@ _LITTLE = 1e-6 * np.eye(3)  # information: cars in a row say little
 _STEPS = 30  # of the reweighted fit, which then changes no digit that is shown; ``scipy.optimize`` loads for 0.2 s
 _SURE_SDS = 2.33  # 99 of 100
 _EXPONENT = 1.5  # d log(square root of a car's area) / d tan(tilt): the inverse of ``vehanchor.scale.plane``'s pixels
+_BODY_LENGTH_OVER_WIDTH = 2.6  # at nadir; medians of seven places go from 2.47 to 2.65
+_BY_WIDTH = 0.25  # share of the width in the log of a length: 0.2 to 0.3 do alike at 30 and 45 degrees, train split
 
 
 class CameraTilt(NamedTuple):
@@ -253,3 +264,30 @@ def _whole_cars(detections: Detections, width_px: int, height_px: int) -> NDArra
     inside &= (boxes[:, 1] > reach) & (boxes[:, 1] < height_px - reach)
     ratio = boxes[:, 2] / np.median(boxes[:, 2])
     return np.asarray(boxes[inside & (ratio < _FACTOR) & (ratio > 1 / _FACTOR)])
+
+
+def rectified(detections: Detections, plane: GroundPlane) -> Detections:
+    """Rectify the lengths and widths of vehicles to nadir and to the scale of the image's centre.
+
+    Args:
+        detections: in pixels of the image; positions and angles are kept.
+        plane: ground plane; its scale does not matter.
+    """
+    plane = replace(plane, gsd_m_per_px=1.0)
+    lengths, widths = (plane.length(*ends) for ends in box_axes(detections.boxes))
+    measured = detections.boxes.copy()
+    measured[:, 2] = length_off_nadir(lengths, widths, bodies=detections.looks is not None)
+    measured[:, 3] = measured[:, 2] / CAR_LENGTH_OVER_WIDTH
+    return replace(detections, boxes=measured)
+
+
+def length_off_nadir(lengths: NDArray[np.float64], widths: NDArray[np.float64], *, bodies: bool) -> NDArray[np.float64]:
+    """Combine lengths and widths ``[n]`` on the ground to lengths that do not depend on the car's direction.
+
+    Args:
+        lengths: of boxes.
+        widths: of boxes.
+        bodies: whether these are the boxes of bodies, as the chip network measures them.
+    """
+    proportion = _BODY_LENGTH_OVER_WIDTH if bodies else CAR_LENGTH_OVER_WIDTH
+    return np.asarray(lengths ** (1 - _BY_WIDTH) * (proportion * widths) ** _BY_WIDTH)

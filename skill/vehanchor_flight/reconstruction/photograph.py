@@ -21,8 +21,7 @@ from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.plane import LEAST_DESCENT
-from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt
-from vehanchor.tilt.rectified import length_off_nadir
+from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt, length_off_nadir
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.reconstruction.ground import local_heights, plane_below
 
@@ -263,7 +262,6 @@ def _taken(detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.
         scores=detections.scores[kept],
         scales=None if detections.scales is None else detections.scales[kept],
         looks=None if looks is None else looks.take(kept[: len(looks)]),
-        classes=None if detections.classes is None else detections.classes[kept],
         stretch=None,  # width and height have the scales that the model gives them
     )
 

@@ -14,7 +14,7 @@ from vehanchor.courts.match import Pose
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.courts.template import Template
+    from vehanchor.courts.match import Template
 
 _FINER = 4
 

@@ -10,8 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vehanchor.detection.boxes import box_corners, boxes_from_corners, canonical_boxes, oriented_iou
-from vehanchor.detection.nms import oriented_nms
+from vehanchor.detection.boxes import box_corners, boxes_from_corners, canonical_boxes, oriented_iou, oriented_nms
 
 NEARBY_BOX = st.tuples(
     st.floats(-60, 60), st.floats(-60, 60), st.floats(4, 60), st.floats(2, 40), st.floats(-7, 7)

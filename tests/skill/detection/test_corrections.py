@@ -14,8 +14,7 @@ from tests.models import blank_image
 from vehanchor import Engine
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch.run import run_batch
-from vehanchor.detection.corrections import corrected
-from vehanchor.detection.detections import Detections, Looks
+from vehanchor.detection.detections import Detections, Looks, corrected
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import ScaleOptions

@@ -24,16 +24,17 @@ from vehanchor.scale.density import GRID, credible_interval
 _CALIBRATION = SceneCalibration(np.log(0.01), 0.08, floor=0.02)
 
 
-def _ground(gsd_m_per_px: float, log_sd: float) -> SceneScalePrior:
+def _ground(gsd_m_per_px: float, log_sd: float, finer: float = 0.0) -> SceneScalePrior:
     bins = np.arange(60) * _CALIBRATION.log_step + _CALIBRATION.first_log_gsd
-    return SceneScalePrior((SceneLevel(1, 9, -0.5 * ((bins - np.log(gsd_m_per_px)) / log_sd) ** 2),), _CALIBRATION)
+    level = SceneLevel(1, -0.5 * ((bins - np.log(gsd_m_per_px)) / log_sd) ** 2)
+    return SceneScalePrior(scene_density([level], replace(_CALIBRATION, finer=finer)), 9)
 
 
 @pytest.mark.parametrize(("gsd", "wider"), [(0.06, 1.55), (0.6, 1.0)])
 def test_a_sharp_place_may_be_finer_than_it_looks(gsd: float, wider: float) -> None:
     """The interval opens downwards only, and only where few places trained the network."""
     plain = credible_interval(_ground(gsd, 0.15).density)
-    open_prior = SceneScalePrior(_ground(gsd, 0.15).levels, replace(_CALIBRATION, finer=0.2))
+    open_prior = _ground(gsd, 0.15, finer=0.2)
     low, high = credible_interval(open_prior.density)
     assert open_prior.density.sum() == pytest.approx(1)
     assert plain.low / low == pytest.approx(wider, rel=0.15)
@@ -65,9 +66,7 @@ def _log_probs(gsd_m_per_px: float) -> NDArray[np.float64]:
 
 def _density(*levels: tuple[int, list[float]], **changes: float) -> NDArray[np.float64]:
     """The density of an image from the scales that the tiles of each level say."""
-    seen = [
-        SceneLevel(factor, len(said), np.mean([_log_probs(gsd) for gsd in said], axis=0)) for factor, said in levels
-    ]
+    seen = [SceneLevel(factor, np.mean([_log_probs(gsd) for gsd in said], axis=0)) for factor, said in levels]
     return scene_density(seen, replace(_CALIBRATION, **{"doubt": 0.01, "floor": 0.01, **changes}))
 
 

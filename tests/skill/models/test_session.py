@@ -16,8 +16,8 @@ from research.scenes import render_scene
 from tests.models import write_detector
 from tests.sam_models import keep_weights_beside, write_sam2
 from vehanchor import estimate_gsd
+from vehanchor.detection.boxes import oriented_nms
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.nms import oriented_nms
 from vehanchor.errors import InvalidParameterError, ModelContractError, OutOfMemoryError, ProviderUnavailableError
 from vehanchor.models import session
 from vehanchor.models.runtime import DEFAULT_PROVIDERS, Cancellation, Runtime

@@ -18,7 +18,7 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.rulers.ruler import View
-from vehanchor.scale.votes import Votes
+from vehanchor.scale.density import Votes
 
 VOTES = Votes(share_at_zero=-13.76, share_slope=17.4)
 CARS_GSD = 0.1  # of the cars of 50 px

@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import gaussian_kde
 
 from vehanchor.errors import InvalidParameterError, TooObliqueError
-from vehanchor.scale.density import GRID, LOG_STEP, blurred, lognormal, mass_within
+from vehanchor.scale.density import GRID, LOG_STEP, Votes, blurred, lognormal, mass_within, vehicle_likelihood
 from vehanchor.scale.lengths import (
     guard_length,
     inlier_mask,
@@ -20,7 +20,6 @@ from vehanchor.scale.lengths import (
 )
 from vehanchor.scale.paper import FALLBACK_CONFIDENCE, PaperScale, composite, confidence_terms, paper_scale
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.scale.votes import Votes, vehicle_likelihood
 
 _LENGTHS = st.lists(st.floats(5, 80), min_size=2, max_size=60)
 

@@ -9,10 +9,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from vehanchor.scale.density import blurred, flat, lognormal, normalised, on_grid
+from vehanchor.scale.density import Votes, blurred, flat, lognormal, normalised, on_grid, vehicle_likelihood
 from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judged
 from vehanchor.scale.reliability import CALLER, LOOKS_LOG_MEAN, LOOKS_LOG_SD, Shared
-from vehanchor.scale.votes import Votes, vehicle_likelihood
 
 VOTES = Votes(-13.76, 17.4)
 LENS, HEIGHT = Shared("lens", 0.03), Shared("height", 0.12)
@@ -93,7 +92,7 @@ def _contradicts(one: Witness, other: Witness) -> bool:
     """Whether the other witness is ten times likelier to be wrong than to be right where this one is."""
     assert one.right is not None
     assert other.right is not None
-    right, wrong = (float((one.right * each).sum()) for each in (other.right, other.wrong))
+    right, wrong = (float((one.right * each).sum()) for each in (other.right, flat()))
     return right * (1 - other.chance_wrong) < 0.1 * wrong * other.chance_wrong
 
 

@@ -17,8 +17,7 @@ from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
-from vehanchor.tilt.rectified import rectified
+from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt, rectified
 from vehanchor_flight.photograph import Photograph, StoredPhotograph, photograph_codec
 from vehanchor_flight.pooling import pool
 
