@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import json
-import time
 from collections import Counter
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.row import ALL_COLUMNS, COLUMNS, BatchRow
 from vehanchor.batch.table import check_table_path, write_table
-from vehanchor.batch.worker import BatchJob, MadeRow, Task
+from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import Detector, networks_sha256
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.sources.files import find_images
@@ -32,37 +31,7 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 
-_LEAST_WAITING = 0.05  # of the workers' time; they wait for no image where decoding is faster than computing
 BatchEngine = Literal["local", "ray"]
-
-
-class Pace(NamedTuple):
-    """Speed of a run, and what bounded it.
-
-    Attributes:
-        seconds: duration of the work on images, with the start of the workers.
-        images_per_s: rate over this duration.
-        busy: mean number of workers that had an image.
-        waiting: share of their time in which the image was not decoded yet.
-    """
-
-    seconds: float
-    images_per_s: float
-    busy: float
-    waiting: float
-
-    @classmethod
-    def of(cls, seconds: float, made: Sequence[tuple[float, float]]) -> Pace | None:
-        """Compute the pace from the workers' seconds for each image: in all, and until it was decoded."""
-        if not made:
-            return None
-        busy_s, waited_s = (sum(each) for each in zip(*made, strict=True))
-        return cls(seconds, len(made) / seconds, busy_s / seconds, waited_s / busy_s)
-
-    @property
-    def bounded_by(self) -> Literal["decoding", "computing"]:
-        """Whether faster decoding (with reading) or faster computing would shorten the run."""
-        return "decoding" if self.waiting > _LEAST_WAITING else "computing"
 
 
 class Cause(NamedTuple):
@@ -82,7 +51,6 @@ class BatchSummary:
         n_resumed: number of rows from an interrupted run.
         statuses: number of rows by status; ``error`` counts rows with an error.
         causes: why scales are not usable, the most frequent first.
-        pace: speed of the run; None if no row was made, or the images have a common scale.
     """
 
     table: Path
@@ -90,7 +58,6 @@ class BatchSummary:
     n_resumed: int
     statuses: Mapping[str, int]
     causes: Sequence[Cause]
-    pace: Pace | None = None
 
 
 def run_batch(
@@ -142,17 +109,16 @@ def run_batch(
     job = _job(detector, classes, chosen, replace(told.idle, threads=1))
     job = replace(job, known_lengths=lines_in(known_lengths, [task.path for task in tasks]))
     with open_journal(table, job, anew=overwrite) as journal:  # the table itself stays until the new one is complete
-        started, times, keys = time.monotonic(), [], {task.file: task.key() for task in tasks}
+        keys = {task.file: task.key() for task in tasks}
         missing = [task for task in tasks if keys[task.file] not in journal]
         with closing(_rows(engine, job, missing, workers, address)) as rows:
             told.tell(n_resumed := len(tasks) - len(missing), len(tasks))
-            for number, made in enumerate(rows, start=n_resumed + 1):
-                journal.add(keys[made.row.file], made.row)
-                times.append((made.seconds, made.waited_s))
+            for number, row in enumerate(rows, start=n_resumed + 1):
+                journal.add(keys[row.file], row)
                 told.tell(number, len(tasks))
         counts = _write_counted(table, (journal.get(keys[task.file]) for task in tasks), details=details)
         journal.remove()
-    return BatchSummary(table, len(tasks), n_resumed, *counts, Pace.of(time.monotonic() - started, times))
+    return BatchSummary(table, len(tasks), n_resumed, *counts)
 
 
 def journal_path(table: Path) -> Path:
@@ -232,7 +198,7 @@ def _unfinished(output: Path, overwrite: bool) -> Path:
 
 def _rows(
     engine: BatchEngine, job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
-) -> Generator[MadeRow]:
+) -> Generator[BatchRow]:
     if not tasks:
         return
     if engine == "ray":

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import time
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import cv2
 
@@ -22,9 +20,6 @@ from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Key, Source
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from vehanchor.imagery.raster import Raster
     from vehanchor.rulers.known_length_table import KnownLengthTable
 
 
@@ -72,22 +67,8 @@ class Task:
         return (self.file, *Source.of(self.path))
 
 
-class MadeRow(NamedTuple):
-    """Row, and the time that the worker needed for it.
-
-    Attributes:
-        row: result for one image.
-        seconds: duration.
-        waited_s: part of it until the image was decoded.
-    """
-
-    row: BatchRow
-    seconds: float
-    waited_s: float
-
-
 class Worker:
-    """Loaded model that makes rows, and a thread that decodes the next image meanwhile.
+    """Loaded model that makes rows.
 
     Raises:
         ModelError: the model cannot be loaded, or is not the one that the job names.
@@ -98,8 +79,6 @@ class Worker:
         self._options, self._known_lengths = job.options, job.known_lengths
         path = resolve_model(job.detector)
         self._detector = checked_detector(Detector(path, classes=job.classes, runtime=job.runtime), job.options)
-        self._reader = ThreadPoolExecutor(1)
-        self._ahead: dict[Task, Future[Raster]] = {}
         here = networks_sha256(self._detector.card)
         if here != job.networks_sha256:
             raise ModelContractError(
@@ -113,24 +92,11 @@ class Worker:
         cv2.setNumThreads(job.runtime.threads or -1)
         return cls(job)
 
-    def make(self, task: Task, following: Task | None) -> MadeRow:
-        """Make the row of one image, and begin to decode the following one."""
-        started = time.perf_counter()
-        opened = self._ahead.pop(task, None) or self._reader.submit(self._open, task)
-        if following is not None:
-            self._ahead[following] = self._reader.submit(self._open, following)
-        wait([opened])
-        waited_s = time.perf_counter() - started
-        return MadeRow(self.row(task, opened), time.perf_counter() - started, waited_s)
-
-    def _open(self, task: Task) -> Raster:
-        return open_raster(task.path, self._options.reading)
-
-    def row(self, task: Task, opened: Future[Raster]) -> BatchRow:
+    def row(self, task: Task) -> BatchRow:
         """Make the row of one image; any error goes into the row."""
         try:
             options = with_lines_of(self._options, self._known_lengths, task.path)
-            with opened.result() as raster:
+            with open_raster(task.path, options.reading) as raster:
                 estimate = analyse_raster(self._detector, raster, options).estimate
         except VehAnchorError as error:
             return BatchRow.failed(task.file, error)
@@ -139,8 +105,3 @@ class Worker:
         except Exception as error:  # a defect in one image must not end a run over a million
             return BatchRow(file=task.file, error_code="internal_error", error=f"{type(error).__name__}: {error}")
         return BatchRow(file=task.file, estimate=estimate)
-
-    def rows(self, tasks: Sequence[Task]) -> Iterator[MadeRow]:
-        """Make the rows of several images."""
-        for task, following in zip(tasks, [*tasks[1:], None], strict=True):
-            yield self.make(task, following)

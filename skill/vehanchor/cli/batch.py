@@ -120,13 +120,9 @@ def _summarise(summary: BatchSummary, seconds: float) -> None:
 def _summary_text(summary: BatchSummary, seconds: float) -> str:
     made = summary.n_rows - summary.n_resumed
     resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""
-    pace, rate = summary.pace, ""
-    if pace is not None:
-        waiting = f"{pace.busy:.1f} workers busy, {pace.waiting:.0%} of it waiting for images"
-        rate = f", {pace.images_per_s:.3g} a second ({waiting}; bounded by {pace.bounded_by})"
     return (
         f"{printable(str(summary.table))}: {count(summary.n_rows, 'row')} ({counts_text(summary.statuses)}){resumed}; "
-        f"{count(made, 'image')} in {seconds:.1f} s{rate}"
+        f"{count(made, 'image')} in {seconds:.1f} s"
     )
 
 

@@ -6,8 +6,9 @@ import multiprocessing
 import os
 import signal
 import threading
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from vehanchor.batch.worker import Worker
@@ -16,8 +17,10 @@ from vehanchor.errors import WorkerDiedError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from vehanchor.batch.worker import BatchJob, MadeRow, Task
+    from vehanchor.batch.row import BatchRow
+    from vehanchor.batch.worker import BatchJob, Task
 
+_TASKS_PER_WORKER = 2  # one is computed, one waits
 _worker: Worker | None = None  # in a worker process
 
 
@@ -28,8 +31,8 @@ def local_workers(n_tasks: int) -> int:
     )
 
 
-def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[MadeRow]:
-    """Make the rows of all tasks in order of completion.
+def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[BatchRow]:
+    """Make the rows of all tasks.
 
     Args:
         job: settings of the workers.
@@ -44,26 +47,17 @@ def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[M
         ModelError: the model cannot be loaded.
     """
     if workers == 1:
-        yield from Worker(job).rows(tasks)
+        yield from map(Worker(job).row, tasks)
         return
     context = multiprocessing.get_context("spawn")  # a forked process with threads can deadlock
-    # A pool of one process each, so that a worker gets the image that it has decoded ahead.
-    pools = [ProcessPoolExecutor(1, context, _start, (job,)) for _ in range(workers)]
+    pool = ProcessPoolExecutor(workers, context, _start, (job,))
     waiting = iter(tasks)
-    ahead = [next(waiting, None) for _ in pools]
-    running: dict[Future[MadeRow], int] = {}
-
-    def begin(k: int) -> None:
-        task, ahead[k] = ahead[k], next(waiting, None)
-        if task is not None:
-            running[pools[k].submit(_make, task, ahead[k])] = k
-
     try:
-        for k in range(workers):
-            begin(k)
+        running = {pool.submit(_row, task) for task in islice(waiting, _TASKS_PER_WORKER * workers)}
         while running:
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                begin(running.pop(future))
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            running |= {pool.submit(_row, task) for task in islice(waiting, len(done))}
+            for future in done:
                 yield future.result()
     except BrokenProcessPool:
         raise WorkerDiedError(
@@ -71,10 +65,7 @@ def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[M
             "rows are kept; run the same command again with fewer --workers"
         ) from None
     finally:
-        for pool in pools:
-            pool.shutdown(wait=False, cancel_futures=True)
-        for pool in pools:
-            pool.shutdown()
+        pool.shutdown(cancel_futures=True)
 
 
 def _start(job: BatchJob) -> None:
@@ -92,6 +83,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _make(task: Task, following: Task | None) -> MadeRow:
+def _row(task: Task) -> BatchRow:
     assert _worker is not None  # the pool starts a process with _start
-    return _worker.make(task, following)
+    return _worker.row(task)

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.batch.row import BatchRow
-from vehanchor.batch.worker import MadeRow, Task, Worker
+from vehanchor.batch.worker import Task, Worker
 from vehanchor.errors import InvalidParameterError, MissingExtraError, WorkerDiedError
 
 if TYPE_CHECKING:
@@ -47,15 +47,10 @@ class _Actor:
         if self._worker is None:  # not in __init__: Ray warns of constructors with arguments
             self._worker = Worker.of_own_process(job)
         tasks = [Task(str(file), str(path)) for file, path in zip(batch["file"], batch["path"], strict=True)]
-        made = list(self._worker.rows(tasks))
-        return {
-            "row": [each.row.model_dump_json() for each in made],
-            "seconds": [each.seconds for each in made],
-            "waited_s": [each.waited_s for each in made],
-        }
+        return {"row": [self._worker.row(task).model_dump_json() for task in tasks]}
 
 
-def ray_rows(job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None) -> Iterator[MadeRow]:
+def ray_rows(job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None) -> Iterator[BatchRow]:
     """Make the rows of all tasks in order of completion.
 
     Args:
@@ -89,8 +84,7 @@ def ray_rows(job: BatchJob, tasks: Sequence[Task], workers: int | None, address:
         )
         try:
             for item in dataset.iter_rows():
-                row = BatchRow.model_validate_json(item["row"])
-                yield MadeRow(row, item["seconds"], item["waited_s"])
+                yield BatchRow.model_validate_json(item["row"])
         except ray.exceptions.RayError as error:
             reason = str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
             raise WorkerDiedError(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.errors import ImageDecodeError
+from vehanchor.imagery.formats.boxes import boxes
 from vehanchor.imagery.formats.image_header import ImageHeader
 
 if TYPE_CHECKING:
@@ -13,7 +14,6 @@ if TYPE_CHECKING:
 
 _SIGNATURE = b"\x00\x00\x00\x0cjP  \r\n\x87\n"
 _CODESTREAM = b"\xff\x4f\xff\x51"  # its first marker, SOC, and SIZ, which must follow
-_MAX_BOXES = 1000
 _MAX_BANDS = 16_384  # in the standard
 
 
@@ -42,16 +42,7 @@ def _codestream_at(read_at: ReadAt) -> int:
     """Find the offset of the codestream: the start of the file or its first codestream box."""
     if read_at(0, 4) == _CODESTREAM:
         return 0
-    position = 0
-    for _ in range(_MAX_BOXES):
-        length, kind = struct.unpack(">I4s", read_at(position, 8))
-        head = 8
-        if length == 1:
-            (length,) = struct.unpack(">Q", read_at(position + 8, 8))
-            head = 16
-        if kind == b"jp2c":
-            return position + head
-        if length < head:  # 0 means up to the end of the file: no codestream can follow
-            raise ImageDecodeError("the JPEG 2000 holds no image: truncated or damaged")
-        position += length
-    raise ImageTooLargeError(f"the JPEG 2000 has more than {_MAX_BOXES} boxes; save it again")
+    found = next((box.start for box in boxes(read_at) if box.kind == b"jp2c"), None)
+    if found is None:
+        raise ImageDecodeError("the JPEG 2000 holds no image: truncated or damaged")
+    return found

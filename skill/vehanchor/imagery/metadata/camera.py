@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # FocalPlaneResolutionUnit: inch, cm; TIFF/EP's mm, micrometre
 _SENSOR_WIDTHS_MM = (4.0, 60.0)  # a choice: from phones to medium format; a resized copy has a narrower one
 _SENSOR_TOLERANCE = 1.25  # a choice: pictures of another shape leave a fifth of the columns out
-_NAMES = (*IN_XMP, *dict.fromkeys(name for each in MAKERS for name in each.names))
-"""Properties to find in damaged XMP."""
+_OF_MAKERS = dict.fromkeys(name for each in MAKERS for name in each.names)
+_NAMES = (*IN_XMP, *_OF_MAKERS, *{name.replace("/", ""): None for name in _OF_MAKERS if "/" in name})
+"""Properties to find in XMP; some programs flatten structures."""
 
 
 @dataclass(frozen=True)
