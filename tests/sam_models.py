@@ -221,6 +221,57 @@ def write_transformers(
     return encoder, decoder
 
 
+def write_efficient_sam(
+    folder: Path,
+    *,
+    input_px: int = 128,
+    masks: Sequence[Content] = (EMPTY, OBJECT, FULL),
+    scores: Sequence[float] = (0.3, 0.9, 0.5),
+) -> SamFiles:
+    """EfficientSAM: it stretches and scales coordinates in the graph, and puts out masks of the image's size."""
+    graph = Graph()
+    square = _resized(graph, "batched_images", _ints(graph, [input_px, input_px]), 3)
+    _embedded(graph, graph.add("Mul", [square, graph.constant([255.0])]), CELL_PX, CELL_PX, "image_embeddings")
+    side = input_px // CELL_PX // CELL_PX
+    embedding = (_FLOAT, ["batch", 3 * CELL_PX**2, side, side])
+    encoder = _write(
+        folder / "efficient_encoder.onnx",
+        graph,
+        {"batched_images": (_FLOAT, ["batch", 3, "height", "width"])},
+        {"image_embeddings": embedding},
+    )
+
+    graph = Graph()
+    cells = graph.add("DepthToSpace", ["image_embeddings"], blocksize=CELL_PX)
+    size = graph.add("Cast", ["orig_im_size"], to=_FLOAT)
+    height, width = graph.split(size, 2, axis=0)
+    factor = graph.add("Div", [graph.constant([float(input_px)]), graph.add("Concat", [width, height], axis=0)])
+    points = graph.add("Reshape", ["batched_point_coords", _ints(graph, [1, -1, 2])])
+    coords = graph.add("Add", [graph.add("Mul", [points, factor]), graph.constant([0.5])])
+    labels = graph.add("Reshape", ["batched_point_labels", _ints(graph, [1, -1])])
+    stacked = _stacked(graph, _logits(graph, cells, coords, labels, CELL_PX), masks)
+    full = _resized(graph, stacked, "orig_im_size", len(masks))
+    graph.add("Unsqueeze", [full, _ints(graph, [1])], output="output_masks")
+    _scores(graph, scores, [1, 1, len(masks)], "iou_predictions")
+    graph.add("Identity", [stacked], output="4242")  # the low-resolution masks have no name in its export
+    decoder = _write(
+        folder / "efficient_decoder.onnx",
+        graph,
+        {
+            "image_embeddings": embedding,
+            "batched_point_coords": (_FLOAT, [1, 1, "num_points", 2]),
+            "batched_point_labels": (_FLOAT, [1, 1, "num_points"]),
+            "orig_im_size": (_INT64, [2]),
+        },
+        {
+            "output_masks": (_FLOAT, [1, 1, len(masks), "height", "width"]),
+            "iou_predictions": (_FLOAT, [1, 1, len(masks)]),
+            "4242": (_FLOAT, [1, len(masks), "rows", "columns"]),
+        },
+    )
+    return encoder, decoder
+
+
 def keep_weights_beside(path: Path, suffix: str = "_data") -> Path:
     """Move a model's float constants of four dimensions into a file beside it, as exports of large models do."""
     model = onnx.load(str(path))

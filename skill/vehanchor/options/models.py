@@ -21,6 +21,6 @@ PROVIDERS = Option(
 )
 CALIBRATION = Option("Use the reference length measured by 'vehanchor calibrate'.", metavar="FILE", first=True)
 SEGMENTER = Option(
-    "ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker. Default: the bundled.",
+    "ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. Default: the bundled.",
     metavar="ENCODER DECODER",
 )

@@ -12,12 +12,13 @@ from tests.sam_models import (
     EMPTY,
     FULL,
     OBJECT,
+    write_efficient_sam,
     write_sam,
     write_sam2,
     write_transformers,
 )
 from tests.skill.segmentation.objects import OBJECT_RGB, OTHER_RGB, full_mask, is_rectangle, picture, segmented
-from vehanchor.errors import ModelContractError
+from vehanchor.errors import ModelContractError, PromptError
 from vehanchor.imagery.raster import Window
 from vehanchor.models.runtime import Runtime
 from vehanchor.segmentation.contracts import CONTRACTS, SamContract
@@ -44,6 +45,8 @@ WRITERS: dict[str, Callable[[Path], SamFiles]] = {
     "sam2": write_sam2,
     "transformers, SAM 2": write_transformers,
     "transformers, SAM 3": lambda folder: write_transformers(folder, sam3=True),
+    "efficient_sam": write_efficient_sam,
+    "efficient_sam, enlarging": lambda folder: write_efficient_sam(folder, input_px=512),
 }  # fmt: skip
 
 
@@ -112,6 +115,12 @@ def test_a_point_gives_what_looks_like_it(segmenter: Segmenter) -> None:
 
 def test_a_negative_point_takes_away_what_looks_like_it(segmenter: Segmenter) -> None:
     image = np.full((512, 512, 3), OBJECT_RGB, np.uint8)
+    image[:, 256:] = np.array(OBJECT_RGB) + 20  # within the reach of the positive point's likeness
+    points = ((100.0, 300.0, True), (400.0, 300.0, False))
+    if segmenter.card.contract == "efficient_sam":
+        with pytest.raises(PromptError, match="outside"):
+            segmented(segmenter, image, Prompt(points=points))
+        return
     image[:, 256:] = OTHER_RGB
     image[:, 224:256] = (130, 95, 130)
     found = segmented(segmenter, image, Prompt(points=((100.0, 300.0, True), (240.0, 300.0, False))))
@@ -146,6 +155,7 @@ def test_the_encoder_sees_colours_as_its_contract_says(segmenter: Segmenter, mon
         "sam": rgb if fed[0].ndim == 3 else imagenet,
         "sam2": imagenet,
         "transformers": half if segmenter.card.input_px == 224 else imagenet,
+        "efficient_sam": rgb / 255,
     }[contract]
     colour = fed[0][50, 40] if fed[0].ndim == 3 else fed[0][0, :, 50, 40]
     assert colour == pytest.approx(expected, abs=1e-4)

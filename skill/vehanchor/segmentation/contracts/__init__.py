@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor.errors import ModelContractError
 from vehanchor.segmentation.contracts.base import DTYPES, Encoding, MaskLogits, SamContract
+from vehanchor.segmentation.contracts.efficient_sam import EfficientSam
 from vehanchor.segmentation.contracts.sam import Sam
 from vehanchor.segmentation.contracts.sam2 import Sam2
 from vehanchor.segmentation.contracts.transformers import Transformers
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CONTRACTS", "Encoding", "MaskLogits", "SamContract", "recognise_contract"]
 
-CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers)
+CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers, EfficientSam)
 """All contracts."""
 
 _OPTIONAL_INPUTS = frozenset({"mask_input", "has_mask_input", "orig_im_size"})  # of decoders

@@ -235,11 +235,13 @@ def fixed_side(items: Sequence[Any], name: str) -> int | None:
     return None
 
 
-def corner_prompt(prompt: Prompt, scale: tuple[float, float]) -> tuple[list[tuple[float, float]], list[int]]:
-    """Convert a prompt to SAM's points and labels, in pixel indices of the input; box corners have labels 2 and 3."""
+def corner_prompt(
+    prompt: Prompt, scale: tuple[float, float], shift: tuple[float, float] = (0.5, 0.5)
+) -> tuple[list[tuple[float, float]], list[int]]:
+    """Convert a prompt to SAM's points and labels, in input pixels minus ``shift``; box corners have labels 2 and 3."""
 
     def place(x: float, y: float) -> tuple[float, float]:
-        return x * scale[0] - 0.5, y * scale[1] - 0.5
+        return x * scale[0] - shift[0], y * scale[1] - shift[1]
 
     coords, labels = [], []
     if prompt.box is not None:
