@@ -123,5 +123,5 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
 def _other_object(other: OtherObject) -> str:
     box = other.bounding_box
     size = f"{other.mask_area_px} px" if other.area_m2 is None else f"{significant(other.area_m2)} m2"
-    corners = " ".join(f"{side:.0f}" for side in (box.x1_px, box.y1_px, box.x2_px, box.y2_px))
-    return f"of {size}, score {other.mask_score:.2f}: --box {corners}"
+    place = f"x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f}"
+    return f"of {size}, score {other.mask_score:.2f}, at {place}: draw a box by eye"

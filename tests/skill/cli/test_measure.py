@@ -102,7 +102,7 @@ def test_other_objects_at_a_point_are_listed_with_their_boxes(run: Any, folder: 
     given = ("two.png", "--point", 392, 392, "--gsd", 0.5)
     listed = run(*given).stdout
     assert "or the object" in listed
-    assert "--box 376 376 552 424" in listed
+    assert "at x 376 to 552, y 376 to 424: draw a box by eye" in listed
 
 
 def test_the_mask_is_written_in_the_size_of_the_image(run: Any, tmp_path: Path) -> None:
