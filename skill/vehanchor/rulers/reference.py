@@ -70,7 +70,8 @@ def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) 
     if card.bodies is not None and looks is not None:
         return _by_looks(card.bodies, looks, given.region)
     if given.region is not None:
-        length_m = _region_length(given.region, card.region_lengths_m)
+        of_bodies = {} if card.bodies is None else card.bodies.region_lengths_m  # where nobody measured boxes
+        length_m = _region_length(given.region, {**of_bodies, **card.region_lengths_m})
         return ReferenceLength(length_m, "region", KNOWN_REGION * sd_m / length_m)
     return ReferenceLength(card.reference_length_m, "model", sd_m / card.reference_length_m)
 

@@ -82,6 +82,13 @@ def test_a_country_has_a_length_near_its_region(card: DetectorCard, code: str) -
     assert chosen.length_m == pytest.approx(card.region_lengths_m[COUNTRY_REGIONS[code.upper()]], rel=0.02)
 
 
+def test_a_region_without_lengths_of_boxes_has_those_of_bodies(card: DetectorCard) -> None:
+    assert card.bodies is not None
+    without = card.model_copy(update={"region_lengths_m": {}})
+    chosen = reference_length(without, Reference(region="europe"), None)
+    assert chosen.length_m == card.bodies.region_lengths_m["europe"]
+
+
 def test_every_country_has_one_of_the_regions_and_a_code_of_two_letters() -> None:
     assert set(COUNTRY_REGIONS.values()) == set(REGIONS)
     assert set(COUNTRY_LENGTHS_M) < set(COUNTRY_REGIONS)
