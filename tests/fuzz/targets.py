@@ -294,8 +294,6 @@ def _metadata() -> list[bytes]:
         "GPSLatitude": (52, 1, 30, 1, 1234, 100),
         "GPSLongitudeRef": "E",
         "GPSLongitude": (13, 1, 20, 1, 999, 100),
-        "GPSAltitudeRef": b"\0",
-        "GPSAltitude": (1200, 10),
     }
     packets = [
         blocks.xmp(

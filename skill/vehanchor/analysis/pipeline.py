@@ -22,7 +22,6 @@ from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import ImageListError, InvalidParameterError, VehAnchorError
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
-from vehanchor.imagery.identity import begin_image_id
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.records import (
     ConfidenceTerms,
@@ -145,7 +144,7 @@ def search_raster(
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
     rulers = active_rulers(options.rulers)
-    facts, image_id = image_facts(raster), begin_image_id(raster)
+    facts = image_facts(raster)
     tilt = metadata_tilt(facts, options)  # refuses an image with the horizon before the work
     kinds = {ruler.kind for ruler in rulers}
     if prior is None and SceneScale.kind in kinds:
@@ -155,7 +154,7 @@ def search_raster(
     if not any(ruler.needs_search for ruler in rulers):
         if options.by_hand.given:
             raise InvalidParameterError(f"{options.by_hand.given} needs the ruler vehicles: add it to rulers")
-        return replace(view, image=facts._replace(image_id=image_id()))
+        return view
     work = ImageSearch(raster, detector, options.search, prior)
     if tilt is None:
         search_until_settled(work, view)
@@ -165,7 +164,7 @@ def search_raster(
     detections = work.result(check_stretch=check_stretch)
     chosen, size_px = options.search, (raster.width_px, raster.height_px)
     detections = corrected(detections, options.by_hand, options.frame, size_px, chosen.nms_iou)
-    return replace(view, image=facts._replace(image_id=image_id()), detections=detections)
+    return replace(view, detections=detections)
 
 
 def analyse_view(view: View, known: Sequence[Witness] | None = None) -> ScaleAnalysis:

@@ -105,7 +105,7 @@ def run_batch(
     """
     table, chosen, told = _unfinished(Path(output), overwrite), options or ScaleOptions(), runtime or Runtime()
     _check(engine, address, workers, chosen)
-    tasks = list(map(Task.of, find_images(inputs, leave_out=(table, journal_path(table)))))
+    tasks = list(map(Task.of, find_images(inputs)))
     job = _job(detector, classes, chosen, replace(told.idle, threads=1))
     job = replace(job, known_lengths=lines_in(known_lengths, [task.path for task in tasks]))
     with open_journal(table, job, anew=overwrite) as journal:  # the table itself stays until the new one is complete

@@ -50,7 +50,7 @@ def measure_table(
         ImageNotFoundError: as ``find_images``.
     """
     _check_output(output, overwrite=overwrite)
-    wanted, images = read_targets(table), find_images(inputs, leave_out=(output,))
+    wanted, images = read_targets(table), find_images(inputs)
     strangers = sorted(set(wanted) - {where_it_is(image) for image in images})
     if strangers:
         raise PromptError(

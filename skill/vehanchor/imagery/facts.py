@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from vehanchor.imagery.identity import image_id
+
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.raster import Raster, RasterNote
@@ -18,7 +20,7 @@ class ImageFacts(NamedTuple):
         georeference_gsd_m_per_px: the scale in the file's georeference; None without one.
         notices: warnings from reading the image.
         camera: the camera's metadata; None without any.
-        image_id: checksum of the image; empty until it is known.
+        image_id: checksum of the image; empty if unknown.
     """
 
     width_px: int
@@ -37,4 +39,5 @@ def image_facts(raster: Raster) -> ImageFacts:
         raster.georeference_gsd_m_per_px,
         raster.warnings,
         raster.camera,
+        image_id(raster),
     )

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,8 +15,6 @@ from vehanchor.errors import ImageDecodeError
 from vehanchor.imagery.raster import Window
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from vehanchor.imagery.raster import Raster
 
 _WINDOWS_PER_SIDE = 8
@@ -45,20 +41,6 @@ def image_id(raster: Raster) -> str:
             digest.update(raster.read(Window(x, y, width, height)).data)
     raster.known_id = digest.hexdigest()[:_DIGITS]
     return raster.known_id
-
-
-def begin_image_id(raster: Raster) -> Callable[[], str]:
-    """Begin to hash an image; return a call that waits for the result of ``image_id``.
-
-    A decoded image is hashed in a thread beside the caller's work; others are hashed at once, because only one thread
-    may read them.
-    """
-    if raster.known_id or not raster.in_memory:
-        return partial(str, image_id(raster))
-    beside = ThreadPoolExecutor(1)
-    waiting = beside.submit(image_id, raster)
-    beside.shutdown(wait=False)  # the thread ends after its work
-    return waiting.result
 
 
 def _update_with_file(digest: hashlib._Hash, encoded: str | bytes | None) -> None:

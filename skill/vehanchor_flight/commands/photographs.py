@@ -77,10 +77,12 @@ def photographs(
         from vehanchor.batch.table import check_table_path, write_table
         from vehanchor_flight.verbs import estimate_flight
 
-        outputs = [] if out is None else [check_output_path(out, (".json",), kind="a record")]
-        outputs += [] if table is None else [check_table_path(table)]
+        if out is not None:
+            check_output_path(out, (".json",), kind="a record")
+        if table is not None:
+            check_table_path(table)
         journal = (kept := out or table) and kept.with_name(kept.name + ".journal")
-        images = _images(inputs, every, chosen.options().reading.limits, outputs)
+        images = _images(inputs, every, chosen.options().reading.limits)
         last = "pooling the evidence of" if same_scale else "linking"
         counted = isinstance(images, Sequence)  # the length of a video is unknown
         with work_progress("images") as tell, resumable(journal):
@@ -122,15 +124,13 @@ def _row(record: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
     return BatchRow(file=photograph.photograph, estimate=estimate_in_flight(record, photograph))
 
 
-def _images(
-    inputs: list[str], every_s: float, limits: ImageLimits, leave_out: Sequence[Path]
-) -> Sequence[str] | Iterator[InputPhotograph]:
+def _images(inputs: list[str], every_s: float, limits: ImageLimits) -> Sequence[str] | Iterator[InputPhotograph]:
     """List the files, or the frames of one video."""
     from vehanchor.imagery.sources.files import find_images
     from vehanchor_flight.video import is_video, sample_video
 
     if not any(is_video(each) for each in inputs):
-        return find_images(inputs, leave_out=leave_out)
+        return find_images(inputs)
     if len(inputs) > 1:
         raise InvalidParameterError("a video is a flight of its own: give it alone")
     return sample_video(inputs[0], every_s, limits)

@@ -103,8 +103,6 @@ _POSITION_TAGS = {
     "GPSLatitude": (2, "degrees"),
     "GPSLongitudeRef": (3, "ascii"),
     "GPSLongitude": (4, "degrees"),
-    "GPSAltitudeRef": (5, "bytes"),
-    "GPSAltitude": (6, "rational"),
 }
 
 

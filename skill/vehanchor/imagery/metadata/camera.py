@@ -57,7 +57,6 @@ class CameraMetadata:
         digital_zoom: digital zoom factor; 1 for none.
         latitude_deg: latitude, positive to the north.
         longitude_deg: longitude, positive to the east.
-        altitude_m: metres above sea level.
         taken_at: local time of the photograph, as EXIF writes it (2025:10:05 16:40:31); empty if unknown.
         refused: what was not used and why, as clauses with semicolons; empty if all was read.
     """
@@ -77,7 +76,6 @@ class CameraMetadata:
     digital_zoom: float = 1.0
     latitude_deg: float | None = None
     longitude_deg: float | None = None
-    altitude_m: float | None = None
     roll_deg: float | None = None
     taken_at: str = ""
     refused: str = ""
@@ -170,18 +168,16 @@ def _attitude(stated: Statements, makers: Sequence[Maker]) -> tuple[float | None
     return None, None
 
 
-def _position(tags: ExifTags) -> dict[str, float | None]:
-    """Give latitude, longitude and altitude; empty if latitude or longitude is invalid."""
-    north, east, above = (tags.get(name) for name in ("GPSLatitude", "GPSLongitude", "GPSAltitude"))
+def _position(tags: ExifTags) -> dict[str, float]:
+    """Give latitude and longitude; empty if one is invalid."""
+    north, east = tags.get("GPSLatitude"), tags.get("GPSLongitude")
     if not isinstance(north, float) or not isinstance(east, float):
         return {}
     if north > 90 or east > 180 or north == east == 0:  # 0, 0 is "no fix"
         return {}
-    below = tags.get("GPSAltitudeRef") == 1
     return {
         "latitude_deg": -north if tags.get("GPSLatitudeRef") == "S" else north,
         "longitude_deg": -east if tags.get("GPSLongitudeRef") == "W" else east,
-        "altitude_m": None if not isinstance(above, float) else -above if below else above,
     }
 
 

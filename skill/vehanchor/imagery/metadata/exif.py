@@ -40,8 +40,6 @@ _POSITION_NAMES = {
     2: "GPSLatitude",
     3: "GPSLongitudeRef",
     4: "GPSLongitude",
-    5: "GPSAltitudeRef",
-    6: "GPSAltitude",
 }
 _CAMERA_DIRECTORY, _POSITION_DIRECTORY = 0x8769, 0x8825
 _POINTERS = (_CAMERA_DIRECTORY, _POSITION_DIRECTORY)

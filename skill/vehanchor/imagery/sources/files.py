@@ -10,11 +10,11 @@ from itertools import chain, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vehanchor.errors import ImageNotFoundError, InvalidParameterError
+from vehanchor.errors import ImageNotFoundError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
 _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset(chain.from_iterable(IMAGE_FORMATS.values()))
@@ -24,30 +24,25 @@ _SYSTEM_FOLDER = re.compile(r"__macosx|\$recycle\.bin|[#@](?:recycle|snapshot|ea
 """Folders of systems, network storage and viewers."""
 
 
-def find_images(
-    inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], *, leave_out: Iterable[Path] = ()
-) -> list[str]:
+def find_images(inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> list[str]:
     """List every image once, in an order that depends on the names alone.
 
     Args:
         inputs: one or several: directories (searched by suffix, recursively, also behind links, but not hidden files
-            and the folders of systems and viewers), patterns (``photos/*.jpg``, also ``**``), and files. A missing file
-            with an image suffix stays in the list if other images exist: it becomes a row with an error.
-        leave_out: files that match a pattern but are not images, such as the table to write.
+            and the folders of systems and viewers), patterns (``photos/*``, also ``**``; by suffix, too), and files. A
+            missing file with an image suffix stays in the list if other images exist: it becomes a row with an error.
 
     Returns:
         Paths as the caller named them: inputs in their order, files of each input sorted.
 
     Raises:
-        InvalidParameterError: a file to leave out is a link to an image, which would be missing in the results.
         ImageNotFoundError: a directory or pattern has no image, a directory does not exist, no image exists, or no
             input is given.
     """
-    excluded = {str(path.resolve()): path for path in leave_out}
     found: dict[str, None] = {}
     named = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
     for name in [os.fspath(each) for each in named]:
-        images = [path for path in _images(name) if not _is_left_out(path, excluded)]
+        images = _images(name)
         if not images:
             raise ImageNotFoundError(f"no image in {name!r}: use the suffixes {', '.join(sorted(SUFFIXES))}")
         found.update(dict.fromkeys(images))
@@ -56,19 +51,6 @@ def find_images(
     if not any(Path(image).exists() for image in found):
         raise ImageNotFoundError(f"there is no file {next(iter(found))!r}, nor any other of the {len(found)} named")
     return list(found)
-
-
-def _is_left_out(image: str, excluded: Mapping[str, Path]) -> bool:
-    """Test whether a file is one to leave out, under its own name."""
-    output = excluded.get(where_it_is(image))
-    if output is None:
-        return False
-    own, other = Path(image), Path(output)
-    if own.parent.resolve() / own.name != other.parent.resolve() / other.name:
-        raise InvalidParameterError(
-            f"{str(output)!r} and the image {image!r} are one file by a link: choose another name"
-        )
-    return True
 
 
 def holds_photographs(name: str) -> bool:
@@ -117,16 +99,20 @@ def _files(folder: Path) -> Iterator[Path]:
         waiting = links
 
 
+def _is_image(file: Path) -> bool:
+    return file.suffix.lower() in SUFFIXES and file.is_file()
+
+
 def _images(name: str) -> list[str]:
     name = existing(name)
     path = Path(name)
     if path.is_dir():
-        return sorted(str(file) for file in _files(path) if file.suffix.lower() in SUFFIXES and file.is_file())
+        return sorted(str(file) for file in _files(path) if _is_image(file))
     if not path.exists() and glob.has_magic(name):
         matches = glob.glob(name, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
         fixed = len(list(takewhile(lambda part: not glob.has_magic(part), path.parts)))
         return sorted(
-            file for file in matches if Path(file).is_file() and all(map(holds_photographs, Path(file).parts[fixed:]))
+            file for file in matches if _is_image(Path(file)) and all(map(holds_photographs, Path(file).parts[fixed:]))
         )
     if not path.exists() and (name.endswith(_SEPARATORS) or path.suffix.lower() not in SUFFIXES):
         raise ImageNotFoundError(f"there is no file or directory {name!r}")

@@ -183,8 +183,6 @@ _PLACE = {
     "GPSLatitude": (41, 1, 25, 1, 4325, 100),
     "GPSLongitudeRef": "W",
     "GPSLongitude": (81, 1, 36, 1, 2118, 100),
-    "GPSAltitudeRef": b"\0\0\0\0",
-    "GPSAltitude": 347.7,
 }
 
 
@@ -193,7 +191,6 @@ def test_the_position_is_read_in_degrees(order: str) -> None:
     camera = _known(jpeg(exif=exif(_PLACE, order)))
     assert camera.latitude_deg == pytest.approx(41 + 25 / 60 + 43.25 / 3600)
     assert camera.longitude_deg == pytest.approx(-(81 + 36 / 60 + 21.18 / 3600))
-    assert camera.altitude_m == pytest.approx(347.7)
     south = _known(jpeg(exif=exif({**_PLACE, "GPSLatitudeRef": "S", "GPSLongitudeRef": "E"}, order)))
     assert south.latitude_deg is not None
     assert south.longitude_deg is not None
@@ -214,7 +211,6 @@ def test_a_position_without_meaning_is_none(damage: dict[str, object]) -> None:
     camera = read_metadata(jpeg(exif=exif({"Make": "DJI", **_PLACE, **damage})))
     assert camera is not None
     assert camera.latitude_deg is None
-    assert camera.altitude_m is None
 
 
 TABLE = tomllib.loads(files("vehanchor.imagery.metadata").joinpath("sensors.toml").read_text(encoding="utf-8"))[
