@@ -43,36 +43,27 @@ _CHANCE_MARGIN = 0.03  # early and full searches of nine photographs differed by
 
 
 class Convergence(NamedTuple):
-    """Uncertainty of the scale from an unfinished search.
+    """How far more vehicles may change the scale of an unfinished search.
 
     Attributes:
-        statistical_log_sd: log standard deviation from the number and the spread of the vehicles; inf without any.
-        fleet_log_sd: log standard deviation from the fleet's unknown length.
-        doubted: whether more vehicles may make the scale usable, or there are doubts about the vehicles.
-        value_log_sd: log standard deviation of the value under resampling of the vehicles; inf for fewer than five.
-        density: ``[g]`` density of the scale on ``vehanchor.scale.density.GRID``; None if the votes are uncalibrated.
-        unseen_share: expected share of the image's vehicles in the tiles that are not visited.
+        share: log standard deviation from the number and the spread of the vehicles, over that from the fleet's unknown
+            length; inf without vehicles, with doubts about them, or if more of them may make the scale usable.
+        change: log standard deviation of the change that the unvisited tiles would make to the value; inf for fewer
+            than five vehicles.
+        density: ``[g]`` density of the scale on ``vehanchor.scale.density.GRID``; None without vehicles.
     """
 
-    statistical_log_sd: float
-    fleet_log_sd: float
-    doubted: bool
-    value_log_sd: float = math.inf
+    share: float = math.inf
+    change: float = math.inf
     density: NDArray[np.float64] | None = None
-    unseen_share: float = 1.0
-
-    @property
-    def change_log_sd(self) -> float:
-        """Log standard deviation of the change that the unvisited tiles would make to the value."""
-        return self.value_log_sd * math.sqrt(self.unseen_share)
 
 
 class StopRule(NamedTuple):
     """Conditions that end a search.
 
     Attributes:
-        share: limit of the statistical part as a share of the fleet's part.
-        change: limit of the log standard deviation of the change that the unvisited tiles would make.
+        share: limit of ``Convergence.share``.
+        change: limit of ``Convergence.change``.
         checks: number of checks in a row at which the conditions must hold.
     """
 
@@ -104,9 +95,8 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
     rule = stop_rule(view.options.search.effort, view.image.width_px * view.image.height_px)
     checks: list[Convergence] = []
     for unseen_share in search:
-        check = convergence(replace(view, detections=search.result(ended=False, check_stretch=False)))._replace(
-            unseen_share=unseen_share
-        )
+        seen = replace(view, detections=search.result(ended=False, check_stretch=False))
+        check = convergence(seen, unseen_share)
         if check.density is not None:
             search.leave_out(check.density)
         checks.append(check)
@@ -114,22 +104,25 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
             search.stop()
 
 
-def convergence(view: View) -> Convergence:
-    """Measure how far more vehicles would change the scale found so far, by the vehicles and the prior alone."""
+def convergence(view: View, unseen_share: float = 1.0) -> Convergence:
+    """Measure how far more vehicles would change the scale found so far, by the vehicles and the prior alone.
+
+    Args:
+        view: of the image, with the detections so far.
+        unseen_share: expected share of the image's vehicles in the tiles that are not visited.
+    """
     measured = (ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale)
-    priors = [each for each in measured if each is not None]
     vehicles = Vehicles().measure(view)
     if not vehicles.found:
-        return Convergence(math.inf, 0.0, doubted=True)
-    resampling, spread = vehicles.statistical_log_sds
-    heard = with_doubts([vehicles, *priors])
+        return Convergence()
+    heard = with_doubts([vehicles, *(each for each in measured if each is not None and each.found)])
     found = answer(heard)
+    settled = not vehicles.doubted and found is not None and _is_settled(found)
+    resampling, spread = vehicles.statistical_log_sds
     return Convergence(
-        math.hypot(resampling, spread),
-        vehicles.reference.log_sd,
-        doubted=vehicles.doubted or found is None or not _is_settled(found),
-        value_log_sd=resampling if vehicles.n >= MIN_KDE_VEHICLES else math.inf,
-        density=product(*(each.density for each in heard if each.found)),
+        math.hypot(resampling, spread) / max(vehicles.reference.log_sd, _LEAST_FLEET_LOG_SD) if settled else math.inf,
+        resampling * math.sqrt(unseen_share) if vehicles.n >= MIN_KDE_VEHICLES else math.inf,
+        product(*(each.density for each in heard)),
     )
 
 
@@ -139,15 +132,6 @@ def _is_settled(found: Answer) -> bool:
 
 
 def has_converged(checks: Sequence[Convergence], rule: StopRule) -> bool:
-    """Test whether more tiles would change the interval and the value too little, without doubts.
-
-    Args:
-        checks: results of all checks so far.
-        rule: stopping rule.
-    """
-    return len(checks) >= rule.checks and all(
-        not each.doubted
-        and each.statistical_log_sd < rule.share * max(each.fleet_log_sd, _LEAST_FLEET_LOG_SD)
-        and each.change_log_sd <= rule.change
-        for each in checks[-rule.checks :]
-    )
+    """Test whether more tiles would change the interval and the value too little, by the last of all checks so far."""
+    last = checks[-rule.checks :]
+    return len(last) == rule.checks and all(each.share < rule.share and each.change <= rule.change for each in last)

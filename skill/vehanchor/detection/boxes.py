@@ -202,9 +202,9 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
     """Suppress non-maximum boxes greedily with exact oriented IoU.
 
     Boxes are visited by falling score; equal scores by position and size, independent of the input's order. A box is
-    dropped if its IoU with a kept box exceeds ``iou_threshold``. Three upper bounds of the IoU preselect pairs: the
-    distance of the centres (within and between size classes), the ratio of areas, and the boxes' extents in each
-    other's frame. The exact IoU is computed only for the remaining pairs with kept boxes.
+    dropped if its IoU with a kept box exceeds ``iou_threshold``. Two upper bounds of the IoU preselect pairs: the
+    distance of the centres (within and between size classes), and the ratio of areas. The exact IoU is computed only
+    for the remaining pairs with kept boxes.
 
     Args:
         boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``.
@@ -248,24 +248,8 @@ def _overlapping(
     )
 
 
-def _shared_bound(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bound the area that each box of ``a`` shares with that of ``b`` by the extent of ``b`` along a's sides."""
-    turn = b[:, 4] - a[:, 4]
-    cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    dx, dy = (b[:, :2] - a[:, :2]).T
-    along = np.abs(dx * np.cos(a[:, 4]) + dy * np.sin(a[:, 4]))
-    across = np.abs(dy * np.cos(a[:, 4]) - dx * np.sin(a[:, 4]))
-    bound = np.ones(len(a))
-    for side, extent, distance in (
-        (a[:, 2], b[:, 2] * cosine + b[:, 3] * sine, along),
-        (a[:, 3], b[:, 2] * sine + b[:, 3] * cosine, across),
-    ):
-        bound *= np.clip((side + extent) / 2 - distance, 0.0, np.minimum(side, extent))
-    return bound
-
-
 def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """List the pairs, the earlier box first, that may exceed the threshold, by distance, area ratio and extent."""
+    """List the pairs, the earlier box first, that may exceed the threshold, by distance and area ratio."""
     area, radius = rows[:, 2] * rows[:, 3], np.maximum(np.hypot(rows[:, 2], rows[:, 3]) / 2, 1e-6)
     share = iou_threshold / (1 + iou_threshold) * (1 - 1e-9)  # of both areas, which the boxes share at least
     # Two boxes share at most 2 r min(r) of their circles, where r is the overlap along the line of the centres.
@@ -278,12 +262,8 @@ def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> tupl
         pairs = np.stack([c[i], d[j]])
         found.append(pairs[:, i < j] if c is d else pairs)
     first, second = np.concatenate(found, axis=1)
-    least = share * (area[first] + area[second])
     possible = np.minimum(area[first], area[second]) > iou_threshold * np.maximum(area[first], area[second])
     possible &= np.hypot(*(rows[second, :2] - rows[first, :2]).T) <= reach[first] + reach[second]
-    for one, other in ((first, second), (second, first)):
-        left = np.flatnonzero(possible)
-        possible[left] = _shared_bound(rows[one[left]], rows[other[left]]) > least[left]
     better, worse = np.sort([first[possible], second[possible]], axis=0)
     return better, worse
 

@@ -161,32 +161,7 @@ def _plane(tilt: CameraTilt | TiltEstimate, width_px: int, height_px: int, gsd_m
     return GroundPlane(gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, width_px, height_px, tilt.roll_deg)
 
 
-class SizeTrend(NamedTuple):
-    """Change of the cars' sizes over an image, as the tilt that would explain it.
-
-    Attributes:
-        slope: change of the log size per focal length.
-        slope_sd: its standard deviation.
-        n: number of cars.
-    """
-
-    slope: float
-    slope_sd: float
-    n: int
-
-    @property
-    def tilt_deg(self) -> float:
-        """Tilt of the camera that gives this slope."""
-        return math.degrees(math.atan(self.slope / _EXPONENT))
-
-    @property
-    def is_tilt(self) -> bool:
-        """Whether a tilt above ten degrees is nearly certain."""
-        least = _EXPONENT * math.tan(math.radians(NADIR_TOLERANCE_DEG))
-        return self.slope - _SURE_SDS * self.slope_sd > least
-
-
-def size_trend(detections: Detections, width_px: int, height_px: int, focal_px: float) -> SizeTrend | None:
+def suspected_tilt(detections: Detections, width_px: int, height_px: int, focal_px: float) -> float | None:
     """Fit the log sizes of cars by a plane over the image, robust against lorries (Cauchy's loss).
 
     Of eight photographs with a known tilt this names the three with 41 to 58 degrees that show 12 cars and more; of 329
@@ -199,7 +174,8 @@ def size_trend(detections: Detections, width_px: int, height_px: int, focal_px: 
         focal_px: focal length, pixels.
 
     Returns:
-        None for fewer than 12 certain cars that lie completely in the image.
+        The tilt that explains the trend of the sizes, in degrees; None unless more than ten degrees are nearly certain,
+        and for fewer than 12 certain cars that lie completely in the image.
     """
     boxes = _whole_cars(detections, width_px, height_px)
     if len(boxes) < LEAST_CARS:
@@ -215,9 +191,12 @@ def size_trend(detections: Detections, width_px: int, height_px: int, focal_px: 
         plane = np.linalg.solve(information, design.T @ (weights * sizes))
     counted = min(_INDEPENDENT, _MOST_INDEPENDENT / len(boxes))
     covariance = _LOG_SD**2 / counted * np.linalg.inv(information)[1:, 1:]
-    slope = float(np.hypot(*plane[1:]))
+    slope = float(np.hypot(*plane[1:]))  # of the log size per focal length
     along = plane[1:] / slope if slope > 0 else np.array([1.0, 0.0])
-    return SizeTrend(slope, float(np.sqrt(along @ covariance @ along)), len(boxes))
+    least = slope - _SURE_SDS * float(np.sqrt(along @ covariance @ along))
+    if least <= _EXPONENT * math.tan(math.radians(NADIR_TOLERANCE_DEG)):
+        return None
+    return math.degrees(math.atan(slope / _EXPONENT))
 
 
 def tilt_notice(image: ImageFacts, options: ScaleOptions, detections: Detections) -> tuple[Notice, ...]:
@@ -243,12 +222,12 @@ def tilt_notice(image: ImageFacts, options: ScaleOptions, detections: Detections
             "and lengths may be wrong. Give the original file."
         )
         return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
-    trend = size_trend(detections, image.width_px, image.height_px, focal_length(image, options)[0])
-    if trend is None or not trend.is_tilt:
+    tilt_deg = suspected_tilt(detections, image.width_px, image.height_px, focal_length(image, options)[0])
+    if tilt_deg is None:
         return ()
     message = (
-        f"The camera seems to be tilted by about {trend.tilt_deg:.0f} degrees: {trend.n} cars are larger on one side "
-        "of the image. Scales differ over the image, and areas and lengths far from its centre are wrong. Give the "
+        f"The camera seems to be tilted by about {tilt_deg:.0f} degrees: cars are larger on one side of the image. "
+        "Scales differ over the image, and areas and lengths far from its centre are wrong. Give the "
         "original file, whose metadata state the tilt, or a crop around the object."
     )
     return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
