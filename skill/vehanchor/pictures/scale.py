@@ -13,7 +13,7 @@ from vehanchor.detection.boxes import box_corners
 from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
-from vehanchor.pictures.placement import SUBPIXEL_BITS, Placement, line_px
+from vehanchor.pictures.placement import Placement, line_px
 from vehanchor.records.text import advice_for, by_hand_text, count, scale_text, significant
 from vehanchor.storage.atomic import check_output_path, whole_file
 
@@ -200,7 +200,7 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleEvidence, place: Pl
     boxes = analysis.detections.boxes
     if not len(boxes):
         return
-    corners = place.fine(box_corners(boxes))
+    corners = place.pixels(box_corners(boxes))
     drawn_length = float(np.median(boxes[:, 2]) * place.scale.mean())
     line = line_px(picture, drawn_length / 16)
     kept, dropped = corners[analysis.kept], corners[~analysis.kept]
@@ -210,7 +210,7 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleEvidence, place: Pl
         layers = [(corners, True, _PANEL_RGB, line + 2), *layers]
     for shapes, closed, colour, thickness in layers:
         if len(shapes):
-            cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
+            cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA)
     _write_numbers(picture, analysis.detections, place)
 
 
