@@ -101,7 +101,7 @@ def _in_image(path: Sequence[Place], coordinates: CoordinateFrame) -> list[Place
             f"point {outside[0]:g}, {outside[1]:g} is not inside the {coordinates.name}"
             f"{coordinates.other_reading(path)}"
         )
-    places = [coordinates.in_image(place) for place in path]
+    places = [coordinates.in_image(*place) for place in path]
     length_px = _length(places)
     if length_px < MIN_PATH_PX:
         raise PromptError(

@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.errors import ModelContractError
-from vehanchor.segmentation.contracts.base import DTYPES, Encoding, MaskLogits, SamContract
+from vehanchor.segmentation.contracts.base import DTYPES, MaskLogits, SamContract
 from vehanchor.segmentation.contracts.sam import Sam
 from vehanchor.segmentation.contracts.sam2 import Sam2
 from vehanchor.segmentation.contracts.transformers import Transformers
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from vehanchor.models.session import Session
 
-__all__ = ["CONTRACTS", "Encoding", "MaskLogits", "SamContract", "recognise_contract"]
+__all__ = ["CONTRACTS", "MaskLogits", "SamContract", "recognise_contract"]
 
 CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers)
 """All contracts."""
