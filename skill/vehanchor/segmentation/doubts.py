@@ -28,8 +28,8 @@ def mask_notices(
     if not len(pieces):
         yield Notice(
             code=NoticeCode.MASK_EMPTY,
-            message="The segmenter found no object here: there is nothing to measure. Give a tighter box, or a point on "
-            "the object.",
+            message="The segmenter found no object here: there is nothing to measure. Give a tighter box, or a point "
+            "on the object.",
         )
         return
     if not found.is_agreed:
@@ -51,14 +51,14 @@ def mask_notices(
     if outside > _OUTSIDE_SHARE:
         yield Notice(
             code=NoticeCode.MASK_LEAVES_BOX,
-            message=f"{100 * outside:.0f} % of the mask lies outside the box: the box cuts the object, or the mask took in "
-            "its surroundings.",
+            message=f"{100 * outside:.0f} % of the mask lies outside the box: the box cuts the object, or the mask "
+            "took in its surroundings.",
         )
     if len(pieces) > 1:
         yield Notice(
             code=NoticeCode.MASK_IN_PIECES,
-            message=f"The mask has {len(pieces)} separate pieces; the largest is {100 * pieces[0] / pieces.sum():.0f} % of "
-            "it. All of them count towards the area.",
+            message=f"The mask has {len(pieces)} separate pieces; the largest is {100 * pieces[0] / pieces.sum():.0f}"
+            " % of it. All of them count towards the area.",
         )
     if width_px < SMALL_TARGET_PX:
         yield Notice(
