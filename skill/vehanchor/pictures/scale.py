@@ -13,7 +13,7 @@ from vehanchor.detection.boxes import box_corners
 from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
-from vehanchor.pictures.placement import Placement, line_px
+from vehanchor.pictures.placement import Cut, Placement, line_px
 from vehanchor.records.text import advice_for, by_hand_text, count, scale_text, significant
 from vehanchor.storage.atomic import check_output_path, whole_file
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.evidence import ScaleEvidence
-    from vehanchor.pictures.placement import Cut
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
@@ -119,15 +118,8 @@ def open_canvas(
 def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Copy an image at display size: small ones are enlarged, large ones reduced."""
     height, width = image.shape[:2]
-    longest = max(width, height)
-    factor = MAX_SIDE_PX / longest
-    if longest <= MAX_SIDE_PX:
-        factor = min(max(1.0, MIN_WIDTH_PX / width), factor)
-    size = max(1, round(width * factor)), max(1, round(height * factor))
-    if size == (width, height):
-        return np.array(image)  # a copy, because it is drawn into
-    method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-    return cv2.resize(image, size, interpolation=method).astype(np.uint8, copy=False)
+    whole = Cut(Window(0, 0, width, height), MAX_SIDE_PX)
+    return whole.sized(image, max(1.0, MIN_WIDTH_PX / width), cv2.INTER_CUBIC)
 
 
 def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8]:

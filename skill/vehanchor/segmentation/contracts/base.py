@@ -13,7 +13,7 @@ from vehanchor.models.runtime import LoadedModel
 from vehanchor.models.session import Session, run_session
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -102,7 +102,7 @@ class SamContract(LoadedModel, ABC):
             sides = [side for side in shape[:2] if isinstance(side, int)]
         if sides:
             return int(max(sides))
-        embedding, prior = self._embedding_side(), fixed_side(self._decoder.get_inputs(), "mask_input")
+        embedding, prior = self._side(self.embedding), self._side("mask_input")
         if embedding is not None and prior in (None, embedding * _MASK_PER_EMBEDDING):
             return embedding * SAM_STRIDE_PX
         if embedding is None and prior is not None:
@@ -113,10 +113,12 @@ class SamContract(LoadedModel, ABC):
             "vehanchor.input_size_px"
         )
 
-    def _embedding_side(self) -> int | None:
-        """Read the side of the coarsest embedding from the encoder's or the decoder's shapes."""
-        items = [*self._encoder.get_outputs(), *self._decoder.get_inputs()]
-        return fixed_side(items, self.embedding)
+    def _side(self, name: str) -> int | None:
+        """Read the last side of an output of the encoder, or an input of the decoder; None if it is not fixed."""
+        for item in (*self._encoder.get_outputs(), *self._decoder.get_inputs()):
+            if item.name == name and len(item.shape) == 4 and isinstance(item.shape[-1], int):
+                return int(item.shape[-1])
+        return None
 
     def _check_image_shape(self) -> None:
         shape = self._image.shape
@@ -204,14 +206,6 @@ class SamContract(LoadedModel, ABC):
             unambiguous = prompt.box is not None or len(prompt.points) > 1
             index = 0 if unambiguous else 1 + int(np.argmax(flat[1:]))
         return grids[index].astype(np.float32), float(np.clip(flat[index], 0.0, 1.0))
-
-
-def fixed_side(items: Sequence[Any], name: str) -> int | None:
-    """Read the last side of an input or output; None if it is not fixed."""
-    for item in items:
-        if item.name == name and len(item.shape) == 4 and isinstance(item.shape[-1], int):
-            return int(item.shape[-1])
-    return None
 
 
 def corner_prompt(prompt: Prompt) -> tuple[list[tuple[float, float]], list[int]]:

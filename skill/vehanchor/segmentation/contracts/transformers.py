@@ -37,12 +37,12 @@ class Transformers(SamContract):
 
     def __init__(self, encoder: Session, decoder: Session, input_px: int | None) -> None:
         super().__init__(encoder, decoder, input_px)
-        side = self._embedding_side()
+        side = self._side(self.embedding)
         if self.input_px == (_SAM3_INPUT_PX if side is None else side * _SAM3_STRIDE_PX):
             self.mean_sd = _SAM3_LEVEL, _SAM3_LEVEL
 
     def _found_input_px(self) -> int:
-        if self._embedding_side() == _SAM3_INPUT_PX // _SAM3_STRIDE_PX:
+        if self._side(self.embedding) == _SAM3_INPUT_PX // _SAM3_STRIDE_PX:
             return _SAM3_INPUT_PX
         return super()._found_input_px()
 
