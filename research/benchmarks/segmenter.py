@@ -36,7 +36,7 @@ def segmenter_method(segmenter: Segmenter) -> Callable[[Target], tuple[NDArray[n
 
     def method(target: Target) -> tuple[NDArray[np.bool_], float]:
         with open_raster(target.image) as raster:
-            (found,) = segmenter.segment(raster, [Prompt(box=target.box)])
+            found = segmenter.segment(raster, Prompt(box=target.box))
         whole = np.zeros(target.mask.shape, bool)
         window = found.window
         rows = slice(window.y_px, window.y_px + window.height_px)

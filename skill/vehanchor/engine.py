@@ -186,24 +186,7 @@ class Engine:
         return analyse_image(image, checked_detector(engine.detector, chosen), chosen)
 
     def measure_area(self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any) -> AreaMeasurement:
-        """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
-
-        Boxes and points are in pixels of the image, or of the copy that a frame names; the first pixel spans 0 to 1.
-        The option ``coordinates`` chooses other units.
-
-        Args:
-            image: as in ``estimate``.
-            options: as in ``estimate``.
-            **keywords: as in ``analyse_area``: exactly one of ``box`` and ``points``; a known scale.
-
-        Returns:
-            The record; ``area_m2`` is None if there is no scale.
-
-        Raises:
-            PromptError: neither or both prompts are given, or the prompt is not in the image.
-            ScaleMismatchError: the scale was estimated from another image.
-            VehAnchorError: as ``estimate``.
-        """
+        """Measure an area as ``analyse_area``, with its keywords; return the record alone."""
         return self.analyse_area(image, options, **keywords).measurement
 
     def analyse_area(
@@ -218,7 +201,10 @@ class Engine:
         object_height_m: float | None = None,
         **keywords: Any,
     ) -> AreaAnalysis:
-        """Measure as ``measure_area``; return the record with mask, prompt and analysis of the scale.
+        """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
+
+        Boxes and points are in pixels of the image, or of the copy that a frame names; the first pixel spans 0 to 1.
+        The option ``coordinates`` chooses other units. Exactly one of ``box`` and ``points`` is needed.
 
         Args:
             image: as in ``estimate``.
@@ -230,6 +216,14 @@ class Engine:
                 interval and confidence hold.
             object_height_m: height of the object above the ground, as of a roof; None for 0.
             **keywords: see ``Engine``.
+
+        Returns:
+            The record with mask, prompt and analysis of the scale; ``area_m2`` is None if there is no scale.
+
+        Raises:
+            PromptError: neither or both prompts are given, or the prompt is not in the image.
+            ScaleMismatchError: the scale was estimated from another image.
+            VehAnchorError: as ``estimate``.
         """
         engine, chosen = self.for_call(options, keywords)
         prompt, segmenter = read_prompt(box, points), engine.segmenter
@@ -239,29 +233,9 @@ class Engine:
         return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
 
     def measure_distance(
-        self,
-        image: ImageSource,
-        path: Sequence[Place],
-        options: ScaleOptions | None = None,
-        **keywords: Any,
+        self, image: ImageSource, path: Sequence[Place], options: ScaleOptions | None = None, **keywords: Any
     ) -> DistanceMeasurement:
-        """Measure the length of a line on the ground, ``D = P * GSD``.
-
-        Args:
-            image: as in ``estimate``.
-            path: x, y of two or more points in order, joined by straight lines; or a line of shapely. Coordinates as
-                in ``measure_area``.
-            options: as in ``estimate``.
-            **keywords: as in ``analyse_distance``: the scale, if it is known.
-
-        Returns:
-            The record; ``distance_m`` is None if there is no scale.
-
-        Raises:
-            PromptError: fewer than two points, one outside the image, or all in one place.
-            ScaleMismatchError: the scale was estimated from another image.
-            VehAnchorError: as ``estimate``.
-        """
+        """Measure a distance as ``analyse_distance``, with its keywords; return the record alone."""
         return self.analyse_distance(image, path, options, **keywords).measurement
 
     def analyse_distance(
@@ -275,9 +249,25 @@ class Engine:
         object_height_m: float | None = None,
         **keywords: Any,
     ) -> DistanceAnalysis:
-        """Measure as ``measure_distance``; return the record with the analysis of the scale.
+        """Measure the length of a line on the ground, ``D = P * GSD``.
 
-        The keywords are those of ``analyse_area`` without ``box`` and ``points``.
+        Args:
+            image: as in ``estimate``.
+            path: x, y of two or more points in order, joined by straight lines; or a line of shapely. Coordinates as
+                in ``analyse_area``.
+            options: as in ``estimate``.
+            gsd_m_per_px: as in ``analyse_area``.
+            scale: as in ``analyse_area``.
+            object_height_m: height of the line above the ground; None for 0.
+            **keywords: see ``Engine``.
+
+        Returns:
+            The record with the analysis of the scale; ``distance_m`` is None if there is no scale.
+
+        Raises:
+            PromptError: fewer than two points, one outside the image, or all in one place.
+            ScaleMismatchError: the scale was estimated from another image.
+            VehAnchorError: as ``estimate``.
         """
         engine, chosen = self.for_call(options, keywords)
         places, known = read_path(path), engine._scale_input(gsd_m_per_px, scale, chosen)

@@ -142,8 +142,7 @@ def _segment_image(segmenter: Segmenter, entries: Sequence[AreaEntry]) -> tuple[
         with open_raster(image, DATASET_READING) as raster:
             for entry in entries:
                 try:
-                    prompts = [Prompt(box=entry.corners)]
-                    (found,) = segmenter.segment(raster, prompts, limits=DATASET_READING.limits)
+                    found = segmenter.segment(raster, Prompt(box=entry.corners), limits=DATASET_READING.limits)
                 except VehAnchorError as error:
                     issues.append(FileIssue(image, error.code, f"{entry.name}: {error}"))
                 else:

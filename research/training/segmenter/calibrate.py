@@ -77,8 +77,7 @@ def see(contract: SamContract, target: Target) -> MaskLogits:
     with open_raster(target.image) as raster:
         window = crop_window(prompt, raster.width_px, raster.height_px, crop_side(prompt))
         size = contract.input_size(window.width_px, window.height_px)
-        encoding = contract.encode(read_resized(raster, window, size), window)
-    return contract.decode(encoding, prompt)
+        return contract.predict(read_resized(raster, window, size), window, prompt)
 
 
 def finished(view: MaskLogits, smoothing: float, offset: float) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:

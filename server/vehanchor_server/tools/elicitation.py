@@ -15,7 +15,7 @@ from mcp_types.version import is_version_at_least
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from vehanchor.errors import KnownLengthError
-from vehanchor.options import Basis, KnownLength
+from vehanchor.options import Basis, Rulers
 from vehanchor.options.rulers import FocalLength, Height
 from vehanchor.scale.countries import REGIONS
 from vehanchor_server.errors import CallError
@@ -97,7 +97,7 @@ def with_user_input(ctx: Context[Any, Any], given: Given) -> Given:
     content = {name: value for name, value in (answered.content or {}).items() if value not in (None, "")}
     try:
         answers = _ScaleInput.model_validate(content)
-        added = (KnownLength.of(answers.known_length),) if answers.known_length else ()
+        added = Rulers(known_lengths=(answers.known_length,)).known_lengths if answers.known_length else ()
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         raise _invalid_answer(f"{first['loc'][0]}: {first['msg']}") from error

@@ -94,7 +94,7 @@ def part_window(raster: Raster, wanted: PictureRequest) -> Window:
     if not coordinates.inside(ends):
         numbers = ", ".join(f"{value:g}" for end in ends for value in end)
         raise PromptError(f"part {numbers} is not inside the {coordinates.name}{coordinates.other_reading(ends)}")
-    (left, top), (right, bottom) = (coordinates.in_image(end) for end in ends)
+    (left, top), (right, bottom) = (coordinates.in_image(*end) for end in ends)
     x, y = int(left), int(top)
     width, height = round(right) - x, round(bottom) - y
     if min(width, height) < _LEAST_PART_PX:

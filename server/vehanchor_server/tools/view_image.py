@@ -190,8 +190,8 @@ def _view(services: Services, job: Job, source: OpenedImage, wanted: PictureRequ
     with open_raster(source, reading) as raster:
         window = part_window(raster, wanted)
         job.stop.check()
-        picture = draw_grid(raster, window, wanted.long_side_px, _MAX_ENLARGEMENT, wanted.kind == "evidence")
-        jpeg = small_jpeg(picture.rgb)
+        rgb, step_px = draw_grid(raster, window, wanted.long_side_px, _MAX_ENLARGEMENT, wanted.kind == "evidence")
+        jpeg = small_jpeg(rgb)
         shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
         assert shown is not None
         height, width = shown.shape[:2]  # small_jpeg may have reduced the picture
@@ -202,7 +202,7 @@ def _view(services: Services, job: Job, source: OpenedImage, wanted: PictureRequ
             part=Box(x_min=window.x_px, y_min=window.y_px, x_max=right, y_max=bottom),
             picture_width_px=width,
             picture_height_px=height,
-            grid_px=picture.step_px,
+            grid_px=step_px,
         )
     return Reply((seen,), jpeg)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehanchor.analysis.scale import Analysis, import_supervision
+from vehanchor.errors import OutputError
 from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
 
 if TYPE_CHECKING:
@@ -37,9 +38,16 @@ class AreaAnalysis(Analysis, AreaEvidence):
         Raises:
             OutputError: the image is too large for a mask in memory.
         """
-        from vehanchor.pictures.measured import full_mask
-
-        return full_mask(self, self.reading.limits.max_pixels)[:, :, 0] > 0
+        width, height = self.measurement.image_width_px, self.measurement.image_height_px
+        if width * height > self.reading.limits.max_pixels:
+            raise OutputError(
+                f"a mask of {width} x {height} px has more than {self.reading.limits.max_pixels} pixels: take the "
+                "outline from the record"
+            )
+        window, full = self.segmentation.window, np.zeros((height, width), dtype=bool)
+        rows = slice(window.y_px, window.y_px + window.height_px)
+        full[rows, window.x_px : window.x_px + window.width_px] = self.segmentation.mask
+        return full
 
     def to_supervision(self) -> Any:
         """Convert the object for supervision.

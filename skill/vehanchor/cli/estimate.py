@@ -36,7 +36,7 @@ from vehanchor.records.text import advice_for, scale_text, significant
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
-    from vehanchor.records import EstimateDetails, GsdEstimate, RulerScale, TiltEstimate
+    from vehanchor.records import EstimateDetails, GsdEstimate, TiltEstimate
 
 _STEM = "{stem}"
 _SHORT_SHA = 12
@@ -179,7 +179,9 @@ def _facts(record: GsdEstimate) -> list[tuple[str, str]]:
         ("vehicles", vehicles_text(record)),
     ]
     if fused:
-        facts += [("" if row else "rulers", _ruler_text(ruler)) for row, ruler in enumerate(record.rulers)]
+        for row, each in enumerate(record.rulers):
+            scale = f"{each.label} {significant(each.gsd_m_per_px, 4)} m/px"
+            facts.append(("" if row else "rulers", f"{scale}, right with a chance of {each.p_right:.2f}"))
     if advice := advice_for(record, "look at --overlay, then --drop what is no car"):
         facts.append(("not usable", f"{advice.why}: {advice.helps}"))
     size = f"{record.image_width_px} x {record.image_height_px} px"
@@ -206,11 +208,6 @@ def _length_text(mode_px: float, details: EstimateDetails) -> str:
     told = " by the vehicles' appearance" if details.reference_source == "appearance" else ""
     metres = significant(details.reference_length_m or 0, 4)
     return f"{mode_px:.1f} px ({details.aggregation}) = {metres} m{told}{found_at}"
-
-
-def _ruler_text(ruler: RulerScale) -> str:
-    """Describe a ruler's scale, and the chance that it is right."""
-    return f"{ruler.label} {significant(ruler.gsd_m_per_px, 4)} m/px, right with a chance of {ruler.p_right:.2f}"
 
 
 def _tilt_text(tilt: TiltEstimate) -> str:

@@ -66,7 +66,7 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
         ) from None
     try:
         if isinstance(record, dict) and "photographs" in record:
-            record = _photograph_in(record["photographs"], image)["scale"]
+            record = _scale_in(record["photographs"], image)
         return known_scale(record)
     except InvalidParameterError as error:
         raise InvalidParameterError(
@@ -74,20 +74,20 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
         ) from None
 
 
-def _photograph_in(photographs: Sequence[Mapping[str, Any]], image: str) -> Mapping[str, Any]:
-    """Find a photograph in the record of a flight by its file, or by a name that is unique.
+def _scale_in(photographs: Sequence[Mapping[str, Any]], image: str) -> Any:
+    """Find the scale of a photograph in the record of a flight by its file, or by a name that is unique.
 
     Raises:
-        InvalidParameterError: the photograph is not in the record, or has no scale.
+        InvalidParameterError: the photograph is not in the record.
     """
+    wanted = Path(image)
     try:
-        same = [each for each in photographs if Path(each["photograph"]).absolute() == Path(image).absolute()]
-        found = same or [each for each in photographs if Path(each["photograph"]).name == Path(image).name]
-        if len(found) == 1 and found[0]["scale"] is not None:
-            return found[0]
+        scales = [(Path(each["photograph"]), each["scale"]) for each in photographs]
     except (TypeError, KeyError) as error:
         raise InvalidParameterError(f"a photograph has no name or no scale: {error}") from None
+    found = [scale for path, scale in scales if path.absolute() == wanted.absolute()]
+    found = found or [scale for path, scale in scales if path.name == wanted.name]
     if len(found) != 1:
         count = f"there {len(found)} times" if found else "not there"
         raise InvalidParameterError(f"{image!r} is {count} in the flight: name a photograph of it by its path")
-    raise InvalidParameterError(f"the flight has no scale for {image!r}: give --gsd")
+    return found[0]

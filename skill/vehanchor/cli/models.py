@@ -13,7 +13,7 @@ from vehanchor.records.text import scale_text
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
-    from vehanchor.rulers.standards import Standard, Variant
+    from vehanchor.rulers.standards import Standard
 
 models = typer.Typer(no_args_is_help=True, add_completion=False)
 
@@ -55,17 +55,16 @@ def _print_sizes(*, as_json: bool) -> None:
 
 
 def _size_facts(standard: Standard) -> list[tuple[str, str]]:
+    lengths = []
+    for each in standard.variants:
+        countries = f": {', '.join(each.countries)}" if each.countries else ""
+        lengths.append(("length", f"{each.metres:g} m +- {100 * each.log_sd:.2g} %{countries}"))
     return [
         ("between", standard.between),
-        *(("length", _size_text(each)) for each in standard.variants),
+        *lengths,
         ("chance of another thing", f"{100 * standard.chance_wrong:.0f} %"),
         ("source", standard.source),
     ]
-
-
-def _size_text(variant: Variant) -> str:
-    countries = f": {', '.join(variant.countries)}" if variant.countries else ""
-    return f"{variant.metres:g} m +- {100 * variant.log_sd:.2g} %{countries}"
 
 
 def _check_installation(providers: list[str] | None) -> None:

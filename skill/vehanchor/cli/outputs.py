@@ -50,18 +50,12 @@ def check_outputs(images: Iterable[str], outputs: Iterable[tuple[str, Path]]) ->
 def _check(name: str, path: Path) -> None:
     """Check suffix, folder and needs of one file."""
     if name in _SHAPES:
-        from vehanchor.export.geojson import check_geojson_path
-
-        check_geojson_path(path)
-        return
-    if name == "geotiff":
-        from vehanchor.export.geotiff import check_copy_path
-
-        check_copy_path(path)
-        return
-    from vehanchor.pictures.scale import check_picture_path
-
-    check_picture_path(path)
+        from vehanchor.export.geojson import check_geojson_path as check
+    elif name == "geotiff":
+        from vehanchor.export.geotiff import check_copy_path as check
+    else:
+        from vehanchor.pictures.scale import check_picture_path as check
+    check(path)
     if name == "mask":
         check_output_path(path, (".png",), kind="a mask", also="it is lossless")
     if name == "plot":
@@ -93,9 +87,8 @@ def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
         elif name in _SHAPES:
             write_shapes(path, analysis)
         elif name == "mask":
-            from vehanchor.pictures.measured import full_mask
-
-            write_picture(path, full_mask(analysis, analysis.reading.limits.max_pixels))
+            mask = analysis.full_mask()[:, :, None].repeat(3, axis=2)
+            write_picture(path, mask.view("uint8") * 255)
         elif name == "plot":
             from vehanchor.pictures.plot import write_plot
 

@@ -58,7 +58,6 @@ def write_metric_copy(path: str | Path, raster: Raster, gsd_m_per_px: float) -> 
         "count": 3,
         "dtype": "uint8",
         "photometric": "RGB",
-        "interleave": "pixel",
         "compress": "deflate",
         "predictor": 2,
         "tiled": True,

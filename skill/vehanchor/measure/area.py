@@ -66,7 +66,7 @@ def analyse_objects(
     options.frame.check(raster.width_px, raster.height_px)
     prompts = [prompt_in_image(each, options.frame, raster.width_px, raster.height_px) for each in prompts]
     # Masks first: they are faster than the search, and an invalid prompt fails early.
-    masks = segmenter.segment(raster, prompts, limits=options.reading.limits)
+    masks = [segmenter.segment(raster, prompt, limits=options.reading.limits) for prompt in prompts]
     found = resolve_scale(raster, scale, options, object_height_m=object_height_m)
     return tuple(
         AreaAnalysis(

@@ -35,33 +35,24 @@ _POINT_SD = 1.0  # of a point, in the finest step of the caller's coordinates, a
 
 
 def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
-    """Read and check a path of the caller.
+    """Read and check a path of the caller: points, or a line of shapely.
 
     Raises:
-        PromptError: fewer than two points, or one that is not two finite numbers.
+        PromptError: another geometry, fewer than two points, or one that is not two finite numbers.
     """
+    try:
+        given: Any = getattr(path, "coords", path)
+    except NotImplementedError:  # of shapely's polygons and collections
+        given = None
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise PromptError(f"the path is {path!r}: give a line, or points as x, y")
     places = []
-    for each in _places_of(path):
+    for each in given:
         x, y = read_numbers(each, (2,), "a point of the path", "x, y")
         places.append((x, y))
     if not 2 <= len(places) <= MAX_PATH_POINTS:
         raise PromptError(f"the path has {len(places)} points: give two, or up to {MAX_PATH_POINTS} along a line")
     return tuple(places)
-
-
-def _places_of(path: Any) -> Any:
-    """Take the points of a shapely line; return other values unchanged.
-
-    Raises:
-        PromptError: the geometry is not a line.
-    """
-    try:
-        places = getattr(path, "coords", path)
-    except NotImplementedError:  # of shapely's polygons and collections
-        raise PromptError(f"the path is a {type(path).__name__}: give a line, or points") from None
-    if isinstance(places, str) or not isinstance(places, Iterable):
-        raise PromptError(f"the path is {path!r}: give a line, or points as x, y")
-    return places
 
 
 def analyse_paths(
@@ -101,7 +92,7 @@ def _in_image(path: Sequence[Place], coordinates: CoordinateFrame) -> list[Place
             f"point {outside[0]:g}, {outside[1]:g} is not inside the {coordinates.name}"
             f"{coordinates.other_reading(path)}"
         )
-    places = [coordinates.in_image(place) for place in path]
+    places = [coordinates.in_image(*place) for place in path]
     length_px = _length(places)
     if length_px < MIN_PATH_PX:
         raise PromptError(

@@ -79,20 +79,6 @@ class Spread(NamedTuple):
         return Interval(value * math.exp(-Z95 * self.below), value * math.exp(Z95 * self.above))
 
 
-class _CameraAbove(NamedTuple):
-    """Data for the height of the camera: a stated height, or a lens that gives the height from the scale.
-
-    Attributes:
-        lens: field of view; None if unknown.
-        height_m: above the ground, or above take-off; None if unknown.
-        height_log_sd: standard deviation of its log.
-    """
-
-    lens: Lens | None
-    height_m: float | None
-    height_log_sd: float = 0.0
-
-
 @dataclass(frozen=True, eq=False)
 class ResolvedScale:
     """Scale of a measurement and its confidence.
@@ -224,7 +210,7 @@ def resolve_scale(
     if object_height_m is None:
         return _on_the_ground(raster, scale, options)
     camera = _camera_above(raster, options, object_height_m)
-    return _raised(_on_the_ground(raster, scale, options), object_height_m, camera)
+    return _raised(_on_the_ground(raster, scale, options), object_height_m, *camera)
 
 
 def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> ResolvedScale:
@@ -295,8 +281,14 @@ def _given_plane(raster: Raster, scale: KnownScale) -> GroundPlane | None:
     return plane
 
 
-def _camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) -> _CameraAbove:
+def _camera_above(
+    raster: Raster, options: ScaleOptions, object_height_m: float
+) -> tuple[Lens | None, float | None, float]:
     """Collect data for the camera's height before the work.
+
+    Returns:
+        The lens, which gives the height from the scale; the stated height above the ground, or above take-off, metres;
+        and the standard deviation of its log. None if unknown.
 
     Raises:
         InvalidParameterError: the object's height is invalid, or the camera's height is unknown.
@@ -314,10 +306,12 @@ def _camera_above(raster: Raster, options: ScaleOptions, object_height_m: float)
         )
     given = RELIABILITY["measured height"].log_sd
     spread = given if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
-    return _CameraAbove(seen, height, spread)
+    return seen, height, spread
 
 
-def _raised(found: ResolvedScale, object_height_m: float, camera: _CameraAbove) -> ResolvedScale:
+def _raised(
+    found: ResolvedScale, object_height_m: float, lens: Lens | None, camera_height_m: float | None, height_log_sd: float
+) -> ResolvedScale:
     """Convert the scale of the ground to a height above it, nearer to the camera.
 
     Raises:
@@ -325,11 +319,11 @@ def _raised(found: ResolvedScale, object_height_m: float, camera: _CameraAbove) 
     """
     if found.gsd_m_per_px is None or object_height_m == 0:
         return found
-    focal_px = found.plane.focal_px if found.plane is not None else camera.lens and camera.lens.pixels
+    focal_px = found.plane.focal_px if found.plane is not None else lens and lens.pixels
     if found.plane is not None:
         height = found.plane.height_m
     else:
-        height = found.gsd_m_per_px * focal_px if focal_px else camera.height_m or math.inf
+        height = found.gsd_m_per_px * focal_px if focal_px else camera_height_m or math.inf
     share = object_height_m / height
     if share >= 1:
         raise TooObliqueError(
@@ -337,10 +331,10 @@ def _raised(found: ResolvedScale, object_height_m: float, camera: _CameraAbove) 
             "a lower height"
         )
     if focal_px:  # scale less height over focal length: the relative error grows with height
-        lens_log_sd = camera.lens.log_sd if camera.lens else 0.0
+        lens_log_sd = lens.log_sd if lens else 0.0
         spread = found.spread.plus(share * lens_log_sd).times(1 / (1 - share))
     else:
-        spread = found.spread.plus(share / (1 - share) * camera.height_log_sd)
+        spread = found.spread.plus(share / (1 - share) * height_log_sd)
     return replace(
         found,
         gsd_m_per_px=found.gsd_m_per_px * (1 - share),

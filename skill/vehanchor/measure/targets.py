@@ -12,12 +12,13 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.rulers.image_table import read_image_table
-from vehanchor.segmentation.prompt import prompt_in_image, read_prompt
+from vehanchor.segmentation.prompt import read_prompt
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Mapping, Sequence
 
+    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.imagery.raster import Raster
@@ -133,8 +134,8 @@ def measure_targets(
     """
     try:
         with open_raster(image, options.reading) as raster:
-            rows = _rows(raster, targets, detector, segmenter, options)
-            return [rows[target] for target in targets]
+            search = cache(lambda: analyse_raster(detector, raster, options))
+            return [_measure(raster, target, segmenter, lambda *_: search(), options) for target in targets]
     except VehAnchorError as error:
         return [TargetRow(target, error=error) for target in targets]
 
@@ -149,28 +150,18 @@ def _target(row: Mapping[str, str | None]) -> Target:
     return Target(row["file"] or "", row.get("name") or "", kind, numbers)
 
 
-def _rows(
-    raster: Raster, targets: Sequence[Target], detector: Detector, segmenter: Segmenter, options: ScaleOptions
-) -> dict[Target, TargetRow]:
-    """Measure all targets with one search; objects together, because they share their decoding."""
-    search = cache(lambda: analyse_raster(detector, raster, options))
-    scale: ScaleInput = lambda *_: search()  # noqa: E731
-    rows: dict[Target, TargetRow] = {}
-    prompts = {}
-    for target in targets:
-        given: Any = target.numbers
-        try:
-            if target.kind == "line":
-                (line,) = analyse_paths(raster, [read_path([given[:2], given[2:]])], scale, options)
-                rows[target] = TargetRow(target, line.measurement, raster.ground)
-                continue
+def _measure(
+    raster: Raster, target: Target, segmenter: Segmenter, scale: ScaleInput, options: ScaleOptions
+) -> TargetRow:
+    """Measure a target; an error in its place is its row's alone."""
+    given: Any = target.numbers
+    found: AreaAnalysis | DistanceAnalysis
+    try:
+        if target.kind == "line":
+            (found,) = analyse_paths(raster, [read_path([given[:2], given[2:]])], scale, options)
+        else:
             prompt = read_prompt(given, None) if target.kind == "box" else read_prompt(None, [given])
-            prompt_in_image(prompt, options.frame, raster.width_px, raster.height_px)
-            prompts[target] = prompt
-        except PromptError as error:
-            rows[target] = TargetRow(target, error=error)
-    if prompts:
-        found = analyse_objects(raster, list(prompts.values()), segmenter, scale, options)
-        for target, each in zip(prompts, found, strict=True):
-            rows[target] = TargetRow(target, each.measurement, raster.ground)
-    return rows
+            (found,) = analyse_objects(raster, [prompt], segmenter, scale, options)
+    except PromptError as error:
+        return TargetRow(target, error=error)
+    return TargetRow(target, found.measurement, raster.ground)

@@ -162,10 +162,10 @@ class CoordinateFrame:
         cut = _CUT_EDGE_SHARE if self.frame.coordinates == "fraction" else _CUT_EDGE
         return all(-cut < at < side + cut for place in places for at, side in zip(place, self.extent, strict=True))
 
-    def in_image(self, place: Place) -> Place:
+    def in_image(self, x: float, y: float) -> Place:
         """Convert a place to pixels of the full image; clamp it to the image."""
         across, down = self.extent
-        x, y = place[0] * self.width_px / across, place[1] * self.height_px / down
+        x, y = x * self.width_px / across, y * self.height_px / down
         return min(max(x, 0.0), float(self.width_px)), min(max(y, 0.0), float(self.height_px))
 
     def other_reading(self, places: Sequence[Place]) -> str:

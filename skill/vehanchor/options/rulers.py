@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
-from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
-from vehanchor.options.option import Flag, Limits, Number, Option, group, in_order, refusal
+from vehanchor.options.option import Flag, Limits, Number, Option, group, in_order
 from vehanchor.scale.defaults import LARGEST_GSD_M_PER_PX, LEAST_GSD_M_PER_PX
 
 GSD_M_PER_PX = Limits(LEAST_GSD_M_PER_PX, LARGEST_GSD_M_PER_PX)
@@ -210,23 +210,6 @@ class KnownLength(Segment):
         if self.what is not None and (self.basis == "measured" or self.tolerance_m is not None):
             raise KnownLengthError(f"a thing of known size, {self.what!r}, has no basis or tolerance")
 
-    @classmethod
-    def of(cls, values: Any) -> KnownLength:
-        """Read a line: its values in order, a mapping, or a text.
-
-        A text is ``X1 Y1 X2 Y2 METRES[+-TOLERANCE] [measured]`` or ``X1 Y1 X2 Y2 NAME``; commas are spaces.
-
-        Raises:
-            KnownLengthError: a value is missing or invalid.
-        """
-        try:
-            line: KnownLength = _LINE.validate_python(values)
-        except ValidationError as error:
-            refused = refusal(cls, error)
-            whole = "" if "known length" in str(refused) else f"the known length {values!r} is no line: "
-            raise KnownLengthError(f"{whole}{refused}") from None
-        return line
-
     @property
     def what(self) -> str | None:
         """Name of the thing of known size; None for a length in metres."""
@@ -239,7 +222,7 @@ class KnownLength(Segment):
 
 
 def _line_of_text(value: Any) -> Any:
-    """Split a text into the values of a line."""
+    """Split a text, ``X1 Y1 X2 Y2 METRES[+-TOLERANCE] [measured]`` or ``X1 Y1 X2 Y2 NAME``, into the values."""
     if not isinstance(value, str):
         return value
     parts = value.replace(",", " ").split()
@@ -258,7 +241,6 @@ _Line = Annotated[
     in_order("x1", "y1", "x2", "y2", "metres", "basis", "tolerance_m"),
     BeforeValidator(_line_of_text),
 ]
-_LINE: TypeAdapter[KnownLength] = TypeAdapter(_Line)
 
 
 def _names(value: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -23,19 +23,9 @@ _TEXT_SHARE = 95  # longer side over the height of capitals
 _MIN_TEXT_PX, _MAX_TEXT_PX = 8, 14
 
 
-class GridPicture(NamedTuple):
-    """Picture with its grid step.
-
-    Attributes:
-        rgb: ``[h, w, 3]``.
-        step_px: distance of two grid lines, pixels of the image.
-    """
-
-    rgb: NDArray[np.uint8]
-    step_px: int
-
-
-def draw_grid(raster: Raster, part: Window, long_side_px: int, max_enlargement: float, lines: bool) -> GridPicture:
+def draw_grid(
+    raster: Raster, part: Window, long_side_px: int, max_enlargement: float, lines: bool
+) -> tuple[NDArray[np.uint8], int]:
     """Draw a part of an image at a given size, enlarged by a limited factor.
 
     Args:
@@ -44,12 +34,15 @@ def draw_grid(raster: Raster, part: Window, long_side_px: int, max_enlargement: 
         long_side_px: longer side of the picture.
         max_enlargement: largest side of the image's pixels in the picture.
         lines: whether to draw the grid.
+
+    Returns:
+        ``[h, w, 3]`` RGB, and the distance of two grid lines in pixels of the image.
     """
     rgb = Cut(part, long_side_px).sized(read_reduced(raster, part), max_enlargement, cv2.INTER_CUBIC)
     step = _round_step(max(part.width_px, part.height_px) / _LINES)
     if lines:
         _draw_lines(rgb, part, step)
-    return GridPicture(rgb, step)
+    return rgb, step
 
 
 def _draw_lines(rgb: NDArray[np.uint8], part: Window, step: int) -> None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from vehanchor.pictures.lettering import text_px, text_width, write_on
-from vehanchor.pictures.placement import SUBPIXEL_BITS, fixed_point, line_px
+from vehanchor.pictures.placement import line_px
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,7 +49,7 @@ def draw_marks(
         strokes = _cross(points[0], line) if len(points) == 1 else [] if mark.closed else _ends(points, line)
         for at, closed in ((points, mark.closed), *((stroke, False) for stroke in strokes)):
             for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
-                cv2.polylines(picture, [fixed_point(at)], closed, ink, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
+                cv2.polylines(picture, [np.rint(at).astype(np.int32)], closed, ink, thickness, cv2.LINE_AA)
         if mark.label:
             labels.append((mark.label, points[:2].mean(axis=0) if mark.closed else _middle(points)))
     for label, middle in labels:

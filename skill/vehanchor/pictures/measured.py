@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, TypeAlias
 import cv2
 import numpy as np
 
-from vehanchor.errors import OutputError
 from vehanchor.pictures.lettering import text_px, text_width, write_on
 from vehanchor.pictures.marks import draw_marks
-from vehanchor.pictures.placement import CUT_SIDE_PX, SUBPIXEL_BITS, Cut, line_px, part_around
+from vehanchor.pictures.placement import CUT_SIDE_PX, Cut, line_px, part_around
 from vehanchor.pictures.scale import Canvas, open_canvas
 from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import ADVICE, NO_SCALE, significant, with_interval
@@ -41,8 +40,7 @@ def draw_area(image: NDArray[np.uint8], *analyses: AreaEvidence, cut: Cut | None
     Several objects are numbered. A cut that is enlarged shows the pixels of the masks.
 
     Args:
-        image: ``[h, w, 3]`` RGB, the measured image, the part of ``cut``, or a reduced copy of either (see
-            ``vehanchor.pictures.scale.read_reduced``).
+        image: as in ``vehanchor.pictures.scale.draw_overlay``.
         analyses: of objects in that image, one at least.
         cut: the part to show; None for all of the image.
 
@@ -76,38 +74,11 @@ def _extent(analysis: AreaEvidence) -> NDArray[np.float64]:
     return np.array(points, dtype=np.float64)
 
 
-def full_mask(analysis: AreaEvidence, max_pixels: int) -> NDArray[np.uint8]:
-    """Draw the mask in the size of the image: ``[h, w, 3]``, 255 on the object and 0 elsewhere.
-
-    Raises:
-        OutputError: the image has more pixels than the limits allow.
-    """
-    record = analysis.measurement
-    width, height = record.image_width_px, record.image_height_px
-    if width * height > max_pixels:
-        raise OutputError(
-            f"cannot write a mask of {width} x {height} px, the limit is {max_pixels} pixels: take the outline "
-            "from the record"
-        )
-    window, mask = analysis.segmentation.window, analysis.segmentation.mask
-    full = np.zeros((height, width, 3), np.uint8)
-    full[window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px][mask] = 255
-    return full
-
-
 def draw_distance(image: NDArray[np.uint8], *analyses: DistanceEvidence, cut: Cut | None = None) -> NDArray[np.uint8]:
     """Draw measured lines with their evidence and a caption with length, scale and confidence.
 
-    A usable length is also written beside the middle of its line. Several lines are numbered.
-
-    Args:
-        image: ``[h, w, 3]`` RGB, the measured image, the part of ``cut``, or a reduced copy of either (see
-            ``vehanchor.pictures.scale.read_reduced``).
-        analyses: of lines in that image, one at least.
-        cut: the part to show; None for all of the image.
-
-    Returns:
-        ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
+    A usable length is also written beside the middle of its line. Several lines are numbered. Arguments and result are
+    those of ``draw_area``.
     """
     canvas = open_canvas(image, analyses[0].measurement, analyses[0].scale, cut)
     records = [analysis.measurement for analysis in analyses]
@@ -144,15 +115,15 @@ def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placem
 
 
 def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placement) -> None:
-    prompt, line, fine = analysis.prompt, line_px(picture), 1 << SUBPIXEL_BITS
+    prompt, line = analysis.prompt, line_px(picture)
     if prompt.box is not None:
-        corners = place.fine(np.reshape(prompt.box, (2, 2))).tolist()
-        cv2.rectangle(picture, corners[0], corners[1], PROMPT_RGB, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+        corners = place.pixels(np.reshape(prompt.box, (2, 2))).tolist()
+        cv2.rectangle(picture, corners[0], corners[1], PROMPT_RGB, 1, cv2.LINE_AA)
     for x, y, include in prompt.points:
-        at = place.fine([x, y]).tolist()
+        at = place.pixels([x, y]).tolist()
         colour = PROMPT_RGB if include else _OUTSIDE_RGB
-        cv2.circle(picture, at, 3 * line * fine, (0, 0, 0), cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
-        cv2.circle(picture, at, 2 * line * fine, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
+        cv2.circle(picture, at, 3 * line, (0, 0, 0), cv2.FILLED, cv2.LINE_AA)
+        cv2.circle(picture, at, 2 * line, colour, cv2.FILLED, cv2.LINE_AA)
 
 
 def _write_number(picture: NDArray[np.uint8], number: str, analysis: AreaEvidence, place: Placement) -> None:

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
 CUT_SIDE_PX = 1000
 """Longer side of a picture of a part, unless chosen."""
 
-SUBPIXEL_BITS = 4
-"""Bits of the fixed-point coordinates that OpenCV draws at."""
-
 _MARGIN = 0.5  # around what a part shows, as a share of its longer side
 _MIN_MARGIN_PX = 24
 _MAX_ENLARGEMENT = 4.0  # a larger one shows nothing more
@@ -53,9 +50,9 @@ class Placement(NamedTuple):
         converted: NDArray[np.float64] = (np.asarray(points, dtype=np.float64) - self.origin) * self.scale
         return converted
 
-    def fine(self, points: Any) -> NDArray[np.int32]:
-        """Convert points to fixed-point pixels of OpenCV, whose origin is the centre of the first pixel."""
-        return fixed_point(self.at(points) - 0.5)
+    def pixels(self, points: Any) -> NDArray[np.int32]:
+        """Convert points to whole pixels of OpenCV, whose origin is the centre of the first pixel."""
+        return np.rint(self.at(points) - 0.5).astype(np.int32)
 
 
 class Cut(NamedTuple):
@@ -78,11 +75,6 @@ class Cut(NamedTuple):
         size = max(1, round(width * factor)), max(1, round(height * factor))
         method = cv2.INTER_AREA if size[0] < image.shape[1] else enlarging
         return np.array(cv2.resize(image, size, interpolation=method), dtype=np.uint8)
-
-
-def fixed_point(points: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Convert pixels to OpenCV's fixed-point coordinates."""
-    return np.rint(points * (1 << SUBPIXEL_BITS)).astype(np.int32)
 
 
 def line_px(picture: NDArray[np.uint8], longest: float = np.inf) -> int:

@@ -26,7 +26,6 @@ _KEPT, _KEPT_DARK, _DROPPED = "#56B4E9", "#0072B2", "#E69F00"  # Okabe and Ito: 
 _GUARD, _INK = "#D55E00", "#222222"
 _SIZE_IN, _DPI = (8.0, 4.6), 150
 _RULERS_IN = 2.8  # height of the rulers' densities
-_SHOWN_LENGTHS = 2.0  # limit of the axis, in lengths of the longest kept vehicle
 _PAD = 1.25  # factor beyond the widest interval, of the rulers' axis
 _DRAWN = 0.004  # of the maximum; lower parts of a ruler's curve are not drawn
 _RULES = {"kde": "KDE", "weighted_kde": "weighted KDE", "median": "median", "mean": "mean"}
@@ -90,7 +89,8 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
     assert gsd is not None
     assert mode is not None
     lengths = analysis.detections.boxes[:, 2]
-    ends = [guard, mode, float(lengths.min()), float(lengths.max())]
+    # Twice the longest kept length keeps the cars wide beside a lorry.
+    ends = [guard, mode, float(lengths.min()), min(float(lengths.max()), 2 * float(lengths[analysis.kept].max()))]
     reference_m = vehicles.reference.length_m
     if vehicles.interval is not None:
         low, high = (reference_m / scale for scale in reversed(vehicles.interval))
@@ -98,12 +98,8 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
             low, high, color="0.75", alpha=0.4, lw=0, zorder=0, label=f"95 % interval {low:.1f} to {high:.1f} px"
         )
         ends += [low, high]
-    longest_kept = float(lengths[analysis.kept].max())
-    shown = min(max(ends), max(_SHOWN_LENGTHS * longest_kept, guard, *ends[4:]))  # keeps the cars wide beside a lorry
-    pad = 0.04 * (shown - min(ends))
-    left, right = max(0.0, min(ends) - pad), shown + pad
-    axes.set_xlim(left, right)
-    _draw_lengths(axes, analysis, right, vehicles.aggregation)
+    axes.set_xlim(0.95 * min(ends), 1.05 * max(ends))
+    _draw_lengths(axes, analysis, 1.05 * max(ends), vehicles.aggregation)
     rule = f"$P_{{mode}}$ {mode:.1f} px ({_RULES[vehicles.aggregation]}) = {significant(reference_m)} m"
     axes.axvline(mode, color=_INK, lw=1.6, label=rule)
     axes.axvline(guard, color=_GUARD, lw=1.6, ls="--", label=f"resolution guard {guard:.1f} px")

@@ -13,7 +13,7 @@ from vehanchor.detection.boxes import box_corners
 from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
-from vehanchor.pictures.placement import SUBPIXEL_BITS, Placement, line_px
+from vehanchor.pictures.placement import Cut, Placement, line_px
 from vehanchor.records.text import advice_for, by_hand_text, count, scale_text, significant
 from vehanchor.storage.atomic import check_output_path, whole_file
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.evidence import ScaleEvidence
-    from vehanchor.pictures.placement import Cut
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
@@ -119,15 +118,8 @@ def open_canvas(
 def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Copy an image at display size: small ones are enlarged, large ones reduced."""
     height, width = image.shape[:2]
-    longest = max(width, height)
-    factor = MAX_SIDE_PX / longest
-    if longest <= MAX_SIDE_PX:
-        factor = min(max(1.0, MIN_WIDTH_PX / width), factor)
-    size = max(1, round(width * factor)), max(1, round(height * factor))
-    if size == (width, height):
-        return np.array(image)  # a copy, because it is drawn into
-    method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-    return cv2.resize(image, size, interpolation=method).astype(np.uint8, copy=False)
+    whole = Cut(Window(0, 0, width, height), MAX_SIDE_PX)
+    return whole.sized(image, max(1.0, MIN_WIDTH_PX / width), cv2.INTER_CUBIC)
 
 
 def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8]:
@@ -200,7 +192,7 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleEvidence, place: Pl
     boxes = analysis.detections.boxes
     if not len(boxes):
         return
-    corners = place.fine(box_corners(boxes))
+    corners = place.pixels(box_corners(boxes))
     drawn_length = float(np.median(boxes[:, 2]) * place.scale.mean())
     line = line_px(picture, drawn_length / 16)
     kept, dropped = corners[analysis.kept], corners[~analysis.kept]
@@ -210,7 +202,7 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleEvidence, place: Pl
         layers = [(corners, True, _PANEL_RGB, line + 2), *layers]
     for shapes, closed, colour, thickness in layers:
         if len(shapes):
-            cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
+            cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA)
     _write_numbers(picture, analysis.detections, place)
 
 

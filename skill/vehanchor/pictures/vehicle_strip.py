@@ -54,6 +54,6 @@ def _draw_vehicle(raster: Raster, box: NDArray[np.float64], colour: tuple[int, i
     left, top = max(0, x - reach), max(0, y - reach)
     part = Window(left, top, min(raster.width_px, x + reach) - left, min(raster.height_px, y + reach) - top)
     chip = Cut(part, _CHIP_PX).sized(raster.read(part))
-    corners = np.rint(Placement.of(chip, part).at(box_corners(box[None]))).astype(np.int32)
+    corners = Placement.of(chip, part).pixels(box_corners(box[None]))
     cv2.polylines(chip, list(corners), True, colour, 1, cv2.LINE_AA)
     return chip

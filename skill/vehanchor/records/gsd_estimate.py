@@ -54,12 +54,6 @@ class VehiclesByHand(Record):
     dropped: int = Field(ge=0, description="Detections that the caller says are no cars.")
     added: int = Field(ge=0, description="Cars that the caller pointed at.")
 
-    @property
-    def summary(self) -> str:
-        """Counts above 0, as "2 added, 1 dropped"."""
-        counts = {"added": self.added, "dropped": self.dropped}
-        return ", ".join(f"{n} {each}" for each, n in counts.items() if n)
-
 
 class RulerScale(Record):
     """Scale from one ruler, and its part in the estimate."""

@@ -44,7 +44,9 @@ def scale_text(of: GsdEstimate | FrameScale) -> str:
 def by_hand_text(estimate: GsdEstimate) -> str:
     """Count the caller's corrections, as "by hand: 2 added, 1 dropped"; empty without any."""
     told = estimate.details.by_hand
-    return "" if told is None else f"by hand: {told.summary}"
+    counts = {} if told is None else {"added": told.added, "dropped": told.dropped}
+    listed = ", ".join(f"{n} {each}" for each, n in counts.items() if n)
+    return listed and f"by hand: {listed}"
 
 
 def ruler_names(estimate: GsdEstimate) -> str:

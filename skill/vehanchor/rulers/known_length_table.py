@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.sources.files import where_it_is
-from vehanchor.options.rulers import KnownLength
+from vehanchor.options.rulers import KnownLength, Rulers
 from vehanchor.rulers.image_table import read_image_table
 from vehanchor.rulers.standards import check_name
 
@@ -73,9 +73,8 @@ def with_lines_of(options: ScaleOptions, lines: KnownLengthTable, image: str | o
 
 def _line(row: Mapping[str, str | None]) -> KnownLength:
     basis, tolerance, what = (row.get(name) or None for name in _OPTIONAL)
-    line = KnownLength.of(
-        (*(row[name] for name in _COLUMNS[1:5]), row["metres"] or what, basis or "assumed", tolerance)
-    )
+    values: Any = (*(row[name] for name in _COLUMNS[1:5]), row["metres"] or what, basis or "assumed", tolerance)
+    (line,) = Rulers(known_lengths=(values,)).known_lengths
     check_name(line.what)
     line.check("the line of known length", KnownLengthError)
     return line

@@ -24,8 +24,6 @@ _BOX_CONTEXT = 2.0  # side of the crop over the box's longer side
 _MIN_CROP_PX = 256
 _MIN_POINT_CROP_PX = 128
 _ROWS_PER_STRIP = 1024
-_ROOM = 0.25  # of the box's longer side: least margin around it in another prompt's crop
-_MOST_WIDER = 1.25  # largest side of a shared crop over that of the prompt's own
 
 
 def crop_side(prompt: Prompt) -> int:
@@ -52,34 +50,6 @@ def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_
     left = math.floor((x1 + x2 - width) / 2 + 0.5)
     top = math.floor((y1 + y2 - height) / 2 + 0.5)
     return Window(min(max(left, 0), image_width_px - width), min(max(top, 0), image_height_px - height), width, height)
-
-
-def shares_window(prompt: Prompt, window: Window, image_width_px: int, image_height_px: int) -> bool:
-    """Test whether another box's crop can replace this prompt's own; points have crops of their own.
-
-    Args:
-        prompt: in pixels of the image.
-        window: the other box's crop.
-        image_width_px: width of the image.
-        image_height_px: height of the image.
-
-    Returns:
-        True if the crop is about as large as the prompt's own and contains it with a margin, up to the image's edge.
-    """
-    if prompt.box is None:
-        return False
-    own = crop_window(prompt, image_width_px, image_height_px, crop_side(prompt))
-    if not 1 <= max(window.width_px, window.height_px) / max(own.width_px, own.height_px) <= _MOST_WIDER:
-        return False
-    x1, y1, x2, y2 = prompt.extent
-    room = _ROOM * max(x2 - x1, y2 - y1)
-    right, bottom = window.x_px + window.width_px, window.y_px + window.height_px
-    return (
-        max(0.0, x1 - room) >= window.x_px
-        and max(0.0, y1 - room) >= window.y_px
-        and min(x2 + room, image_width_px) <= right
-        and min(y2 + room, image_height_px) <= bottom
-    )
 
 
 def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:

@@ -22,54 +22,48 @@ _OUTSIDE_SHARE = 0.10  # of the mask; a box that is 5 % off on one side leaves a
 
 def mask_notices(
     raster: Raster, found: Segmentation, prompt: Prompt, card: SegmenterCard, width_px: float
-) -> list[Notice]:
+) -> Iterator[Notice]:
     """List the doubts about a mask that concern its area."""
-    doubts = _doubts(raster, found, prompt, card, width_px)
-    return [Notice(code=code, message=message) for code, message in doubts]
-
-
-def _doubts(
-    raster: Raster, found: Segmentation, prompt: Prompt, card: SegmenterCard, width_px: float
-) -> Iterator[tuple[NoticeCode, str]]:
     pieces = mask_pieces(found.mask)
     if not len(pieces):
-        yield (
-            NoticeCode.MASK_EMPTY,
-            "The segmenter found no object here: there is nothing to measure. Give a tighter box, or a point on the "
-            "object.",
+        yield Notice(
+            code=NoticeCode.MASK_EMPTY,
+            message="The segmenter found no object here: there is nothing to measure. Give a tighter box, or a point "
+            "on the object.",
         )
         return
     if not found.is_agreed:
-        yield (
-            NoticeCode.EXTENT_UNKNOWN,
-            "The masks that fit differ. This one may be a part of the object, or more: look at the outline, or draw a "
-            "box around the object; this mask's own box adds nothing.",
+        yield Notice(
+            code=NoticeCode.EXTENT_UNKNOWN,
+            message="The masks that fit differ. This one may be a part of the object, or more: look at the outline, or "
+            "draw a box around the object; this mask's own box adds nothing.",
         )
     if found.score < card.min_score:
-        yield (
-            NoticeCode.MASK_SCORE_LOW,
-            f"The expected overlap with the object is {found.score:.2f}, below {card.min_score:g}. Look at the outline "
-            "before using the area.",
+        yield Notice(
+            code=NoticeCode.MASK_SCORE_LOW,
+            message=f"The expected overlap with the object is {found.score:.2f}, below {card.min_score:g}. Look at the "
+            "outline before using the area.",
         )
     if touches_edge(found.mask, outer_sides(found.window, raster.width_px, raster.height_px)):
-        yield NoticeCode.MASK_TOUCHES_EDGE, "The mask reaches the image's edge: the area is a lower bound."
+        message = "The mask reaches the image's edge: the area is a lower bound."
+        yield Notice(code=NoticeCode.MASK_TOUCHES_EDGE, message=message)
     outside = _share_outside(found, prompt)
     if outside > _OUTSIDE_SHARE:
-        yield (
-            NoticeCode.MASK_LEAVES_BOX,
-            f"{100 * outside:.0f} % of the mask lies outside the box: the box cuts the object, or the mask took in its "
-            "surroundings.",
+        yield Notice(
+            code=NoticeCode.MASK_LEAVES_BOX,
+            message=f"{100 * outside:.0f} % of the mask lies outside the box: the box cuts the object, or the mask "
+            "took in its surroundings.",
         )
     if len(pieces) > 1:
-        yield (
-            NoticeCode.MASK_IN_PIECES,
-            f"The mask has {len(pieces)} separate pieces; the largest is {100 * pieces[0] / pieces.sum():.0f} % of it. "
-            "All of them count towards the area.",
+        yield Notice(
+            code=NoticeCode.MASK_IN_PIECES,
+            message=f"The mask has {len(pieces)} separate pieces; the largest is {100 * pieces[0] / pieces.sum():.0f}"
+            " % of it. All of them count towards the area.",
         )
     if width_px < SMALL_TARGET_PX:
-        yield (
-            NoticeCode.TARGET_SMALL,
-            f"The object is {width_px:.1f} px wide: below {SMALL_TARGET_PX:g} px masks are less exact than the "
+        yield Notice(
+            code=NoticeCode.TARGET_SMALL,
+            message=f"The object is {width_px:.1f} px wide: below {SMALL_TARGET_PX:g} px masks are less exact than the "
             "interval says. Use a larger copy of the image where there is one.",
         )
 

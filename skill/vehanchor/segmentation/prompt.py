@@ -11,9 +11,10 @@ from vehanchor.errors import PromptError
 from vehanchor.options.reading import CoordinateFrame
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from vehanchor.options import Frame
+    from vehanchor.options.reading import Place
 
 Box: TypeAlias = tuple[float, float, float, float]
 """x1, y1, x2, y2."""
@@ -45,15 +46,10 @@ class Prompt:
         xs, ys = [x for x, _, _ in self.points], [y for _, y, _ in self.points]
         return min(xs), min(ys), max(xs), max(ys)
 
-    @property
-    def unambiguous(self) -> bool:
-        """Whether the prompt distinguishes a whole from its parts: a box, or more than one point."""
-        return self.box is not None or len(self.points) > 1
-
-    def moved(self, dx: float, dy: float) -> Prompt:
-        """Translate the prompt."""
-        box = self.box and (self.box[0] + dx, self.box[1] + dy, self.box[2] + dx, self.box[3] + dy)
-        return Prompt(box, tuple((x + dx, y + dy, include) for x, y, include in self.points))
+    def mapped(self, place: Callable[[float, float], Place]) -> Prompt:
+        """Convert all coordinates."""
+        box = self.box and (*place(*self.box[:2]), *place(*self.box[2:]))
+        return Prompt(box, tuple((*place(x, y), include) for x, y, include in self.points))
 
 
 def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
@@ -109,20 +105,21 @@ def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) 
         if not coordinates.inside(ends):
             meant = coordinates.other_reading(ends) or ": clip it to what is visible"
             raise PromptError(f"box {_numbers(given.box)} is not inside the {coordinates.name}{meant}")
-        box = (*coordinates.in_image(ends[0]), *coordinates.in_image(ends[1]))
-        if min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
+        prompt = given.mapped(coordinates.in_image)
+        left, top, right, bottom = prompt.extent
+        if min(right - left, bottom - top) < MIN_BOX_PX:
             raise PromptError(
-                f"box {_numbers(given.box)} is {box[2] - box[0]:.3g} x {box[3] - box[1]:.3g} px of the full image: at "
+                f"box {_numbers(given.box)} is {right - left:.3g} x {bottom - top:.3g} px of the full image: at "
                 f"least {MIN_BOX_PX:g} px a side are needed{coordinates.other_reading(ends)}"
             )
-        return Prompt(box=box)
+        return prompt
     places = [(x, y) for x, y, _ in given.points]
     for x, y in places:
         if not (0 <= x < coordinates.extent[0] and 0 <= y < coordinates.extent[1]):
             raise PromptError(
                 f"point {x:g}, {y:g} is not inside the {coordinates.name}{coordinates.other_reading(places)}"
             )
-    return Prompt(points=tuple((*coordinates.in_image((x, y)), include) for x, y, include in given.points))
+    return given.mapped(coordinates.in_image)
 
 
 def read_numbers(values: Any, counts: tuple[int, ...], name: str, wanted: str) -> tuple[float, ...]:

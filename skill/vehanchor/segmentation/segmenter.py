@@ -25,7 +25,6 @@ from vehanchor.segmentation.crop import (
     crop_window,
     place_mask,
     read_resized,
-    shares_window,
 )
 from vehanchor.segmentation.prompt import MIN_BOX_PX, Box, Prompt
 from vehanchor.segmentation.shape import mask_bounds, touches_edge
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
-    from vehanchor.segmentation.contracts import Encoding
 
 MIN_MASK_SCORE = 0.7  # default: lower predicted IoUs need a check of the outline
 MASK_AREA_LOG_SD = 0.1  # default: standard deviation of log(mask area / true area)
@@ -111,7 +109,7 @@ class Segmentation:
     def bounding_box(self) -> Box | None:
         """Smallest box of whole pixels around the mask, in pixels of the image; None for an empty mask."""
         bounds, left, top = mask_bounds(self.mask), self.window.x_px, self.window.y_px
-        return bounds and (bounds.x1 + left, bounds.y1 + top, bounds.x2 + left, bounds.y2 + top)
+        return bounds and (bounds[0] + left, bounds[1] + top, bounds[2] + left, bounds[3] + top)
 
 
 class Segmenter(LoadedModel):
@@ -165,36 +163,24 @@ class Segmenter(LoadedModel):
         bound._contract = self._contract.under(call)
         return bound
 
-    def segment(
-        self, raster: Raster, prompts: Sequence[Prompt], *, limits: ImageLimits = _DEFAULT_LIMITS
-    ) -> tuple[Segmentation, ...]:
-        """Segment the objects that prompts name; neighbours of similar size share an encoding.
+    def segment(self, raster: Raster, prompt: Prompt, *, limits: ImageLimits = _DEFAULT_LIMITS) -> Segmentation:
+        """Segment the object that a prompt names.
 
         Args:
             raster: the image.
-            prompts: boxes or points inside the image, in its pixels.
-            limits: ``max_pixels`` bounds each crop.
+            prompt: box or points inside the image, in its pixels.
+            limits: ``max_pixels`` bounds the crop.
 
         Returns:
-            The mask of each prompt with its window, that of the shared crop where there is one.
+            The mask with its window.
 
         Raises:
-            ImageTooLargeError: a crop has more pixels than the limits allow.
+            ImageTooLargeError: the crop has more pixels than the limits allow.
             ModelContractError: the model violates its contract.
         """
-        found: dict[int, Segmentation] = {}
-        for first, prompt in enumerate(prompts):
-            if first in found:
-                continue
-            if prompt.box is None:
-                found[first] = self._segment_points(raster, prompt, limits)
-                continue
-            encoding = self._encode(raster, prompt, crop_side(prompt), limits)
-            found[first] = self._decode(encoding, prompt)
-            for k in range(first + 1, len(prompts)):
-                if k not in found and shares_window(prompts[k], encoding.window, raster.width_px, raster.height_px):
-                    found[k] = self._decode(encoding, prompts[k])
-        return tuple(found[k] for k in range(len(prompts)))
+        if prompt.box is None:
+            return self._segment_points(raster, prompt, limits)
+        return self._segment_crop(raster, prompt, crop_side(prompt), limits)
 
     def _segment_points(self, raster: Raster, prompt: Prompt, limits: ImageLimits) -> Segmentation:
         """Choose among the masks of several crops, and refine the chosen one by its bounding box and the points."""
@@ -205,7 +191,7 @@ class Segmenter(LoadedModel):
         if box is None or min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
             return chosen
         boxed = Prompt(box, prompt.points)
-        refined = self._decode(self._encode(raster, boxed, crop_side(boxed), limits), boxed)
+        refined = self._segment_crop(raster, boxed, crop_side(boxed), limits)
         best = refined if refined.mask.any() else chosen
         return replace(chosen, mask=best.mask, window=best.window, score=min(chosen.score, best.score))
 
@@ -217,14 +203,14 @@ class Segmenter(LoadedModel):
             window = crop_window(prompt, raster.width_px, raster.height_px, side)
             if found and (side > MAX_POINT_CROP_PX or not _allowed(window, limits)):
                 return found
-            mask = self._decode(self._encode(raster, prompt, side, limits), prompt)
+            mask = self._segment_crop(raster, prompt, side, limits)
             if not _runs_into_inner_side(mask, raster):
                 found.append(mask)
             if (window.width_px, window.height_px) == (raster.width_px, raster.height_px):
                 return found
             side *= 2
 
-    def _encode(self, raster: Raster, prompt: Prompt, side_px: int, limits: ImageLimits) -> Encoding:
+    def _segment_crop(self, raster: Raster, prompt: Prompt, side_px: int, limits: ImageLimits) -> Segmentation:
         window = crop_window(prompt, raster.width_px, raster.height_px, side_px)
         if not _allowed(window, limits):
             raise ImageTooLargeError(
@@ -232,11 +218,8 @@ class Segmenter(LoadedModel):
                 f"{limits.max_pixels} pixels; give a smaller box, or measure in a reduced copy of the image"
             )
         size = self._contract.input_size(window.width_px, window.height_px)
-        return self._contract.encode(read_resized(raster, window, size), window)
-
-    def _decode(self, encoding: Encoding, prompt: Prompt) -> Segmentation:
-        found = self._contract.decode(encoding, prompt)
-        return Segmentation(place_mask(found), found.window, found.score)
+        found = self._contract.predict(read_resized(raster, window, size), window, prompt)
+        return Segmentation(place_mask(found), window, found.score)
 
 
 _opened = file_cached(max_models=2)(Segmenter)

@@ -16,6 +16,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    Bounds: TypeAlias = tuple[int, int, int, int]
+    """Smallest box of whole pixels around a mask: x1, y1, x2, y2 from the array's corner."""
+
     Rings: TypeAlias = list[NDArray[np.float64]]
     """Outline of one piece: ``[n, 2]`` of x, y in pixels around the piece, then around each hole."""
 
@@ -27,15 +30,6 @@ _TOLERANCE_GROWTH = 1.6
 _RIM = 2  # empty lattice points around a mask, which OpenCV needs for contours; even, so that corners stay even
 
 
-class PixelBounds(NamedTuple):
-    """Smallest box of whole pixels around a mask, in pixels from the array's corner."""
-
-    x1: int
-    y1: int
-    x2: int
-    y2: int
-
-
 class Circle(NamedTuple):
     """Circle, in pixels from the array's corner."""
 
@@ -44,12 +38,12 @@ class Circle(NamedTuple):
     diameter: float
 
 
-def mask_bounds(mask: NDArray[np.bool_]) -> PixelBounds | None:
+def mask_bounds(mask: NDArray[np.bool_]) -> Bounds | None:
     """Find the bounding box of a mask ``[h, w]``; None for an empty one."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return None
-    return PixelBounds(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
 def touches_edge(mask: NDArray[np.bool_], sides: tuple[bool, bool, bool, bool] = (True, True, True, True)) -> bool:
@@ -94,7 +88,7 @@ def rotated_extents(mask: NDArray[np.bool_]) -> tuple[float, float]:
     bounds = mask_bounds(mask)
     if bounds is None:
         return 0.0, 0.0
-    upright = bounds.x2 - bounds.x1, bounds.y2 - bounds.y1
+    upright = bounds[2] - bounds[0], bounds[3] - bounds[1]
     if min(upright) == 1:  # a single row or column of pixels is upright
         return float(max(upright)), 1.0
     _, sides, _ = cv2.minAreaRect(_side_middles(_cut(mask, bounds)))
@@ -120,7 +114,7 @@ def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
     row, column = np.unravel_index(int(np.argmax(distance >= largest * (1 - _EQUAL))), distance.shape)
     step, origin, diameter = (0.5, 0.0, largest) if fine else (1.0, 0.5, 2 * largest - 1)
     x, y = (float(at) * step + origin - 1 for at in (column, row))  # without the padding of one pixel
-    return Circle(bounds.x1 + x, bounds.y1 + y, diameter)
+    return Circle(bounds[0] + x, bounds[1] + y, diameter)
 
 
 def outline_parts(mask: NDArray[np.bool_], max_points: int = MAX_OUTLINE_POINTS) -> list[Rings]:
@@ -156,8 +150,9 @@ def _within(parts: list[Rings], max_points: int) -> list[Rings]:
     return kept
 
 
-def _cut(mask: NDArray[np.bool_], bounds: PixelBounds) -> NDArray[np.uint8]:
-    return np.ascontiguousarray(mask[bounds.y1 : bounds.y2, bounds.x1 : bounds.x2]).view(np.uint8)
+def _cut(mask: NDArray[np.bool_], bounds: Bounds) -> NDArray[np.uint8]:
+    x1, y1, x2, y2 = bounds
+    return np.ascontiguousarray(mask[y1:y2, x1:x2]).view(np.uint8)
 
 
 def _closed_lattice(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -208,7 +203,7 @@ def _traced(mask: NDArray[np.bool_]) -> _Traced:
     for k in by_size:
         if parents[k] >= 0:
             parts[parents[k]].append(rings[k])
-    return _Traced(list(parts.values()), np.array([bounds.x1, bounds.y1]) - _RIM / 2 * cell_px, cell_px)
+    return _Traced(list(parts.values()), np.array(bounds[:2]) - _RIM / 2 * cell_px, cell_px)
 
 
 def _with_corners(ring: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -25,7 +25,7 @@ from research.paper.question_set import (
 from research.paper.transcript import DEEDS, deed, read_key
 from research.results.record import tables_of
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options import KnownLength
+from vehanchor.options import ScaleOptions
 from vehanchor.rulers.standards import check_name
 
 RENDERED = [each for each in question_set() if each.scene is not None]
@@ -66,7 +66,8 @@ def test_every_fact_is_a_line_inside_the_picture() -> None:
     for each in question_set():
         for fact in each.facts:
             assert all(0 <= fact[end] <= 1 for end in ("x1", "y1", "x2", "y2"))
-            KnownLength.of([*(fact[end] for end in ("x1", "y1", "x2", "y2")), fact["metres"]])
+            line = [*(fact[end] for end in ("x1", "y1", "x2", "y2")), fact["metres"]]
+            ScaleOptions.of({"known_lengths": [line], "coordinates": "fraction"})
             if isinstance(fact["metres"], str):
                 check_name(fact["metres"])
 

@@ -135,7 +135,7 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     assert segmenter.card.name == "vehanchor-segmenter"
     image = np.random.default_rng(0).integers(0, 255, (256, 256, 3), dtype=np.uint8)
     with open_raster(image) as raster:
-        (found,) = segmenter.segment(raster, [UserPrompt(box=(60.0, 70.0, 180.0, 190.0))])
+        found = segmenter.segment(raster, UserPrompt(box=(60.0, 70.0, 180.0, 190.0)))
     pixels = torch.from_numpy(image.transpose(2, 0, 1).copy())[None].float() / 255
     with torch.no_grad():
         seen = network(pixels, _prompt([(60, 70), (180, 190)], [TOP_LEFT, BOTTOM_RIGHT], 256))

@@ -23,7 +23,7 @@ OTHER_RGB = (200, 60, 60)
 
 def segmented(segmenter: Segmenter, image: NDArray[np.uint8], prompt: Prompt, **options: Any) -> Segmentation:
     with open_raster(image) as raster:
-        return segmenter.segment(raster, [prompt], **options)[0]
+        return segmenter.segment(raster, prompt, **options)
 
 
 def full_mask(found: Segmentation, image: NDArray[np.uint8]) -> NDArray[np.bool_]:

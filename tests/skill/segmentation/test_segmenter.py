@@ -7,14 +7,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tests.models import blank_image, write_detector, write_other_model
 from tests.sam_models import (
     write_sam,
     write_sam2,
 )
-from tests.skill.segmentation.objects import OBJECT_RGB, full_mask, is_rectangle, picture, segmented
+from tests.skill.segmentation.objects import OBJECT_RGB, full_mask, is_rectangle, segmented
 from vehanchor.errors import (
     ImageTooLargeError,
     InvalidParameterError,
@@ -23,10 +22,9 @@ from vehanchor.errors import (
     PromptError,
 )
 from vehanchor.imagery.raster import Window
-from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Frame, ImageLimits
 from vehanchor.options.reading import FrameSize
-from vehanchor.segmentation.contracts import Encoding, MaskLogits, SamContract
+from vehanchor.segmentation.contracts import MaskLogits
 from vehanchor.segmentation.crop import place_mask
 from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt, prompt_in_image, read_prompt
 from vehanchor.segmentation.segmenter import Segmenter
@@ -71,32 +69,6 @@ def test_the_files_say_how_much_to_trust_them(tmp_path: Path) -> None:
     assert (card.name, card.licence, card.min_score, card.mask_area_log_sd) == ("small", "Apache-2.0", 0.6, 0.05)
     with pytest.raises(ModelContractError, match="mask_area_log_sd"):
         Segmenter(*write_sam(tmp_path, metadata={"vehanchor.mask_area_log_sd": "wide"}))
-
-
-def test_neighbours_of_one_size_share_an_encoding_and_their_masks_are_as_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    segmenter = Segmenter(*write_sam(tmp_path, input_px=256))
-    image = picture(900, 700, (102, 102, 138, 138))
-    for x, y, side in ((162, 102, 36), (602, 402, 36), (302, 102, 180)):
-        image[y : y + side, x : x + side] = OBJECT_RGB
-    boxes = [(100.0, 100, 140, 140), (160.0, 100, 200, 140), (600.0, 400, 640, 440), (300.0, 100, 484, 284)]
-    prompts = [Prompt(box=box) for box in boxes]
-    alone = [full_mask(segmented(segmenter, image, prompt), image) for prompt in prompts]
-    encode, crops = SamContract.encode, []
-
-    def counted(contract: SamContract, crop: NDArray[np.uint8], window: Window) -> Encoding:
-        crops.append((window.width_px, window.height_px))
-        return encode(contract, crop, window)
-
-    monkeypatch.setattr(SamContract, "encode", counted)
-    with open_raster(image) as raster:
-        together = segmenter.segment(raster, prompts)
-    assert crops == [(256, 256), (256, 256), (368, 368)]  # the second lies beside the first, the others far or large
-    assert together[0].window == together[1].window
-    for mask, found in zip(alone, together, strict=True):
-        assert mask.any()
-        assert (full_mask(found, image) == mask).all()
 
 
 WHOLE = Frame()
@@ -211,15 +183,3 @@ def test_a_point_gives_the_object_and_what_else_it_may_mean(tmp_path: Path) -> N
     assert seen.bounding_box == (376, 376, 424, 424)
     assert seen.alternatives[0].bounding_box == (376, 376, 552, 424)
     assert segmented(sam, image, Prompt(box=(370.0, 370.0, 430.0, 430.0))).alternatives == ()
-
-
-def test_points_in_a_call_with_a_box_have_crops_of_their_own(tmp_path: Path) -> None:
-    sam = Segmenter(*write_sam(tmp_path))
-    image = picture(900, 700, (102, 102, 138, 138))
-    prompts = [Prompt(box=(100.0, 100.0, 140.0, 140.0)), Prompt(points=((120.0, 120.0, True),))]
-    with open_raster(image) as raster:
-        boxed, pointed = sam.segment(raster, prompts)
-    alone = segmented(sam, image, prompts[1])
-    assert pointed.window == alone.window
-    assert (pointed.mask == alone.mask).all()
-    assert boxed.window == segmented(sam, image, prompts[0]).window

@@ -11,7 +11,6 @@ from scipy.ndimage import distance_transform_edt, label
 
 from vehanchor.segmentation import shape as area
 from vehanchor.segmentation.shape import (
-    PixelBounds,
     inscribed_circle,
     mask_bounds,
     mask_pieces,
@@ -50,8 +49,8 @@ _masks = st.integers(0, 10**6).map(
 
 
 def test_the_bounds_are_the_sides_of_the_outer_pixels() -> None:
-    assert mask_bounds(_upright(20, 10, 60, 30)) == PixelBounds(20, 10, 60, 30)
-    assert mask_bounds(_upright(79, 59, 80, 60)) == PixelBounds(79, 59, 80, 60)
+    assert mask_bounds(_upright(20, 10, 60, 30)) == (20, 10, 60, 30)
+    assert mask_bounds(_upright(79, 59, 80, 60)) == (79, 59, 80, 60)
     assert mask_bounds(np.zeros((5, 5), dtype=bool)) is None
 
 

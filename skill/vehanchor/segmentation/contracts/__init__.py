@@ -13,21 +13,19 @@ decoders exported with ``--return-single-mask`` choose by the same rule.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from vehanchor.errors import ModelContractError
-from vehanchor.segmentation.contracts.base import DTYPES, Encoding, MaskLogits, SamContract
+from vehanchor.segmentation.contracts.base import DTYPES, MaskLogits, SamContract
 from vehanchor.segmentation.contracts.efficient_sam import EfficientSam
 from vehanchor.segmentation.contracts.sam import Sam
 from vehanchor.segmentation.contracts.sam2 import Sam2
 from vehanchor.segmentation.contracts.transformers import Transformers
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from vehanchor.models.session import Session
 
-__all__ = ["CONTRACTS", "Encoding", "MaskLogits", "SamContract", "recognise_contract"]
+__all__ = ["CONTRACTS", "MaskLogits", "SamContract", "recognise_contract"]
 
 CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers, EfficientSam)
 """All contracts."""
@@ -49,8 +47,8 @@ def recognise_contract(encoder: Session, decoder: Session, input_px: int | None 
     Raises:
         ModelContractError: no contract fits the names, or the shapes are not supported.
     """
-    found = [_names(names()) for names in (encoder.get_inputs, encoder.get_outputs)]
-    found += [_names(names()) for names in (decoder.get_inputs, decoder.get_outputs)]
+    listed = (encoder.get_inputs, encoder.get_outputs, decoder.get_inputs, decoder.get_outputs)
+    found = [frozenset(item.name for item in items()) for items in listed]
     for kind in CONTRACTS:
         wanted = kind.encoder_inputs, kind.encoder_outputs, kind.decoder_inputs, frozenset(kind.decoder_outputs)
         # Further inputs of the decoder must be among the optional ones.
@@ -60,15 +58,11 @@ def recognise_contract(encoder: Session, decoder: Session, input_px: int | None 
             if not extra and types <= DTYPES.keys():
                 return kind(encoder, decoder, input_px)
     swapped = " (are encoder and decoder swapped?)" if found[2] in [kind.encoder_inputs for kind in CONTRACTS] else ""
-    listed = "; ".join(
+    shown = "; ".join(
         f"{what} {', '.join(sorted(names)) or 'nothing'}"
         for what, names in zip(("encoder in:", "encoder out:", "decoder in:", "decoder out:"), found, strict=True)
     )
     *kinds, last = (kind.described for kind in CONTRACTS)
     raise ModelContractError(
-        f"not a promptable segmenter of a known kind{swapped}: {listed}. Expected {', '.join(kinds)}, or {last}"
+        f"not a promptable segmenter of a known kind{swapped}: {shown}. Expected {', '.join(kinds)}, or {last}"
     )
-
-
-def _names(items: Sequence[Any]) -> frozenset[str]:
-    return frozenset(item.name for item in items)

@@ -13,7 +13,7 @@ from vehanchor.models.runtime import LoadedModel
 from vehanchor.models.session import Session, run_session
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -50,21 +50,6 @@ class MaskLogits:
     logits: NDArray[np.float32]
     score: float
     cells_per_px: tuple[float, float]
-    window: Window
-
-
-@dataclass(frozen=True, eq=False)
-class Encoding:
-    """Encoded crop, from which any number of prompts can be decoded.
-
-    Attributes:
-        outputs: outputs of the encoder, by name.
-        size: width and height of the encoder's input picture.
-        window: the crop, pixels of the image.
-    """
-
-    outputs: dict[str, NDArray[Any]]
-    size: tuple[int, int]
     window: Window
 
 
@@ -117,7 +102,7 @@ class SamContract(LoadedModel, ABC):
             sides = [side for side in shape[:2] if isinstance(side, int)]
         if sides:
             return int(max(sides))
-        embedding, prior = self._embedding_side(), fixed_side(self._decoder.get_inputs(), "mask_input")
+        embedding, prior = self._side(self.embedding), self._side("mask_input")
         if embedding is not None and prior in (None, embedding * _MASK_PER_EMBEDDING):
             return embedding * SAM_STRIDE_PX
         if embedding is None and prior is not None:
@@ -128,10 +113,12 @@ class SamContract(LoadedModel, ABC):
             "vehanchor.input_size_px"
         )
 
-    def _embedding_side(self) -> int | None:
-        """Read the side of the coarsest embedding from the encoder's or the decoder's shapes."""
-        items = [*self._encoder.get_outputs(), *self._decoder.get_inputs()]
-        return fixed_side(items, self.embedding)
+    def _side(self, name: str) -> int | None:
+        """Read the last side of an output of the encoder, or an input of the decoder; None if it is not fixed."""
+        for item in (*self._encoder.get_outputs(), *self._decoder.get_inputs()):
+            if item.name == name and len(item.shape) == 4 and isinstance(item.shape[-1], int):
+                return int(item.shape[-1])
+        return None
 
     def _check_image_shape(self) -> None:
         shape = self._image.shape
@@ -149,44 +136,37 @@ class SamContract(LoadedModel, ABC):
         del width_px, height_px
         return self.input_px, self.input_px
 
-    def encode(self, image: NDArray[np.uint8], window: Window) -> Encoding:
-        """Run the encoder.
-
-        Args:
-            image: ``[h, w, 3]`` uint8 RGB, the crop resized to ``input_size``.
-            window: the crop, pixels of the image.
-        """
-        outputs = self._run(self._encoder, {self._image.name: self._prepared(image)})
-        return Encoding(outputs, (image.shape[1], image.shape[0]), window)
-
     def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Convert the resized crop to the encoder's input."""
         mean, sd = self.mean_sd
         normal: NDArray[np.float32] = ((image.astype(np.float32) - mean) / sd).transpose(2, 0, 1)[None]
         return normal
 
-    def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
-        """Decode the mask for one prompt.
+    def predict(self, image: NDArray[np.uint8], window: Window, prompt: Prompt) -> MaskLogits:
+        """Run encoder and decoder for one prompt.
 
         Args:
-            encoding: encoding of the crop.
+            image: ``[h, w, 3]`` uint8 RGB, the crop resized to ``input_size``.
+            window: the crop, pixels of the image.
             prompt: in pixels of the image.
 
         Raises:
             ModelContractError: the outputs are not masks with scores.
         """
-        window = encoding.window
-        prompt = prompt.moved(-window.x_px, -window.y_px)
-        across, down = encoding.size[0] / window.width_px, encoding.size[1] / window.height_px
-        outputs = self._run(self._decoder, self._feeds(encoding, prompt, (across, down)))
-        masks, (width, height) = self._masks(outputs, encoding.size)
+        features = self._run(self._encoder, {self._image.name: self._prepared(image)})
+        size = image.shape[1], image.shape[0]
+        across, down = size[0] / window.width_px, size[1] / window.height_px
+        seen = prompt.mapped(lambda x, y: ((x - window.x_px) * across - 0.5, (y - window.y_px) * down - 0.5))
+        feeds = {**features, **self._no_mask_prompt(), "orig_im_size": np.array(size[::-1], np.float32)}
+        outputs = self._run(self._decoder, {**feeds, **self._feeds(seen)})
+        masks, (width, height) = self._masks(outputs, size)
         grid, score = self._chosen(masks, outputs[self.decoder_outputs[1]], prompt)
         rows, columns = grid.shape
         return MaskLogits(grid, score, (columns / width * across, rows / height * down), window)
 
     @abstractmethod
-    def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
-        """Build the decoder's inputs; ``scale`` is the size of the encoder's picture over that of the crop."""
+    def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+        """Build the decoder's inputs for a prompt in pixel indices of the encoder's picture."""
 
     def _masks(
         self, outputs: Mapping[str, NDArray[Any]], size: tuple[int, int]
@@ -223,30 +203,15 @@ class SamContract(LoadedModel, ABC):
             )
         index = int(np.argmax(flat))
         if len(flat) == _SINGLE_AND_MULTI:
-            index = 0 if prompt.unambiguous else 1 + int(np.argmax(flat[1:]))
+            unambiguous = prompt.box is not None or len(prompt.points) > 1
+            index = 0 if unambiguous else 1 + int(np.argmax(flat[1:]))
         return grids[index].astype(np.float32), float(np.clip(flat[index], 0.0, 1.0))
 
 
-def fixed_side(items: Sequence[Any], name: str) -> int | None:
-    """Read the last side of an input or output; None if it is not fixed."""
-    for item in items:
-        if item.name == name and len(item.shape) == 4 and isinstance(item.shape[-1], int):
-            return int(item.shape[-1])
-    return None
-
-
-def corner_prompt(
-    prompt: Prompt, scale: tuple[float, float], shift: tuple[float, float] = (0.5, 0.5)
-) -> tuple[list[tuple[float, float]], list[int]]:
-    """Convert a prompt to SAM's points and labels, in input pixels minus ``shift``; box corners have labels 2 and 3."""
-
-    def place(x: float, y: float) -> tuple[float, float]:
-        return x * scale[0] - shift[0], y * scale[1] - shift[1]
-
-    coords, labels = [], []
+def corner_prompt(prompt: Prompt) -> tuple[list[tuple[float, float]], list[int]]:
+    """Convert a prompt to SAM's points and their labels; the corners of a box have labels 2 and 3."""
+    coords: list[tuple[float, float]] = [(x, y) for x, y, _ in prompt.points]
+    labels = [int(include) for _, _, include in prompt.points]
     if prompt.box is not None:
-        x1, y1, x2, y2 = prompt.box
-        coords, labels = [place(x1, y1), place(x2, y2)], [_TOP_LEFT, _BOTTOM_RIGHT]
-    coords += [place(x, y) for x, y, _ in prompt.points]
-    labels += [int(include) for _, _, include in prompt.points]
+        return [prompt.box[:2], prompt.box[2:], *coords], [_TOP_LEFT, _BOTTOM_RIGHT, *labels]
     return coords, labels

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.segmentation.contracts.base import MEAN_RGB, SD_RGB, Encoding, SamContract, corner_prompt
+from vehanchor.segmentation.contracts.base import MEAN_RGB, SD_RGB, SamContract, corner_prompt
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -45,15 +45,11 @@ class Sam(SamContract):
         scale = self.input_px / max(width_px, height_px)
         return max(1, int(width_px * scale + 0.5)), max(1, int(height_px * scale + 0.5))
 
-    def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
-        width, height = encoding.size
-        coords, labels = corner_prompt(prompt, scale)
+    def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+        coords, labels = corner_prompt(prompt)
         return {
-            "image_embeddings": encoding.outputs["image_embeddings"],
             "point_coords": np.array([[*coords, (0.0, 0.0)]], np.float32),
             "point_labels": np.array([[*labels, _PADDING]], np.float32),
-            "orig_im_size": np.array([height, width], np.float32),
-            **self._no_mask_prompt(),
         }
 
     def _masks(

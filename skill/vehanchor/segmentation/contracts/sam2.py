@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.segmentation.contracts.base import Encoding, SamContract, corner_prompt
+from vehanchor.segmentation.contracts.base import SamContract, corner_prompt
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,12 +29,9 @@ class Sam2(SamContract):
     decoder_outputs = "masks", "iou_predictions"
     embedding = "image_embed"
 
-    def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
-        coords, labels = corner_prompt(prompt, scale)  # this graph adds the padding point
+    def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+        coords, labels = corner_prompt(prompt)  # this graph adds the padding point
         return {
-            **encoding.outputs,
             "point_coords": np.array([coords], np.float32),
             "point_labels": np.array([labels], np.float32),
-            "orig_im_size": np.array([self.input_px, self.input_px], np.float32),
-            **self._no_mask_prompt(),
         }

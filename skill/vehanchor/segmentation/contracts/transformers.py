@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.segmentation.contracts.base import Encoding, SamContract, corner_prompt
+from vehanchor.segmentation.contracts.base import SamContract, corner_prompt
 from vehanchor.segmentation.prompt import Prompt
 
 if TYPE_CHECKING:
@@ -37,21 +37,20 @@ class Transformers(SamContract):
 
     def __init__(self, encoder: Session, decoder: Session, input_px: int | None) -> None:
         super().__init__(encoder, decoder, input_px)
-        side = self._embedding_side()
+        side = self._side(self.embedding)
         if self.input_px == (_SAM3_INPUT_PX if side is None else side * _SAM3_STRIDE_PX):
             self.mean_sd = _SAM3_LEVEL, _SAM3_LEVEL
 
     def _found_input_px(self) -> int:
-        if self._embedding_side() == _SAM3_INPUT_PX // _SAM3_STRIDE_PX:
+        if self._side(self.embedding) == _SAM3_INPUT_PX // _SAM3_STRIDE_PX:
             return _SAM3_INPUT_PX
         return super()._found_input_px()
 
-    def _feeds(self, encoding: Encoding, prompt: Prompt, scale: tuple[float, float]) -> dict[str, NDArray[Any]]:
+    def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
         """Build separate inputs for boxes and points."""
-        coords, labels = corner_prompt(Prompt(points=prompt.points), scale)
-        corners, _ = corner_prompt(Prompt(box=prompt.box), scale)
+        coords, labels = corner_prompt(Prompt(points=prompt.points))
+        corners, _ = corner_prompt(Prompt(box=prompt.box))
         return {
-            **encoding.outputs,
             "input_points": np.array(coords, np.float32).reshape(1, 1, -1, 2),
             "input_labels": np.array(labels, np.int64).reshape(1, 1, -1),
             "input_boxes": np.array(corners, np.float32).reshape(1, -1, 4),
