@@ -29,6 +29,8 @@ from research.training.scene_scale.data import (  # noqa: E402
 from research.training.scene_scale.export import export  # noqa: E402
 from research.training.scene_scale.network import SceneScaleNet, begin_with_exported  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 
 def _image(set_name: str, gsd_m_per_px: float, height: int = 400, width: int = 500) -> ScaledImage:
     """A chequerboard whose squares are 4 m wide."""

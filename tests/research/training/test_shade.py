@@ -9,6 +9,7 @@ pytest.importorskip("torch")
 
 from research.training.detector.shade import darken_cars, shaded
 
+pytestmark = pytest.mark.slow
 GREY = np.full((96, 128, 3), 150, np.uint8)
 CARS = np.array([[40.0, 30, 24, 11, 0.4], [90.0, 60, 24, 11, 2.0]])
 
