@@ -18,7 +18,7 @@ from mcp.types import CallToolResult
 import vehanchor
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import ERAS, by_path, called, error_of, input_schema, record_of, text_of
+from tests.server.conversation import by_path, called, error_of, input_schema, record_of, text_of
 from tests.server.test_app import AREA as AREA_TOKENS
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
@@ -41,13 +41,12 @@ def pool_in(path: Path, **more: Any) -> dict[str, Any]:
     return {**by_path(path), "targets": [{"box": POOL_BOX}], **more}
 
 
-async def asked(server: MCPServer[object], arguments: dict[str, Any], era: str = "auto") -> CallToolResult:
-    return await called(server, "measure_area", era=era, **arguments)
+async def asked(server: MCPServer[object], arguments: dict[str, Any]) -> CallToolResult:
+    return await called(server, "measure_area", **arguments)
 
 
-@pytest.mark.parametrize("era", ERAS)
 async def test_a_call_gives_the_librarys_record_and_a_sentence(
-    server: MCPServer[object], images: Path, detector_path: Path, segmenter_paths: SamFiles, era: str
+    server: MCPServer[object], images: Path, detector_path: Path, segmenter_paths: SamFiles
 ) -> None:
     expected = vehanchor.measure_area(
         images / "pool.png",
@@ -55,7 +54,7 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
         detector=load_detector(detector_path, Runtime(threads=1)),
         segmenter=segmenter_paths,
     )
-    result = await asked(server, pool_in(images / "pool.png"), era)
+    result = await asked(server, pool_in(images / "pool.png"))
     assert record_of(result) == expected.model_dump(mode="json")
     assert len(result.content) == 1
     assert text_of(result).startswith(f"{expected.area_m2:.0f} m2 (95 % interval ")
@@ -102,17 +101,6 @@ async def test_another_object_that_a_point_may_mean_is_told_in_the_callers_pixel
     assert "Mask: x 150 to 174, y 165 to 213 in your copy. Or you mean " in told
     x1, y1, x2, y2 = (side / 2 for side in first["bounding_box"].values())
     assert f"Or you mean {first['area_m2']:.3g} m2 in x {x1:.0f} to {x2:.0f}, y {y1:.0f} to {y2:.0f}" in told
-
-
-async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServer[object], images: Path) -> None:
-    half = {name: value / 2 for name, value in POOL_BOX.items()}
-    frame = {"width_px": 320, "height_px": 256}
-    result = await asked(server, {**by_path(images / "pool.png"), "targets": [{"box": half}], "frame": frame})
-    whole = record_of(await asked(server, pool_in(images / "pool.png")))
-    record = record_of(result)
-    assert record["area_m2"] == whole["area_m2"]
-    assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * whole["gsd_m_per_px"])
-    assert "Mask: x 150 to 174, y 165 to 213 in your copy." in text_of(result)
 
 
 async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
