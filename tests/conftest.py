@@ -1,13 +1,21 @@
 from __future__ import annotations
 
+import hashlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import hypothesis
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
+from vehanchor.courts.find import courts_among
+from vehanchor.courts.proposals import Proposal
+from vehanchor.imagery.raster import Raster
+from vehanchor.models.session import run_session
 
 ROOT = Path(__file__).parent.parent
 MOST_WORKERS = 4  # each loads everything once
@@ -18,6 +26,30 @@ hypothesis.settings.load_profile("vehanchor")
 
 # Typer colours its help for GitHub's log where it finds this; the tests read plain text.
 os.environ.pop("GITHUB_ACTIONS", None)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _each_image_is_looked_at_once() -> Iterator[None]:
+    """Remember what the scene-scale and court networks and the fit of courts say: four fifths of an estimate here."""
+    seen: dict[Any, Any] = {}
+
+    def ran(session: Any, names: Any, inputs: Any, runtime: Any, described: str) -> Any:
+        key = described, runtime.threads, hashlib.sha256(inputs["tiles"]).digest()
+        if key not in seen:
+            seen[key] = run_session(session, names, inputs, runtime, described)
+        return seen[key]
+
+    def fitted(raster: Raster, proposals: list[Proposal], **sizes: int) -> Any:
+        key = raster.width_px, raster.height_px, sizes["n_sizes"], *proposals
+        if key not in seen:
+            seen[key] = courts_among(raster, proposals, **sizes)
+        return list(seen[key])
+
+    with pytest.MonkeyPatch.context() as patches:
+        for module in ("courts.proposals", "detection.scene_scale"):
+            patches.setattr(f"vehanchor.{module}.run_session", ran)
+        patches.setattr("vehanchor.courts.find.courts_among", fitted)
+        yield
 
 
 @pytest.fixture(scope="session")

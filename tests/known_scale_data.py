@@ -83,10 +83,3 @@ def n_results(path: Path) -> int:
     with closing(sqlite3.connect(path)) as file:
         ((found,),) = file.execute("SELECT count(*) FROM results WHERE key <> ''")
     return int(found)
-
-
-def forget(path: Path, n_forgotten: int) -> None:
-    """Delete results, as if the run had ended before them."""
-    with closing(sqlite3.connect(path)) as file, file:
-        query = "DELETE FROM results WHERE key IN (SELECT key FROM results WHERE key <> '' ORDER BY key DESC LIMIT ?)"
-        assert file.execute(query, (n_forgotten,)).rowcount == n_forgotten

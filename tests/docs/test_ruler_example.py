@@ -22,7 +22,6 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from tests.server.conversation import by_path, text_of
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.scale import ScaleAnalysis
-from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -32,7 +31,6 @@ from vehanchor.records.flat import flat_row
 from vehanchor.records.ruler_kinds import RULERS
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.rulers.ruler import View
-from vehanchor.scale.plane import GroundPlane
 from vehanchor_flight.verbs import estimate_flight
 
 LENGTH_PX, GSD = 800.0, 176.91 / 800.0
@@ -80,29 +78,6 @@ def test_a_running_track_makes_the_scale_of_an_image_without_cars() -> None:
 def test_another_field_is_no_ruler(other: dict[str, Any]) -> None:
     record = _analysed(**{"width_px": WIDTH_PX, **other}).estimate
     assert (record.status, record.gsd_m_per_px) == ("no_scale", None)
-
-
-def _width_at_40_degrees() -> float:
-    """Width of the box whose rectified sides are a track's, at a tilt of 40 degrees."""
-    plane = GroundPlane(1.0, 40.0, 900.0, 1000, 800)
-    widths, shapes = np.arange(200.0, 700.0, 1.0), []
-    for width in widths:
-        corners = box_corners(np.array([[*CENTRE, LENGTH_PX, width, ANGLE]]))[0]
-        middles = plane.from_above((corners + np.roll(corners, -1, axis=0)) / 2)
-        long, short = sorted(np.hypot(*(middles[:2] - middles[2:]).T), reverse=True)
-        shapes.append(long / short)
-    return float(widths[np.argmin(np.abs(np.array(shapes) - 176.91 / 92.52))])
-
-
-@pytest.mark.usefixtures("track")
-def test_on_a_tilted_photograph_it_agrees_with_a_known_line_on_the_same_pixels() -> None:
-    reach = LENGTH_PX / 2 * np.array([np.cos(ANGLE), np.sin(ANGLE)])
-    line = (*(CENTRE - reach), *(CENTRE + reach), 176.91)
-    record = _analysed(_width_at_40_degrees(), camera=TILTED, known_lengths=[line]).estimate
-    said = {ruler.kind: ruler.gsd_m_per_px for ruler in record.rulers}
-    assert said["track"] == pytest.approx(said["known_length"], rel=1e-6)
-    assert abs(said["track"] / GSD - 1) > 0.05  # the scale as if taken at nadir
-    assert record.tilt is not None
 
 
 def test_a_ruler_that_cannot_use_the_plane_gives_no_evidence_on_a_tilted_photograph(

@@ -14,12 +14,11 @@ import pytest
 from typer.testing import CliRunner
 
 import vehanchor
-from tests.known_scale_data import forget, n_results
+from tests.known_scale_data import n_results
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import write_sam
 from vehanchor.cli import app as cli
 from vehanchor.errors import ImageError, InvalidParameterError
-from vehanchor.segmentation.segmenter import Segmenter
 from vehanchor_evaluation.area_errors import area_errors
 from vehanchor_evaluation.areas import read_areas, read_masks
 
@@ -147,26 +146,6 @@ def test_the_table_tells_the_errors_of_mask_and_scale_apart(run: Any, data: Path
 def test_one_search_serves_all_objects_of_an_image(run: Any) -> None:
     assert run("--workers", 2).exit_code == 0
     assert n_results(Path("out/detections.sqlite")) == 3
-
-
-def test_a_run_goes_on_where_it_stopped(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert run().exit_code == 0
-    whole = Path("out/area.csv").read_text()
-    forget(Path("out/masks.sqlite"), 2)
-    segmented = []
-    segment = Segmenter.segment
-
-    def counted(self: Segmenter, *args: Any, **kwargs: Any) -> Any:
-        segmented.append(args[1])
-        return segment(self, *args, **kwargs)
-
-    monkeypatch.setattr(Segmenter, "segment", counted)
-    assert run().exit_code == 0
-    assert len(segmented) == 2
-    assert Path("out/area.csv").read_text() == whole
-    assert run("--limit", 2).exit_code == 0
-    assert len(segmented) == 2
-    assert len(rows_of(Path("out/area.csv"))) == 2
 
 
 def test_files_that_went_bad_are_reported_and_never_stop_a_run(run: Any, data: Path, tmp_path: Path) -> None:

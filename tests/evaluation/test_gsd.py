@@ -98,20 +98,6 @@ def test_high_errors_are_counted_with_guard_and_confidence(tmp_path: Path, detec
     assert len(report["rows"]) == 1  # no labels, no baseline
 
 
-def test_a_second_run_and_the_other_tables_search_nothing_again(dota: Path, detector: Path, counted: list[str]) -> None:
-    common = ["--dota", dota, "--detector", detector, "--out", dota.parent / "out"]
-    assert _run("evaluate", "gsd", *common, "--limit", 2).exit_code == 0
-    assert sorted(counted) == ["P0000.png", "P0001.png"]
-    assert _run("evaluate", "gsd", *common).exit_code == 0
-    assert sorted(counted[2:]) == ["P0002.png", "P0003.png", "P0007.png"]
-    del counted[:]
-    first = (dota.parent / "out" / "gsd.json").read_bytes()
-    assert _run("evaluate", "gsd", *common).exit_code == 0
-    assert _run("evaluate", "ablation", *common).exit_code == 0
-    assert counted == ["P0007.png"] * 2  # an image that cannot be read is tried again
-    assert (dota.parent / "out" / "gsd.json").read_bytes() == first
-
-
 def test_the_ablation_repeats_the_second_half_with_one_choice_changed(tmp_path: Path, detector: Path) -> None:
     boxes = cars(20)
     boxes[:, 2] = [20, 20, 20, 20, 20, 21, 21, 22, 24, 26, 28, 60]

@@ -35,27 +35,30 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
+ENTRIES = {
+    "claude_code.mcp.json": "mcpServers",
+    "claude_desktop_config.json": "mcpServers",
+    "vscode.mcp.json": "servers",
+    "cursor.mcp.json": "mcpServers",
+}
+
+
 @pytest.mark.slow
 @pytest.mark.anyio
-@pytest.mark.parametrize(
-    ("entry", "key"),
-    [
-        ("claude_code.mcp.json", "mcpServers"),
-        ("claude_desktop_config.json", "mcpServers"),
-        ("vscode.mcp.json", "servers"),
-        ("cursor.mcp.json", "mcpServers"),
-    ],
-)
-async def test_each_entry_starts_the_server_with_both_tools(entry: str, key: str, tmp_path: Path) -> None:
-    server = _read(CLIENTS / entry)[key]["vehanchor"]
-    assert server.get("type", "stdio") == "stdio"
-    command = server["command"].replace("/absolute/path/to/bin", str(Path(sys.executable).parent))
-    # What the client fills in: its own variables, and the paths that the README says to replace.
-    images = re.sub(r"\$\{workspaceFolder\}|\$\{\w+:-/absolute/path/to/images\}", str(tmp_path), server["args"][-1])
-    images = images.replace("/absolute/path/to/images", str(tmp_path))
+async def test_each_entry_is_the_same_command_which_starts_the_server_with_all_tools(tmp_path: Path) -> None:
+    commands = set()
+    for entry, key in ENTRIES.items():
+        server = _read(CLIENTS / entry)[key]["vehanchor"]
+        assert server.get("type", "stdio") == "stdio"
+        command = server["command"].replace("/absolute/path/to/bin", str(Path(sys.executable).parent))
+        # What the client fills in: its own variables, and the paths that the README says to replace.
+        images = re.sub(r"\$\{workspaceFolder\}|\$\{\w+:-/absolute/path/to/images\}", str(tmp_path), server["args"][-1])
+        commands.add(
+            (Path(command).name, *server["args"][:-1], images.replace("/absolute/path/to/images", str(tmp_path)))
+        )
+    ((command, *arguments),) = commands
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    started = StdioServerParameters(command=command, args=[*server["args"][:-1], images], env={"PATH": path})
-    async with Client(started) as client:
+    async with Client(StdioServerParameters(command=command, args=arguments, env={"PATH": path})) as client:
         assert {tool.name for tool in (await client.list_tools()).tools} == TOOLS
 
 

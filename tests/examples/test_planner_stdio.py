@@ -53,19 +53,6 @@ def decide_zone(example: Callable[[str], Any]) -> Callable[..., Any]:
     return decided
 
 
-def test_it_lands_where_the_lower_bound_fits_and_says_where(decide_zone: Callable[..., Any]) -> None:
-    decision = decide_zone(_record())
-    assert decision.action == "land"
-    assert (decision.center_x_px, decision.center_y_px, decision.needed_m) == (40.5, 30.5, 8.0)
-    assert decision.reason == "a circle of at least 8.5 m fits by the ruler (estimate 10.0 m), 8.0 m needed"
-
-
-def test_an_estimate_that_fits_is_not_enough(decide_zone: Callable[..., Any]) -> None:
-    decision = decide_zone(_record(inscribed_diameter_ci95_low_m=7.9))
-    assert decision.action == "next_zone"
-    assert decision.reason.startswith("too small: a circle of at least 7.9 m")
-
-
 @pytest.mark.parametrize("reason", get_args(Reason))
 def test_on_a_scale_that_is_not_ok_it_holds_whatever_the_size_and_says_what_helps(
     decide_zone: Callable[..., Any], reason: str
@@ -76,18 +63,6 @@ def test_on_a_scale_that_is_not_ok_it_holds_whatever_the_size_and_says_what_help
     assert "confidence 0.89" in decision.reason
     assert f": {reason}; " in decision.reason
     assert ("fly lower" in decision.reason) == (reason == "too_coarse")
-
-
-def test_without_a_ruler_it_holds(decide_zone: Callable[..., Any]) -> None:
-    decision = decide_zone(_record(status="no_scale", scale_confidence=0.0))
-    assert decision.action == "hold_altitude"
-    assert decision.reason == "no scale from the ruler"
-
-
-def test_an_unclear_outline_is_no_place_to_land(decide_zone: Callable[..., Any]) -> None:
-    decision = decide_zone(_record(status="low_confidence"))  # of the mask: the scale is ok
-    assert decision.action == "next_zone"
-    assert "outline" in decision.reason
 
 
 @pytest.mark.parametrize("gsd_m_per_px", [None, 0.1])

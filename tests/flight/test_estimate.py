@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.flight.ground import write_film, write_flight
+from tests.flight.ground import write_flight
 from tests.models import car_park, write_detector
 from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import Detector
@@ -15,7 +15,6 @@ from vehanchor.imagery.sources.opening import ImageSource
 from vehanchor_flight import estimate as flight_estimate
 from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.verbs import estimate_flight
-from vehanchor_flight.video import sample_video
 
 FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
 
@@ -120,20 +119,6 @@ def test_an_interrupted_flight_goes_on_where_it_stopped(
     assert len(searched) == 2
     assert again == whole
     assert not journal.exists()
-
-
-def test_an_interrupted_flight_of_a_video_goes_on_where_it_stopped(
-    detector: Detector, tmp_path: Path, searched: list[object]
-) -> None:
-    journal = tmp_path / "flight.journal"
-    film = write_film(tmp_path / "film.avi", [car_park(FLEET)[:, :, ::-1]] * 3, 1.0)
-    frames = sample_video(film, 1.0)
-    with pytest.raises(KeyboardInterrupt):
-        estimate_flight(frames, same_scale=True, detector=detector, journal=journal, progress=_stop)
-    searched.clear()
-    again = estimate_flight(sample_video(film, 1.0), same_scale=True, detector=detector, journal=journal)
-    assert len(searched) == 1
-    assert len(again.photographs) == 3
 
 
 def test_lines_of_one_photograph_scale_all_of_one_scale(flight: list[str], detector: Detector, tmp_path: Path) -> None:

@@ -9,14 +9,12 @@ from typing import Any
 
 import pytest
 import typer
-from pydantic import TypeAdapter
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.errors import InvalidParameterError
-from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.options import ScaleOptions, declared_options
 from vehanchor.options.option import Limits
-from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT
+from vehanchor.options.rulers import OBJECT_HEIGHT
 from vehanchor.rulers.registry import rulers_help
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -76,14 +74,6 @@ def test_numbers_are_read_from_texts_and_lengths_with_their_units() -> None:
             ScaleOptions.of({"height_m": wrong})
 
 
-def test_a_measurement_takes_a_scale_within_its_limits() -> None:
-    for value in _within(GSD_M_PER_PX):
-        assert given_scale(value, None, ScaleOptions()) == value
-    for value in _beyond(GSD_M_PER_PX):
-        with pytest.raises(InvalidParameterError, match="gsd_m_per_px"):
-            given_scale(value, None, ScaleOptions())
-
-
 def _command(*, chosen: ParsedOptions) -> None:
     raise NotImplementedError
 
@@ -131,9 +121,3 @@ def test_the_tools_have_the_limits_and_the_help_of_the_options() -> None:
                 assert {key: value for key, value in number.items() if key != "type"} == LIMITED[name].schema
         if kind == "measure":
             assert arguments["object_height_m"]["description"] == OBJECT_HEIGHT.help
-
-
-def test_the_schema_of_an_option_says_what_it_takes() -> None:
-    annotation: Any = DECLARED["min_score"].annotation
-    schema = TypeAdapter(annotation).json_schema()
-    assert schema["anyOf"][0] == {"type": "number", "minimum": 0, "maximum": 1}

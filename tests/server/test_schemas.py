@@ -52,21 +52,6 @@ def test_the_schemas_are_valid_2020_12_that_every_host_reads(files: dict[str, An
                 assert node["additionalProperties"] is ("properties" not in node)  # the arguments of another call
 
 
-@pytest.mark.anyio
-async def test_the_server_lists_what_a_model_needs_of_them(server: MCPServer[object], files: dict[str, Any]) -> None:
-    async with Client(server) as client:
-        tools = (await client.list_tools()).tools
-    assert [tool.name for tool in tools] == list(TOOLS)
-    for tool in tools:
-        sides = [(tool.input_schema, "input"), (tool.output_schema, "output")]
-        for listed, side in sides[: 1 if tool.name == "view_image" else 2]:
-            whole = files[f"{tool.name}.{side}.json"]
-            assert listed is not None
-            jsonschema.Draft202012Validator.check_schema(listed)
-            assert set(listed["properties"]) <= set(whole["properties"])
-            assert not {"oneOf", "anyOf"} & set(listed)
-
-
 def test_the_openai_definition_is_strict_compatible(files: dict[str, Any]) -> None:
     for definition in files["openai.json"]:
         assert definition["strict"] is True

@@ -73,7 +73,9 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[type]:
 def test_each_model_is_loaded_once_and_not_before_it_is_needed(
     tmp_path: Path, segmenter: tuple[Path, Path], opened: list[type]
 ) -> None:
-    engine = Engine(write_detector(tmp_path / "once.onnx"), segmenter, runtime=Runtime(threads=3))
+    engine = Engine(
+        write_detector(tmp_path / "once.onnx"), segmenter, runtime=Runtime(threads=3), options=ScaleOptions.of(ALONE)
+    )
     assert opened == []
     image = _place()
     estimate = engine.estimate(image)

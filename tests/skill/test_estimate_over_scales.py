@@ -5,7 +5,6 @@ from __future__ import annotations
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,11 +20,8 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.scale.lengths import dominant_group
-from vehanchor_evaluation.table import survey_table
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 
@@ -177,20 +173,3 @@ def test_a_yard_of_things_shaped_like_cars_is_never_a_confident_scale(
     image = paint_yard(yard, YARDS[yard][0] / length_px, max(500, 8 * length_px), seed=1)
     e = estimate_gsd(image, detector=bundled, search_scales=True)
     assert e.status != "ok", e
-
-
-@pytest.mark.data
-@pytest.mark.slow
-@pytest.mark.parametrize("way", [cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_LANCZOS4])
-def test_photographs_too_coarse_to_measure_are_not_trusted_after_enlarging(
-    real_data: Path, bundled: Detector, way: int
-) -> None:
-    rows = [i for i in survey_table(real_data / "gsd" / "table.csv").images if i.set == "ucm" and i.split == "val"]
-    densest = sorted(rows, key=lambda image: -(image.labelled_vehicles or 0))[:8]
-    for image in densest:
-        photograph = cv2.imread(str(image.path))
-        assert photograph is not None
-        coarse = cv2.resize(photograph, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)  # 0.61 m/px
-        enlarged = cv2.resize(coarse, None, fx=4, fy=4, interpolation=way)
-        e = estimate_gsd(np.ascontiguousarray(enlarged[:, :, ::-1]), detector=bundled, search_scales=True)
-        assert e.status != "ok"

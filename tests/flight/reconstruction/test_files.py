@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.flight.reconstruction.flights import Pose, write_opensfm
-from vehanchor.errors import OutputError, ReconstructionError
+from vehanchor.errors import ReconstructionError
 from vehanchor_flight.reconstruction.files import (
     images_of,
     on_earth,
@@ -61,20 +61,6 @@ def test_both_formats_of_colmap_are_read(tmp_path: Path, write: object) -> None:
     assert first.lens.distortion == (-0.02,)
     assert second.lens.focal_y_px == 690
     assert model.points == pytest.approx(np.array([[1.0, 2, 3], [-4, 5, 6.5]]))
-
-
-@pytest.mark.parametrize("write", [_text, _binary])
-def test_a_rescaled_colmap_model_differs_in_its_lengths_alone(tmp_path: Path, write: object) -> None:
-    old = read_model(write(tmp_path / "old"))  # type: ignore[operator]
-    new = read_model(write_rescaled(old, tmp_path / "new", 2.5))
-    assert new.kind == old.kind
-    assert new.points == pytest.approx(2.5 * old.points)
-    for before, after in zip(old.shots, new.shots, strict=True):
-        assert after.centre == pytest.approx(2.5 * before.centre)
-        assert after.rotation == pytest.approx(before.rotation)
-        assert (after.name, after.lens) == (before.name, before.lens)
-    with pytest.raises(OutputError, match="not empty"):
-        write_rescaled(old, tmp_path / "new", 2.5)
 
 
 def test_fields_of_colmap_may_be_several_blanks_apart(tmp_path: Path) -> None:

@@ -120,6 +120,7 @@ def test_a_model_acts_in_tasks_of_fit_and_direction(asked: list[tuple[Task, Path
     assert [each.deed for each in run.answers] == ["acted rightly"]
 
 
+@pytest.mark.slow
 def test_the_command_renders_missing_pictures_and_asks_script_and_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

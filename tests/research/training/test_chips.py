@@ -16,17 +16,15 @@ import torch
 
 from research.scenes.fleet import Fleet
 from research.training.chips.export import export
-from research.training.chips.kinds import kind_index
-from research.training.chips.mine import chia_images, rows_of
+from research.training.chips.mine import rows_of
 from research.training.chips.network import ChipNet
 from research.training.chips.paste import Ground, pasted
-from research.training.chips.store import STORED_PX, ChipStore, Rows, read_store
+from research.training.chips.store import STORED_PX, Rows
 from research.training.chips.stream import (
     NOT_A_CAR,
     Batch,
     Bodies,
     draw_move,
-    edges_of_box,
     moved_edges,
     target_of_row,
 )
@@ -56,17 +54,6 @@ def test_moved_edges_touch_the_moved_body(seed: int) -> None:
     assert abs(turned) < 0.5
 
 
-def test_a_missing_edge_stays_missing_wherever_a_mirror_puts_it() -> None:
-    move = draw_move(np.random.default_rng(1))._replace(flip=np.array([-1.0, 1.0]))
-    moved, _ = moved_edges(np.array([-0.5, np.nan, -0.2, 0.2]), 0.0, move)
-    assert np.isnan(moved[0])
-    assert moved[1] == pytest.approx((0.5 + move.shift @ [1, 0]) / move.scale, abs=0.1)
-
-
-def test_the_edges_of_an_exact_box() -> None:
-    np.testing.assert_allclose(edges_of_box(np.array([0.1, -0.05, 0.0, np.log(0.4), 0.0])), [-0.4, 0.6, -0.25, 0.15])
-
-
 def _rows(set_name: str, car: int, kind: int) -> Rows:
     return Rows.unlabelled(np.array([40.0]), set_name, "file")._replace(
         car=np.array([car], np.int8),
@@ -87,12 +74,6 @@ def test_only_exact_boxes_teach_edges_and_other_things_are_no_kind_of_car() -> N
     assert np.exp(target_of_row(_rows("ucm", 1, -1), measured, 0).log_metres) == pytest.approx([4.2, 1.7], rel=1e-3)
     assert target_of_row(_rows("ucm", 0, KINDS.index("other")), unknown, 0).kind == NOT_A_CAR
     assert target_of_row(_rows("lorry_ucm", 0, KINDS.index("lorry")), unknown, 0).kind == KINDS.index("lorry")
-
-
-def test_kinds_that_an_eye_reads() -> None:
-    assert KINDS[kind_index("kei")] == "kei"
-    assert KINDS[kind_index("roof")] == "other"
-    assert kind_index("unclear") == -1
 
 
 def _batch(n: int) -> Batch:
@@ -133,21 +114,6 @@ def test_boxes_that_fit_are_cars_and_boxes_between_teach_nothing() -> None:
     assert KINDS[rows.type[1]] == "other"
 
 
-def test_of_chia_odd_numbers_train_and_their_cars_teach_nothing(tmp_path: Path) -> None:
-    crops = tmp_path / "chia" / "crops"
-    crops.mkdir(parents=True)
-    for number in (16, 17):
-        cv2.imwrite(str(crops / f"DJI_00{number}.jpg"), np.full((1280, 1280, 3), 90, np.uint8))
-    table = "file,gsd_m_per_px\ncrops/DJI_0016.jpg,0.018\ncrops/DJI_0017.jpg,0.018\n"
-    (tmp_path / "chia" / "crops.csv").write_text(table)
-    (only,) = chia_images(tmp_path)
-    assert only.file == "DJI_0017.jpg"
-    assert not len(only.sample.boxes)
-    boxes = np.array([[636.6, 540.1, 250.0, 110.0, 0.3], [100.0, 900.0, 110.0, 50.0, 0.3]])  # a car, and ground
-    _, known = rows_of(only.sample, only.file, boxes, np.ones(2), np.ones(2))
-    assert known.tolist() == [False, True]
-
-
 def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
     rng = np.random.default_rng(0)
     flat = np.full((400, 400, 3), 120, np.uint8)
@@ -162,17 +128,6 @@ def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
         box = np.array([72 + 36 * x, 72 + 36 * y, 36 * np.exp(length), 36 * np.exp(width), turn])
         inside = _rectangle(STORED_PX, box)[:, :, 0] > 127
         assert np.abs(one.chip.astype(float) - 120).mean(axis=2)[inside].mean() > 8  # something stands there
-
-
-def test_a_store_is_read_as_it_was_written(tmp_path: Path) -> None:
-    store, chips = ChipStore(), np.random.default_rng(0).integers(0, 255, (6, STORED_PX, STORED_PX, 3), np.uint8)
-    for part in (chips[:4], chips[4:]):
-        store.add(part, Rows.unlabelled(np.full(len(part), 40.0), "some", "file"))
-    store.save(tmp_path)
-    back, rows = read_store(tmp_path)
-    np.testing.assert_array_equal(back, chips)
-    assert rows.sets.tolist() == ["some"] * 6
-    assert not rows.car.any()
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def network(tmp_path: Path) -> Path:

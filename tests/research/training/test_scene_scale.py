@@ -19,15 +19,15 @@ onnxruntime = pytest.importorskip("onnxruntime")
 
 from research.training.scene_scale.cases import load, save, searched_cases  # noqa: E402
 from research.training.scene_scale.data import (  # noqa: E402
-    CropStream,
     ScaledImage,
-    chia_photographs,
     draw_crop,
     load_val_images,
     sources,
 )
 from research.training.scene_scale.export import export  # noqa: E402
 from research.training.scene_scale.network import SceneScaleNet, begin_with_exported  # noqa: E402
+
+pytestmark = pytest.mark.slow
 
 
 def _image(set_name: str, gsd_m_per_px: float, height: int = 400, width: int = 500) -> ScaledImage:
@@ -47,17 +47,6 @@ def test_a_crop_has_the_wanted_scale_at_every_angle(gsd: float) -> None:
         edges = cv2.Canny(crop, 100, 200) > 0  # 2 * side^2 / square of edges, in a chequerboard
         lines = 2 * TILE_PX**2 * gsd / 4
         assert edges.sum() == pytest.approx(lines, rel=0.45)
-
-
-def test_the_stream_gives_the_same_example_for_the_same_number() -> None:
-    stream = CropStream([_image("cannes", 0.2)], 3)
-    for index in range(4):
-        (pixels, target), (again, same) = stream[index], stream[index]
-        assert pixels.shape == (3, TILE_PX, TILE_PX)
-        assert pixels.dtype == torch.uint8
-        assert torch.equal(pixels, again)
-        assert torch.equal(target, same)
-    assert not torch.equal(stream[0][0], stream[1][0])
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
@@ -112,14 +101,3 @@ def test_training_goes_on_from_the_bundled_files_answers() -> None:
         found = np.exp(network.eval()(tiles.float() / 255).numpy())
     session = onnxruntime.InferenceSession(bundled, providers=["CPUExecutionProvider"])
     np.testing.assert_allclose(found, np.exp(session.run(["log_probs"], {"tiles": tiles.numpy()})[0]), atol=1e-5)
-
-
-def test_numbers_of_chia_train_or_check_and_never_both(tmp_path: Path) -> None:
-    (tmp_path / "chia").mkdir()
-    rows = "".join(f"{{}}DJI_{k:04d}.jpg,0.0{k}\n" for k in (16, 17, 18, 19))
-    for table, folder in (("table.csv", ""), ("crops.csv", "crops/")):
-        text = "file,gsd_m_per_px\n" + rows.format(*[folder] * 4) + f"{folder}DJI_0021.jpg,\n"
-        (tmp_path / "chia" / table).write_text(text)
-    train, check = ([source.path.stem for source in chia_photographs(tmp_path, odd=odd)] for odd in (True, False))
-    assert train == ["DJI_0017", "DJI_0019"] * 2  # a photograph and its crop; an oblique one has no scale
-    assert check == ["DJI_0016", "DJI_0018"] * 2

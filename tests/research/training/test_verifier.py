@@ -13,7 +13,6 @@ pytest.importorskip("onnxruntime")
 import onnxruntime
 import torch
 
-from research.training.logistic import area, weight_of_sets
 from research.training.verifier.combine import fitted, rescaled, verifier_logits
 from research.training.verifier.data import STORED_PX, Candidates, ChipStream, load, middle, save
 from research.training.verifier.network import VerifierNet
@@ -63,9 +62,3 @@ def test_the_combination_trusts_whoever_knows() -> None:
     same = rescaled(combination, telling, found)
     assert same.detector / same.verifier == pytest.approx(combination.detector / combination.verifier)
     assert any("AUC" in line for line in report(found.car, found.sets, telling))
-
-
-def test_the_area_is_the_share_of_pairs_in_order_and_small_sets_count_more() -> None:
-    assert area(np.array([3.0, 1.0]), np.array([2.0, 0.0])) == pytest.approx(0.75)
-    weight = weight_of_sets(np.array(["a"] * 4 + ["b"]))
-    np.testing.assert_allclose(weight, np.array([0.5, 0.5, 0.5, 0.5, 1.0]) / 3)

@@ -42,17 +42,16 @@ async def test_tools_with_a_panel_name_a_page_that_can_be_read(server: MCPServer
 
 
 @pytest.mark.anyio
-@pytest.mark.parametrize("era", ERAS)
 @pytest.mark.parametrize("tool", ["estimate_gsd", "measure_area"])
 async def test_the_page_gets_the_image_and_what_belongs_over_it_and_the_model_no_picture(
-    server: MCPServer[object], images: Path, era: str, tool: str
+    server: MCPServer[object], images: Path, tool: str
 ) -> None:
     arguments = {**by_path(images / "pool.png"), "detail": "short"}
     if tool == "measure_area":
         arguments["targets"] = [{"box": POOL_BOX}]
-    async with Client(server, mode=era) as client:
+    async with Client(server) as client:
         plain = await client.call_tool(tool, arguments)
-    async with Client(server, mode=era, extensions=SHOWS_PAGES) as client:
+    async with Client(server, extensions=SHOWS_PAGES) as client:
         shown = await client.call_tool(tool, arguments)
         full = await client.call_tool(tool, {**arguments, "detail": "full"})
     assert set(panel_of(plain).values()) == {None}

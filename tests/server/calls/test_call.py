@@ -5,16 +5,13 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import anyio
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
 
-from tests.sam_models import SamFiles
-from tests.server.calls.slow_models import weighed_down
-from tests.server.conftest import N_TILES_LARGE, POOL_BOX
+from tests.server.conftest import N_TILES_LARGE
 from tests.server.conversation import by_path, error_of, reported
 from tests.tiles import Tiles
 from vehanchor_server.app import create_server
@@ -193,64 +190,3 @@ async def test_an_action_is_done_once_and_only_within_its_context() -> None:
     with stop.calling(lambda: done.append("after")):
         pass
     assert done == ["during", "after"]
-
-
-STOPS_WITHIN_S = 0.3
-COMPUTES_S = 0.5  # from the report that a model starts until it surely runs
-
-TOOLS = {
-    "estimate_gsd": {},
-    "measure_area": {"targets": [{"box": POOL_BOX}], "gsd_m_per_px": 0.2},  # its segmenter is the slow model
-}
-
-
-@pytest.fixture(scope="module")
-def slow(
-    images: Path, detector_path: Path, segmenter_paths: SamFiles, tmp_path_factory: pytest.TempPathFactory
-) -> Settings:
-    folder = tmp_path_factory.mktemp("slow")
-    encoder, decoder = segmenter_paths
-    return Settings(
-        roots=(images,),
-        detector=str(weighed_down(detector_path, folder / "detector.onnx")),
-        segmenter=(weighed_down(encoder, folder / "encoder.onnx"), decoder),
-        threads=1,
-        max_concurrency=1,
-        isolation="in-process",
-    )
-
-
-@pytest.fixture
-def slow_services(slow: Settings) -> Services:
-    made = create_services(slow)
-    made.models.detector()
-    made.models.segmenter()
-    return made
-
-
-async def called(client: Client, tool: str, images: Path, computing: anyio.Event) -> Any:
-    """Make a call; the event tells that its model runs."""
-
-    async def on_progress(progress: float, total: float | None, message: str | None) -> None:
-        if message in ("segmenting the object", "searched 0 of 9 tiles"):
-            await anyio.sleep(COMPUTES_S)
-            computing.set()
-
-    arguments = {**by_path(images / "pool.png"), **TOOLS[tool]}
-    return await client.call_tool(tool, arguments, progress_callback=on_progress)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("tool", TOOLS)
-async def test_cancelling_stops_the_running_model(slow_services: Services, images: Path, tool: str) -> None:
-    async with Client(create_server(slow_services)) as client:
-        computing = anyio.Event()
-        async with anyio.create_task_group() as group:
-            group.start_soon(called, client, tool, images, computing)
-            await computing.wait()
-            assert slow_services.capacity.running == 1
-            cancelled = time.monotonic()
-            group.cancel_scope.cancel()
-        while slow_services.capacity.running:
-            await anyio.sleep(0.002)
-        assert time.monotonic() - cancelled < STOPS_WITHIN_S

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -154,13 +153,3 @@ async def test_what_cannot_be_used_is_named_by_its_place(server: MCPServer[objec
             assert error_of(result).startswith(code), text_of(result)
             assert words in text_of(result)
             assert "/proc/" not in text_of(result)
-
-
-@pytest.mark.slow
-async def test_a_worker_process_gives_the_same_answer(
-    settings: Settings, server: MCPServer[object], flight: Path
-) -> None:
-    arguments = _among(flight / "here.png", flight / "near.png")
-    isolated = create_server(create_services(replace(settings, isolation="confined", max_concurrency=1)))
-    here, apart = [record_of(await called(each, "estimate_gsd", **arguments)) for each in (server, isolated)]
-    assert apart == here

@@ -18,7 +18,7 @@ from mcp.types import CallToolResult
 import vehanchor
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import ERAS, by_path, called, error_of, input_schema, record_of, text_of
+from tests.server.conversation import by_path, called, error_of, input_schema, record_of, text_of
 from tests.server.test_app import AREA as AREA_TOKENS
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
@@ -41,13 +41,12 @@ def pool_in(path: Path, **more: Any) -> dict[str, Any]:
     return {**by_path(path), "targets": [{"box": POOL_BOX}], **more}
 
 
-async def asked(server: MCPServer[object], arguments: dict[str, Any], era: str = "auto") -> CallToolResult:
-    return await called(server, "measure_area", era=era, **arguments)
+async def asked(server: MCPServer[object], arguments: dict[str, Any]) -> CallToolResult:
+    return await called(server, "measure_area", **arguments)
 
 
-@pytest.mark.parametrize("era", ERAS)
 async def test_a_call_gives_the_librarys_record_and_a_sentence(
-    server: MCPServer[object], images: Path, detector_path: Path, segmenter_paths: SamFiles, era: str
+    server: MCPServer[object], images: Path, detector_path: Path, segmenter_paths: SamFiles
 ) -> None:
     expected = vehanchor.measure_area(
         images / "pool.png",
@@ -55,7 +54,7 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
         detector=load_detector(detector_path, Runtime(threads=1)),
         segmenter=segmenter_paths,
     )
-    result = await asked(server, pool_in(images / "pool.png"), era)
+    result = await asked(server, pool_in(images / "pool.png"))
     assert record_of(result) == expected.model_dump(mode="json")
     assert len(result.content) == 1
     assert text_of(result).startswith(f"{expected.area_m2:.0f} m2 (95 % interval ")
@@ -103,17 +102,6 @@ async def test_a_point_of_unknown_extent_is_told_with_the_sizes_that_it_may_mean
     assert "do not rely on it; give a tight box drawn by eye around the object that you mean." in told
     assert f"Or you mean {' or '.join(f'{size:.3g} m2' for size in sizes)}." in told
     assert "Mask:" not in told
-
-
-async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServer[object], images: Path) -> None:
-    half = {name: value / 2 for name, value in POOL_BOX.items()}
-    frame = {"width_px": 320, "height_px": 256}
-    result = await asked(server, {**by_path(images / "pool.png"), "targets": [{"box": half}], "frame": frame})
-    whole = record_of(await asked(server, pool_in(images / "pool.png")))
-    record = record_of(result)
-    assert record["area_m2"] == whole["area_m2"]
-    assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * whole["gsd_m_per_px"])
-    assert "Mask: x 150 to 174, y 165 to 213 in your copy." in text_of(result)
 
 
 async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(

@@ -56,17 +56,6 @@ async def test_several_lines_are_several_answers_after_one_search(server: MCPSer
     assert sum("searched 0" in report for report in reports) <= 1
 
 
-async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServer[object], images: Path) -> None:
-    whole = record_of(await called(server, "measure_distance", images / "cars.png", lines=[LINE], **MEASURED))
-    for coordinates, reach in (("fraction", 1), ("per_mille", 1000)):
-        points = [{"x": at["x"] / 640 * reach, "y": at["y"] / 512 * reach} for at in LINE["points"]]
-        lines = [{"points": points}]
-        told = await called(
-            server, "measure_distance", images / "cars.png", lines=lines, coordinates=coordinates, **MEASURED
-        )
-        assert record_of(told)["distance_m"] == pytest.approx(whole["distance_m"])
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

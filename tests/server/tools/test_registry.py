@@ -123,9 +123,9 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
     ],
 )
 async def test_wrong_arguments_are_invalid_by_the_schema_and_told_in_one_line(
-    server: MCPServer[object], arguments: dict[str, Any], words: str, era: str
+    server: MCPServer[object], arguments: dict[str, Any], words: str
 ) -> None:
-    async with Client(server, mode=era) as client:
+    async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", arguments)
     assert error_of(result) == "invalid_arguments"
     assert words in text_of(result)

@@ -174,7 +174,6 @@ async def estimated(server: MCPServer[object], image: Path, **more: Any) -> Any:
     "more",
     [
         {},
-        {"region": "europe"},
         {"frame": {"width_px": 640, "height_px": 512}, "known_lengths": [LINE], "height_m": 100, "focal_35mm": 24},
         {"drop": "1", "add": [{"x1": 100, "y1": 480, "x2": 132, "y2": 480}]},
     ],
@@ -198,7 +197,6 @@ async def test_a_measurement_after_an_estimate_with_the_same_arguments_costs_no_
 @pytest.mark.parametrize(
     ("image", "more"),
     [
-        ("pool.png", {"region": "europe"}),
         ("pool.png", {"drop": "1"}),
         ("pool.png", {"gsd_m_per_px": 0.17}),
         ("cars.png", {}),

@@ -56,7 +56,7 @@ def seen_in(result: CallToolResult) -> dict[str, Any]:
 
 
 async def test_the_picture_has_the_size_that_is_declared(server: MCPServer[object], images: Path) -> None:
-    for long_side_px in (256, 500, 1024, 1568):
+    for long_side_px in (256, 1568):
         result = await asked(server, images / "pool.png", long_side_px=long_side_px)
         seen, picture = seen_in(result), picture_of(result)
         assert (seen["picture_width_px"], seen["picture_height_px"]) == picture.shape[1::-1]
@@ -188,7 +188,7 @@ async def test_a_server_without_roots_names_none() -> None:
 
 
 async def test_a_part_of_a_large_image_is_read_alone(tmp_path: Path) -> None:
-    image = write_image(tmp_path / "large.png", with_pool(paint_scene(5000, 4200, 0)))
+    image = write_image(tmp_path / "large.png", with_pool(paint_scene(1500, 1260, 0)))
     server = _served(tmp_path)
     whole, part = await asked(server, image), await asked(server, image, part=POOL_BOX)
     assert seen_in(whole)["picture_width_px"] == 1024

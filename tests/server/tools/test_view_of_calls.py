@@ -58,11 +58,8 @@ async def test_the_words_of_the_call_stand_before_a_picture_with_its_vehicles(
     assert below.sum() > 500, "the vehicles are enlarged below"
 
 
-@pytest.mark.parametrize("tool", CALLS)
-async def test_a_call_that_is_computed_again_gives_the_same_picture(
-    settings: Settings, images: Path, tool: str
-) -> None:
-    seen = []
+async def test_a_call_that_is_computed_again_gives_the_same_picture(settings: Settings, images: Path) -> None:
+    seen, tool = [], "measure_area"
     for is_remembered in (True, False):
         server = create_server(create_services(settings))
         if is_remembered:
@@ -103,12 +100,9 @@ async def test_the_picture_has_the_requested_side_and_shows_all_targets(
     assert np.ptp(np.nonzero(yellow)[1]) > 0.4 * decoded.shape[1], "a prompt is missing"
 
 
-@pytest.mark.parametrize("tool", CALLS)
-async def test_a_part_shows_the_numbered_vehicles_of_that_part(
-    server: MCPServer[object], images: Path, tool: str
-) -> None:
+async def test_a_part_shows_the_numbered_vehicles_of_that_part(server: MCPServer[object], images: Path) -> None:
     part = {"x_min": 20, "y_min": 20, "x_max": 160, "y_max": 120}
-    decoded = picture_of(await drawn(server, images / "pool.png", tool, part=part, long_side_px=560))
+    decoded = picture_of(await drawn(server, images / "pool.png", "estimate_gsd", part=part, long_side_px=560))
     assert decoded.shape[1] == 560
     (_, columns) = np.nonzero(near(decoded[:400], KEPT_RGB, 60))
     assert columns.min() < 280 < columns.max(), "two vehicles of this part, at x 60 and 130"

@@ -21,7 +21,7 @@ from tests.server.transport.test_http import discover, served
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.request_guard import MAX_NESTED, MAX_SEPARATORS, RequestGuard
 
-N_UNKNOWN = 1_500_000
+N_UNKNOWN = 500_000
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def call(arguments: dict[str, Any], *, modern: bool, name: str = "estimate_gsd")
 
 @pytest.fixture(scope="module")
 def unknown() -> bytes:
-    """A JSON object of a million and a half members."""
+    """A JSON object of half a million members."""
     return b"{" + b",".join(b'"a%d":0' % i for i in range(N_UNKNOWN)) + b"}"
 
 
@@ -54,13 +54,13 @@ def with_unknown(unknown: bytes, *, modern: bool, nested: bool) -> dict[str, Any
     request = call({"image": "unknown"} if nested else {"unknown": "unknown"}, modern=modern)
     replaced = b'"unknown"' if nested else b'{"unknown": "unknown"}'
     request["content"] = request["content"].replace(replaced, unknown)
-    assert len(request["content"]) > 15_000_000
+    assert len(request["content"]) > 5_000_000
     return request
 
 
 @pytest.mark.promise("requests")
 @pytest.mark.parametrize("modern", [True, False])
-def test_a_million_unknown_arguments_are_refused_and_freeze_nothing(base: str, unknown: bytes, modern: bool) -> None:
+def test_very_many_unknown_arguments_are_refused_and_freeze_nothing(base: str, unknown: bytes, modern: bool) -> None:
     request = with_unknown(unknown, modern=modern, nested=modern)
     slowest, stop = [0.0], threading.Event()
 

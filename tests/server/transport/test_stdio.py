@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mcp import Client, StdioServerParameters
 
-from tests.server.conversation import by_path, error_of
+from tests.server.conversation import by_path
 from vehanchor_server.settings import Settings
 
 pytestmark = [pytest.mark.anyio, pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and pipes")]
@@ -74,17 +73,6 @@ def ended(process: subprocess.Popen[bytes], seconds: float = 60) -> tuple[int, s
     status = process.wait(seconds)
     assert process.stderr is not None
     return status, process.stderr.read().decode()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("era", ["auto", "legacy"])
-async def test_tools_are_listed_and_called_over_pipes(settings: Settings, images: Path, era: str) -> None:
-    executable, *arguments = command(settings)
-    async with Client(StdioServerParameters(command=executable, args=arguments), mode=era) as client:
-        listed = [tool.name for tool in (await client.list_tools()).tools]
-        assert listed == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
-        refused = await client.call_tool("estimate_gsd", by_path("/etc/passwd"))
-    assert error_of(refused) == "path_not_allowed"
 
 
 def test_a_list_comes_before_any_model_and_a_call_leaves_a_line_of_json_and_nothing_else(
@@ -243,28 +231,3 @@ def test_no_decoder_is_imported_after_every_tool_was_called(
     assert {name for name, _ in answers} == set(listed), "a tool was not called"
     assert [failed for _, failed in answers] == [False, False, True, False, False, False, False]
     assert imported == []
-
-
-_IMPORT = """
-import json
-from pydantic import BaseModel
-from vehanchor_server.transport.quick_import import import_sdk
-"""
-
-
-def _printed(code: str) -> Any:
-    done = subprocess.run([sys.executable, "-c", _IMPORT + code], capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
-
-
-def test_validators_of_the_sdk_are_built_at_first_use_only() -> None:
-    built = """
-import_sdk()
-import mcp.types
-class Own(BaseModel):
-    x: int
-before = mcp.types.Tool.__pydantic_complete__
-tool = mcp.types.Tool.model_validate({"name": "a", "inputSchema": {"type": "object"}})
-print(json.dumps([before, mcp.types.Tool.__pydantic_complete__, tool.name, Own.__pydantic_complete__]))
-"""
-    assert _printed(built) == [False, True, "a", True]

@@ -35,7 +35,7 @@ from vehanchor.errors import (
     WorkerDiedError,
 )
 from vehanchor.models.runtime import Runtime
-from vehanchor.options import Reference, ScaleOptions
+from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.rulers.known_length_table import lines_in
 
@@ -283,17 +283,6 @@ def test_an_interrupted_run_goes_on_and_ends_as_one_that_was_not(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["at once.jsonl", "table.jsonl"]
 
 
-def test_rows_of_other_options_are_not_mixed_in(analysed: list[str], detector: Path, table: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        run_batch(["."], table, detector=detector, workers=1)
-    other = ScaleOptions(reference=Reference(4.3))
-    with pytest.raises(InvalidParameterError, match=r"reference_length_m None \(now 4.3\)"):
-        run_batch(["."], table, detector=detector, workers=1, options=other)
-    again = run_batch(["."], table, detector=detector, workers=1, options=other, overwrite=True, details=True)
-    assert again.n_resumed == 0
-    assert {row["reference_length_m"] for row in _rows(table)} == {4.3, None}
-
-
 def test_an_image_that_was_replaced_meanwhile_is_looked_at_again(
     analysed: list[str], detector: Path, folder: Path, table: Path, tmp_path: Path
 ) -> None:
@@ -518,16 +507,6 @@ def test_the_table_of_lines_is_read_before_the_work(detector: Path, table: Path,
     assert result.exit_code == 2
     assert result.stderr.startswith("error[invalid_known_length]: a line of known length is in ")
     assert not journal_path(table).exists()
-
-
-def test_on_a_terminal_a_bar_shows_how_far_it_is(
-    detector: Path, table: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    with pytest.raises(SystemExit) as end:
-        cli.app(["batch", ".", "-o", str(table), "--detector", str(detector), "--workers", "1"])
-    assert end.value.code == 0
-    assert "4 rows" in capfd.readouterr().err
 
 
 def test_the_default_is_a_worker_a_cpu_but_no_more_than_images(monkeypatch: pytest.MonkeyPatch) -> None:
