@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vehanchor.courts.find import courts_among
-from vehanchor.courts.proposals import Proposal
+from vehanchor.courts.find import Proposal, courts_among
 from vehanchor.imagery.raster import Raster
 from vehanchor.models.session import run_session
 
@@ -46,7 +45,7 @@ def _each_image_is_looked_at_once() -> Iterator[None]:
         return list(seen[key])
 
     with pytest.MonkeyPatch.context() as patches:
-        for module in ("courts.proposals", "detection.scene_scale"):
+        for module in ("courts.find", "detection.scene_scale"):
             patches.setattr(f"vehanchor.{module}.run_session", ran)
         patches.setattr("vehanchor.courts.find.courts_among", fitted)
         yield
