@@ -3,6 +3,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+os.environ["OPENCV_LOG_LEVEL"] = "SILENT"  # as the command line sets it
+
 import cv2
 import hypothesis
 import numpy as np

@@ -86,6 +86,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; the entry point of ``vehanchor`` and of ``python -m vehanchor``."""
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # before its import; our errors report the problem
     try:
         try:
             app(prog_name="vehanchor")
