@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+os.environ["OPENCV_LOG_LEVEL"] = "SILENT"  # as the command line sets it
+
 import cv2
 import hypothesis
 import numpy as np

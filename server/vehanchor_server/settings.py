@@ -149,11 +149,7 @@ class Settings:
     def image_limits(self) -> ImageLimits:
         """Limits on accepted images."""
         max_pixels = round(self.max_megapixels * _MEGAPIXEL)
-        return ImageLimits(
-            max_pixels=max_pixels,
-            max_decoded_bytes=_DECODED_BYTES_PER_PIXEL * max_pixels,
-            max_unpacked_bytes=1,  # refuse large JPEGs, so that callers cannot fill the disk
-        )
+        return ImageLimits(max_pixels=max_pixels, max_decoded_bytes=_DECODED_BYTES_PER_PIXEL * max_pixels)
 
     @property
     def max_worker_bytes(self) -> int:

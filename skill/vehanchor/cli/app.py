@@ -86,6 +86,7 @@ app = typer.Typer(
 def main() -> None:
     """Run the command line; the entry point of ``vehanchor`` and of ``python -m vehanchor``."""
     gc.set_threshold(50_000)  # imports create 75,000 lasting objects; to visit them again took a tenth of the time
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # before its import; our errors report the problem
     try:
         try:
             app(prog_name="vehanchor")

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
 MIN_SIDE_PX = 16
 """Smallest side of a measurable image: a 5 m car is 17 px long at 0.3 m/px, the coarsest usable GSD."""
 
-UNPACKED_BYTES = 3
-"""Bytes on disk for each pixel of a JPEG that is read by windows."""
-
+_WINDOWED = ("TIFF", "JPEG 2000")  # formats that can be read by windows
 _SCANS_OF_LARGEST = 25  # allowed for an image of the largest size; smaller images may have more
 _BLOCK_COPIES = 2  # the decoder copies a strip or tile from one buffer into one for each band
 _SAMPLES_PER_PIXEL = 4  # in a block of the largest allowed image size
@@ -101,9 +99,7 @@ def check_header(header: ImageHeader, limits: ImageLimits) -> None:
         ImageTooLargeError: see ``read_checked_header``.
         ImageFormatError: the image is too small to measure.
     """
-    windowed = header.windowed and (
-        header.format != "JPEG" or UNPACKED_BYTES * header.width_px * header.height_px <= limits.max_unpacked_bytes
-    )
+    windowed = header.format in _WINDOWED
     if not windowed and header.width_px * header.height_px > limits.max_pixels:
         raise ImageTooLargeError(
             f"the {header.format} declares {header.width_px} x {header.height_px} px, the limit is "

@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import ImageError, ImageNotFoundError, InvalidParameterError
-from vehanchor.imagery.formats.decoding import QUIET_OPENCV
 from vehanchor.imagery.sources.files import SUFFIXES
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.option import Limits
@@ -231,8 +230,7 @@ class _Newest:
 def _open_camera(number: int) -> Camera | None:
     if number > 99:
         raise InvalidParameterError(f"the camera {number} does not exist: use 0 for the first")
-    with QUIET_OPENCV.entered():  # otherwise each trial warns on stderr
-        camera = cv2.VideoCapture(number)
+    camera = cv2.VideoCapture(number)
     if camera.isOpened():
         return camera  # type: ignore[return-value] # the stubs of OpenCV are wider than what it returns
     camera.release()

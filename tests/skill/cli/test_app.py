@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner, Result
 
 from tests.models import car_park, write_detector, write_other_model
+from tests.skill.imagery.files import bmp_header
 from vehanchor import analyse_scale, engine, records
 from vehanchor.cli import app as cli
 from vehanchor.errors import VehAnchorError
@@ -350,6 +351,16 @@ def test_the_command_runs_as_a_module_and_knows_its_version(folder: Path) -> Non
         [sys.executable, "-m", "vehanchor", "--version"], cwd=folder, stdout=subprocess.PIPE, check=True
     )
     assert done.stdout.decode().strip() == f"vehanchor {version('vehanchor')}"
+
+
+def test_a_damaged_image_is_told_in_one_line_without_opencvs_own(tmp_path: Path) -> None:
+    (tmp_path / "half.bmp").write_bytes(bmp_header(60, 40))
+    environment = {name: value for name, value in os.environ.items() if name != "OPENCV_LOG_LEVEL"}
+    command = [sys.executable, "-m", "vehanchor", "estimate", "half.bmp"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error[image_undecodable]: the BMP (half.bmp) cannot be decoded")
 
 
 def test_help_loads_nothing_heavy(folder: Path) -> None:

@@ -168,9 +168,9 @@ def test_limits_are_positive(name: str) -> None:
 
 def test_what_is_read_by_windows_may_have_as_many_pixels_as_its_own_limit_says() -> None:
     """Above 2.5 gigapixels a TIFF was said to have too many scans: one."""
-    check_header(ImageHeader("TIFF", 90_000, 90_000, windowed=True), ImageLimits())
+    check_header(ImageHeader("TIFF", 90_000, 90_000), ImageLimits())
     with pytest.raises(ImageTooLargeError, match="the limit is 10000000000 pixels"):
-        check_header(ImageHeader("TIFF", 110_000, 110_000, windowed=True), ImageLimits())
+        check_header(ImageHeader("TIFF", 110_000, 110_000), ImageLimits())
 
 
 _MIB = 1 << 20
@@ -282,9 +282,9 @@ def test_the_limit_is_what_decoding_takes_not_what_the_file_weighs(
     make: Callable[[], bytes], decoded_bytes: int
 ) -> None:
     data = make()
-    open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=decoded_bytes, max_unpacked_bytes=1))).close()
+    open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=decoded_bytes))).close()
     with pytest.raises(ImageTooLargeError, match=f"takes {decoded_bytes} bytes"):
-        open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=decoded_bytes - 1, max_unpacked_bytes=1)))
+        open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=decoded_bytes - 1)))
 
 
 @pytest.mark.parametrize(("dtype", "bands"), [("float64", 4), ("uint16", 4), ("float64", 1), ("uint8", 3)])

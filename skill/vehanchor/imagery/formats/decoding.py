@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import threading
-from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +13,10 @@ from vehanchor.errors import ImageDecodeError, OutOfMemoryError
 from vehanchor.imagery.formats.header import without_ancillary_chunks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from vehanchor.imagery.formats.image_header import ImageHeader, TiffLayout
 
-_SILENT = 0
 _NO_MEMORY = -4  # cv::Error::StsNoMem
 
 
@@ -49,8 +44,7 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
             "convert the image to JPEG"
         )
     try:
-        with QUIET_OPENCV.entered():
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except (cv2.error, MemoryError) as error:
         if isinstance(error, MemoryError) or error.code == _NO_MEMORY:
             size = f"{header.width_px} x {header.height_px} px"
@@ -79,35 +73,3 @@ def decodes_tiff(layout: TiffLayout) -> bool:
 def _decodes_avif() -> bool:
     """Test whether this build of OpenCV includes an AVIF decoder."""
     return re.search(r"AVIF:\s+(?!NO)\S", cv2.getBuildInformation()) is not None
-
-
-class _QuietOpenCV:
-    """Silence of OpenCV's log while it decodes, because our own errors report the problem.
-
-    The log level belongs to the whole process. The first of several decoding threads sets it and the last one restores
-    it, unless other code has changed it meanwhile.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._n_inside = 0
-        self._before = _SILENT
-
-    @contextmanager
-    def entered(self) -> Iterator[None]:
-        """Silence the log until the last thread leaves."""
-        logging: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5 moved the functions
-        with self._lock:
-            if self._n_inside == 0:
-                self._before = logging.setLogLevel(_SILENT)
-            self._n_inside += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._n_inside -= 1
-                if self._n_inside == 0 and logging.getLogLevel() == _SILENT:
-                    logging.setLogLevel(self._before)
-
-
-QUIET_OPENCV = _QuietOpenCV()

@@ -288,7 +288,6 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         height,
         orientation=orientation_of(tags),
         tiff=layout,
-        windowed=True,
         decoding_bytes=COPIES * width * height * pixel_bytes + layout.block_px * block_bytes,
     )
 

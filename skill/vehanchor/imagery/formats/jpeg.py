@@ -133,6 +133,5 @@ def _header(
         complete=complete,
         decoding_bytes=width * height * max(COPIES * shown, shown + (2 * components if held else 0)),
         n_scans=n_scans,
-        windowed=not held,
         metadata=tuple(metadata),
     )

@@ -35,7 +35,7 @@ def read_jpeg2000(read_at: ReadAt) -> ImageHeader:
     if read_at(at, 4) != _CODESTREAM or min(width, height, tile_width, tile_height) < 1 or not 1 <= bands <= _MAX_BANDS:
         raise ImageDecodeError("the JPEG 2000 declares an invalid size: damaged")
     tile_px = min(tile_width, width) * min(tile_height, height)
-    return ImageHeader("JPEG 2000", width, height, windowed=True, tile_px=tile_px, bands=bands)
+    return ImageHeader("JPEG 2000", width, height, tile_px=tile_px, bands=bands)
 
 
 def _codestream_at(read_at: ReadAt) -> int:

@@ -1,7 +1,7 @@
 """Opening of any aerial image as a raster of 8-bit RGB.
 
 OpenCV decodes most of ``IMAGE_FORMATS`` whole, TIFF only if it is plain. rasterio (extra ``geo``) reads the following
-by windows: GeoTIFF, COG, JPEG 2000, TIFF that OpenCV cannot decode, and TIFF or JPEG too large to decode whole. libheif
+by windows: GeoTIFF, COG, JPEG 2000, and TIFF that is too large to decode whole or that OpenCV cannot decode. libheif
 (extra ``heic``) decodes HEIC. The choice depends on the file alone, never on installed packages (docs/decisions.md).
 """
 
@@ -20,7 +20,6 @@ from vehanchor.imagery.formats.decoding import decode, decodes_tiff
 from vehanchor.imagery.formats.header import is_tiff
 from vehanchor.imagery.formats.heic import is_heic, open_heic
 from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000
-from vehanchor.imagery.formats.unpacked import open_large_jpeg
 from vehanchor.imagery.limits import check_bytes, read_checked_header
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
@@ -43,7 +42,6 @@ rasterio dataset, or a Pillow image."""
 
 _MIB = 1 << 20
 _DEFAULT_READING = Reading()
-_JPEG = b"\xff\xd8\xff"
 _WITH_ALPHA = frozenset({"PNG", "WebP", "AVIF"})  # formats whose fourth band is alpha
 
 
@@ -109,9 +107,9 @@ def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
             return file.read(count)
 
         header, start = None, read_at(0, 32)
-        if start.startswith(_JPEG) or is_tiff(start) or is_jpeg2000(start):
+        if is_tiff(start) or is_jpeg2000(start):
             header = read_checked_header(read_at, limits)
-            if (n_bytes > limits.max_bytes and header.windowed) or _needs_windows(header, limits):
+            if n_bytes > limits.max_bytes or _needs_windows(header, limits):
                 return _open_by_windows(str(Path(path).absolute()), path, header, bands, limits, read_at)
         check_bytes(n_bytes, limits)
         data = read_at(0, n_bytes)
@@ -145,21 +143,18 @@ def _open_by_windows(
     file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits, read_at: ReadAt
 ) -> Raster:
     """Open an image that is too large to decode whole, or that OpenCV does not decode."""
-    opened = open_large_jpeg if header.format == "JPEG" else open_file
-    raster = opened(file, source, header, bands, limits)
+    raster = open_file(file, source, header, bands, limits)
     raster.encoded = file
     raster.camera = read_camera(read_at, header)
     return raster
 
 
 def _needs_windows(header: ImageHeader, limits: ImageLimits) -> bool:
-    if header.format == "JPEG 2000":
-        return True
+    if header.tiff is None:
+        return header.format == "JPEG 2000"
     too_large = (
         header.width_px * header.height_px > limits.max_pixels or header.decoding_bytes > limits.max_decoded_bytes
     )
-    if header.tiff is None:
-        return header.windowed and too_large
     return too_large or header.tiff.georeferenced or not decodes_tiff(header.tiff)
 
 

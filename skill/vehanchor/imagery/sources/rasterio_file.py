@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _CACHE_BYTES = 192 << 20  # of decoded blocks of all files: the overlap of two rows of tiles in a wide image
 _SAMPLE_GRID = 8  # windows per side: 64 windows of 128 px make SAMPLE_PX
 _SUPPORTED_PHOTOMETRIC = (1, 2, 3, 6)  # grey from black, RGB, palette, YCbCr
-_DRIVERS = {"TIFF": "GTiff", "JPEG 2000": "JP2OpenJPEG", "JPEG": "JPEG"}
+_DRIVERS = {"TIFF": "GTiff", "JPEG 2000": "JP2OpenJPEG"}
 _OPENJPEG_SAMPLE_BYTES = 4
 _INKS = frozenset({"cyan", "magenta", "yellow", "black"})
 
@@ -102,55 +102,31 @@ def open_file(
             " grey (black is zero), RGB, palette nor YCbCr; convert it to RGB"
         )
     check_block("JPEG 2000", header.tile_px, header.bands, _OPENJPEG_SAMPLE_BYTES, limits)
+    rasterio = _import_rasterio(source, header)
+    # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could name any other file.
+    own = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
     with ExitStack() as stack:
-        dataset = open_rasterio(file, source, header, limits, stack)
+        with gdal_environment(source, **own), warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            if isinstance(file, bytes):
+                file = stack.enter_context(rasterio.MemoryFile(file)).name
+            dataset = stack.enter_context(
+                rasterio.open(file, driver=_DRIVERS[header.format], sharing=False, GEOREF_SOURCES="INTERNAL")
+            )
+            if (dataset.width, dataset.height) != (header.width_px, header.height_px):
+                raise ImageDecodeError(f"the {header.format} ({source}) declares two different sizes: damaged")
+            _check_block(dataset, header.format, limits)
+        if layout is not None:
+            check_block("TIFF's mask", layout.mask_block_px, 1, 1, limits)
+        # A geotransform refers to the stored frame, so georeferenced files keep their stored orientation.
+        orientation = 1 if layout is not None and layout.georeferenced else header.orientation
         with gdal_environment(source):
-            if layout is not None:
-                check_block("TIFF's mask", layout.mask_block_px, 1, 1, limits)
-            # A geotransform refers to the stored frame, so georeferenced files keep their stored orientation.
-            orientation = 1 if layout is not None and layout.georeferenced else header.orientation
             raster = DatasetRaster(dataset, source, bands, orientation=orientation)
         raster.close_with(stack.pop_all())
     return raster
 
 
-def open_rasterio(file: str | bytes, source: str, header: ImageHeader, limits: ImageLimits, stack: ExitStack) -> Any:
-    """Open a file with its format's driver, ignoring sidecar files.
-
-    Args:
-        file: its path or its bytes.
-        source: name of the image in messages.
-        header: its header.
-        limits: limits to apply to its blocks.
-        stack: closes the dataset.
-
-    Returns:
-        The rasterio dataset.
-
-    Raises:
-        MissingExtraError: rasterio is not installed.
-        ImageDecodeError: the image is damaged.
-        ImageTooLargeError: a block has too many pixels.
-    """
-    rasterio = import_rasterio(source, header)
-    # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could name any other file.
-    with (
-        gdal_environment(source, GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_PAM_ENABLED="NO"),
-        warnings.catch_warnings(),
-    ):
-        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        if isinstance(file, bytes):
-            file = stack.enter_context(rasterio.MemoryFile(file)).name
-        driver = _DRIVERS[header.format]
-        where: dict[str, Any] = {} if driver == "JPEG" else {"GEOREF_SOURCES": "INTERNAL"}
-        dataset = stack.enter_context(rasterio.open(file, driver=driver, sharing=False, **where))
-        if (dataset.width, dataset.height) != (header.width_px, header.height_px):
-            raise ImageDecodeError(f"the {header.format} ({source}) declares two different sizes: damaged")
-        _check_block(dataset, header.format, limits)
-    return dataset
-
-
-def import_rasterio(source: str, header: ImageHeader) -> Any:
+def _import_rasterio(source: str, header: ImageHeader) -> Any:
     """Import rasterio for a file that OpenCV does not decode.
 
     Raises:
@@ -161,13 +137,10 @@ def import_rasterio(source: str, header: ImageHeader) -> Any:
         import rasterio.enums
         import rasterio.errors
     except ImportError as error:
-        why = "is georeferenced, too large or unsupported by OpenCV" if header.tiff else "is too large to decode whole"
-        least = math.ceil(header.width_px * header.height_px / 1e6)
-        other = f", or decode it whole with --max-megapixels {least}" if header.format == "JPEG" else ""
-        if header.format == "JPEG 2000":
-            why = "has a format that OpenCV does not decode safely"
+        unsafe = "has a format that OpenCV does not decode safely"
+        why = "is georeferenced, too large or unsupported by OpenCV" if header.tiff else unsafe
         raise MissingExtraError(
-            f"the {header.format} ({source}) {why}; reading it needs rasterio: pip install 'vehanchor[geo]'{other}"
+            f"the {header.format} ({source}) {why}; reading it needs rasterio: pip install 'vehanchor[geo]'"
         ) from error
     return rasterio
 

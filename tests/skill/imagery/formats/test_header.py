@@ -2,11 +2,7 @@ from __future__ import annotations
 
 import io
 import struct
-import threading
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -239,58 +235,3 @@ def test_the_last_bytes_are_missed(name: str, missing: int) -> None:
 def test_bytes_after_the_end_do_no_harm() -> None:
     for data in (JPEG, PNG, WITH_THUMBNAIL, TRUNCATABLE["webp"], TRUNCATABLE["bmp"]):
         np.testing.assert_array_equal(read_all(data + b"trailer \xff\xd8\xff" * 9), read_all(data))
-
-
-# --- OpenCV's log level, one for the whole process ---
-
-
-@pytest.fixture
-def log_level() -> Iterator[Any]:
-    """OpenCV's functions ``setLogLevel`` and ``getLogLevel``, the level put back afterwards."""
-    logging: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5 moved them
-    before = logging.getLogLevel()
-    logging.setLogLevel(3)
-    yield logging
-    logging.setLogLevel(before)
-
-
-def test_decoding_in_several_threads_leaves_the_log_level_as_it_was(
-    log_level: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first_in, second_in, first_out = threading.Event(), threading.Event(), threading.Event()
-    original = cv2.imdecode
-    levels = []
-
-    def overlapping(data: Any, flags: int) -> Any:
-        """The thread that came first leaves first."""
-        if first_in.is_set():
-            second_in.set()
-            assert first_out.wait(timeout=10)
-        else:
-            first_in.set()
-            assert second_in.wait(timeout=10)
-        levels.append(log_level.getLogLevel())
-        return original(data, flags)
-
-    monkeypatch.setattr(cv2, "imdecode", overlapping)
-    with ThreadPoolExecutor(2) as threads:
-        first = threads.submit(open_raster, encoded(".png"))
-        assert first_in.wait(timeout=10)
-        second = threads.submit(open_raster, encoded(".png"))
-        first.result(timeout=20)
-        first_out.set()
-        second.result(timeout=20)
-    assert levels == [0, 0]
-    assert log_level.getLogLevel() == 3
-
-
-def test_a_log_level_that_was_set_meanwhile_stays(log_level: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    original = cv2.imdecode
-
-    def loud(data: Any, flags: int) -> Any:
-        log_level.setLogLevel(5)
-        return original(data, flags)
-
-    monkeypatch.setattr(cv2, "imdecode", loud)
-    open_raster(encoded(".png"))
-    assert log_level.getLogLevel() == 5
