@@ -143,8 +143,8 @@ def scene_density(
     the last bin stand for all finer and coarser scales.
 
     Args:
-        levels: reduction factor of each level of an image, and ``[bins]`` mean of its tiles' log-probabilities, which is
-            flat if the tiles disagree; at least one.
+        levels: reduction factor of each level of an image, and ``[bins]`` mean of its tiles' log-probabilities, flat if
+            the tiles disagree; at least one level.
         calibration: calibration of the network.
 
     Returns:
