@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.rulers.positions import Positions, baseline, places_of, positions_witness
+from vehanchor.rulers.positions import Positions, baseline, places_of
 from vehanchor.rulers.registry import uses
 from vehanchor.scale.lengths import Z95
 from vehanchor_flight.components import Component
@@ -183,7 +183,7 @@ def _component(
         subgraph.log_scales,
         np.hypot(subgraph.sds_from(reference), by_tilt),
         reference,
-        positions_witness(extra),
+        () if extra is None else (extra,),
         bool(by_tilt.any()),
     )
     return component, off

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from research.training.scene_scale.bins import FIRST_LOG_GSD, LOG_STEP
 from research.training.scene_scale.cases import Case, load
-from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, scene_density
+from vehanchor.detection.scene_scale import SceneCalibration, scene_density
 from vehanchor.scale.density import GRID, credible_interval
 from vehanchor.scale.density import LOG_STEP as GRID_STEP
 from vehanchor.storage.atomic import whole_file
@@ -42,7 +42,7 @@ _WITHIN = 1.5
 def density_of(case: Case, calibration: SceneCalibration) -> NDArray[np.float64]:
     """Combine what was seen on an image's tiles, as the library does."""
     levels = [
-        SceneLevel(factor, seen.astype(np.float64).mean(axis=0))
+        (factor, seen.astype(np.float64).mean(axis=0))
         for factor, seen in zip(case.factors, case.log_probs, strict=True)
     ]
     return scene_density(levels, calibration)

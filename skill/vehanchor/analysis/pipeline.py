@@ -139,7 +139,7 @@ def search_raster(
         detector: finds the vehicles.
         options: of the method.
         prior: known scene-scale prior; None takes the image's own, if it has a use.
-        check_stretch: as in ``vehanchor.detection.search.search``.
+        check_stretch: as in ``vehanchor.detection.search.ImageSearch.result``.
     """
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)

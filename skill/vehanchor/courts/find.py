@@ -36,9 +36,8 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
 
-_FAR = Reach(0.0, 1.0, 0.4, 0.04, 27, 3)  # proposals lie at a court's end as often as at its centre
-_NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
-_THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
+_FAR = Reach(0.4, 0.04, 27, 3)  # proposals lie at a court's end as often as at its centre
+_THERE = Reach(0.01, 0.01, 1, 1)
 _MOST_COURTS = 4
 _MOST_PROPOSALS, _MOST_OF_ONE_SIZE = 20, 6  # best proposals to try; fewer if the scale is known
 _MOST_REJECTED = 4  # rejected candidates in a row before the search ends
@@ -49,12 +48,9 @@ _MATCHED_PX = 72.0  # least length of a court for matching, if the image has tha
 _MARGIN = 1.5  # half side of the patch, in half diagonals of the court
 
 _WORTH_A_FIT = 0.3
-_LEAST_NEAR = 0.45  # of the score before the fit; every court had at least 0.57
 _LEAST_SCORE = 0.55  # the maximum over 232 training images without a court is 0.50
-_LEAST_COVERAGE = 0.64  # roofs with grids reached 0.63
-_LEAST_COVERAGE_WITH_ARCS, _SEEN_ARCS = 0.68, 0.5  # straight lines also form grids in yards and car parks
-_SEEN_LINE = 0.4
-_UNSEEN_LINES = 2
+_LEAST_COVERAGE = 0.68  # roofs with grids reached 0.63; straight lines also form grids in yards and car parks
+_SEEN_ARCS = 0.5
 _MOST_DISTORTION = 0.06
 _QUARTER = math.pi / 2
 _BINS = 45  # of a quarter turn: 2 degrees each
@@ -181,13 +177,11 @@ def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
 def _measured(raster: Raster, found: _Match) -> Court | None:
     """Measure the court near a match with the game's best template; None if the lines do not support it."""
     _, patch, pose, templates = found
-    ((near, pose),) = match(patch.grey, templates[:1], pose, _NEAR)
-    if near < _LEAST_NEAR:
-        return None
     first = fit(patch.grey, templates[0], pose_matrix(pose), SIMILARITY)
     if templates[0].length_m * first.px_per_m * patch.factor < _LEAST_PX:
         return None
-    score, pose = max(match(patch.grey, templates, _pose(first.matrix), _THERE), key=lambda each: each[0])
+    there = _pose(first.matrix)
+    score, pose = max(match(patch.grey, templates, there, _THERE, [there.angle]), key=lambda each: each[0])
     if score < _LEAST_SCORE:
         return None
     fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in templates]
@@ -215,12 +209,10 @@ def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tu
 
 def _is_supported(template: Template, seen: Fit) -> bool:
     """Test whether enough of the template's lines and arcs were found."""
-    lines, arcs = np.split(seen.line_coverage, [len(template.lines)])
-    unseen = int((lines < _SEEN_LINE).sum())
+    arcs = seen.line_coverage[len(template.lines) :]
     return (
-        seen.coverage >= (_LEAST_COVERAGE_WITH_ARCS if len(arcs) else _LEAST_COVERAGE)
+        seen.coverage >= _LEAST_COVERAGE
         and (not len(arcs) or float(arcs.mean()) >= _SEEN_ARCS)
-        and unseen <= _UNSEEN_LINES
         and math.isfinite(seen.log_sd)
     )
 

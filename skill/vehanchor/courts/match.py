@@ -48,16 +48,12 @@ class Reach(NamedTuple):
     """Range and step of the search around a pose.
 
     Attributes:
-        angle: radians to either side.
-        angle_step: radians.
         log_size: logarithm of the size ratio to either side.
         log_size_step: step of that logarithm.
         place: pixels to either side.
         place_step: pixels.
     """
 
-    angle: float
-    angle_step: float
     log_size: float
     log_size_step: float
     place: int
@@ -97,7 +93,7 @@ def match(
     templates: Sequence[Template],
     start: Pose,
     reach: Reach,
-    angles: Sequence[float] | None = None,
+    angles: Sequence[float],
 ) -> list[tuple[float, Pose]]:
     """Match templates with the lines near a pose.
 
@@ -106,17 +102,16 @@ def match(
         templates: templates of the possible courts.
         start: centre of the search; its size belongs to the first template, the others are scaled to the same length.
         reach: range of the search.
-        angles: centres of the angular search, radians; None for the pose's own angle.
+        angles: to try, radians.
 
     Returns:
         The best score and pose for each template. The score, at most 1, is the share of the template that lies on
         lines, minus the share of its blank segments that does.
     """
     best = [(-1.0, start)] * len(templates)
-    sizes = [
-        start.px_per_m * templates[0].length_m / template.length_m * np.exp(_steps(reach.log_size, reach.log_size_step))
-        for template in templates
-    ]
+    n_sizes = round(reach.log_size / reach.log_size_step)
+    ratios = np.exp(np.arange(-n_sizes, n_sizes + 1) * reach.log_size_step)
+    sizes = [start.px_per_m * templates[0].length_m / template.length_m * ratios for template in templates]
     halves = [
         (np.array([template.length_m, template.width_m]) / 2 + _MARGIN_M) * each[-1]
         for template, each in zip(templates, sizes, strict=True)
@@ -124,22 +119,16 @@ def match(
     half_x, half_y = (int(half) for half in np.ceil(np.max(halves, axis=0)) + reach.place + 2)
     places = np.arange(-reach.place, reach.place + 1, reach.place_step)
     ends = [_Ends.of(template, each, places, half_x, half_y) for template, each in zip(templates, sizes, strict=True)]
-    turns = _steps(reach.angle, reach.angle_step)
-    for angle in (each + turn for each in angles or (start.angle,) for turn in turns):
-        sums = _turned_sums(grey, start, float(angle), half_x, half_y)
+    for angle in angles:
+        sums = _turned_sums(grey, start, angle, half_x, half_y)
         cos, sin = np.cos(angle), np.sin(angle)
         for index, template_ends in enumerate(ends):
             score, size, row, column = template_ends.best(sums)
             if score > best[index][0]:
                 dx, dy = places[column], places[row]
                 x, y = start.x + cos * dx - sin * dy, start.y + sin * dx + cos * dy
-                best[index] = score, Pose(float(x), float(y), float(angle), float(sizes[index][size]))
+                best[index] = score, Pose(float(x), float(y), angle, float(sizes[index][size]))
     return best
-
-
-def _steps(reach: float, step: float) -> NDArray[np.float64]:
-    count = round(reach / step)
-    return np.arange(-count, count + 1, dtype=np.float64) * step
 
 
 def _turned_sums(grey: NDArray[np.float32], start: Pose, angle: float, half_x: int, half_y: int) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import pydantic.dataclasses
@@ -46,18 +46,6 @@ _BATCH = 8  # tiles per run: 24 take three times the memory and as much time
 _SHARP_GSD_M_PER_PX, _SHARP_LOG_WIDTH = 0.15, 0.15  # few places below this scale are in the training data
 _FINER_LOG_REACH = 0.8  # by which a new place is finer at most
 _Share = Annotated[float, Field(ge=0, lt=1)]
-
-
-class SceneLevel(NamedTuple):
-    """Network's prediction at one resolution.
-
-    Attributes:
-        factor: reduction factor of the image.
-        log_probs: ``[bins]`` mean of the tiles' log-probabilities; it is flat if the tiles disagree.
-    """
-
-    factor: int
-    log_probs: NDArray[np.float64]
 
 
 @pydantic.dataclasses.dataclass(frozen=True, config=ConfigDict(allow_inf_nan=False))
@@ -145,7 +133,9 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
     return levels
 
 
-def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -> NDArray[np.float64]:
+def scene_density(
+    levels: Sequence[tuple[int, NDArray[np.float64]]], calibration: SceneCalibration
+) -> NDArray[np.float64]:
     """Combine the predictions at all resolutions into one density.
 
     Each level is mixed with a flat density. The log-probabilities are shifted by the reduction factors and averaged.
@@ -153,18 +143,19 @@ def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -
     the last bin stand for all finer and coarser scales.
 
     Args:
-        levels: levels of one image, at least one.
+        levels: reduction factor of each level of an image, and ``[bins]`` mean of its tiles' log-probabilities, flat if
+            the tiles disagree; at least one level.
         calibration: calibration of the network.
 
     Returns:
         Probabilities on ``vehanchor.scale.density.GRID``.
     """
     total = np.zeros(len(GRID))
-    for level in levels:
-        centres = calibration.first_log_gsd + calibration.log_step * np.arange(len(level.log_probs))
-        seen = np.exp(calibration.temperature * (level.log_probs - level.log_probs.max()))
+    for factor, log_probs in levels:
+        centres = calibration.first_log_gsd + calibration.log_step * np.arange(len(log_probs))
+        seen = np.exp(calibration.temperature * (log_probs - log_probs.max()))
         seen = (1 - calibration.doubt) * seen / seen.sum() + calibration.doubt / len(seen)
-        total += np.interp(GRID + np.log(level.factor), centres, np.log(np.maximum(seen, _LEAST_PROBABILITY)))
+        total += np.interp(GRID + np.log(factor), centres, np.log(np.maximum(seen, _LEAST_PROBABILITY)))
     total *= float(len(levels)) ** (calibration.levels - 1)
     density = np.exp(total - total.max())
     seen = _with_finer(density / density.sum(), calibration.finer)
@@ -209,7 +200,7 @@ class SceneScaleNetwork(LoadedModel):
                 run_session(self._session, None, {"tiles": tiles[start : start + _BATCH]}, self.runtime, described)[0]
                 for start in range(0, len(tiles), _BATCH)
             ]
-            levels.append(SceneLevel(factor, np.concatenate(seen).astype(np.float64).mean(axis=0)))
+            levels.append((factor, np.concatenate(seen).astype(np.float64).mean(axis=0)))
             n_tiles += len(tiles)
         return SceneScalePrior(scene_density(levels, self.calibration), n_tiles)
 

@@ -68,7 +68,6 @@ def search(
     options: Search | None = None,
     *,
     prior: SceneScalePrior | None = None,
-    check_stretch: bool = True,
 ) -> Detections:
     """Search an image to the limits of the options (paper, section III-B); see ``ImageSearch``.
 
@@ -77,7 +76,6 @@ def search(
         detector: the model; the search reports its tiles to the progress of the detector's runtime.
         options: how to search; None for the defaults.
         prior: scene-scale prior, which orders the resolutions and weighs the boxes' sizes; None without one.
-        check_stretch: whether to test that width and height have one scale; a running camera needs it now and then.
 
     Returns:
         Vehicles and other objects in image pixels, after oriented non-maximum suppression.
@@ -88,7 +86,7 @@ def search(
     work = ImageSearch(raster, detector, options or Search(), prior)
     for _ in work:
         pass
-    return work.result(check_stretch=check_stretch)
+    return work.result()
 
 
 class ImageSearch:
@@ -286,7 +284,7 @@ class ImageSearch:
 
         Args:
             ended: whether the search has ended; before, the chip network is not asked.
-            check_stretch: as in ``search``.
+            check_stretch: whether to test that width and height have one scale; a running camera needs it now and then.
         """
         parts = [self._found[k] for k in sorted(self._found)]
         visited = [self.visits[k][0].factor for k in sorted(self._found)]

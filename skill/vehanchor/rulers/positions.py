@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +29,7 @@ _REACH, _STEPS = 3.0, 10
 
 
 class Positions(Ruler):
-    """Positions in the metadata of a flight's photographs; the flight measures them (``positions_witness``)."""
+    """Positions in the metadata of a flight's photographs; the flight measures them (``baseline``)."""
 
     kind = "positions"
     label = "positions"
@@ -42,20 +42,6 @@ class Positions(Ruler):
     def measure(self, view: View) -> Witness | None:  # noqa: ARG002
         """Measure nothing: a single image has no baseline."""
         return None
-
-
-class Baseline(NamedTuple):
-    """Scale from the positions of photographs.
-
-    Attributes:
-        gsd_m_per_px: metres per pixel.
-        log_sd: standard deviation of its log.
-        n: number of photographs.
-    """
-
-    gsd_m_per_px: float
-    log_sd: float
-    n: int
 
 
 def places_of(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
@@ -82,8 +68,8 @@ def places_of(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
     return np.column_stack([east * math.cos(math.radians(degrees[said[0], 0])), north]) * _EARTH_M
 
 
-def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_px: float) -> Baseline | None:
-    """Compare the layout of photographs with their positions.
+def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_px: float) -> Witness | None:
+    """Measure the scale by the layout of photographs and their positions.
 
     Args:
         layout: ``[m]`` points below the cameras in pixels, y down (see ``vehanchor_flight.layout``).
@@ -91,7 +77,7 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
         width_px: width of a photograph, in these pixels.
 
     Returns:
-        The scale; None for fewer than two positions, or if layout and positions differ.
+        The witness; None for fewer than two positions, or if layout and positions differ.
     """
     known = np.isfinite(places).all(axis=1)
     seen, taken = layout[known], places[known, 0] - 1j * places[known, 1]
@@ -118,14 +104,9 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
     radius = math.sqrt(spread_m / n)
     stated_sd = math.hypot(_POSITION_SD_M, _AIM_SHARE * width_px * gsd) / (radius * math.sqrt(n))
     seen_sd = math.sqrt((1 - agreement**2) / (2 * max(n - 2, 0.5))) / agreement
-    log_sd = math.hypot(max(stated_sd, seen_sd), RELIABILITY[Positions.kind].log_sd)
-    return Baseline(gsd, log_sd, int(known.sum()))
-
-
-def positions_witness(found: Baseline | None) -> tuple[Witness, ...]:
-    """Make the witness of a baseline; empty without one."""
-    if found is None or not on_grid(found.gsd_m_per_px):
-        return ()
-    said = f"The positions of {found.n} overlapping photographs give {{}}."
-    chance_wrong = RELIABILITY[Positions.kind].chance_wrong
-    return (point_witness(Positions.kind, found.gsd_m_per_px, found.log_sd, chance_wrong, said, n=found.n),)
+    if not on_grid(gsd):
+        return None
+    n_known, reliability = int(known.sum()), RELIABILITY[Positions.kind]
+    log_sd = math.hypot(max(stated_sd, seen_sd), reliability.log_sd)
+    said = f"The positions of {n_known} overlapping photographs give {{}}."
+    return point_witness(Positions.kind, gsd, log_sd, reliability.chance_wrong, said, n=n_known)

@@ -113,8 +113,7 @@ def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float6
     else:
         weights = _expected_weights(found, expected)
         weights = np.where(stated, 1.0, weights) * np.maximum(detections.scores, LEAST_SCORE) ** 2
-        group = dominant_group(found, weights, stated)
-        kept, rival_share = group.members.copy(), group.rival_share
+        kept, rival_share = dominant_group(found, weights, stated)
         kept[kept] = inlier_mask(found[kept], lengths.alpha)
     kept |= stated
     return Fleet(detections, kept, _working_scale(detections, kept), 0.0 if stated.any() else rival_share)

@@ -279,8 +279,6 @@ def calibrate(
 
 def _widened(length: ModalLength, log_sd: float) -> tuple[float, float]:
     """Widen the interval by an independent error."""
-    if log_sd == 0:
-        return length.low_m, length.high_m
     down, up = math.log(length.mode_m / length.low_m), math.log(length.high_m / length.mode_m)
     reach = Z95 * log_sd
     return length.mode_m * math.exp(-math.hypot(down, reach)), length.mode_m * math.exp(math.hypot(up, reach))

@@ -75,7 +75,7 @@ def blurred(density: NDArray[np.float64], log_sd: float, log_mean: float = 0.0) 
     errors = np.arange(-cells, cells + 1) * LOG_STEP
     kernel = normalised(np.exp(-0.5 * ((errors - log_mean) / max(log_sd, LOG_STEP)) ** 2))
     padded = np.pad(density, cells, mode="edge")  # a flat floor stays flat
-    return density.sum() * normalised(np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0))
+    return np.asarray(density.sum() * normalised(np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0)))
 
 
 def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -37,19 +37,9 @@ class Interval(NamedTuple):
     high: float
 
 
-class LengthGroup(NamedTuple):
-    """Lengths that can belong to one fleet, and the share of their strongest rival.
-
-    Attributes:
-        members: ``[n]`` bool.
-        rival_share: weight of the strongest group among the other lengths, over the weight of this one; 0 without any.
-    """
-
-    members: NDArray[np.bool_]
-    rival_share: float
-
-
-def dominant_group(lengths: ArrayLike, weights: ArrayLike, stated: ArrayLike | None = None) -> LengthGroup:
+def dominant_group(
+    lengths: ArrayLike, weights: ArrayLike, stated: ArrayLike | None = None
+) -> tuple[NDArray[np.bool_], float]:
     """Split lengths of any scale into the fleet with the largest weight and the rest.
 
     A search over scales finds car-shaped objects of every size. Cars of one image lie within a factor of 1.5 of their
@@ -62,7 +52,8 @@ def dominant_group(lengths: ArrayLike, weights: ArrayLike, stated: ArrayLike | N
         stated: ``[n]`` bool, cars by the caller's word; if any, their mode alone is the group's centre.
 
     Returns:
-        The members of the dominant group, and the rival's share. Of two equal groups the one with shorter lengths wins.
+        ``[n]`` bool, members of the dominant group; and the weight of its rival over its own, 0 without any. Of two
+        equal groups the one with shorter lengths wins.
     """
     logs = np.log(np.asarray(lengths, dtype=np.float64))
     weight = _normalised(logs, weights)
@@ -80,9 +71,9 @@ def dominant_group(lengths: ArrayLike, weights: ArrayLike, stated: ArrayLike | N
 
     members = strongest(told if told.any() else np.ones(len(logs), dtype=bool))
     if members.all():
-        return LengthGroup(members, 0.0)
+        return members, 0.0
     rival = strongest(~members) & ~members
-    return LengthGroup(members, float(weight[rival].sum() / weight[members].sum()))
+    return members, float(weight[rival].sum() / weight[members].sum())
 
 
 def inlier_mask(lengths: ArrayLike, alpha: float | None = OUTLIER_ALPHA) -> NDArray[np.bool_]:

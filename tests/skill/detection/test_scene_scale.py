@@ -13,7 +13,6 @@ from vehanchor.detection.scene_scale import (
     MOST_TILES,
     TILE_PX,
     SceneCalibration,
-    SceneLevel,
     SceneScalePrior,
     scene_density,
     tile_windows,
@@ -26,7 +25,7 @@ _CALIBRATION = SceneCalibration(np.log(0.01), 0.08, floor=0.02)
 
 def _ground(gsd_m_per_px: float, log_sd: float, finer: float = 0.0) -> SceneScalePrior:
     bins = np.arange(60) * _CALIBRATION.log_step + _CALIBRATION.first_log_gsd
-    level = SceneLevel(1, -0.5 * ((bins - np.log(gsd_m_per_px)) / log_sd) ** 2)
+    level = (1, -0.5 * ((bins - np.log(gsd_m_per_px)) / log_sd) ** 2)
     return SceneScalePrior(scene_density([level], replace(_CALIBRATION, finer=finer)), 9)
 
 
@@ -66,7 +65,7 @@ def _log_probs(gsd_m_per_px: float) -> NDArray[np.float64]:
 
 def _density(*levels: tuple[int, list[float]], **changes: float) -> NDArray[np.float64]:
     """The density of an image from the scales that the tiles of each level say."""
-    seen = [SceneLevel(factor, np.mean([_log_probs(gsd) for gsd in said], axis=0)) for factor, said in levels]
+    seen = [(factor, np.mean([_log_probs(gsd) for gsd in said], axis=0)) for factor, said in levels]
     return scene_density(seen, replace(_CALIBRATION, **{"doubt": 0.01, "floor": 0.01, **changes}))
 
 
