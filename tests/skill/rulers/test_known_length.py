@@ -19,8 +19,7 @@ from vehanchor.detection.detections import Detections
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
-from vehanchor.options import KnownLength, ScaleOptions
-from vehanchor.options.rulers import Rulers
+from vehanchor.options import ScaleOptions
 from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.known_length_table import read_known_lengths
@@ -207,7 +206,7 @@ def test_two_things_of_one_family_are_one_witness() -> None:
 )
 def test_a_wrong_name_is_refused_before_the_work_with_the_nearest(what: str, words: str) -> None:
     with pytest.raises(KnownLengthError, match=words):
-        check_rulers(Rulers(known_lengths=(KnownLength.of((0, 0, 50, 0, what)),)))
+        check_rulers(ScaleOptions.of({"known_lengths": [(0, 0, 50, 0, what)]}).rulers)
 
 
 def test_a_table_takes_names(tmp_path: Any) -> None:
@@ -241,7 +240,7 @@ def test_the_cars_choose_among_the_lengths_of_a_mixture() -> None:
 )
 def test_a_line_has_metres_or_a_name(line: tuple[Any, ...]) -> None:
     with pytest.raises(KnownLengthError):
-        KnownLength.of(line)
+        ScaleOptions.of({"known_lengths": [line]})
 
 
 GSD, WIDTH_PX = 0.07, 4000.0
