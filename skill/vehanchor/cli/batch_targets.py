@@ -49,7 +49,10 @@ def measure_table(
         OutputError: the file exists, or cannot be written.
         ImageNotFoundError: as ``find_images``.
     """
-    _check_output(output, overwrite=overwrite)
+    as_shapes = output.suffix.lower() == SUFFIX
+    (check_geojson_path if as_shapes else check_table_path)(output)
+    if output.exists() and not overwrite:
+        raise OutputError(f"{str(output)!r} exists: name another file, or pass --overwrite")
     wanted, images = read_targets(table), find_images(inputs)
     strangers = sorted(set(wanted) - {where_it_is(image) for image in images})
     if strangers:
@@ -62,21 +65,12 @@ def measure_table(
         tell(number, len(wanted))
         rows += measure_targets(image, targets, detector, segmenter, options)
     tell(len(wanted), len(wanted))
-    if output.suffix.lower() == SUFFIX:
+    if as_shapes:
         placed = [(feature, row.ground) for row in rows if (feature := row.feature()) is not None]
         write_features(output, placed)
     else:
         write_table(output, rows, TARGET_COLUMNS)
     _summarise(output, rows)
-
-
-def _check_output(path: Path, *, overwrite: bool) -> None:
-    if path.suffix.lower() == SUFFIX:
-        check_geojson_path(path)
-    else:
-        check_table_path(path)
-    if path.exists() and not overwrite:
-        raise OutputError(f"{str(path)!r} exists: name another file, or pass --overwrite")
 
 
 def _summarise(output: Path, rows: Sequence[TargetRow]) -> None:

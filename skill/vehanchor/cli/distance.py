@@ -12,7 +12,7 @@ from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_sc
 from vehanchor.cli.measured import show_measured
 from vehanchor.cli.outputs import chosen_outputs
 from vehanchor.cli.spaced import parse_point
-from vehanchor.cli.terminal import STATUS_TEXTS, Strict
+from vehanchor.cli.terminal import Strict
 from vehanchor.records.text import with_interval
 
 if TYPE_CHECKING:
@@ -63,14 +63,7 @@ def distance(
 
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:
-    """List the facts of the record, results first and sources last."""
+    """List the facts of the record without its scale."""
     low, high = record.distance_ci95_low_m, record.distance_ci95_high_m
     distance = with_interval(record.distance_m, low, high, "m", "none: there is no scale")
-    facts = [("distance", distance), ("line", f"{len(record.path)} points, {record.length_px:.1f} px")]
-    if record.gsd_m_per_px is not None:
-        facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}"))
-    if record.scale_confidence is not None:
-        facts.append(("scale confidence", f"{record.scale_confidence:.2f}   {STATUS_TEXTS[record.status]}"))
-    if record.n_vehicles is not None:
-        facts.append(("vehicles", f"{record.n_vehicles} kept"))
-    return [*facts, ("status", record.status)]
+    return [("distance", distance), ("line", f"{len(record.path)} points, {record.length_px:.1f} px")]

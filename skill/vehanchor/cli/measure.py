@@ -12,9 +12,9 @@ from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_sc
 from vehanchor.cli.measured import show_measured
 from vehanchor.cli.outputs import chosen_outputs
 from vehanchor.cli.spaced import parse_point
-from vehanchor.cli.terminal import STATUS_TEXTS, Strict, vehicles_text
+from vehanchor.cli.terminal import Strict
 from vehanchor.options.models import SEGMENTER
-from vehanchor.records.text import scale_text, significant, with_interval
+from vehanchor.records.text import significant, with_interval
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -94,7 +94,7 @@ def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tupl
 
 
 def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
-    """List the facts of the record, results first and sources last."""
+    """List the facts of the record without its scale."""
     none, low, high = "none: there is no scale, or no mask", record.area_ci95_low_m2, record.area_ci95_high_m2
     facts = [("area", with_interval(record.area_m2, low, high, "m2", none))]
     if record.area_m2 is not None:
@@ -106,18 +106,7 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
         ]
     facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
     facts += [("or the object", _other_object(each)) for each in record.alternatives]
-    if record.estimate is None:
-        facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}"))
-    else:
-        scale = record.estimate
-        facts += [
-            ("scale", scale_text(scale)),
-            ("scale confidence", f"{scale.confidence:.2f}   {STATUS_TEXTS[scale.status]}"),
-            ("vehicles", vehicles_text(scale)),
-        ]
-    facts.append(("status", record.status))
-    facts.append(("segmenter", f"{record.segmenter} ({record.segmenter_sha256[:_SHORT_SHA]})"))
-    return facts
+    return [*facts, ("segmenter", f"{record.segmenter} ({record.segmenter_sha256[:_SHORT_SHA]})")]
 
 
 def _other_object(other: OtherObject) -> str:

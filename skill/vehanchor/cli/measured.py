@@ -8,17 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor.cli.outputs import check_outputs, write_outputs
 from vehanchor.cli.terminal import (
+    STATUS_TEXTS,
     exit_on_error,
     exit_strictly,
     failures_as_json,
     print_facts,
     print_json,
     print_warnings,
+    vehicles_text,
     work_progress,
 )
+from vehanchor.records.text import scale_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
 
 def show_measured(
@@ -35,7 +40,7 @@ def show_measured(
     Args:
         image: the photograph.
         measure: makes the analysis; it gets the progress of the search.
-        facts: lists the facts of a record for people.
+        facts: lists the facts of a record for people, without its scale.
         outputs: files by the names of their options.
         as_json: print one JSON object and nothing else.
         strict: exit with another status if the record is not ok.
@@ -49,7 +54,19 @@ def show_measured(
         if as_json:
             print_json({"source": image, **record.model_dump(mode="json")})
         else:
-            print_facts(image, facts(record))
+            print_facts(image, [*facts(record), *_scale_facts(record), ("status", record.status)])
             print_warnings(record.warnings)
         write_outputs(analysis, outputs)
         exit_strictly(strict, [record.status])
+
+
+def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> list[tuple[str, str]]:
+    """List the facts of the scale behind a measurement."""
+    if record.estimate is not None:
+        facts = [("scale", scale_text(record.estimate)), ("vehicles", vehicles_text(record.estimate))]
+    else:
+        facts = [("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}")]
+    if record.scale_confidence is not None:
+        status = STATUS_TEXTS[(record.estimate or record).status]
+        facts.append(("scale confidence", f"{record.scale_confidence:.2f}   {status}"))
+    return facts

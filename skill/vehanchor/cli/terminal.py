@@ -6,10 +6,10 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -70,15 +70,11 @@ def exit_on_error() -> Iterator[None]:
         raise typer.Exit(UNFORESEEN) from None
 
 
-class Tell(Protocol):
-    """Callback for finished and all units of a work, and its name."""
-
-    def __call__(self, done: int, total: int, name: str = "") -> None: ...  # noqa: D102
-
-
 @contextmanager
-def work_progress(unit: str, *, lines: bool = False) -> Iterator[Tell]:
-    """Report work on stderr: a bar on a terminal, else a line every ten seconds; yield the callback.
+def work_progress(unit: str, *, lines: bool = False) -> Iterator[Callable[..., None]]:
+    """Report work on stderr: a bar on a terminal, else a line every ten seconds.
+
+    Yields the callback for finished and all units and, optionally, the name of the work.
 
     Args:
         unit: what is counted, in the plural.

@@ -67,12 +67,8 @@ class Segment:
         """
         if self.length_px < _MIN_LINE_PX:
             raise error(f"{name} is {self.length_px:.1f} px long: give both ends of one of {_MIN_LINE_PX:g} px or more")
-        if size and not (
-            min(self.x1, self.x2) >= 0
-            and max(self.x1, self.x2) <= size[0]
-            and min(self.y1, self.y2) >= 0
-            and max(self.y1, self.y2) <= size[1]
-        ):
+        ends = ((self.x1, self.y1), (self.x2, self.y2))
+        if size and not all(0 <= at <= side for end in ends for at, side in zip(end, size, strict=True)):
             raise error(
                 f"{name}, from ({self.x1:g}, {self.y1:g}) to ({self.x2:g}, {self.y2:g}), leaves the picture of "
                 f"{size[0]} x {size[1]} px: give both ends in its pixels"

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 _KEPT, _KEPT_DARK, _DROPPED = "#56B4E9", "#0072B2", "#E69F00"  # Okabe and Ito: blues, orange
 _GUARD, _INK = "#D55E00", "#222222"
-_SIZE_IN, _DPI = (8.0, 4.6), 150
-_RULERS_IN = 2.8  # height of the rulers' densities
+_WIDTH_IN, _ROW_IN, _DPI = 9.6, 4.0, 150
 _PAD = 1.25  # factor beyond the widest interval, of the rulers' axis
 _DRAWN = 0.004  # of the maximum; lower parts of a ruler's curve are not drawn
 _RULES = {"kde": "KDE", "weighted_kde": "weighted KDE", "median": "median", "mean": "mean"}
@@ -59,12 +58,9 @@ def plot_scale(analysis: ScaleEvidence) -> Figure:
     """
     estimate = analysis.estimate
     measured, fused = estimate.mode_length_px is not None, analysis.answer is not None
-    width_in, height_in = _SIZE_IN
     n_rows = max(1, measured + fused)
-    size = (width_in + 1.6 * fused, height_in + _RULERS_IN * (n_rows - 1))
-    figure = require_plots()(figsize=size, dpi=_DPI, layout="constrained")
-    heights = [height_in] * measured + [_RULERS_IN] * fused or [height_in]
-    rows = figure.subplots(n_rows, squeeze=False, height_ratios=heights)[:, 0]
+    figure = require_plots()(figsize=(_WIDTH_IN, _ROW_IN * n_rows), dpi=_DPI, layout="constrained")
+    rows = figure.subplots(n_rows, squeeze=False)[:, 0]
     for axes in rows:
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)

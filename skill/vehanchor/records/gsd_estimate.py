@@ -221,11 +221,7 @@ def known_scale(given: Any) -> KnownScale:
     Raises:
         InvalidParameterError: the value is none of these, has no scale, or is not the scale of an estimate.
     """
-    found = given
-    if isinstance(given, Mapping):
-        found = given.get("scale", given)
-    elif isinstance(given, Record) and "scale" in type(given).model_fields:
-        found = getattr(given, "scale", None)
+    found = given.get("scale", given) if isinstance(given, Mapping) else getattr(given, "scale", given)
     if found is None:
         raise InvalidParameterError("scale is a record without a scale: give an estimate that has one")
     if isinstance(found, Mapping):

@@ -132,7 +132,7 @@ class SamContract(LoadedModel, ABC):
             )
 
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """Compute the width and height to which a crop is resized before ``encode``: it is stretched to a square."""
+        """Compute the width and height to which a crop is resized before ``predict``: it is stretched to a square."""
         del width_px, height_px
         return self.input_px, self.input_px
 
