@@ -52,10 +52,6 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
     assert re.search(r"rasterio\s+missing: pip install 'vehanchor\[geo\]'", _checked()[1])
 
 
-def test_without_an_option_the_help_is_shown() -> None:
-    assert "--check" in CliRunner().invoke(app, ["models"]).output
-
-
 @pytest.mark.parametrize(
     ("names", "folder", "short"),
     [
@@ -79,9 +75,3 @@ def test_collection_is_paused_in_the_block_and_leaves_its_objects_out_later() ->
         assert gc.get_freeze_count() > frozen
     finally:
         gc.unfreeze()
-
-
-def test_collection_goes_on_after_an_error() -> None:
-    with pytest.raises(ImportError), paused_collection():
-        raise ImportError
-    assert gc.isenabled()

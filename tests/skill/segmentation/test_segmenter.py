@@ -4,7 +4,6 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -26,8 +25,7 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Frame, ImageLimits
 from vehanchor.options.reading import FrameSize
-from vehanchor.segmentation.contracts import Encoding, MaskLogits, SamContract
-from vehanchor.segmentation.crop import place_mask
+from vehanchor.segmentation.contracts import Encoding, SamContract
 from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt, prompt_in_image, read_prompt
 from vehanchor.segmentation.segmenter import Segmenter
 
@@ -193,15 +191,6 @@ def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(segmenter:
         segmented(segmenter, image, Prompt(box=box), limits=ImageLimits(max_pixels=1_000_000))
 
 
-def test_a_mask_is_placed_by_bilinear_interpolation_between_cell_centres() -> None:
-    rng = np.random.default_rng(5)
-    logits = np.asarray(cv2.GaussianBlur(rng.normal(size=(40, 30)), (0, 0), 2), dtype=np.float32)
-    placed = place_mask(MaskLogits(logits, 1.0, (30 / 240, 40 / 320)), 240, 320)
-    assert (placed != (cv2.resize(logits, (240, 320), interpolation=cv2.INTER_LINEAR) > 0)).mean() < 1e-3
-    single = place_mask(MaskLogits(np.ones((1, 1), np.float32), 1.0, (0.01, 0.01)), 5, 7)
-    assert single.all()
-
-
 def test_a_point_gives_the_object_and_what_else_it_may_mean(tmp_path: Path) -> None:
     sam = Segmenter(*write_sam(tmp_path))  # it takes all that looks alike: in a large crop both objects
     image = blank_image(800, 800)
@@ -211,15 +200,3 @@ def test_a_point_gives_the_object_and_what_else_it_may_mean(tmp_path: Path) -> N
     assert seen.bounding_box == (376, 376, 424, 424)
     assert seen.alternatives[0].bounding_box == (376, 376, 552, 424)
     assert segmented(sam, image, Prompt(box=(370.0, 370.0, 430.0, 430.0))).alternatives == ()
-
-
-def test_points_in_a_call_with_a_box_have_crops_of_their_own(tmp_path: Path) -> None:
-    sam = Segmenter(*write_sam(tmp_path))
-    image = picture(900, 700, (102, 102, 138, 138))
-    prompts = [Prompt(box=(100.0, 100.0, 140.0, 140.0)), Prompt(points=((120.0, 120.0, True),))]
-    with open_raster(image) as raster:
-        boxed, pointed = sam.segment_all(raster, prompts)
-    alone = segmented(sam, image, prompts[1])
-    assert pointed.window == alone.window
-    assert (pointed.mask == alone.mask).all()
-    assert boxed.window == segmented(sam, image, prompts[0]).window
