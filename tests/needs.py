@@ -8,7 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -51,15 +51,10 @@ def _missing(name: str, advice: str) -> BaseException:
 _FOLDER = Path(__file__).parent.parent / ".venv-environments"
 
 
-def environment(*requirements: Path, packages: Sequence[str] = ()) -> Path:
-    """The Python of an environment that holds what the files and ``packages`` ask for.
-
-    Args:
-        requirements: requirements files.
-        packages: further requirements, such as ``mcp<2``.
-    """
+def environment(*requirements: Path) -> Path:
+    """The Python of an environment that holds what files of requirements ask for."""
     texts = [path.read_text(encoding="utf-8") for path in requirements]
-    asked = "\n".join([sys.version, *texts, *packages])
+    asked = "\n".join([sys.version, *texts])
     folder = _FOLDER / hashlib.sha256(asked.encode()).hexdigest()[:16]
     python = folder / "bin" / "python"
     complete = folder / "complete"
@@ -68,6 +63,6 @@ def environment(*requirements: Path, packages: Sequence[str] = ()) -> Path:
         uv = [sys.executable, "-m", "uv", "--quiet"]
         subprocess.run([*uv, "venv", "--python", sys.executable, str(folder)], check=True)
         files = [part for path in requirements for part in ("--requirement", str(path))]
-        subprocess.run([*uv, "pip", "install", "--python", str(python), *files, *packages], check=True)
+        subprocess.run([*uv, "pip", "install", "--python", str(python), *files], check=True)
         complete.touch()
     return python

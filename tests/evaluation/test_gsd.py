@@ -22,8 +22,6 @@ from vehanchor_evaluation.dota import parse_labels, read_labels
 from vehanchor_evaluation.figures import (
     interval_coverage,
     plot_cumulative_error,
-    plot_predicted,
-    sheet_trials,
 )
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
 from vehanchor_evaluation.known_scale import KnownScaleImage
@@ -234,11 +232,6 @@ def test_dota_labels_are_read_with_their_header() -> None:
     assert labels.of_class("plane").shape == (0, 4, 2)
 
 
-@pytest.mark.parametrize("header", ["", "gsd:None\n", "gsd:\n", "gsd:nan\n", "gsd:-1\n"])
-def test_a_missing_or_useless_gsd_is_none(header: str) -> None:
-    assert parse_labels(header).gsd_m_per_px is None
-
-
 @pytest.mark.parametrize("line", ["1 2 3", "a b c d e f g h car 0", "1 2 3 4 5 6 7 nan car 0", "gsd:wide"])
 def test_a_malformed_line_is_named(tmp_path: Path, line: str) -> None:
     path = tmp_path / "P0001.txt"
@@ -268,19 +261,6 @@ def _trial(length_px: float, truth: float, n: int = 12) -> ScaleTrial:
     return ScaleTrial(KnownScaleImage(Path("a.png"), truth), make_analysis(boxes, 800, 60))
 
 
-def test_the_prediction_is_plotted_with_band_guard_and_misses() -> None:
-    trials = [_trial(25, 0.2), _trial(40, 0.126), _trial(14, 0.5), _trial(20, 0.3, n=0)]
-    figure = plot_predicted(trials)
-    (axes,) = figure.axes
-    guard = next(line for line in axes.lines if str(line.get_label()).startswith("resolution guard"))
-    assert np.asarray(guard.get_ydata())[0] == pytest.approx(0.3)
-    points = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections if "usable" in str(c.get_label())])
-    expected = [[t.image.gsd_m_per_px, t.analysis.estimate.gsd_m_per_px] for t in trials[:3]]
-    assert sorted(points.tolist()) == sorted(expected)
-    texts = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "no estimate (1)" in texts
-
-
 def test_the_cumulative_error_never_reaches_one_with_misses() -> None:
     trials = [_trial(25, 5.045 / 25 * 1.1), _trial(25, 5.045 / 25), _trial(25, 0.2, n=0), _trial(25, 0.2, n=0)]
     (axes,) = plot_cumulative_error({"detector": trials, "labels": trials[:2], "nothing": []}).axes
@@ -299,16 +279,6 @@ def test_the_coverage_of_the_interval_is_counted_at_every_level() -> None:
     assert (np.diff(observed) >= 0).all()
     assert observed[0] <= 0.25
     assert observed[3] == 0.75  # three times the scale is out of reach
-
-
-def test_the_sheet_holds_each_image_once() -> None:
-    trials = [_trial(25, 5.045 / 25 * (1 + k / 50)) for k in range(10)] + [_trial(25, 0.2, n=0)]
-    chosen = sheet_trials(trials)
-    assert [len(row) for row in chosen.values()] == [3, 3, 3]
-    assert {name: [trials.index(t) for t in row] for name, row in chosen.items()} == {
-        "best": [0, 1, 2], "median": [3, 4, 5], "worst": [7, 8, 9]
-    }  # fmt: skip
-    assert {name: len(row) for name, row in sheet_trials(trials[:2]).items()} == {"best": 2}
 
 
 def test_the_command_draws_all_figures(tmp_path: Path) -> None:

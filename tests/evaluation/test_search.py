@@ -104,29 +104,6 @@ def test_an_unreadable_image_is_an_issue_and_is_tried_again(tmp_path: Path, dete
     assert not any(isinstance(item, FileIssue) for item in found.values())
 
 
-def test_the_detail_is_that_around_the_vehicles_which_each_alpha_keeps(
-    tmp_path: Path, detector: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # detail depends on where they are, as it does
-    for module in ("vehanchor.analysis.pipeline", "vehanchor_evaluation.search"):
-        monkeypatch.setattr(f"{module}.resolved_share", lambda _raster, centres, _scale: centres[:, 0].mean() / 480)
-    boxes = cars(20)
-    boxes[[4, 5, 10, 11], 2] = 24, 33, 26, 60
-    file, log, model = tmp_path / "a.png", tmp_path / "log.sqlite", Detector(detector)
-    paint(file, boxes)
-    seen = set()
-    data = KnownScaleSet("", (KnownScaleImage(file, 0.2),))
-    for alpha in (1.5, 1.0, None):
-        options = ScaleOptions(lengths=Lengths(alpha=alpha))
-        (found,) = search_known_scale(data, model, options, cache=log).values()
-        assert not isinstance(found, FileIssue)
-        fresh = analyse_scale(file, options, detector=model)
-        assert found.analysis(model.card, options).resolved == fresh.resolved
-        assert found.analysis(model.card, options).estimate == fresh.estimate
-        seen.add(fresh.resolved)
-    assert len(seen) == 3
-
-
 def test_an_alpha_that_no_search_has_looked_at_is_looked_at(tmp_path: Path, detector: Path, counted: list[str]) -> None:
     file, log, model = tmp_path / "a.png", tmp_path / "log.sqlite", Detector(detector)
     paint(file, cars(20))
@@ -264,10 +241,6 @@ def _trial(true_gsd: float, cars: int) -> ScaleTrial:
 @pytest.mark.parametrize(("wrong", "of", "bound"), [(0, 300, 0.00994), (0, 59, 0.0495), (1, 100, 0.0466), (5, 5, 1.0)])
 def test_the_upper_bound_is_the_exact_one(wrong: int, of: int, bound: float) -> None:
     assert upper_bound(wrong, of) == pytest.approx(bound, abs=1e-4)
-
-
-def test_there_is_no_bound_without_images() -> None:
-    assert upper_bound(0, 0) is None
 
 
 def test_the_threshold_leaves_one_per_cent_wrong() -> None:

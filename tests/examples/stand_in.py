@@ -3,26 +3,23 @@
 ``POST /v1/messages`` (Anthropic), ``POST /v1/responses`` (OpenAI) and ``POST .../models/<model>:generateContent``
 (Gemini) on a port of the loopback interface. The model asks for one tool call after the other and then answers with
 what the last tool said. What was said before it sees in each request, or keeps where Anthropic's SDK asks for a thread.
-A request that the real APIs would refuse is refused: no key, a tool call without its result, a schema that the API's
-strict mode does not take.
+A request that the real APIs would refuse is refused: no key, a tool call without its result.
 """
 
 from __future__ import annotations
 
 import json
-import re
-import threading
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any
 
+from tests.json_server import Answered, json_server
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from types import TracebackType
+    from collections.abc import Iterable, Iterator, Sequence
     from typing import Self
 
 KEY = "key-of-the-stand-in"
-_NAME = re.compile(r"^[a-zA-Z0-9_-]{1,64}$")
 
 
 class _RefusedError(Exception):
@@ -39,25 +36,21 @@ class ToolCall:
 
 @dataclass
 class StandIn:
-    """The server; as a context manager it listens.
+    """The server; ``listening`` starts it.
 
     Attributes:
         calls: the script.
         answer: what the model says at the end; ``{result}`` is what the last tool said.
         requests: bodies received so far, threads written out.
         threads: what was said up to a message, by its id.
+        url: where it listens, without a path.
     """
 
     calls: Sequence[ToolCall]
     answer: str = "The tool says: {result}"
     requests: list[dict[str, Any]] = field(default_factory=list)
     threads: dict[str, dict[str, Any]] = field(default_factory=dict)
-
-    @property
-    def url(self) -> str:
-        """Where it listens, without a path."""
-        host, port = self._server.server_address[:2]
-        return f"http://{host!s}:{port}"
+    url: str = ""
 
     def tool_names(self) -> set[str]:
         """Tools that the last request offered."""
@@ -67,43 +60,22 @@ class StandIn:
         """Pictures that the model has been shown, as pictures, up to its last turn."""
         return _count_pictures(self.requests[-1])
 
-    def __enter__(self) -> Self:
-        stand_in = self
+    @contextmanager
+    def listening(self) -> Iterator[Self]:
+        """Listen at ``url``."""
+        with json_server(self._answered) as self.url:
+            yield self
 
-        class Handler(BaseHTTPRequestHandler):
-            def do_POST(self) -> None:
-                body = json.loads(self.rfile.read(int(self.headers["content-length"])))
-                try:
-                    body = stand_in._with_thread(body)
-                    stand_in.requests.append(body)
-                    status, reply = 200, stand_in._reply(self.path.partition("?")[0], dict(self.headers), body)
-                except _RefusedError as reason:
-                    error = {"type": "invalid_request_error", "message": str(reason), "code": 400, "status": "INVALID"}
-                    status, reply = 400, {"type": "error", "error": error}
-                content = json.dumps(reply).encode()
-                self.send_response(status)
-                self.send_header("content-type", "application/json")
-                self.send_header("content-length", str(len(content)))
-                self.end_headers()
-                self.wfile.write(content)
+    def _answered(self, path: str, headers: dict[str, str], body: dict[str, Any]) -> Answered:
+        try:
+            body = self._with_thread(body)
+            self.requests.append(body)
+            return 200, self._reply(path.partition("?")[0], headers, body), {}
+        except _RefusedError as reason:
+            error = {"type": "invalid_request_error", "message": str(reason), "code": 400, "status": "INVALID"}
+            return 400, {"type": "error", "error": error}, {}
 
-            def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class's name
-                pass
-
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.01})
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
-
-    def _reply(self, path: str, headers: dict[str, str], body: dict[str, Any]) -> dict[str, Any]:
-        sent = {name.lower(): value for name, value in headers.items()}
+    def _reply(self, path: str, sent: dict[str, str], body: dict[str, Any]) -> dict[str, Any]:
         _require(bool(body.get("model")) or ":generateContent" in path, "model: field required")
         if path == "/v1/messages":
             keys = sent.get("x-api-key"), sent.get("authorization", "").removeprefix("Bearer ")  # SDKs differ
@@ -160,9 +132,6 @@ class StandIn:
         }
 
     def _openai(self, body: dict[str, Any]) -> dict[str, Any]:
-        for tool in body.get("tools", []):
-            if tool.get("strict"):
-                _check_strict(tool["parameters"])
         items = [item for item in body["input"] if isinstance(item, dict)] if isinstance(body["input"], list) else []
         asked = [item["call_id"] for item in items if item.get("type") == "function_call"]
         given = [item for item in items if item.get("type") == "function_call_output"]
@@ -237,23 +206,8 @@ def _offered(tools: Iterable[dict[str, Any]]) -> list[tuple[str, dict[str, Any]]
             schema = next((entry[key] for key in keys if key in entry), None)
             _require(isinstance(schema, dict), f"tool {entry.get('name')!r} has no schema")
             _require(str(schema["type"]).lower() == "object", "a tool's schema is an object's")  # type: ignore[index]
-            _require(bool(_NAME.match(entry["name"])), f"tool name {entry['name']!r}")
             found.append((entry["name"], schema or {}))
     return found
-
-
-def _check_strict(schema: Any) -> None:
-    """OpenAI's strict mode: every object closed, every property required."""
-    if isinstance(schema, list):
-        for item in schema:
-            _check_strict(item)
-    if not isinstance(schema, dict):
-        return
-    if "properties" in schema:
-        _require(schema.get("additionalProperties") is False, "'additionalProperties' is required to be false")
-        _require(set(schema["properties"]) == set(schema.get("required", [])), "'required' must name every property")
-    for value in schema.values():
-        _check_strict(value)
 
 
 def _count_pictures(value: Any) -> int:

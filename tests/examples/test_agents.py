@@ -78,7 +78,7 @@ def run_example(python: Path, script: str, *options: str, **settings: str) -> su
 
 @pytest.fixture
 def stand_in(request: pytest.FixtureRequest) -> Iterator[StandIn]:
-    with StandIn(request.param) as server:
+    with StandIn(request.param).listening() as server:
         yield server
 
 

@@ -28,7 +28,7 @@ def main() -> None:
         ("claude_tool_use.py", "mcp", CALLS),
         ("openai_tool_use.py", "agents", STRICT),
     ):
-        with StandIn(calls, _ANSWER) as stand_in:
+        with StandIn(calls, _ANSWER).listening() as stand_in:
             done = run_example(python, script, "--way", way, **variables(script, stand_in))
         done.check_returncode()
         printed = done.stdout.replace(str(ROOT), "/path/to/vehanchor")

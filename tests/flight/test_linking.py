@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
 
 import cv2
@@ -293,13 +292,3 @@ def test_two_sizes_of_a_photograph_are_one() -> None:
     assert kept[1:] == [whole, other]
     assert isinstance(kept[0], Failure)
     assert "smaller copy of 'w'" in str(kept[0].error)
-
-
-def test_photographs_of_one_size_stay_however_alike() -> None:
-    alike = [_reduced(name, 1) for name in "ab"]
-    assert without_copies(alike) == alike
-
-
-def test_without_the_reduced_picture_nothing_is_left_out() -> None:
-    old = [replace(_reduced("s", 2), reduced=None), _reduced("w", 1)]
-    assert without_copies(old) == old

@@ -5,10 +5,8 @@ import os
 import shutil
 import threading
 import time
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,12 +17,8 @@ from numpy.typing import NDArray
 
 from tests.flight.ground import ground, photograph_of, write_film
 from tests.models import paint_vehicles, write_detector
-from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import load_detector
 from vehanchor.options import Reading, ScaleOptions
-from vehanchor.rulers.measurement import measure_all
-from vehanchor.rulers.ruler import View
-from vehanchor.scale.posterior import Witness
 from vehanchor_flight.live.estimator import WINDOW_PX, LiveEstimator, next_window, reduction_factor
 from vehanchor_flight.live.filter import FilterState, Measurement, Motion, corrected, predicted, started
 from vehanchor_flight.live.frames import Frame, camera_frames, folder_frames, open_frames
@@ -323,32 +317,3 @@ def test_a_frame_that_shows_nothing_gives_nothing(tmp_path: Path) -> None:
     for number in range(3):
         record = empty.estimate(Frame("grey", np.full((90, 160, 3), 80, np.uint8), 0.2 * number, 0.0, 0))
         assert (record.status, record.gsd_m_per_px, record.linked) == ("no_scale", None, False)
-
-
-def test_a_stretch_found_once_is_kept_and_tested_now_and_then(
-    tmp_path: Path, world: NDArray[np.uint8], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    module = "vehanchor_flight.live.estimator"
-    tested: list[bool] = []
-    kept: list[float | None] = []
-
-    def searched(*arguments: Any, check_stretch: bool) -> View:
-        view = search_raster(*arguments, check_stretch=check_stretch)
-        tested.append(check_stretch)
-        scales = np.ones(len(view.detections.boxes))
-        stretched = replace(view.detections, stretch=7.0 if check_stretch else None, scales=scales)
-        return replace(view, detections=stretched)
-
-    def measured(view: View) -> tuple[Witness, ...]:
-        kept.append(view.detections.stretch)
-        return measure_all(view)
-
-    monkeypatch.setattr(f"{module}._STRETCH_EVERY", 3)
-    monkeypatch.setattr(f"{module}.search_raster", searched)
-    monkeypatch.setattr(f"{module}.measure_all", measured)
-    estimator = LiveEstimator(load_detector(write_detector(tmp_path / "detector.onnx")), ScaleOptions())
-    for number in range(5):
-        record = estimator.estimate(frame_of(photograph_of(world, 480, 500), 0.2 * number, cars=True))
-        assert record.status != "ok"
-    assert [number for number, each in enumerate(tested) if each] == [0, 3]
-    assert kept == [7.0] * 5

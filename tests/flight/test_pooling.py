@@ -11,8 +11,7 @@ from tests.flight.ground import facts_at, sighting_of
 from vehanchor.detection.detections import NOT_SEARCHED, Detections, Looks
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
-from vehanchor.records import Notice
-from vehanchor.rulers.ruler import point_witness, prior_witness, unusable
+from vehanchor.rulers.ruler import point_witness, prior_witness
 from vehanchor.scale.density import credible_interval, lognormal
 from vehanchor.scale.reliability import Shared
 from vehanchor_flight.components import single_component
@@ -55,15 +54,6 @@ def test_photographs_of_known_ratio_are_measured_in_the_pixels_of_one() -> None:
 def test_one_photograph_says_what_it_says_alone() -> None:
     one = _photograph(_FLEET)
     assert pool([one], [0.3], 0).estimate == one.analysis.estimate
-
-
-def test_tiles_and_skipped_candidates_add_up() -> None:
-    first, second = (
-        Detections(np.zeros((0, 5)), np.zeros(0), 3, 1, n_tiles_total=20, n_skipped=5),
-        Detections(np.zeros((0, 5)), np.zeros(0), 4, 0, n_tiles_total=30, n_skipped=2),
-    )
-    pooled = pooled_detections([first, second], np.zeros(2))
-    assert (pooled.n_tiles, pooled.n_capped_tiles, pooled.n_tiles_total, pooled.n_skipped) == (7, 1, 50, 7)
 
 
 def test_looks_at_vehicles_stay_with_their_boxes() -> None:
@@ -140,18 +130,6 @@ def test_two_stretched_photographs_are_as_doubtful_together_as_alone() -> None:
     pooled = pool(photographs, np.zeros(2), 0).estimate
     for estimate in (photographs[0].analysis.estimate, pooled):
         assert (estimate.status, [each.code for each in estimate.warnings]) == ("low_confidence", ["stretched"])
-
-
-def test_one_ruler_that_speaks_leaves_the_others_notices_in() -> None:
-    told = Notice(code="camera_unusable", message="a crop")
-    spoke = point_witness("camera", 0.1, 0.1, 0.05, "{}")
-    pooled = _pooled_witness("camera", [(spoke, 0.0), (unusable("camera", told), 0.0)])
-    assert (pooled.gsd_m_per_px, pooled.notices) == (0.1, (told,))
-
-
-def test_the_detail_is_that_of_the_photographs_with_the_vehicles() -> None:
-    sharp, blurred = _photograph(_FLEET, resolved=1.0), _photograph(_FLEET[:1], resolved=0.2)
-    assert pool([blurred, sharp], np.zeros(2), 1).resolved == 1.0
 
 
 FLEET = 30.0 * (1 + 0.05 * np.linspace(-1, 1, 9) ** 3)

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.anyio
 AREA: dict[str, Any] = {"targets": [{"box": POOL_BOX}]}
 POINT: dict[str, Any] = {"targets": [{"points": [{"x": 324, "y": 378}]}]}
 LINE: dict[str, Any] = {"lines": [{"points": [{"x": 20, "y": 500}, {"x": 320, "y": 100}]}]}
+TOOLS = {"estimate_gsd": {}, "measure_area": AREA, "measure_distance": LINE}
 VERDICTS = {"ok": "safe to use", "low_confidence": "do not rely on it", "no_scale": "no metric scale"}
 VALUES = {
     "estimate_gsd": ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px", "confidence"),
@@ -27,10 +28,15 @@ VALUES = {
 }
 
 
-@pytest.mark.parametrize("image", ["pool", "pool_two", "pool_alone"])
 @pytest.mark.parametrize(
-    ("tool", "asked"),
-    [("estimate_gsd", {}), ("measure_area", AREA), ("measure_area", POINT), ("measure_distance", LINE)],
+    ("image", "tool", "asked"),
+    [
+        *(("pool", tool, asked) for tool, asked in TOOLS.items()),
+        ("pool", "measure_area", POINT),
+        *(("pool_two", tool, asked) for tool, asked in TOOLS.items()),
+        ("pool_alone", "estimate_gsd", {}),
+        ("pool_alone", "measure_distance", LINE),
+    ],
 )
 async def test_text_and_structured_content_say_the_same(
     server: MCPServer[object], images: Path, image: str, tool: str, asked: dict[str, Any]

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import random
 import re
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,6 @@ from mcp.server import MCPServer
 from pydantic import ValidationError
 
 from tests.conftest import ROOT
-from tests.needs import environment
 from tests.server.conversation import text_of
 from tests.server.test_app import LISTED, tokens_listed
 from vehanchor_server.app import create_server
@@ -96,49 +93,6 @@ async def test_an_example_call_of_an_error_works(server: MCPServer[object], imag
             jsonschema.validate(example, tool.input_schema)
             result = await client.call_tool(tool.name, example)
             assert not result.is_error, text_of(result)
-
-
-@pytest.mark.frameworks
-@pytest.mark.timeout(600)
-def test_a_random_call_from_what_a_host_sends_to_its_model_has_a_valid_shape() -> None:
-    frameworks = ROOT / "examples" / "frameworks"
-    python = environment(
-        ROOT / "examples" / "requirements.txt",
-        frameworks / "pydantic_ai_agent.requirements.txt",
-        frameworks / "google_adk_agent.requirements.txt",
-    )
-    contract = tools(roots=(ROOT,))
-    asked = [{"name": tool.name, "description": tool.description, "inputSchema": tool.parameters} for tool in contract]
-    done = subprocess.run(
-        [python, Path(__file__).parent / "frameworks" / "convert_schemas.py"],
-        input=json.dumps(asked),
-        env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=True,
-    )
-    chance = random.Random(20261123)
-    for tool in contract:
-        for host, schema in json.loads(done.stdout)[tool.name].items():
-            assert set(schema["properties"]) == set(tool.parameters["properties"]), host
-            for _ in range(60):
-                arguments = random_value(in_json_schema(schema), chance)
-                assert not shape_faults(tool, arguments), (host, tool.name, arguments)
-
-
-def in_json_schema(node: Any) -> Any:
-    """A host's schema in the words of JSON Schema: Gemini has types in capitals, and numbers of items as texts."""
-    if isinstance(node, list):
-        return [in_json_schema(each) for each in node]
-    if not isinstance(node, dict):
-        return node
-    names = {"any_of": "anyOf", "min_items": "minItems", "max_items": "maxItems"}
-    names |= {"min_properties": "minProperties", "max_properties": "maxProperties"}
-    named = {str(names.get(name, name)): in_json_schema(value) for name, value in node.items()}
-    if isinstance(named.get("type"), str):
-        named["type"] = named["type"].lower()
-    return {name: int(value) if name.startswith(("min", "max")) else value for name, value in named.items()}
 
 
 _TEXTS = ["car_park.jpg", "FR", "iso_container_20ft", "0.13 0.12 0.15 0.8 aa bb"]

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from tests.sam_models import SamFiles
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor_server.errors import CallError
@@ -56,13 +55,6 @@ def test_a_model_that_appears_later_is_found(tmp_path: Path, detector_path: Path
     path.write_bytes(detector_path.read_bytes())
     assert models.detector().path == path
     assert models.failure is None
-
-
-def test_a_segmenter_that_cannot_be_loaded_is_not_ready(settings: Settings, segmenter_paths: SamFiles) -> None:
-    models = Models(replace(settings, segmenter=(segmenter_paths[1], segmenter_paths[0])))
-    models.load_all()
-    assert models.failure == "model_contract"
-    assert not models.ready
 
 
 def test_the_calibration_sets_the_reference_length_of_callers_who_know_nothing_better(

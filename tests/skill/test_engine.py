@@ -153,17 +153,6 @@ def test_keywords_change_single_fields_of_the_engines_options(files: Path) -> No
         chosen.estimate(image, regoin="europe")
 
 
-def test_a_loaded_detector_is_taken_as_it_is(files: Path) -> None:
-    detector = Detector(files / "m.onnx", runtime=Runtime(threads=1))
-    engine = Engine(detector)
-    assert engine.detector is detector
-    assert engine.replace(runtime=Runtime(threads=2)).detector is detector
-    bound = engine.replace(runtime=Runtime(cancellation=Cancellation())).detector
-    assert bound.runtime.cancellation is not None
-    assert (bound.runtime, bound.card) == (detector.runtime, detector.card)
-    assert detector.runtime.cancellation is None
-
-
 def test_a_segmenter_is_two_paths_or_one_that_is_loaded(files: Path, segmenter: tuple[Path, Path]) -> None:
     assert Engine(segmenter=Segmenter(*segmenter)).segmenter.card == Engine(segmenter=segmenter).segmenter.card
     with pytest.raises(InvalidParameterError, match="give two paths"):

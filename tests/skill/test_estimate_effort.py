@@ -40,7 +40,7 @@ def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
 def _large() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patches:
         for name in ("detection.scheduler.ANYTIME_PIXELS", *_LARGE_PIXELS):
-            patches.setattr(f"vehanchor.{name}", 1_000_000)
+            patches.setattr(f"vehanchor.{name}", 500_000)
         yield
 
 
@@ -54,10 +54,10 @@ def searched(detector: Detector, _large: None) -> dict[str, ScaleAnalysis]:
 
 
 def _town(spread: float = 0.07, seed: int = 0) -> NDArray[np.uint8]:
-    """A picture of 1400 x 1120 px, a third of it full of cars of 30 px, the rest empty."""
+    """A picture of 1100 x 900 px, a third of it full of cars of 30 px, the rest empty."""
     rng = np.random.default_rng(seed)
-    image = blank_image(1400, 1120)
-    grid = np.stack(np.meshgrid(np.arange(581, 1360, 36), np.arange(30, 770, 26)), axis=-1).reshape(-1, 2)
+    image = blank_image(1100, 900)
+    grid = np.stack(np.meshgrid(np.arange(461, 1060, 32), np.arange(30, 610, 24)), axis=-1).reshape(-1, 2)
     n = len(grid)
     lengths = 30 * np.exp(rng.normal(0, spread, n))
     paint_vehicles(image, np.column_stack([grid, lengths, np.full(n, 12.0), np.full(n, 0.4)]))
@@ -87,8 +87,8 @@ def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
     assert auto.details.tiles_searched < 0.6 * full.details.tiles_searched
     assert (auto.status, auto.reason) == (full.status, full.reason) == ("ok", None)
     assert auto.gsd_m_per_px == pytest.approx(full.gsd_m_per_px, rel=0.02)
-    few = blank_image(2000, 1600)
-    paint_vehicles(few, [[100 + 250 * k, 800, 30, 12, 0.4] for k in range(7)])
+    few = blank_image(1000, 800)
+    paint_vehicles(few, [[60 + 140 * k, 400, 30, 12, 0.4] for k in range(7)])
     sparse = estimate_gsd(few, detector=detector, **_TILES)
     assert sparse.details.tiles_searched > 0.75 * sparse.details.tiles_total  # all that can show cars
 
@@ -97,7 +97,7 @@ def test_auto_goes_on_while_a_doubt_is_open(detector: Detector) -> None:
     alike = estimate_gsd(_town(spread=0.002), detector=detector, **_TILES)
     assert "look_alikes" in {notice.code for notice in alike.warnings}
     assert (alike.details.stopped_because, alike.details.tiles_searched) == ("all_searched", alike.details.tiles_total)
-    nothing = estimate_gsd(blank_image(1200, 1000), detector=detector, **_TILES)
+    nothing = estimate_gsd(blank_image(800, 700), detector=detector, **_TILES)
     assert (nothing.status, nothing.details.stopped_because) == ("no_scale", "all_searched")
 
 

@@ -39,14 +39,6 @@ def _journal(path: Path | None, settings: dict[str, Any] | None = None, **choice
     return Journal(path, settings or {"model": "m"}, dump=lambda value: value, load=lambda value: value, **choices)
 
 
-def test_without_a_path_results_live_in_memory() -> None:
-    journal = _journal(None)
-    journal.add(("a",), 1)
-    journal.add(("b",), None)
-    assert [journal.get((name,)) for name in "ba"] == [None, 1]
-    assert ("b",) in journal
-
-
 def test_several_settings_share_a_file_and_do_not_see_each_other(tmp_path: Path) -> None:
     path = tmp_path / "j.journal"
     first, second = _journal(path, {"alpha": 1.5}), _journal(path, {"alpha": None})

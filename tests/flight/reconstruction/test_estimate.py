@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -11,12 +11,9 @@ import pytest
 
 from tests.flight.reconstruction.flights import FOCAL_PX, HEIGHT_PX, WIDTH_PX, Pose, write_opensfm
 from tests.models import write_detector
-from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import Detector
-from vehanchor.engine import Engine
-from vehanchor.errors import InvalidParameterError, ReconstructionError
+from vehanchor.errors import ReconstructionError
 from vehanchor.options import ScaleOptions
-from vehanchor_flight.reconstruction import photograph
 from vehanchor_flight.reconstruction.estimate import verdict
 from vehanchor_flight.reconstruction.files import read_model
 from vehanchor_flight.reconstruction.ground import local_heights, model_plane, plane_below
@@ -97,32 +94,6 @@ def test_a_missing_photograph_is_told_and_the_others_count(tmp_path: Path) -> No
     assert record.factor == pytest.approx(1.0, rel=0.02)
     with pytest.raises(ReconstructionError, match="--images"):
         rescale(model, OPTIONS, images=tmp_path, detector=detector)
-
-
-def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_opensfm(tmp_path / "project", [pose.painted(_cars()) for pose in GRID], GRID, 1 / 0.92)
-    engine, journal = Engine(write_detector(tmp_path / "detector.onnx")), tmp_path / "scale.journal"
-    whole = rescale(tmp_path / "project", OPTIONS, engine=engine)
-
-    def stop(done: int, _total: int) -> None:
-        if done == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        rescale(tmp_path / "project", OPTIONS, journal=journal, progress=stop, engine=engine)
-    write_opensfm(tmp_path / "other", [GRID[0].painted(_cars())], GRID[:1], 2.0)
-    with pytest.raises(InvalidParameterError, match="unfinished run"):
-        rescale(tmp_path / "other", OPTIONS, journal=journal, engine=engine)
-    searched: list[object] = []
-
-    def counted(*arguments: Any) -> Any:
-        searched.append(arguments)
-        return search_raster(*arguments)
-
-    monkeypatch.setattr(photograph, "search_raster", counted)
-    assert rescale(tmp_path / "project", OPTIONS, journal=journal, engine=engine) == whole
-    assert len(searched) == 1
-    assert not journal.exists()
 
 
 def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:

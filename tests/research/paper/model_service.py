@@ -11,12 +11,13 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from tests.json_server import Answered, json_server
 
 
 @dataclass(frozen=True)
@@ -71,59 +72,28 @@ def model_service(service: ModelService) -> Iterator[ModelService]:
     """Run the service on a free port; ``service.url`` says where."""
     lock = threading.Lock()
 
-    class Handler(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            payload = json.loads(self.rfile.read(int(self.headers["content-length"])))
-            with lock:
-                service.requests.append(
-                    (self.path, {name.lower(): value for name, value in self.headers.items()}, payload)
-                )
-                number = len(service.requests)
-                failure = service.failures.pop(0) if service.failures else (0, {})
-            if failure is None:
-                self.close_connection = True
-                return
-            status, headers = failure
-            if status:
-                self._send(status, {"error": {"type": "test", "message": "scripted"}}, headers)
-            else:
-                self._answer(payload, number)
-
-        def _answer(self, payload: dict[str, Any], number: int) -> None:
-            try:
-                if self.path == "/v1/messages":
-                    response = _anthropic_response(service.answer(_asked_anthropic(payload)), number)
-                elif self.path == "/v1/chat/completions":
-                    response = _openai_response(service.answer(_asked_openai(payload)), number)
-                else:
-                    raise ValueError(f"no such API: {self.path}")
-            except Exception as defect:
-                service.defects.append(defect)
-                self._send(400, {"error": {"message": repr(defect)}})
-            else:
-                self._send(200, response)
-
-        def _send(self, status: int, body: dict[str, Any], headers: dict[str, str] | None = None) -> None:
-            data = json.dumps(body).encode()
-            self.send_response(status)
-            for name, value in {"content-type": "application/json", **(headers or {})}.items():
-                self.send_header(name, value)
-            self.send_header("content-length", str(len(data)))
-            self.end_headers()
-            self.wfile.write(data)
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
-        service.url = f"http://127.0.0.1:{server.server_port}"
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
+    def answered(path: str, headers: dict[str, str], payload: dict[str, Any]) -> Answered | None:
+        with lock:
+            service.requests.append((path, headers, payload))
+            number = len(service.requests)
+            failure = service.failures.pop(0) if service.failures else (0, {})
+        if failure is None:
+            return None
+        status, more = failure
+        if status:
+            return status, {"error": {"type": "test", "message": "scripted"}}, more
         try:
-            yield service
-        finally:
-            server.shutdown()
-            thread.join()
+            if path == "/v1/messages":
+                return 200, _anthropic_response(service.answer(_asked_anthropic(payload)), number), {}
+            if path == "/v1/chat/completions":
+                return 200, _openai_response(service.answer(_asked_openai(payload)), number), {}
+            raise ValueError(f"no such API: {path}")
+        except Exception as defect:
+            service.defects.append(defect)
+            return 400, {"error": {"message": repr(defect)}}, {}
+
+    with json_server(answered) as service.url:
+        yield service
     assert not service.defects, service.defects
 
 

@@ -127,20 +127,6 @@ def test_a_fit_is_right_by_the_lengths_and_nobody_can_decide_an_equal_one() -> N
     assert small.needed_m(800, 640) == pytest.approx(0.6 * small.truth_m(800, 640))
 
 
-@pytest.mark.parametrize(
-    ("share", "deed"), [(0.6, "acted rightly"), (1.6, "acted rightly"), (1.0, "abstained rightly")]
-)
-def test_the_script_says_whether_a_length_fits_unless_the_interval_leaves_it_open(
-    share: float, deed: str, tmp_path: Path
-) -> None:
-    task, path = _here(RENDERED[0].model_copy(update={"expected": "act"}), tmp_path, "fit")
-    task = Task(task.question, "fit", task.ends, share)
-    truth = task.truth_m(800, 640)
-    told = Told(status="ok", distance_m=truth, distance_ci95_low_m=0.9 * truth, distance_ci95_high_m=1.1 * truth)
-    (answered,) = ask_set([(task, path)], told, catalogue=True)
-    assert answered.deed == deed
-
-
 def test_without_the_catalogue_no_fact_is_given(tmp_path: Path) -> None:
     question = next(each for each in RENDERED if each.facts)
     for catalogue in (True, False):

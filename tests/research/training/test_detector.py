@@ -14,11 +14,10 @@ from research.training.detector.calibrate import LengthPairs, length_correction 
 from research.training.detector.data import (  # noqa: E402 - PyTorch may be missing
     CROP_PX,
     TrainImage,
-    dense_target,
     draw_crop,
 )
 from research.training.detector.export import LengthCorrection, UltralyticsLayout, export  # noqa: E402
-from research.training.detector.network import STRIDE_PX, VehicleNet  # noqa: E402
+from research.training.detector.network import VehicleNet  # noqa: E402
 from research.training.warm_start import load_exported  # noqa: E402
 from vehanchor.detection.detector import Detector  # noqa: E402
 
@@ -64,22 +63,6 @@ def test_crops_move_picture_and_boxes_alike() -> None:
             assert lit[ring].mean() < 0.2
             seen += 1
     assert seen > 15
-
-
-def test_targets_hold_the_boxes_numbers_at_their_centres() -> None:
-    boxes = np.array([[100.0, 50.0, 40.0, 16.0, 0.7]])
-    ignore = np.array([[[200.0, 200], [240, 200], [240, 220], [200, 220]]])
-    target = dense_target(boxes, ignore)
-    row, col = int(50 // STRIDE_PX), int(100 // STRIDE_PX)
-    assert target.heat[0, row, col] == 1
-    assert (target.heat == 1).sum() == 1
-    shape = target.shape[:, row, col].numpy()
-    assert (col + 0.5 + shape[0]) * STRIDE_PX == pytest.approx(100)
-    assert (row + 0.5 + shape[1]) * STRIDE_PX == pytest.approx(50)
-    assert np.exp(shape[2:4]) == pytest.approx([40, 16])
-    assert 0.5 * np.arctan2(shape[5], shape[4]) == pytest.approx(0.7)
-    assert target.care[0, 210 // STRIDE_PX, 220 // STRIDE_PX] == 0
-    assert target.care.sum() > 0.98 * target.care.numel()
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter, which needs no onnxscript

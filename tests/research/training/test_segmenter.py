@@ -19,18 +19,13 @@ from research.training.segmenter.data import (  # noqa: E402
     BatchStream,
     MaskImage,
     MaskObject,
-    box_of,
     cut,
-    draw_prompt,
     load_scenes,
     objects_of,
 )
 from research.training.segmenter.export import INPUT_PX, export, smoothed  # noqa: E402
 from research.training.segmenter.network import (  # noqa: E402
     BOTTOM_RIGHT,
-    NEGATIVE,
-    PADDING,
-    POSITIVE,
     TOP_LEFT,
     Prompt,
     Segmenter,
@@ -70,27 +65,6 @@ def test_crops_move_picture_and_mask_alike() -> None:
         assert inner.sum() > 0.7 * 5000 * scale**2
         assert np.median(example.image[inner]) > 190
         assert np.percentile(example.image[near], 60) < 60
-
-
-def test_prompts_are_drawn_from_the_mask() -> None:
-    mask = np.zeros((160, 160), np.float32)
-    mask[40:100, 50:130] = 1
-    box = box_of(mask)
-    assert box is not None
-    assert box.tolist() == [50, 40, 130, 100]
-    rng, seen = np.random.default_rng(1), set()
-    for _ in range(300):
-        points, labels = draw_prompt(rng, mask, box)
-        for (x, y), label in zip(points, labels, strict=True):
-            seen.add(float(label))
-            if label == POSITIVE:
-                assert mask[int(y), int(x)] == 1
-            elif label == NEGATIVE:
-                assert mask[int(y), int(x)] == 0
-            elif label == TOP_LEFT:
-                assert abs(x - 50) <= 8.01
-                assert abs(y - 40) <= 6.01
-    assert seen == {POSITIVE, NEGATIVE, TOP_LEFT, BOTTOM_RIGHT, PADDING}
 
 
 def test_batches_are_seeded_and_their_masks_touch_their_prompts(tmp_path: Path) -> None:

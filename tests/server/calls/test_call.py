@@ -143,12 +143,6 @@ async def test_a_place_is_taken_until_the_thread_has_ended() -> None:
     assert capacity.running == 0
 
 
-async def test_the_deadline_counts_before_the_thread_as_well() -> None:
-    capacity = Capacity(1, 0.1)
-    with pytest.raises(CallError, match="deadline_exceeded"):
-        await capacity.run(lambda _: anyio.sleep(5))
-
-
 async def test_whatever_stopped_work_raises_ends_in_the_cancellation() -> None:
     capacity = Capacity(1, 0.1)
 
@@ -178,15 +172,3 @@ async def test_closing_stops_what_runs_and_accepts_nothing_more() -> None:
         capacity.close()
     await call()
     assert codes == ["server_stopping", "server_stopping"]
-
-
-async def test_an_action_is_done_once_and_only_within_its_context() -> None:
-    stop, done = Stop(), []
-    with stop.calling(lambda: done.append("over")):
-        pass
-    with stop.calling(lambda: done.append("during")):
-        stop.cancel()
-        stop.cancel()
-    with stop.calling(lambda: done.append("after")):
-        pass
-    assert done == ["during", "after"]

@@ -13,7 +13,6 @@ from tests.models import paint_vehicles
 from tests.sam_models import SamFiles
 from tests.server.conftest import LENGTH_PX, paint_scene, write_image
 from tests.server.conversation import by_path, called, error_of, picture_of, record_of, text_of
-from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -112,25 +111,6 @@ async def test_images_of_one_scale_put_their_vehicles_together(server: MCPServer
     among = record_of(await called(server, "estimate_gsd", **arguments))
     assert (among["status"], among["rulers"][0]["n"]) == ("ok", 11)
     assert among["confidence"] > alone["confidence"]
-
-
-async def test_no_image_is_opened_again_where_no_picture_is_wanted(
-    server: MCPServer[object], images: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    opened = []
-
-    def counted(*arguments: Any, **options: Any) -> Any:
-        opened.append(arguments)
-        return open_raster(*arguments, **options)
-
-    monkeypatch.setattr("vehanchor.imagery.sources.opening.open_raster", counted)
-    monkeypatch.setattr("vehanchor_flight.estimate.open_raster", counted)
-    arguments = _among(images / "two.png", images / "more.png", same_scale=True)
-    plain = await called(server, "estimate_gsd", **arguments)
-    assert len(opened) == 2
-    drawn = await called(server, "view_image", of={"tool": "estimate_gsd", "arguments": arguments})
-    assert len(opened) == 2 + 3
-    assert text_of(drawn) == text_of(plain)
 
 
 async def test_what_cannot_be_used_is_named_by_its_place(server: MCPServer[object], flight: Path, images: Path) -> None:

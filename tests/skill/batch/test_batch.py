@@ -283,19 +283,6 @@ def test_an_interrupted_run_goes_on_and_ends_as_one_that_was_not(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["at once.jsonl", "table.jsonl"]
 
 
-def test_an_image_that_was_replaced_meanwhile_is_looked_at_again(
-    analysed: list[str], detector: Path, folder: Path, table: Path, tmp_path: Path
-) -> None:
-    image = tmp_path / "a.png"
-    image.write_bytes((folder / "empty.png").read_bytes())
-    images = [str(image), "cars.png", "empty.png"]
-    with pytest.raises(KeyboardInterrupt):
-        run_batch(images, table, detector=detector, workers=1)
-    image.write_bytes((folder / "cars.png").read_bytes())
-    assert run_batch(images, table, detector=detector, workers=1).n_resumed == 1
-    assert [row["n_vehicles"] for row in _rows(table)] == [20, 20, 0]
-
-
 def test_what_is_wrong_is_told_before_a_finished_table_is_given_up(detector: Path, table: Path) -> None:
     right: dict[str, Any] = {"inputs": ["cars.png"], "output": table, "detector": detector, "workers": 1}
     run_batch(**right)
@@ -499,14 +486,6 @@ def test_a_table_of_lines_that_cannot_be_used_is_told_with_what_is_wrong(text: s
     (tmp_path / "lines.csv").write_text(text)
     with pytest.raises(KnownLengthError, match=words):
         lines_in(tmp_path / "lines.csv", ["cars.png"])
-
-
-def test_the_table_of_lines_is_read_before_the_work(detector: Path, table: Path, tmp_path: Path) -> None:
-    (tmp_path / "lines.csv").write_text("file,x1,y1,x2,y2,metres\ncar.png,1,2,300,4,40\n")
-    result = _batch("cars.png", "-o", table, "--detector", detector, "--known-lengths", tmp_path / "lines.csv")
-    assert result.exit_code == 2
-    assert result.stderr.startswith("error[invalid_known_length]: a line of known length is in ")
-    assert not journal_path(table).exists()
 
 
 def test_the_default_is_a_worker_a_cpu_but_no_more_than_images(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -135,10 +135,3 @@ def test_bad_input_ends_with_status_2_and_one_line(run: Any, arguments: list[str
     assert result.stderr.startswith(f"error[{code}]: ")
     assert result.stderr.count("\n") == 1
     assert _line(run("cars.png", "--json", *arguments))["error"]["code"] == code
-
-
-def test_warnings_follow_the_table(run: Any) -> None:
-    result = run("cars.png", "--box", "440", "300", "450", "310", "--gsd", "0.2")
-    assert result.exit_code == 0
-    assert "warning[target_small]: " in result.stderr
-    assert run("cars.png", "--box", "440", "300", "450", "310", "--gsd", "0.2", "--json").stderr == ""

@@ -54,10 +54,6 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
     assert re.search(r"rasterio\s+missing: pip install 'vehanchor\[geo\]'", _checked()[1])
 
 
-def test_without_an_option_the_help_is_shown() -> None:
-    assert "--check" in CliRunner().invoke(app, ["models"]).output
-
-
 @pytest.mark.parametrize(
     ("names", "folder", "short"),
     [

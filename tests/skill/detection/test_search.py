@@ -107,13 +107,6 @@ def test_the_search_is_the_models_choice_and_the_callers(tmp_path: Path, searchi
     assert len(painted) == 12
 
 
-def test_lengths_outside_a_levels_range_do_not_count(searching: Detector) -> None:
-    for factor, length in ((2, 20.0), (2, 70.0), (4, 20.0)):
-        image, _ = _painted(factor, [length] * 12, columns=4)
-        with open_raster(image) as raster:
-            assert len(search(raster, searching).boxes) == 0
-
-
 def test_progress_counts_the_tiles_of_all_levels_and_may_stop_in_any(searching: Detector) -> None:
     image = blank_image(1100, 900)
     seen: list[tuple[int, int]] = []
@@ -275,18 +268,6 @@ def test_objects_of_other_classes_are_kept_beside_the_vehicles_with_their_class(
         ships = search(raster, Detector(detector.path, classes=["ship", "small vehicle"]))
     assert len(ships.boxes) == 4
     assert set(ships.others.classes.tolist()) == {2}
-
-
-def test_the_range_of_vehicle_lengths_does_not_bound_other_objects(tmp_path: Path) -> None:
-    small = blank_image(500, 200)
-    paint_vehicles(small, [[60, 100, 20, 12, 0.4], [200, 100, 20, 12, 0.4]], classes=[0, 2])
-    image = np.kron(small, np.ones((2, 2, 1), np.uint8))  # readable at one half alone, there too short for a vehicle
-    detector = Detector(write_detector(tmp_path / "m.onnx", names=_KINDS, metadata=_SEARCHING))
-    with open_raster(image) as raster:
-        found = search(raster, detector)
-    assert 20.0 not in np.rint(found.boxes[:, 2] / 2)
-    courts = found.others.boxes[found.others.classes == 2]
-    assert np.rint(courts[:, 2] / 2).tolist().count(20.0) == 1
 
 
 @settings(max_examples=25)

@@ -203,13 +203,3 @@ def test_bands_that_are_not_there_are_a_wrong_parameter(bands: Any) -> None:
     for image in (RGB, encoded(".png")):
         with pytest.raises(InvalidParameterError):
             open_raster(image, Reading(bands=bands))
-
-
-def test_more_than_four_bands_are_read_through_rasterio_and_told(tmp_path: Path) -> None:
-    five = np.concatenate([RGB, 255 - RGB[..., :2]], axis=2)
-    path = geotiff(tmp_path / "a.tif", five, crs=None, transform=None)
-    with open_raster(path) as raster:
-        assert raster.georeference_gsd_m_per_px is None
-        assert [note.code for note in raster.warnings] == ["bands_selected"]
-        np.testing.assert_array_equal(raster.read(), RGB)
-    np.testing.assert_array_equal(read_all(path, bands=(5, 5, 1)), five[..., [4, 4, 0]])

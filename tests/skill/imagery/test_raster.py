@@ -31,7 +31,7 @@ from vehanchor.errors import (
 )
 from vehanchor.imagery.detail import PATCH_PX, resolved_share, ring_spectrum, spectrum_share
 from vehanchor.imagery.identity import image_id
-from vehanchor.imagery.raster import Raster, Window, outer_sides
+from vehanchor.imagery.raster import Raster, Window
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid
 from vehanchor.options import ImageLimits, Reading
@@ -97,21 +97,6 @@ def test_windows_are_slices_of_the_whole(windowed_file: Path, data: st.DataObjec
     np.testing.assert_array_equal(part, whole[y : y + h, x : x + w])
 
 
-@pytest.mark.parametrize(
-    ("window", "sides"),
-    [
-        (Window(0, 0, 60, 40), (True, True, True, True)),
-        (Window(0, 5, 20, 20), (True, False, False, False)),
-        (Window(5, 0, 20, 20), (False, True, False, False)),
-        (Window(40, 5, 20, 20), (False, False, True, False)),
-        (Window(5, 20, 20, 20), (False, False, False, True)),
-        (Window(5, 5, 20, 20), (False, False, False, False)),
-    ],
-)
-def test_a_window_knows_which_of_its_sides_are_the_images(window: Window, sides: tuple[bool, bool, bool, bool]) -> None:
-    assert outer_sides(window, WIDTH_PX, HEIGHT_PX) == sides
-
-
 @given(st.integers(1, 400), st.integers(1, 400), st.integers(32, 128), st.floats(0.1, 1.0))
 def test_tiles_cover_every_pixel_once_each_and_stay_inside(width: int, height: int, tile: int, share: float) -> None:
     tiles = tile_grid(width, height, tile_px=tile, stride_px=max(1, round(tile * share)))
@@ -130,17 +115,6 @@ def test_the_papers_grid_on_a_4096_px_image() -> None:
     tiles = tile_grid(4096, 4096)
     assert len(tiles) == 25
     assert sorted({t.x_px for t in tiles}) == [0, 768, 1536, 2304, 3072]
-
-
-def test_the_last_row_and_column_are_flush_with_the_edge() -> None:
-    tiles = tile_grid(1500, 1100)
-    assert sorted({t.x_px for t in tiles}) == [0, 476]
-    assert sorted({t.y_px for t in tiles}) == [0, 76]
-
-
-def test_a_small_image_is_one_tile_of_its_own_size() -> None:
-    (tile,) = tile_grid(256, 100)
-    assert (tile.width_px, tile.height_px) == (256, 100)
 
 
 @pytest.mark.parametrize("factor", [1, 2, 8])

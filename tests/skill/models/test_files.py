@@ -3,7 +3,6 @@ from __future__ import annotations
 import hashlib
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
@@ -12,12 +11,11 @@ from onnx import helper, numpy_helper
 from onnx.external_data_helper import set_external_data
 
 from tests.sam_models import keep_weights_beside, write_sam2
-from vehanchor.errors import ModelContractError, ModelNotFoundError
+from vehanchor.errors import ModelNotFoundError
 from vehanchor.models import zoo
 from vehanchor.models.files import external_locations, file_cached, models_sha256, read_model
 from vehanchor.models.zoo import (
     DEFAULT_DETECTOR,
-    SEGMENTER,
     auxiliary_model,
     bundled_models,
     resolve_model,
@@ -67,22 +65,6 @@ def test_missing_files_are_told_by_name(tmp_path: Path) -> None:
     for path in (tmp_path / "absent.onnx", tmp_path):
         with pytest.raises(ModelNotFoundError, match="no model file"):
             read_model(path)
-
-
-def test_a_file_that_cannot_be_read_is_no_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    encoder, _ = write_sam2(tmp_path)
-
-    def refuse(_path: Path) -> Any:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(type(encoder), "read_bytes", refuse)
-    with pytest.raises(ModelContractError, match="Permission denied"):
-        read_model(encoder)
-
-
-def test_the_bundled_models_keep_their_weights_in_their_file() -> None:
-    for path in (*bundled_models().values(), *SEGMENTER):
-        assert read_model(path).weights == ()
 
 
 class Loaded:
@@ -151,17 +133,6 @@ def test_what_fails_is_tried_again(tmp_path: Path) -> None:
         load(path)
     path.write_bytes(b"here now")
     assert load(path).content == b"here now"
-
-
-def test_the_one_unused_for_longest_goes_first(tmp_path: Path) -> None:
-    paths = [tmp_path / name for name in "abc"]
-    for path in paths:
-        path.write_text(path.name)
-    first, second = load(paths[0]), load(paths[1])
-    assert load(paths[0]) is first
-    load(paths[2])
-    assert load(paths[0]) is first
-    assert load(paths[1]) is not second
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ModelContractError, OutOfMemoryError, ProviderUnavailableError
 from vehanchor.models import session
 from vehanchor.models.runtime import DEFAULT_PROVIDERS, Cancellation, Runtime
-from vehanchor.models.session import _share_arena, open_session, run_session
+from vehanchor.models.session import open_session, run_session
 
 
 def outputs(path: Path, content: bytes | None) -> list[np.ndarray]:
@@ -41,17 +41,6 @@ def test_weights_in_a_file_beside_the_model_are_found_from_any_folder_and_whoeve
     monkeypatch.chdir(tmp_path / "elsewhere")
     for content in (None, decoder.read_bytes()):
         assert [item.name for item in open_session(decoder, content=content).get_inputs()] == inside
-
-
-def test_an_arena_that_somebody_else_shares_already_serves(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def taken(*_: object) -> None:
-        raise RuntimeError("an allocator for this device has been registered already")
-
-    monkeypatch.setattr(onnxruntime, "create_and_register_allocator", taken)
-    _share_arena.cache_clear()
-    encoder = write_sam2(tmp_path)[0]
-    assert len(outputs(encoder, encoder.read_bytes()))
-    _share_arena.cache_clear()  # for the tests after this one
 
 
 def test_what_cannot_be_loaded_is_our_error_that_names_the_file(tmp_path: Path) -> None:
@@ -119,18 +108,6 @@ def test_every_bundled_model_of_a_verb_runs_where_its_caller_says(opened: dict[s
     vehanchor.measure_distance(image, [(20, 20), (80, 80)], providers="cuda")
     assert opened
     assert set(map(tuple, opened.values())) == {("CUDAExecutionProvider",)}
-
-
-def test_a_provider_that_is_missing_is_named_by_every_verb() -> None:
-    image = np.zeros((64, 64, 3), np.uint8)
-    for verb in (
-        lambda: vehanchor.estimate_gsd(image, providers=["abacus"]),
-        lambda: vehanchor.estimate_gsd((image,), providers=["abacus"]),
-        lambda: vehanchor.measure_distance(image, [(1, 1), (9, 9)], providers=["abacus"]),
-        lambda: vehanchor.measure_area(image, box=(1, 1, 9, 9), providers=["abacus"]),
-    ):
-        with pytest.raises(ProviderUnavailableError, match="has no abacus here"):
-            verb()
 
 
 def test_providers_are_a_list_a_name_or_nothing() -> None:

@@ -4,7 +4,6 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -24,8 +23,6 @@ from vehanchor.errors import (
 from vehanchor.imagery.raster import Window
 from vehanchor.options import Frame, ImageLimits
 from vehanchor.options.reading import FrameSize
-from vehanchor.segmentation.contracts import MaskLogits
-from vehanchor.segmentation.crop import place_mask
 from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt, prompt_in_image, read_prompt
 from vehanchor.segmentation.segmenter import Segmenter
 
@@ -163,15 +160,6 @@ def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(segmenter:
     assert segmented(segmenter, image, Prompt(box=box)).bounding_box == (101, 60, 2850, 2301)
     with pytest.raises(ImageTooLargeError, match="smaller box"):
         segmented(segmenter, image, Prompt(box=box), limits=ImageLimits(max_pixels=1_000_000))
-
-
-def test_a_mask_is_placed_by_bilinear_interpolation_between_cell_centres() -> None:
-    rng = np.random.default_rng(5)
-    logits = np.asarray(cv2.GaussianBlur(rng.normal(size=(40, 30)), (0, 0), 2), dtype=np.float32)
-    placed = place_mask(MaskLogits(logits, 1.0, (30 / 240, 40 / 320), Window(9, 9, 240, 320)))
-    assert (placed != (cv2.resize(logits, (240, 320), interpolation=cv2.INTER_LINEAR) > 0)).mean() < 1e-3
-    single = place_mask(MaskLogits(np.ones((1, 1), np.float32), 1.0, (0.01, 0.01), Window(0, 0, 5, 7)))
-    assert single.all()
 
 
 def test_a_point_gives_the_object_and_what_else_it_may_mean(tmp_path: Path) -> None:

@@ -233,16 +233,6 @@ def test_every_camera_is_found_and_has_a_plausible_sensor_with_a_source(camera: 
         assert 0 < sensor.focal_from_mm <= sensor.focal_to_mm
 
 
-def test_no_camera_is_listed_twice() -> None:
-    names = [(camera["make"], model) for camera in TABLE for model in camera["models"]]
-    assert len(set(names)) == len(names)
-
-
-@pytest.mark.parametrize(("make", "model"), [("", ""), ("DJI", ""), ("Canon", "FC220"), ("DJI", "FC9999")])
-def test_other_cameras_are_unknown(make: str, model: str) -> None:
-    assert sensor_of(make, model) is None
-
-
 def test_the_focal_length_of_the_file_chooses_the_lens() -> None:
     fixed, zoom = sensor_of("DJI", "FC3170"), sensor_of("DJI", "FC2204")
     assert fixed is not None

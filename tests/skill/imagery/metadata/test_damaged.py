@@ -227,19 +227,6 @@ def test_a_pitch_has_the_zero_of_its_maker(make: str, pitch: float, off_nadir_de
     assert _of(said, PIX4D, make).off_nadir_deg == pytest.approx(off_nadir_deg)
 
 
-@pytest.mark.parametrize(
-    "said",
-    [
-        '<drone-skydio:CalibratedFocalLength rdf:parseType="Resource"><drone-skydio:X>3000</drone-skydio:X>'
-        "</drone-skydio:CalibratedFocalLength>",
-        '<drone-skydio:CalibratedFocalLength drone-skydio:X="3000" drone-skydio:Y="2"/>',
-        'drone-skydio:CalibratedFocalLengthX="3000"',
-    ],
-)
-def test_a_structure_is_read_as_the_file_has_it_and_flattened(said: str) -> None:
-    assert _of(said, SKYDIO, "Skydio").focal_px == 3000
-
-
 @pytest.mark.parametrize("yaw", ["+0.00", "-93.40"])
 def test_a_gimbal_of_zeros_is_unknown(yaw: str) -> None:
     said = f'drone-dji:GimbalPitchDegree="+0.00" drone-dji:GimbalRollDegree="+0.00" drone-dji:GimbalYawDegree="{yaw}"'

@@ -57,14 +57,6 @@ def test_a_path_a_file_object_and_all_kinds_of_bytes_are_images(tmp_path: Path) 
         np.testing.assert_array_equal(read_all(file), RGB)
 
 
-def test_a_relative_path_is_reported_as_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    geotiff(Path("a.tif"), RGB)
-    with open_raster("a.tif") as raster:
-        assert raster.source == "a.tif"
-        np.testing.assert_array_equal(raster.read(), RGB)
-
-
 @pytest.fixture
 def bad_paths(tmp_path: Path) -> dict[str, str]:
     os.mkfifo(tmp_path / "fifo.png")
@@ -147,7 +139,6 @@ def test_no_file_stays_open(tmp_path: Path) -> None:
 ARRAYS: list[tuple[str, NDArray[Any], NDArray[Any]]] = [
     ("rgb", RGB, RGB),
     ("grey", RGB[..., 0], RGB[..., [0, 0, 0]]),
-    ("one band", RGB[..., :1], RGB[..., [0, 0, 0]]),
     ("grey and alpha", RGB[..., :2], RGB[..., [0, 0, 0]]),
     ("four bands", np.concatenate([RGB, RGB[..., :1]], axis=2), RGB),
     ("floats of 0..1", RGB / 255, RGB),
@@ -156,8 +147,6 @@ ARRAYS: list[tuple[str, NDArray[Any], NDArray[Any]]] = [
     ("a mirrored view", RGB[:, ::-1], RGB[:, ::-1]),
     ("BGR turned by a view", RGB[..., ::-1], RGB[..., ::-1]),
     ("all zero", np.zeros((20, 20), np.uint16), np.zeros((20, 20, 3))),
-    ("a constant", np.full((20, 20), 5000, np.uint16), np.zeros((20, 20, 3))),
-    ("zero floats", np.zeros((20, 20)), np.zeros((20, 20, 3))),
 ]
 
 
@@ -182,12 +171,9 @@ WITH_NAN = np.where(np.arange(400).reshape(20, 20) < 3, np.nan, 0.5)
 
 BAD_ARRAYS: list[tuple[str, NDArray[Any], str]] = [
     ("nan", WITH_NAN, "3 of 400 pixels are NaN or infinite"),
-    ("infinite", np.where(np.isnan(WITH_NAN), np.inf, 0.5), "3 of 400"),
     ("bool", np.zeros((20, 20), bool), "bool"),
     ("int16", np.zeros((20, 20), np.int16), "int16"),
-    ("int64", np.zeros((20, 20), np.int64), "int64"),
     ("complex", np.zeros((20, 20), complex), "complex128"),
-    ("object", np.zeros((20, 20), object), "object"),
     ("text", np.full((20, 20), "a"), "U1"),
     ("one dimension", np.zeros(400, np.uint8), r"\[400\]"),
     ("four dimensions", np.zeros((1, 20, 20, 3), np.uint8), r"\[1, 20, 20, 3\]"),
@@ -302,10 +288,6 @@ def test_the_memory_that_it_takes_is_limited_by_its_mode_and_told_by_its_code(mo
     monkeypatch.setattr(Image.Image, "getexif", fail)
     with pytest.raises(OutOfMemoryError):
         open_raster(Image.fromarray(PIXELS))
-
-
-def test_an_array_of_opencv_is_read_as_bgr_where_that_is_said() -> None:
-    assert (open_raster(PIXELS[:, :, ::-1], Reading(bgr=True)).read() == PIXELS).all()
 
 
 def test_megapixels_are_a_limit_of_pixels_and_of_memory() -> None:
