@@ -267,7 +267,6 @@ class Vehicles(Ruler):
     pooling_gain = None
     needs_search = True
     uses_plane = True
-    measured_last = True
 
     def measure(self, view: View) -> VehicleWitness:
         """Measure the fleet in a view (paper, section III); its own scale is ``L_ref / P_mode``.
