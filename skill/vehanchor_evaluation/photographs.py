@@ -50,7 +50,9 @@ def survey_photographs(
     Raises:
         InvalidParameterError: a path does not exist, or the options exclude all these rulers.
     """
-    rulers = tuple(each.kind for each in active_rulers(options.rulers) if each.sets_scale and not each.measured_last)
+    rulers = tuple(
+        each.kind for each in active_rulers(options.rulers) if each.sets_scale and each.pooling_gain is not None
+    )
     if not rulers:
         raise InvalidParameterError("photographs need a ruler other than vehicles: drop --rulers and --metadata")
     without_vehicles = replace(

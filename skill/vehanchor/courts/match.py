@@ -75,17 +75,7 @@ def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.f
     wide = cv2.copyMakeBorder(grey, d, d, d, d, cv2.BORDER_REPLICATE)
     along = np.maximum(wide[: -2 * d, d:-d], wide[2 * d :, d:-d])
     across = np.maximum(wide[d:-d, : -2 * d], wide[d:-d, 2 * d :])
-    return _clearness(grey, along, contrast), _clearness(grey, across, contrast)
-
-
-def _clearness(
-    grey: NDArray[np.float32], beside: NDArray[np.float32], contrast: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Divide a pixel's excess over its neighbours by a line's contrast, clipped to 0..1; overwrites ``beside``."""
-    clear = np.divide(np.subtract(grey, beside, out=beside), contrast, out=beside)
-    cv2.threshold(clear, 0.0, 0.0, cv2.THRESH_TOZERO, dst=clear)
-    cv2.threshold(clear, 1.0, 0.0, cv2.THRESH_TRUNC, dst=clear)
-    return clear
+    return np.clip((grey - along) / contrast, 0, 1), np.clip((grey - across) / contrast, 0, 1)
 
 
 def match(

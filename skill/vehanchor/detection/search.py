@@ -346,28 +346,19 @@ def _tile_and_stride(fixed_size: tuple[int, int] | None, options: Search) -> tup
 
 
 def _in_image(found: Objects, tile: Window, level: SearchLevel, overlap_px: int) -> Objects:
-    """Convert a tile's objects to pixels of the image, without those that another tile shows completely."""
-    whole = found.take(~_cut_by_tile(found.boxes, tile, level, overlap_px))
+    """Convert a tile's objects to pixels of the image, without those that its inner edges cut.
+
+    The next tile shows these completely, unless they are longer than the overlap.
+    """
+    corners, corner = box_corners(found.boxes), np.array([tile.x_px, tile.y_px])
+    size = np.array([tile.width_px, tile.height_px])
+    cut = (corners.min(axis=1) < 1) & (corner > 0)
+    cut |= (corners.max(axis=1) > size - 1) & (corner + size < (level.width_px, level.height_px))
+    whole = found.take(~(cut.any(axis=1) & (found.boxes[:, 2] < overlap_px)))
     boxes = whole.boxes.copy()
-    boxes[:, :2] += tile.x_px, tile.y_px
+    boxes[:, :2] += corner
     boxes[:, :4] *= level.factor
     return Objects(boxes, whole.scores, whole.classes)
-
-
-def _cut_by_tile(boxes: NDArray[np.float64], tile: Window, level: SearchLevel, overlap_px: int) -> NDArray[np.bool_]:
-    """Find the boxes that a tile's inner edge cuts and the next tile shows completely."""
-    corners = box_corners(boxes)
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    over = np.zeros(len(boxes), dtype=bool)
-    if tile.x_px > 0:
-        over |= low[:, 0] < 1
-    if tile.y_px > 0:
-        over |= low[:, 1] < 1
-    if tile.x_px + tile.width_px < level.width_px:
-        over |= high[:, 0] > tile.width_px - 1
-    if tile.y_px + tile.height_px < level.height_px:
-        over |= high[:, 1] > tile.height_px - 1
-    return over & (boxes[:, 2] < overlap_px)
 
 
 def _merged_by_class(found: Objects, nms_iou: float) -> Objects:

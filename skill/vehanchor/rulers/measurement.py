@@ -43,10 +43,10 @@ def measure_all(view: View, known: Sequence[Witness] | None = None) -> tuple[Wit
     rulers = active_rulers(view.options.rulers)
     first = known
     if first is None:
-        first = _measured([ruler for ruler in rulers if not ruler.measured_last], view)
+        first = _measured([ruler for ruler in rulers if ruler.pooling_gain is not None], view)
     if view.expected is None and view.plane is not None:
         view = replace(view, expected=expected_scale(first))
-    last = [ruler for ruler in rulers if ruler.measured_last and (known is None or ruler.pooling_gain is None)]
+    last = [ruler for ruler in rulers if ruler.pooling_gain is None]
     return (*_measured(last, view), *first)
 
 

@@ -98,11 +98,11 @@ class Ruler:
         help: what the ruler needs, for the help of ``--rulers``.
         colour: of its curve in plots, ``#rrggbb``.
         pooling_gain: n photographs of a flight count as n to this power: 0 if all have the same error, 1 if their
-            errors are independent. None: it measures the boxes of all photographs together.
+            errors are independent. None: it measures the boxes of all photographs together, and after other rulers,
+            whose ``View.expected`` tells it cars from parts of cars in a tilted view.
         needs_search: it measures detections, so that the detector must run.
         reads_metadata: it is left out if the caller forbids metadata.
         uses_plane: it measures on ``View.plane``. If False, it is left out in a tilted view.
-        measured_last: ``View.expected``, by the rulers before it, tells it cars from parts of cars in a tilted view.
         sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other rulers.
     """
 
@@ -115,7 +115,6 @@ class Ruler:
     needs_search: ClassVar[bool] = False
     reads_metadata: ClassVar[bool] = False
     uses_plane: ClassVar[bool] = False
-    measured_last: ClassVar[bool] = False
     sets_scale: ClassVar[bool] = True
 
     def measure(self, view: View) -> Witness | None:

@@ -111,19 +111,14 @@ def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float6
     if detections.scales is None or len(found) == 0:
         kept, rival_share = inlier_mask(found, lengths.alpha), 0.0
     else:
-        weights = _expected_weights(found, expected)
-        weights = np.where(stated, 1.0, weights) * np.maximum(detections.scores, LEAST_SCORE) ** 2
+        weights = np.maximum(detections.scores, LEAST_SCORE) ** 2
+        if expected is not None:  # how likely each box is as long as a car
+            likely = np.interp(np.log(CAR_LENGTH_M / found), GRID, expected / expected.max())
+            weights = np.where(stated, 1.0, likely) * weights
         kept, rival_share = dominant_group(found, weights, stated)
         kept[kept] = inlier_mask(found[kept], lengths.alpha)
     kept |= stated
     return Fleet(detections, kept, _working_scale(detections, kept), 0.0 if stated.any() else rival_share)
-
-
-def _expected_weights(lengths_px: NDArray[np.float64], density: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """Weigh each box by its likelihood to be as long as a car, given a density of the scale; 1 without one."""
-    if density is None:
-        return np.ones(len(lengths_px))
-    return np.asarray(np.interp(np.log(CAR_LENGTH_M / lengths_px), GRID, density / density.max()))
 
 
 def _working_scale(detections: Detections, kept: NDArray[np.bool_]) -> float | None:
@@ -267,7 +262,6 @@ class Vehicles(Ruler):
     pooling_gain = None
     needs_search = True
     uses_plane = True
-    measured_last = True
 
     def measure(self, view: View) -> VehicleWitness:
         """Measure the fleet in a view (paper, section III); its own scale is ``L_ref / P_mode``.

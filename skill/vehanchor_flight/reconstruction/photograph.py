@@ -219,7 +219,7 @@ def _measured(view: View, sight: Sight) -> tuple[Witness, ...]:
     rulers = [
         each
         for each in active_rulers(view.options.rulers)
-        if not each.measured_last and (each.uses_plane or not sight.tilted)
+        if each.pooling_gain is not None and (each.uses_plane or not sight.tilted)
     ]
     lines = tuple(_straight_line(line, sight) for line in view.options.rulers.known_lengths)
     options = replace(view.options, rulers=replace(view.options.rulers, known_lengths=lines))
