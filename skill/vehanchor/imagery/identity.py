@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,25 +46,17 @@ def image_id(raster: Raster) -> str:
 
 def _update_with_file(digest: hashlib._Hash, encoded: str | bytes | None) -> None:
     """Hash an encoded image: the file at its path, or its bytes."""
-    if isinstance(encoded, str):
-        try:
-            with Path(encoded).open("rb") as file:
-                size = os.fstat(file.fileno()).st_size
-                digest.update(str(size).encode())
-                for start in _blocks(size):
-                    file.seek(start)
-                    digest.update(file.read(_BLOCK_BYTES))
-        except OSError as error:
-            raise ImageDecodeError(f"cannot read the image {encoded!r} again: {error.strerror}") from error
-    elif isinstance(encoded, bytes):
-        digest.update(str(len(encoded)).encode())
-        for start in _blocks(len(encoded)):
-            digest.update(encoded[start : start + _BLOCK_BYTES])
-
-
-def _blocks(size: int) -> range:
-    """Compute the starts of the blocks of a file that are hashed."""
-    return range(0, size, max(_BLOCK_BYTES, -(-size // _BLOCKS)))
+    if encoded is None:
+        return
+    try:
+        with Path(encoded).open("rb") if isinstance(encoded, str) else BytesIO(encoded) as file:
+            size = file.seek(0, os.SEEK_END)
+            digest.update(str(size).encode())
+            for start in range(0, size, max(_BLOCK_BYTES, -(-size // _BLOCKS))):
+                file.seek(start)
+                digest.update(file.read(_BLOCK_BYTES))
+    except OSError as error:
+        raise ImageDecodeError(f"cannot read the image {encoded!r} again: {error.strerror}") from error
 
 
 def _spans(side_px: int, step: int | None = None) -> list[tuple[int, int]]:

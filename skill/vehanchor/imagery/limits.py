@@ -16,7 +16,6 @@ MIN_SIDE_PX = 16
 """Smallest side of a measurable image: a 5 m car is 17 px long at 0.3 m/px, the coarsest usable GSD."""
 
 _WINDOWED = ("TIFF", "JPEG 2000")  # formats that can be read by windows
-_SCANS_OF_LARGEST = 25  # allowed for an image of the largest size; smaller images may have more
 _BLOCK_COPIES = 2  # the decoder copies a strip or tile from one buffer into one for each band
 _SAMPLES_PER_PIXEL = 4  # in a block of the largest allowed image size
 
@@ -84,7 +83,7 @@ def read_checked_header(read_at: ReadAt, limits: ImageLimits) -> ImageHeader:
 
     Raises:
         ImageDecodeError: the format is unknown, or the header is damaged.
-        ImageTooLargeError: the image has too many pixels or scans, or decoding it takes too much memory.
+        ImageTooLargeError: the image has too many pixels, or decoding it takes too much memory.
         ImageFormatError: the image is too small to measure.
     """
     header = read_header(read_at)
@@ -111,13 +110,5 @@ def check_header(header: ImageHeader, limits: ImageLimits) -> None:
             f"decoding the {header.format} of {header.width_px} x {header.height_px} px takes {header.decoding_bytes} "
             f"bytes, the limit is {limits.max_decoded_bytes}; convert it to 8-bit RGB, or to a tiled TIFF, which is "
             "read by windows"
-        )
-    if (
-        header.n_scans > 1
-        and header.n_scans * header.width_px * header.height_px > _SCANS_OF_LARGEST * limits.max_pixels
-    ):
-        raise ImageTooLargeError(
-            f"the {header.format} of {header.width_px} x {header.height_px} px has {header.n_scans} scans, each "
-            "covering the whole image; save it again as a baseline JPEG"
         )
     check_windowed_size(header.format, header.width_px, header.height_px, limits)

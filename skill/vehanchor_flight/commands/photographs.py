@@ -77,10 +77,8 @@ def photographs(
         from vehanchor.batch.table import check_table_path, write_table
         from vehanchor_flight.verbs import estimate_flight
 
-        if out is not None:
-            check_output_path(out, (".json",), kind="a record")
-        if table is not None:
-            check_table_path(table)
+        out = out and check_output_path(out, (".json",), kind="a record")
+        table = table and check_table_path(table)
         journal = (kept := out or table) and kept.with_name(kept.name + ".journal")
         images = _images(inputs, every, chosen.options().reading.limits)
         last = "pooling the evidence of" if same_scale else "linking"

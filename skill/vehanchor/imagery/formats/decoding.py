@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -38,11 +36,6 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
         raise ImageDecodeError(f"the {header.format} ({source}) is truncated: its end mark is missing")
     if header.format == "PNG":
         data = without_ancillary_chunks(data)
-    if header.format == "AVIF" and not _decodes_avif():
-        raise ImageDecodeError(
-            f"OpenCV {cv2.__version__} was built without AVIF ({source}): pip install -U opencv-python-headless, or "
-            "convert the image to JPEG"
-        )
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except (cv2.error, MemoryError) as error:
@@ -52,7 +45,11 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
         raise ImageDecodeError(f"the {header.format} ({source}) cannot be decoded: {error.err}") from error
     # Every OpenCV can return None; the type stubs of older versions omit it.
     if pixels is None or sorted(pixels.shape[:2]) != sorted((header.height_px, header.width_px)):
-        raise ImageDecodeError(f"the {header.format} ({source}) cannot be decoded: truncated or damaged")
+        unknown = f", or unknown to OpenCV {cv2.__version__}: pip install -U opencv-python-headless"
+        raise ImageDecodeError(
+            f"the {header.format} ({source}) cannot be decoded: truncated or damaged"
+            f"{unknown if header.format == 'AVIF' else ''}"
+        )
     return pixels
 
 
@@ -67,9 +64,3 @@ def decodes_tiff(layout: TiffLayout) -> bool:
     return (
         layout.sample_format == 1 and bits in ({1}, {8}, {16}) and (white_is_zero or layout.photometric in (1, 2, 3, 6))
     )
-
-
-@cache
-def _decodes_avif() -> bool:
-    """Test whether this build of OpenCV includes an AVIF decoder."""
-    return re.search(r"AVIF:\s+(?!NO)\S", cv2.getBuildInformation()) is not None

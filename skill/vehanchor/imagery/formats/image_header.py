@@ -52,7 +52,6 @@ class ImageHeader:
         complete: False if the file ends before its end marker (known for JPEG, PNG, WebP, AVIF).
         tiff: layout of a TIFF; None for other formats.
         decoding_bytes: memory to decode it whole: its pixels and the decoder's buffers.
-        n_scans: passes of the decoder over the whole image; more than 1 for some JPEGs.
         tile_px: pixels of a JPEG 2000's tile, which is decoded whole; 0 for other formats.
         bands: samples per pixel of a JPEG 2000; 0 for other formats.
         metadata: offset and length of each block of EXIF or XMP; a TIFF has them as tags.
@@ -65,7 +64,6 @@ class ImageHeader:
     complete: bool = True
     tiff: TiffLayout | None = None
     decoding_bytes: int = 0
-    n_scans: int = 1
     tile_px: int = 0
     bands: int = 0
     metadata: tuple[tuple[int, int], ...] = ()

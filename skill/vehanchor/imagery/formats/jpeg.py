@@ -12,8 +12,8 @@ from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
 from vehanchor.imagery.formats.image_header import COPIES, ImageHeader
 
-MAX_SCANS = 100
-"""Maximum number of scans, each decoded over the whole image; progressive JPEGs of mozjpeg have up to 25."""
+MAX_SCANS = 25
+"""Maximum number of scans, each decoded over the whole image; progressive JPEGs of mozjpeg have up to as many."""
 
 MAX_SEGMENTS = 10_000
 """Maximum number of segments; 512 MiB of metadata in segments of 64 KiB, the largest possible, are 8,192."""
@@ -106,7 +106,8 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
             n_scans += 1
             if n_scans > MAX_SCANS:
                 raise ImageTooLargeError(
-                    f"the JPEG has more than {MAX_SCANS} scans, each covering the whole image; save it again"
+                    f"the JPEG has more than {MAX_SCANS} scans, each covering the whole image; save it again as a "
+                    "baseline JPEG"
                 )
             position = reader.find(_MARKER_IN_SCAN, position)
     if frame is None:
@@ -132,6 +133,5 @@ def _header(
         orientation=orientation,
         complete=complete,
         decoding_bytes=width * height * max(COPIES * shown, shown + (2 * components if held else 0)),
-        n_scans=n_scans,
         metadata=tuple(metadata),
     )
