@@ -14,6 +14,7 @@ common error, and may be wrong as a whole. Value, interval, chance and reason fo
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -260,28 +261,11 @@ class _Component(NamedTuple):
 
     Attributes:
         factors: ``[g]`` of each member by its index, with the errors of that member alone.
-        common: errors of two or more members.
+        common: errors of two or more members, by name.
     """
 
     factors: Mapping[int, NDArray[np.float64]]
-    common: tuple[Shared, ...]
-
-    @classmethod
-    def of(cls, members: Mapping[int, Witness]) -> _Component:
-        """Separate the errors of one member from those of more."""
-        named: dict[str, list[Shared]] = {}
-        for each in (shared for witness in members.values() for shared in witness.shared):
-            named.setdefault(each.name, []).append(each)
-        common = tuple(
-            Shared(name, max(each.log_sd for each in some), max(each.chance_wrong for each in some))
-            for name, some in sorted(named.items())
-            if len(some) > 1
-        )
-        factors = {
-            k: witness.factor([each for each in witness.shared if len(named[each.name]) == 1])
-            for k, witness in members.items()
-        }
-        return cls(factors, common)
+    common: Mapping[str, Shared]
 
     def density(self, floored: Collection[int]) -> NDArray[np.float64]:
         """Compute the factor ``[g]``; of the members in ``floored`` only the part that says nothing is kept."""
@@ -289,21 +273,25 @@ class _Component(NamedTuple):
         if len(kept) == 1:
             return kept[0]
         total = float(np.prod(list(self.factors.values()), axis=0).sum())
-        return _mixed(np.prod(kept, axis=0) / total, self.common)
+        return _mixed(np.prod(kept, axis=0) / total, tuple(self.common.values()))
 
 
 def _components(heard: Sequence[Witness]) -> list[_Component]:
     """Group witnesses that share an error, directly or by others."""
-    groups: list[dict[int, Witness]] = []
-    for k, each in enumerate(heard):
-        names = {shared.name for shared in each.shared}
-        merged = {k: each}
-        for group in list(groups):
-            if names & {shared.name for one in group.values() for shared in one.shared}:
-                merged |= group
-                groups.remove(group)
-        groups.append(dict(sorted(merged.items())))
-    return [_Component.of(group) for group in groups]
+    count = Counter(name for witness in heard for name in {each.name for each in witness.shared})
+    groups: list[_Component] = []
+    for k, witness in enumerate(heard):
+        factors = {k: witness.factor([each for each in witness.shared if count[each.name] == 1])}
+        common = {each.name: each for each in witness.shared if count[each.name] > 1}
+        linked = [each for each in groups if each.common.keys() & common.keys()]
+        groups = [each for each in groups if not each.common.keys() & common.keys()]
+        for other in linked:
+            factors = {**other.factors, **factors}
+            for name, one in other.common.items():
+                two = common.get(name, one)
+                common[name] = Shared(name, max(one.log_sd, two.log_sd), max(one.chance_wrong, two.chance_wrong))
+        groups.append(_Component(factors, common))
+    return groups
 
 
 def _mixed(density: NDArray[np.float64], shared: Sequence[Shared]) -> NDArray[np.float64]:
