@@ -158,7 +158,7 @@ class Answer:
         density: ``[g]`` posterior, given that at least one witness who can set a scale is right.
         p_right: by witness that found something, the chance that it is right; these do not add up to 1.
         leading: index of the setting witness without which the interval is widest.
-        gains: rise of the chance without each doubt or lack, by reason, largest first; empty for a usable scale.
+        reason: why the scale is not usable; None if it is.
     """
 
     gsd_m_per_px: float
@@ -167,17 +167,12 @@ class Answer:
     density: NDArray[np.float64] = field(repr=False)
     p_right: tuple[float, ...] = ()
     leading: int = 0
-    gains: Mapping[Reason, float] = field(default_factory=dict)
+    reason: Reason | None = None
 
     @property
     def usable(self) -> bool:
         """Whether a planner may act on the scale."""
         return self.chance >= USABLE_CHANCE
-
-    @property
-    def reason(self) -> Reason | None:
-        """Why the scale is not usable; None if it is."""
-        return None if self.usable else next(iter(self.gains), "imprecise")
 
 
 def answer(witnesses: Sequence[Witness]) -> Answer | None:
@@ -200,7 +195,7 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
         found,
         p_right=tuple(max(0.0, 1.0 - float(each.sum())) for each in wrong),
         leading=max((k for k, each in enumerate(heard) if each.sets_scale), key=widths.__getitem__),
-        gains={} if found.usable else _gains(heard, without, found.chance),
+        reason=None if found.usable else _reason(heard, without, found.chance),
     )
 
 
@@ -226,17 +221,14 @@ def _unconfirmed(heard: Sequence[Witness], value: float) -> float:
     return mass_within(_posterior(heard, known)[1], value)
 
 
-def _gains(heard: Sequence[Witness], without: Sequence[Answer | None], chance: float) -> dict[Reason, float]:
-    """Compute the rise of the chance without each doubt, lack or contradiction; only those that raise it."""
-    gains: dict[Reason, float] = {}
+def _reason(heard: Sequence[Witness], without: Sequence[Answer | None], chance: float) -> Reason:
+    """Name the doubt, lack or contradiction whose removal raises the chance most."""
+    gains: list[tuple[float, Reason]] = [(_LEAST_GAIN, "imprecise")]
     for k, each in enumerate(heard):
         others = [*heard[:k], *heard[k + 1 :]]
         better = [(lack.reason, judged([*others, lack.without])) for lack in each.lacks]
-        for reason, found in (*better, ("disagree", without[k])):
-            gain = 0.0 if found is None else found.chance - chance
-            if gain > max(gains.get(reason, 0.0), _LEAST_GAIN):
-                gains[reason] = gain
-    return dict(sorted(gains.items(), key=lambda each: -each[1]))
+        gains += [(found.chance - chance, reason) for reason, found in (*better, ("disagree", without[k])) if found]
+    return max(gains, key=lambda each: each[0])[1]
 
 
 def _posterior(heard: Sequence[Witness], *floored: Collection[int]) -> tuple[NDArray[np.float64], ...]:
