@@ -14,6 +14,7 @@ common error, and may be wrong as a whole. Value, interval, chance and reason fo
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -157,7 +158,7 @@ class Answer:
         density: ``[g]`` posterior, given that at least one witness who can set a scale is right.
         p_right: by witness that found something, the chance that it is right; these do not add up to 1.
         leading: index of the setting witness without which the interval is widest.
-        gains: rise of the chance without each doubt or lack, by reason, largest first; empty for a usable scale.
+        reason: why the scale is not usable; None if it is.
     """
 
     gsd_m_per_px: float
@@ -166,17 +167,12 @@ class Answer:
     density: NDArray[np.float64] = field(repr=False)
     p_right: tuple[float, ...] = ()
     leading: int = 0
-    gains: Mapping[Reason, float] = field(default_factory=dict)
+    reason: Reason | None = None
 
     @property
     def usable(self) -> bool:
         """Whether a planner may act on the scale."""
         return self.chance >= USABLE_CHANCE
-
-    @property
-    def reason(self) -> Reason | None:
-        """Why the scale is not usable; None if it is."""
-        return None if self.usable else next(iter(self.gains), "imprecise")
 
 
 def answer(witnesses: Sequence[Witness]) -> Answer | None:
@@ -199,7 +195,7 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
         found,
         p_right=tuple(max(0.0, 1.0 - float(each.sum())) for each in wrong),
         leading=max((k for k, each in enumerate(heard) if each.sets_scale), key=widths.__getitem__),
-        gains={} if found.usable else _gains(heard, without, found.chance),
+        reason=None if found.usable else _reason(heard, without, found.chance),
     )
 
 
@@ -225,17 +221,14 @@ def _unconfirmed(heard: Sequence[Witness], value: float) -> float:
     return mass_within(_posterior(heard, known)[1], value)
 
 
-def _gains(heard: Sequence[Witness], without: Sequence[Answer | None], chance: float) -> dict[Reason, float]:
-    """Compute the rise of the chance without each doubt, lack or contradiction; only those that raise it."""
-    gains: dict[Reason, float] = {}
+def _reason(heard: Sequence[Witness], without: Sequence[Answer | None], chance: float) -> Reason:
+    """Name the doubt, lack or contradiction whose removal raises the chance most."""
+    gains: list[tuple[float, Reason]] = [(_LEAST_GAIN, "imprecise")]
     for k, each in enumerate(heard):
         others = [*heard[:k], *heard[k + 1 :]]
         better = [(lack.reason, judged([*others, lack.without])) for lack in each.lacks]
-        for reason, found in (*better, ("disagree", without[k])):
-            gain = 0.0 if found is None else found.chance - chance
-            if gain > max(gains.get(reason, 0.0), _LEAST_GAIN):
-                gains[reason] = gain
-    return dict(sorted(gains.items(), key=lambda each: -each[1]))
+        gains += [(found.chance - chance, reason) for reason, found in (*better, ("disagree", without[k])) if found]
+    return max(gains, key=lambda each: each[0])[1]
 
 
 def _posterior(heard: Sequence[Witness], *floored: Collection[int]) -> tuple[NDArray[np.float64], ...]:
@@ -260,28 +253,11 @@ class _Component(NamedTuple):
 
     Attributes:
         factors: ``[g]`` of each member by its index, with the errors of that member alone.
-        common: errors of two or more members.
+        common: errors of two or more members, by name.
     """
 
     factors: Mapping[int, NDArray[np.float64]]
-    common: tuple[Shared, ...]
-
-    @classmethod
-    def of(cls, members: Mapping[int, Witness]) -> _Component:
-        """Separate the errors of one member from those of more."""
-        named: dict[str, list[Shared]] = {}
-        for each in (shared for witness in members.values() for shared in witness.shared):
-            named.setdefault(each.name, []).append(each)
-        common = tuple(
-            Shared(name, max(each.log_sd for each in some), max(each.chance_wrong for each in some))
-            for name, some in sorted(named.items())
-            if len(some) > 1
-        )
-        factors = {
-            k: witness.factor([each for each in witness.shared if len(named[each.name]) == 1])
-            for k, witness in members.items()
-        }
-        return cls(factors, common)
+    common: Mapping[str, Shared]
 
     def density(self, floored: Collection[int]) -> NDArray[np.float64]:
         """Compute the factor ``[g]``; of the members in ``floored`` only the part that says nothing is kept."""
@@ -289,21 +265,25 @@ class _Component(NamedTuple):
         if len(kept) == 1:
             return kept[0]
         total = float(np.prod(list(self.factors.values()), axis=0).sum())
-        return _mixed(np.prod(kept, axis=0) / total, self.common)
+        return _mixed(np.prod(kept, axis=0) / total, tuple(self.common.values()))
 
 
 def _components(heard: Sequence[Witness]) -> list[_Component]:
     """Group witnesses that share an error, directly or by others."""
-    groups: list[dict[int, Witness]] = []
-    for k, each in enumerate(heard):
-        names = {shared.name for shared in each.shared}
-        merged = {k: each}
-        for group in list(groups):
-            if names & {shared.name for one in group.values() for shared in one.shared}:
-                merged |= group
-                groups.remove(group)
-        groups.append(dict(sorted(merged.items())))
-    return [_Component.of(group) for group in groups]
+    count = Counter(name for witness in heard for name in {each.name for each in witness.shared})
+    groups: list[_Component] = []
+    for k, witness in enumerate(heard):
+        factors = {k: witness.factor([each for each in witness.shared if count[each.name] == 1])}
+        common = {each.name: each for each in witness.shared if count[each.name] > 1}
+        linked = [each for each in groups if each.common.keys() & common.keys()]
+        groups = [each for each in groups if not each.common.keys() & common.keys()]
+        for other in linked:
+            factors = {**other.factors, **factors}
+            for name, one in other.common.items():
+                two = common.get(name, one)
+                common[name] = Shared(name, max(one.log_sd, two.log_sd), max(one.chance_wrong, two.chance_wrong))
+        groups.append(_Component(factors, common))
+    return groups
 
 
 def _mixed(density: NDArray[np.float64], shared: Sequence[Shared]) -> NDArray[np.float64]:
