@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import os
 import resource
 import signal
 import sys
@@ -158,6 +159,7 @@ def main() -> int:
     parser.add_argument("--findings", type=Path, default=Path("fuzz-findings"))
     parser.add_argument("--coverage", action="store_true", help="be guided by coverage: needs atheris")
     asked = parser.parse_args()
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     if asked.coverage:
         drive_by_coverage(asked.targets[0], asked.findings, asked.seconds, asked.seed)
     from tests.fuzz.targets import CORPUS, TARGETS
