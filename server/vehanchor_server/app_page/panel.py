@@ -17,7 +17,7 @@ from vehanchor_server.frozen import FrozenModel
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.pictures.evidence import ScaleEvidence
 
 PANEL_KEY = "vehanchor/panel"
 
@@ -94,7 +94,7 @@ def _sentence_for_people(record: BaseModel) -> str | None:
     return f"{words[0].upper()}{words[1:]}.{corrected}"
 
 
-def drawing_of(analysis: ScaleAnalysis) -> Drawing:
+def drawing_of(analysis: ScaleEvidence) -> Drawing:
     """Collect the shapes behind an estimate, rounded to a tenth of a pixel."""
     import numpy as np  # late, to start the server quickly
 

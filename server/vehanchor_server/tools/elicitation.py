@@ -97,7 +97,8 @@ def with_user_input(ctx: Context[Any, Any], given: Given) -> Given:
     content = {name: value for name, value in (answered.content or {}).items() if value not in (None, "")}
     try:
         answers = _ScaleInput.model_validate(content)
-        added = Rulers(known_lengths=(answers.known_length,)).known_lengths if answers.known_length else ()
+        given_line: Any = answers.known_length
+        added = Rulers(known_lengths=(given_line,)).known_lengths if given_line else ()
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         raise _invalid_answer(f"{first['loc'][0]}: {first['msg']}") from error

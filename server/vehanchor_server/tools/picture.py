@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.imagery.raster import Raster, Window
+    from vehanchor.pictures.evidence import ScaleEvidence
     from vehanchor.pictures.placement import Cut
     from vehanchor.records import GsdEstimate
     from vehanchor_server.calls.job import Job
@@ -29,7 +29,7 @@ def draw_picture(
     wanted: PictureRequest,
     draw: Callable[[NDArray[np.uint8], Cut | None], NDArray[np.uint8]],
     *,
-    scale: ScaleAnalysis | None,
+    scale: ScaleEvidence | None,
     usual: Window | None = None,
 ) -> bytes | None:
     """Make the requested picture; unless a part is asked for, the evidence has a strip of enlarged vehicles below.
@@ -66,7 +66,7 @@ def draw_picture(
     return small_jpeg(picture, side_px=wanted.long_side_px)
 
 
-def scale_reply(raster: Raster | None, analysis: ScaleAnalysis, wanted: PictureRequest, job: Job) -> Reply[GsdEstimate]:
+def scale_reply(raster: Raster | None, analysis: ScaleEvidence, wanted: PictureRequest, job: Job) -> Reply[GsdEstimate]:
     """Combine the record of a scale with the requested picture; without one, the image need not be open."""
     from vehanchor.pictures.scale import draw_overlay
     from vehanchor_server.app_page.panel import drawing_of

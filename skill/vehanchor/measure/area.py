@@ -107,7 +107,7 @@ def _conclude(
         area_m2=area.value,
         area_ci95_low_m2=area.low,
         area_ci95_high_m2=area.high,
-        mode_length_px=scale.estimate and scale.estimate.mode_length_px,
+        mode_length_px=None if scale.estimate is None else scale.estimate.mode_length_px,
         mask_area_px=n_px,
         mask_score=found.score,
         perimeter_m=measured and outline_px * measured,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence, MeasuredEvidence
+    from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
     from vehanchor.pictures.placement import Placement
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
@@ -158,7 +158,7 @@ def _distance_text(record: DistanceMeasurement) -> str:
     return with_interval(record.distance_m, low, high, "m", f"{record.length_px:.0f} px; {NO_SCALE}")
 
 
-def _finished(canvas: Canvas, analysis: MeasuredEvidence, sizes: Sequence[str]) -> NDArray[np.uint8]:
+def _finished(canvas: Canvas, analysis: AreaEvidence | DistanceEvidence, sizes: Sequence[str]) -> NDArray[np.uint8]:
     """Add the caption with sizes and scale, a reason against their use first; no bar for a tilted or unusable scale."""
     record = analysis.measurement
     objection = _objection(record)
