@@ -17,7 +17,7 @@ import torch
 from research.scenes.fleet import Fleet
 from research.training.chips.export import export
 from research.training.chips.kinds import kind_index
-from research.training.chips.mine import chia_images, rows_of
+from research.training.chips.mine import Named, chia_images, rows_of
 from research.training.chips.network import ChipNet
 from research.training.chips.paste import Ground, pasted
 from research.training.chips.store import STORED_PX, ChipStore, Rows, read_store
@@ -126,14 +126,14 @@ def test_boxes_that_fit_are_cars_and_boxes_between_teach_nothing() -> None:
     beside = car + np.array([0, 18, 0, 0, 0])
     doubtful = car + np.array([12, 0, 0, 0, 0])
     boxes = np.concatenate([car + np.array([1, 0, 0, 0, 0]), beside, doubtful])
-    rows, known = rows_of(sample, "a.jpg", boxes, np.full(3, 0.5), np.full(3, 0.5))
+    rows, known = rows_of(Named(sample, "a.jpg", "estonia", None), boxes, np.full(3, 0.5), np.full(3, 0.5))
     assert rows.car.tolist()[:2] == [1, 0]
     assert known.tolist() == [True, True, False]
     assert rows.log_length_m[0] == pytest.approx(np.log(30 * 4.5 / 22.5), abs=1e-5)
     assert KINDS[rows.type[1]] == "other"
 
 
-def test_of_chia_odd_numbers_train_and_their_cars_teach_nothing(tmp_path: Path) -> None:
+def test_of_chia_odd_numbers_train_and_cars_seen_there_are_cars(tmp_path: Path) -> None:
     crops = tmp_path / "chia" / "crops"
     crops.mkdir(parents=True)
     for number in (16, 17):
@@ -143,9 +143,10 @@ def test_of_chia_odd_numbers_train_and_their_cars_teach_nothing(tmp_path: Path) 
     (only,) = chia_images(tmp_path)
     assert only.file == "DJI_0017.jpg"
     assert not len(only.sample.boxes)
-    boxes = np.array([[636.6, 540.1, 250.0, 110.0, 0.3], [100.0, 900.0, 110.0, 50.0, 0.3]])  # a car, and ground
-    _, known = rows_of(only.sample, only.file, boxes, np.ones(2), np.ones(2))
-    assert known.tolist() == [False, True]
+    where = [[636.6, 540.1, 250.0, 110.0, 0.3], [636.6, 540.1, 120.0, 50.0, 0.3], [100.0, 900.0, 110.0, 50.0, 0.3]]
+    rows, known = rows_of(only, np.array(where), np.ones(3), np.ones(3))  # a car, a part of it, and ground
+    assert known.tolist() == [True, False, True]
+    assert rows.car[known].tolist() == [1, 0]
 
 
 def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
