@@ -42,6 +42,7 @@ _LEAST_SCORE = 0.12  # of the detector alone
 _LEAST_SEARCHED = 0.1  # of the verifier
 _CROP_PX = 640  # side of the part of an image that is searched as the library does
 _MOST_FALSE = 50  # of an image at one size: half the surest, half at random
+_SEEN = "seen"  # set of candidates that an eye has judged: they are few, and each counts more
 _SEEN_GAP, _SEEN_LOG_LENGTH = 0.15, 0.2  # of a candidate that is a car seen without a label
 _FITS, _MISSES = 0.5, 0.25  # IoU with a label from which a box fits, and below which it does not
 GSD_M_PER_PX = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "empty": 0.3048}
@@ -62,10 +63,12 @@ class Seen(NamedTuple):
     Attributes:
         squares: ``[n, 4, 2]`` corners around cars without a label and doubtful things.
         cars: ``[m, 3]`` centres and lengths of the cars.
+        others: ``[k, 3]`` of what is no car.
     """
 
     squares: NDArray[np.float64] = np.zeros((0, 4, 2))
     cars: NDArray[np.float64] = np.zeros((0, 3))
+    others: NDArray[np.float64] = np.zeros((0, 3))
 
 
 class Named(NamedTuple):
@@ -76,7 +79,7 @@ class Named(NamedTuple):
     set: str
     labels: Path | None
     label_types: NDArray[np.int8] | None = None
-    seen: NDArray[np.float64] = np.zeros((0, 3))  # see ``Seen.cars``
+    seen: Seen = Seen()
 
 
 def type_of(body: str, length_m: float) -> int:
@@ -147,11 +150,11 @@ def rows_of(
     kind = np.where((car == 0) & (iou < 0.01), _OTHER, UNKNOWN).astype(np.int8)
     if image.label_types is not None:
         kind[hit] = image.label_types[which[hit]]
-    there = (car == 0) & _fits_seen(boxes, image.seen)
-    car[there], kind[there], known[there] = 1, UNKNOWN, True
-    rows = Rows.unlabelled(boxes[:, 2], sample.set, image.file)._replace(
-        car=car, type=kind, box=box, log_length_m=length_m
-    )
+    cars, others = ((iou < _FITS) & _fits_seen(boxes, each) for each in (image.seen.cars, image.seen.others))
+    car[cars], kind[cars], known[cars] = 1, UNKNOWN, True
+    rows = Rows.unlabelled(boxes[:, 2], sample.set, image.file)
+    rows = rows._replace(car=car, type=kind, box=box, log_length_m=length_m)
+    rows = rows._replace(sets=np.where(cars | others, _SEEN, rows.sets))
     return rows._replace(score=scores.astype(np.float32), combined=combined.astype(np.float32)), known
 
 
@@ -240,7 +243,7 @@ def mined(image: Named, detector: Detector, rng: np.random.Generator, store: Chi
     """Add the chips of one image: of a native search what it finds, else also labels, moved labels and lorries."""
     sample = cropped(rng, image.sample) if native and image.set != "chia" else image.sample
     if sample is not image.sample:
-        image = image._replace(sample=sample, seen=Seen().cars)  # a part has other coordinates
+        image = image._replace(sample=sample, seen=Seen())  # a part has other coordinates
     height, width = sample.image.shape[:2]
     if native:
         boxes, scores, combined = searched(sample, detector)
@@ -269,13 +272,13 @@ def _seen_by_eye() -> dict[str, Seen]:
     rows: dict[str, list[dict[str, str]]] = {}
     with LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):
-            if row["kind"] != "other":
-                rows.setdefault(row["file"], []).append(row)
+            rows.setdefault(row["file"], []).append(row)
     out = {}
     for file, each in rows.items():
         at = np.array([[float(row[name]) for name in ("x", "y", "length")] for row in each])
+        cars, others = (np.array([row["kind"] == kind for row in each]) for kind in ("car", "other"))
         squares = box_corners(np.column_stack([at, at[:, 2], np.zeros(len(at))]))
-        out[file] = Seen(squares, at[[row["kind"] == "car" for row in each]])
+        out[file] = Seen(squares[~others], at[cars], at[others])
     return out
 
 
@@ -286,7 +289,7 @@ def train_images(data: Path, *, held_out: bool) -> Iterator[Named]:
     def named(sample: TrainImage, path: Path, set_name: str, labels: Path | None) -> Named:
         seen = by_file.get(path.name, Seen())
         sample = sample._replace(ignore=np.concatenate([sample.ignore, seen.squares]))
-        return Named(sample, path.name, set_name, labels, seen=seen.cars)
+        return Named(sample, path.name, set_name, labels, seen=seen)
 
     with (data / "vehicles" / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
@@ -318,7 +321,7 @@ def chia_images(data: Path) -> Iterator[Named]:
             np.zeros((0, 2)),
             CAR_M / float(row["gsd_m_per_px"]),
         )
-        yield Named(sample, path.name, "chia", None, seen=seen.cars)
+        yield Named(sample, path.name, "chia", None, seen=seen)
 
 
 def scene_images(folder: Path) -> Iterator[Named]:
