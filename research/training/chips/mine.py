@@ -1,9 +1,9 @@
 """Collect candidates from the train images: ``python -m research.training.chips.mine RUN``.
 
 Writes the stores ``RUN/train`` and ``RUN/held_out``. A chip comes from one of four sources: what the bundled detector
-finds at a low score, every labelled car, labelled boxes moved or scaled until they fit no more, and lorries. No
-candidate is a false one where ``looked_at.csv`` has a car without a label, or something doubtful; in the odd numbers of
-``chia/crops``, which ``--native`` adds, it has all of them.
+finds at a low score, every labelled car, labelled boxes moved or scaled until they fit no more, and lorries. Cars
+without a label that ``looked_at.csv`` has are cars, and nothing on something doubtful is a false one; of the odd
+numbers of ``chia/crops``, which ``--native`` adds, it has all of them.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ _LEAST_SCORE = 0.12  # of the detector alone
 _LEAST_SEARCHED = 0.1  # of the verifier
 _CROP_PX = 640  # side of the part of an image that is searched as the library does
 _MOST_FALSE = 50  # of an image at one size: half the surest, half at random
+_SEEN = "seen"  # set of candidates that an eye has judged: they are few, and each counts more
+_SEEN_GAP, _SEEN_LOG_LENGTH = 0.15, 0.2  # of a candidate that is a car seen without a label
 _FITS, _MISSES = 0.5, 0.25  # IoU with a label from which a box fits, and below which it does not
 GSD_M_PER_PX = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "empty": 0.3048}
 _MOVED_SHARE = 0.35  # of the labelled cars give a box that does not fit
@@ -54,6 +56,20 @@ _TYPE_OF_BODY = {
 _OTHER, _LORRY = KINDS.index("other"), KINDS.index("lorry")
 
 
+class Seen(NamedTuple):
+    """What was judged by eye on an image.
+
+    Attributes:
+        squares: ``[n, 4, 2]`` corners around cars without a label and doubtful things.
+        cars: ``[m, 3]`` centres and lengths of the cars.
+        others: ``[k, 3]`` of what is no car.
+    """
+
+    squares: NDArray[np.float64] = np.zeros((0, 4, 2))
+    cars: NDArray[np.float64] = np.zeros((0, 3))
+    others: NDArray[np.float64] = np.zeros((0, 3))
+
+
 class Named(NamedTuple):
     """An image to mine, and where it comes from."""
 
@@ -62,6 +78,7 @@ class Named(NamedTuple):
     set: str
     labels: Path | None
     label_types: NDArray[np.int8] | None = None
+    seen: Seen = Seen()
 
 
 def type_of(body: str, length_m: float) -> int:
@@ -105,15 +122,17 @@ def _ignored(boxes: NDArray[np.float64], polygons: NDArray[np.float64]) -> NDArr
     return out
 
 
+def _fits_seen(boxes: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray[np.bool_]:
+    gap = np.linalg.norm(boxes[:, None, :2] - seen[None, :, :2], axis=2)
+    alike = np.abs(np.log(boxes[:, None, 2] / seen[None, :, 2])) < _SEEN_LOG_LENGTH
+    return np.asarray(((gap < _SEEN_GAP * seen[None, :, 2]) & alike).any(axis=1))
+
+
 def rows_of(
-    sample: TrainImage,
-    file: str,
-    boxes: NDArray[np.float64],
-    scores: NDArray[np.float64],
-    combined: NDArray[np.float64],
-    label_types: NDArray[np.int8] | None = None,
+    image: Named, boxes: NDArray[np.float64], scores: NDArray[np.float64], combined: NDArray[np.float64]
 ) -> tuple[Rows, NDArray[np.bool_]]:
-    """Compare boxes with labels; also return which boxes can train."""
+    """Compare boxes with labels and with cars seen without one; also return which boxes can train."""
+    sample = image.sample
     iou, which = overlaps(boxes, sample.boxes)
     car = np.where(iou >= _FITS, 1, 0).astype(np.int8)
     known = (iou >= _FITS) | (iou < _MISSES)
@@ -128,9 +147,13 @@ def rows_of(
         if gsd:
             length_m[hit] = np.log(truth[:, 2] * gsd)
     kind = np.where((car == 0) & (iou < 0.01), _OTHER, UNKNOWN).astype(np.int8)
-    if label_types is not None:
-        kind[hit] = label_types[which[hit]]
-    rows = Rows.unlabelled(boxes[:, 2], sample.set, file)._replace(car=car, type=kind, box=box, log_length_m=length_m)
+    if image.label_types is not None:
+        kind[hit] = image.label_types[which[hit]]
+    cars, others = ((iou < _FITS) & _fits_seen(boxes, each) for each in (image.seen.cars, image.seen.others))
+    car[cars], kind[cars], known[cars] = 1, UNKNOWN, True
+    rows = Rows.unlabelled(boxes[:, 2], sample.set, image.file)
+    rows = rows._replace(car=car, type=kind, box=box, log_length_m=length_m)
+    rows = rows._replace(sets=np.where(cars | others, _SEEN, rows.sets))
     return rows._replace(score=scores.astype(np.float32), combined=combined.astype(np.float32)), known
 
 
@@ -218,6 +241,8 @@ def add_lorries(image: Named, store: ChipStore) -> None:
 def mined(image: Named, detector: Detector, rng: np.random.Generator, store: ChipStore, *, native: bool) -> None:
     """Add the chips of one image: of a native search what it finds, else also labels, moved labels and lorries."""
     sample = cropped(rng, image.sample) if native and image.set != "chia" else image.sample
+    if sample is not image.sample:
+        image = image._replace(sample=sample, seen=Seen())  # a part has other coordinates
     height, width = sample.image.shape[:2]
     if native:
         boxes, scores, combined = searched(sample, detector)
@@ -233,7 +258,7 @@ def mined(image: Named, detector: Detector, rng: np.random.Generator, store: Chi
     boxes, scores, combined = boxes[inside], scores[inside], combined[inside]
     if not len(boxes):
         return
-    rows, known = rows_of(sample, image.file, boxes, scores, combined, image.label_types)
+    rows, known = rows_of(image, boxes, scores, combined)
     false = np.flatnonzero(known & (rows.car == 0) & (scores > 0))
     false = false[np.argsort(-combined[false], kind="stable")]
     rest = rng.permutation(false[_MOST_FALSE // 2 :])
@@ -241,38 +266,44 @@ def mined(image: Named, detector: Detector, rng: np.random.Generator, store: Chi
     store.add(surroundings(sample.image, boxes[known], STORED_PX, STORED_LENGTH_PX), rows.take(known))
 
 
-def _seen_by_eye() -> dict[str, NDArray[np.float64]]:
-    """Squares ``[n, 4, 2]`` around cars without a label and doubtful things, by the name of the image."""
-    squares: dict[str, list[list[float]]] = {}
+def _seen_by_eye() -> dict[str, Seen]:
+    """Read ``looked_at.csv``, by the name of the image."""
+    rows: dict[str, list[dict[str, str]]] = {}
     with LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):
-            if row["kind"] != "other":
-                square = [*(float(row[name]) for name in ("x", "y", "length", "length")), 0.0]
-                squares.setdefault(row["file"], []).append(square)
-    return {file: box_corners(np.array(each)) for file, each in squares.items()}
+            rows.setdefault(row["file"], []).append(row)
+    out = {}
+    for file, each in rows.items():
+        at = np.array([[float(row[name]) for name in ("x", "y", "length")] for row in each])
+        cars, others = (np.array([row["kind"] == kind for row in each]) for kind in ("car", "other"))
+        squares = box_corners(np.column_stack([at, at[:, 2], np.zeros(len(at))]))
+        out[file] = Seen(squares[~others], at[cars], at[others])
+    return out
 
 
 def train_images(data: Path, *, held_out: bool) -> Iterator[Named]:
     """The labelled train images and the scenery, or their held-out tenth."""
-    seen, none = _seen_by_eye(), np.zeros((0, 4, 2))
+    by_file = _seen_by_eye()
 
-    def judged(sample: TrainImage, name: str) -> TrainImage:
-        return sample._replace(ignore=np.concatenate([sample.ignore, seen.get(name, none)]))
+    def named(sample: TrainImage, path: Path, set_name: str, labels: Path | None) -> Named:
+        seen = by_file.get(path.name, Seen())
+        sample = sample._replace(ignore=np.concatenate([sample.ignore, seen.squares]))
+        return Named(sample, path.name, set_name, labels, seen=seen)
 
     with (data / "vehicles" / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
     rows = [row for row in rows if is_dev(row["file"], row["set"]) == held_out]
     for sample, row in zip(load_train_images(data / "vehicles", held_out=held_out), rows, strict=True):
         path = Path(row["file"])
-        yield Named(judged(sample, path.name), path.name, row["set"], data / "vehicles" / "labels" / f"{path.stem}.txt")
+        yield named(sample, path, row["set"], data / "vehicles" / "labels" / f"{path.stem}.txt")
     chosen = [place for place in places(data) if is_held_out(place) == held_out]
     for sample, place in zip(load_scenery(data, held_out=held_out), chosen, strict=True):
-        yield Named(judged(sample, place.path.name), place.path.name, place.set, place.labels)
+        yield named(sample, place.path, place.set, place.labels)
 
 
 def chia_images(data: Path) -> Iterator[Named]:
-    """Crops of ``chia/`` with odd numbers, at 0.018 to 0.043 m/px; cars and doubtful things are ignored."""
-    seen = _seen_by_eye()
+    """Crops of ``chia/`` with odd numbers, at 0.018 to 0.043 m/px, with the cars that were seen."""
+    by_file = _seen_by_eye()
     with (data / "chia" / "crops.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 1]
     for row in rows:
@@ -280,15 +311,16 @@ def chia_images(data: Path) -> Iterator[Named]:
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if image is None:
             raise FileNotFoundError(path)
+        seen = by_file.get(path.name, Seen())
         sample = TrainImage(
             "chia",
             np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8),
             np.zeros((0, 5)),
-            seen.get(path.name, np.zeros((0, 4, 2))),
+            seen.squares,
             np.zeros((0, 2)),
             CAR_M / float(row["gsd_m_per_px"]),
         )
-        yield Named(sample, path.name, "chia", None)
+        yield Named(sample, path.name, "chia", None, seen=seen)
 
 
 def scene_images(folder: Path) -> Iterator[Named]:

@@ -16,7 +16,7 @@ import torch
 
 from research.scenes.fleet import Fleet
 from research.training.chips.export import export
-from research.training.chips.mine import rows_of
+from research.training.chips.mine import Named, chia_images, rows_of
 from research.training.chips.network import ChipNet
 from research.training.chips.paste import Ground, pasted
 from research.training.chips.store import STORED_PX, Rows
@@ -107,11 +107,27 @@ def test_boxes_that_fit_are_cars_and_boxes_between_teach_nothing() -> None:
     beside = car + np.array([0, 18, 0, 0, 0])
     doubtful = car + np.array([12, 0, 0, 0, 0])
     boxes = np.concatenate([car + np.array([1, 0, 0, 0, 0]), beside, doubtful])
-    rows, known = rows_of(sample, "a.jpg", boxes, np.full(3, 0.5), np.full(3, 0.5))
+    rows, known = rows_of(Named(sample, "a.jpg", "estonia", None), boxes, np.full(3, 0.5), np.full(3, 0.5))
     assert rows.car.tolist()[:2] == [1, 0]
     assert known.tolist() == [True, True, False]
     assert rows.log_length_m[0] == pytest.approx(np.log(30 * 4.5 / 22.5), abs=1e-5)
     assert KINDS[rows.type[1]] == "other"
+
+
+def test_of_chia_odd_numbers_train_and_cars_seen_there_are_cars(tmp_path: Path) -> None:
+    crops = tmp_path / "chia" / "crops"
+    crops.mkdir(parents=True)
+    for number in (16, 17):
+        cv2.imwrite(str(crops / f"DJI_00{number}.jpg"), np.full((1280, 1280, 3), 90, np.uint8))
+    table = "file,gsd_m_per_px\ncrops/DJI_0016.jpg,0.018\ncrops/DJI_0017.jpg,0.018\n"
+    (tmp_path / "chia" / "crops.csv").write_text(table)
+    (only,) = chia_images(tmp_path)
+    assert only.file == "DJI_0017.jpg"
+    assert not len(only.sample.boxes)
+    where = [[636.6, 540.1, 250.0, 110.0, 0.3], [636.6, 540.1, 120.0, 50.0, 0.3], [100.0, 900.0, 110.0, 50.0, 0.3]]
+    rows, known = rows_of(only, np.array(where), np.ones(3), np.ones(3))  # a car, a part of it, and ground
+    assert known.tolist() == [True, False, True]
+    assert rows.car[known].tolist() == [1, 0]
 
 
 def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
