@@ -45,6 +45,7 @@ def test_a_rendered_scene_gives_its_scale(estimate: GsdEstimate) -> None:
     assert estimate.n_vehicles > 40  # half of them
 
 
+@pytest.mark.slow
 def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(
     car_park: np.ndarray, estimate: GsdEstimate, detector: Detector
 ) -> None:

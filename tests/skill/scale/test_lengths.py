@@ -45,7 +45,7 @@ def test_density_equals_scipys(lengths: list[float], weighted: bool) -> None:
 
 
 @given(st.integers(0, 300), st.integers(5, 200))
-@settings(max_examples=30)
+@settings(max_examples=15)
 @example(12, 114)  # two peaks of nearly one height
 def test_the_mode_is_scipys_maximum_to_a_thousandth_of_a_pixel(seed: int, n: int) -> None:
     lengths = _fleet(seed, n)
