@@ -48,11 +48,10 @@ def test_the_same_arguments_give_the_same_bytes_whatever_the_threads() -> None:
     assert len(digests) == 1
 
 
-@pytest.mark.parametrize("layout", ["parking", "urban"])
-def test_a_larger_image_is_painted_in_tiles_without_a_seam(layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = render_scene(0.15, width_px=400, height_px=200, seed=5, layout=layout)
+def test_a_larger_image_is_painted_in_tiles_without_a_seam(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = render_scene(0.15, width_px=400, height_px=200, seed=5, layout="urban")
     monkeypatch.setattr("research.scenes.render._TILE_PX", 128)
-    tiled = render_scene(0.15, width_px=400, height_px=200, seed=5, layout=layout)
+    tiled = render_scene(0.15, width_px=400, height_px=200, seed=5, layout="urban")
     difference = np.abs(whole.image.astype(int) - tiled.image)
     assert np.mean(difference > 12) < 0.002
     assert difference.mean() < 0.5
@@ -67,8 +66,8 @@ def test_every_layout_renders_at_every_scale(gsd: float, layout: Layout) -> None
 
 
 def test_half_the_gsd_shows_the_same_place_in_twice_the_pixels() -> None:
-    coarse = render_scene(0.3, width_px=256, height_px=256, seed=9, layout="urban")
-    fine = render_scene(0.15, width_px=512, height_px=512, seed=9, layout="urban")
+    coarse = render_scene(0.4, width_px=192, height_px=192, seed=9, layout="urban")
+    fine = render_scene(0.2, width_px=384, height_px=384, seed=9, layout="urban")
     assert len(coarse.vehicles) == len(fine.vehicles) > 5
     for one, other in zip(coarse.vehicles, fine.vehicles, strict=True):
         assert one.kind == other.kind

@@ -17,6 +17,7 @@ import anyio
 import cv2
 import numpy as np
 import uvicorn
+from jsonschema.validators import validator_for
 from mcp import Client
 from mcp.server import MCPServer
 from mcp.types import CallToolResult, ImageContent, TextContent
@@ -47,6 +48,11 @@ def input_schema(tool: str) -> dict[str, Any]:
     """The published schema of a tool's arguments."""
     schema: dict[str, Any] = json.loads(schema_files((tool,))[f"{tool}.input.json"])
     return schema
+
+
+def check_shape(value: Any, schema: dict[str, Any]) -> None:
+    """Validate by a schema; that it is one itself, at ten times the cost, is the business of ``test_schemas``."""
+    validator_for(schema)(schema).validate(value)
 
 
 def record_of(result: CallToolResult) -> dict[str, Any]:

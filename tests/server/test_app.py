@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import anyio
-import jsonschema
 import numpy as np
 import pytest
 import yaml
@@ -25,7 +24,7 @@ from typer.testing import CliRunner
 
 from tests.conftest import ROOT
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import by_path, text_of
+from tests.server.conversation import by_path, check_shape, text_of
 from vehanchor.cli.app import app
 from vehanchor_server.app import create_server
 from vehanchor_server.schemas import schema_files
@@ -119,8 +118,8 @@ async def test_answers_are_short_and_valid(server: MCPServer[object], images: Pa
             assert not result.is_error, text_of(result)
             assert tokens_of(words_of(result)) <= most_text, words_of(result)
             assert tokens_of(result.structured_content) <= most_data, result.structured_content
-            jsonschema.validate(arguments, json.loads(files[f"{tool}.input.json"]))
-            jsonschema.validate(full.structured_content, json.loads(files[f"{tool}.output.json"]))
+            check_shape(arguments, json.loads(files[f"{tool}.input.json"]))
+            check_shape(full.structured_content, json.loads(files[f"{tool}.output.json"]))
             assert result.structured_content is not None
             assert full.structured_content is not None
             assert set(result.structured_content) <= {*full.structured_content, "reason", "advice", "by_hand"}

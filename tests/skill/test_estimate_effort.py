@@ -28,7 +28,7 @@ _LARGE_PIXELS = (
     "detection.search.LARGE_PIXELS",
     "analysis.convergence.LARGE_PIXELS",
 )
-_TILES: dict[str, Any] = {"tile_px": 128, "stride_px": 96}
+_TILES: dict[str, Any] = {"tile_px": 160, "stride_px": 120}
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from mcp.types import CallToolResult
 import vehanchor
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import by_path, called, error_of, input_schema, record_of, text_of
+from tests.server.conversation import by_path, called, check_shape, error_of, input_schema, record_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor_server.app import create_server
@@ -133,7 +133,7 @@ async def test_a_target_of_the_wrong_form_is_invalid_by_the_schema_and_told_in_o
     assert words in text_of(result)
     assert "\n" not in text_of(result)
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(arguments, input_schema("measure_area"))
+        check_shape(arguments, input_schema("measure_area"))
 
 
 async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(

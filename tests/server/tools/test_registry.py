@@ -12,7 +12,7 @@ from mcp.server.mcpserver import Context
 from mcp.server.mcpserver.utilities.func_metadata import FuncMetadata
 from mcp.types import CallToolResult
 
-from tests.server.conversation import by_path, error_of, input_schema, text_of
+from tests.server.conversation import by_path, check_shape, error_of, input_schema, text_of
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Reading
 from vehanchor_server.app import create_server
@@ -131,7 +131,7 @@ async def test_wrong_arguments_are_invalid_by_the_schema_and_told_in_one_line(
     assert words in text_of(result)
     assert "\n" not in text_of(result)
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(arguments, input_schema("estimate_gsd"))
+        check_shape(arguments, input_schema("estimate_gsd"))
 
 
 _BOX = {"x_min": 1, "y_min": 1, "x_max": 90, "y_max": 90}

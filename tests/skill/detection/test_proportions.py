@@ -40,6 +40,7 @@ def test_few_cars_tell_a_stretch() -> None:
     assert (stretched.status, stretched.reason) == ("low_confidence", "disagree")
 
 
+@pytest.mark.slow
 def test_a_scale_does_not_hide_a_stretch(car_park: _Image) -> None:
     estimate = estimate_gsd(_resized(car_park, 1.5, 1.0), known_lengths=[(100, 100, 400, 100, 30.0)])
     assert estimate.status != "ok"

@@ -45,6 +45,7 @@ def test_a_rendered_scene_gives_its_scale(estimate: GsdEstimate) -> None:
     assert estimate.n_vehicles > 40  # half of them
 
 
+@pytest.mark.slow
 def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(
     car_park: np.ndarray, estimate: GsdEstimate, detector: Detector
 ) -> None:
@@ -53,7 +54,7 @@ def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(
     assert turned == pytest.approx(upright, rel=0.03)
 
 
-@pytest.mark.parametrize("factor", [0.75, 1.25])
+@pytest.mark.parametrize("factor", [0.75, pytest.param(1.25, marks=pytest.mark.slow)])
 def test_resampling_scales_the_answer_within_3_percent(
     car_park: np.ndarray, estimate: GsdEstimate, detector: Detector, factor: float
 ) -> None:
