@@ -127,7 +127,7 @@ def test_of_chia_odd_numbers_train_and_cars_seen_there_are_cars(tmp_path: Path) 
     where = [[636.6, 540.1, 250.0, 110.0, 0.3], [636.6, 540.1, 120.0, 50.0, 0.3], [100.0, 900.0, 110.0, 50.0, 0.3]]
     rows, known = rows_of(only, np.array(where), np.ones(3), np.ones(3))  # a car, a part of it, and ground
     assert known.tolist() == [True, False, True]
-    assert rows.car[known].tolist() == [1, 0]
+    assert (rows.car[known].tolist(), rows.sets[known].tolist()) == ([1, 0], ["seen", "chia"])
 
 
 def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
