@@ -122,7 +122,7 @@ def open_file(
         orientation = 1 if layout is not None and layout.georeferenced else header.orientation
         with gdal_environment(source):
             raster = DatasetRaster(dataset, source, bands, orientation=orientation)
-        raster.close_with(stack.pop_all())
+        raster.closing = stack.pop_all()
     return raster
 
 
@@ -185,7 +185,7 @@ class DatasetRaster(Raster):
     """Image read through rasterio.
 
     Args:
-        dataset: open for reading; the raster closes it only after ``close_with``.
+        dataset: open for reading; ``closing`` closes it with the raster, if it is not the caller's.
         source: name of the image.
         bands: bands to use as red, green and blue.
         orientation: EXIF orientation to apply.
@@ -222,18 +222,14 @@ class DatasetRaster(Raster):
         with gdal_environment(source):
             flags = [{flag.name for flag in dataset.mask_flag_enums[index - 1]} for index in self._unique]
         self._masked = any("all_valid" not in names for names in flags)
-        self._stack = ExitStack()
+        self.closing = ExitStack()
         self._alpha = self._alpha_band()
         if dtype != np.uint8 and self._palette is None:
             self._choose_stretch(self._sample())
 
-    def close_with(self, stack: ExitStack) -> None:
-        """Close this stack together with the raster."""
-        self._stack = stack
-
     def close(self) -> None:
         """Close the file unless it is the caller's dataset."""
-        self._stack.close()
+        self.closing.close()
 
     def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:
         """Read a window of the reduced image from the file's overviews; None if none fits the factor."""
