@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _PARALLEL_RAD = 2e-4  # at smaller angles the closed form for parallel boxes errs by less than 0.001 in IoU
 _BLOCK_OVERLAPS = 16_384  # pairs whose overlaps are computed at once, in 30 MiB
 _FEW_PAIRS = 1 << 20  # that are compared at once, in 30 MiB
+_MOST_CELLS = 1 << 20  # of a column, and columns
 _MOST_PAIRS = 20_000_000  # that are near each other
 
 
@@ -273,12 +274,12 @@ def _near_pairs(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Find all pairs with a distance of at most ``reach``.
 
-    Few points are compared all with all, because ``scipy`` takes a quarter of the time of a short command to import.
+    Points are numbered by cells that are as wide as the reach; a k-d tree of ``scipy`` takes 0.3 s to import.
 
     Args:
         first: ``[n, 2]`` x, y.
         second: ``[m, 2]`` x, y.
-        reach: largest distance, >= 0.
+        reach: largest distance, > 0.
 
     Returns:
         Indices ``[k]`` into ``first`` and into ``second``, in no particular order.
@@ -286,17 +287,22 @@ def _near_pairs(
     Raises:
         ModelContractError: too many points are near each other; time and memory grow with the square of their number.
     """
-    if len(first) * len(second) <= _FEW_PAIRS:
-        off = first[:, None] - second
-        i, j = np.nonzero(off[..., 0] ** 2 + off[..., 1] ** 2 <= reach**2)
-        return i, j
-    from scipy.spatial import KDTree
-
-    tree, other = KDTree(first), KDTree(second)
-    if tree.count_neighbors(other, reach) > _MOST_PAIRS:
-        raise ModelContractError(
-            f"more than {_MOST_PAIRS} pairs of the detector's {len(first)} boxes may overlap: it is not a vehicle "
-            "detector, or min_score is too low"
-        )
-    near = tree.sparse_distance_matrix(other, reach, output_type="ndarray")
-    return near["i"], near["j"]
+    points = np.concatenate([first, second]) - np.minimum(first.min(axis=0), second.min(axis=0))
+    cells = (points / max(reach, points.max() / _MOST_CELLS)).astype(np.int64) + 1
+    numbers = cells @ (2 * _MOST_CELLS, 1)
+    order = np.argsort(numbers[len(first) :])
+    ends = numbers[: len(first), None] + np.array([-2, 0, 2]) * _MOST_CELLS  # three cells of each of three columns
+    low = np.searchsorted(numbers[len(first) :], ends.ravel() - 1, sorter=order)
+    n = np.searchsorted(numbers[len(first) :], ends.ravel() + 1, "right", order) - low
+    found = []
+    for k in np.split(np.arange(len(n)), np.searchsorted(np.cumsum(n), np.arange(_FEW_PAIRS, n.sum(), _FEW_PAIRS))):
+        i = np.repeat(k // 3, n[k])
+        j = order[np.arange(len(i)) + np.repeat(low[k] - np.cumsum(n[k]) + n[k], n[k])]
+        found.append(np.stack([i, j])[:, np.hypot(*(first[i] - second[j]).T) <= reach])
+        if sum(each.shape[1] for each in found) > _MOST_PAIRS:
+            raise ModelContractError(
+                f"more than {_MOST_PAIRS} pairs of the detector's {len(first)} boxes may overlap: it is not a vehicle "
+                "detector, or min_score is too low"
+            )
+    i, j = np.concatenate(found, axis=1)
+    return i, j
