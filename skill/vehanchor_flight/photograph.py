@@ -60,7 +60,7 @@ class StoredPhotograph:
 
 def photograph_codec() -> Codec:
     """Codec of ``StoredPhotograph`` for journals."""
-    return Codec({**STORED_CLASSES, "photograph_findings": StoredPhotograph})
+    return Codec((*STORED_CLASSES, StoredPhotograph))
 
 
 @dataclass(frozen=True, eq=False)

@@ -158,17 +158,6 @@ def test_a_database_of_another_program_is_left_alone(tmp_path: Path) -> None:
     assert path.read_bytes() == content
 
 
-def test_a_journal_of_another_version_is_refused_with_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "j.journal"
-    with monkeypatch.context() as patches:
-        patches.setattr("vehanchor.storage.journal._VERSION", 1)
-        _journal(path).add(("a",), 1)
-    with pytest.raises(InvalidParameterError, match=r"journal_version 1 \(now 4\).*move the file away"):
-        _journal(path, sole=True)
-
-
 def test_a_damaged_value_is_told_with_the_remedy(tmp_path: Path) -> None:
     path = tmp_path / "j.journal"
     with _journal(path) as journal:

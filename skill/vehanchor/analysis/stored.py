@@ -1,4 +1,4 @@
-"""Names under which journals store intermediate results; they outlive the names of classes and modules."""
+"""Intermediate results that journals store."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from vehanchor.scale.posterior import Lack, Mark, Witness
 from vehanchor.scale.reliability import Shared
 from vehanchor.tilt.camera_tilt import CameraTilt
 
-STORED_CLASSES: dict[str, type[Any]] = {
-    "camera_metadata": CameraMetadata,
-    "camera_tilt": CameraTilt,
-    "detections": Detections,
-    "shared": Shared,
-    "witness": Witness,
-    "lack": Lack,
-    "looks": Looks,
-    "image_facts": ImageFacts,
-    "interval": Interval,
-    "mark": Mark,
-    "notice": Notice,
-    "objects": Objects,
-    "raster_note": RasterNote,
-    "scene_scale_prior": SceneScalePrior,
-}
-"""Classes of intermediate results by their stored names."""
+STORED_CLASSES: tuple[type[Any], ...] = (
+    CameraMetadata,
+    CameraTilt,
+    Detections,
+    ImageFacts,
+    Interval,
+    Lack,
+    Looks,
+    Mark,
+    Notice,
+    Objects,
+    RasterNote,
+    SceneScalePrior,
+    Shared,
+    Witness,
+)
+"""Classes that journals store."""

@@ -1,8 +1,8 @@
 """Intermediate results as JSON and back, exactly: for the journals of flights and evaluations.
 
-Frozen dataclasses, named tuples and records, arrays, and JSON's own values. A codec stores a class under a name of its
-own, so that a class or module may be renamed. It makes only its own classes: a journal from elsewhere can import and
-start nothing.
+Frozen dataclasses, named tuples and records, arrays, and JSON's own values. A codec makes only its own classes: a
+journal from elsewhere can import and start nothing. The names of classes may change with the version of the library, on
+which journals depend.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable
 
 _KIND, _ARRAY = "=", "array"
 
@@ -24,24 +24,17 @@ class Codec:
     """Values of chosen classes to JSON and back.
 
     Args:
-        classes: frozen dataclasses, named tuples and records by the names under which their values are stored. A name
-            never changes.
-
-    Raises:
-        ValueError: a class has two names, or its name is that of arrays.
+        classes: frozen dataclasses, named tuples and records, each of another name.
     """
 
-    def __init__(self, classes: Mapping[str, type[Any]]) -> None:
-        self._classes = dict(classes)
-        self._names = {kind: name for name, kind in classes.items()}
-        if len(self._names) < len(classes) or _ARRAY in classes:
-            raise ValueError(f"the stored names {', '.join(classes)} need one class each, and none is {_ARRAY!r}")
+    def __init__(self, classes: Iterable[type[Any]]) -> None:
+        self._classes = {each.__name__: each for each in classes}
 
     def dump(self, value: Any) -> Any:
         """Turn a value into what JSON can hold.
 
         Raises:
-            TypeError: the value holds something that has no stored name.
+            TypeError: the value holds something of another class.
         """
         if value is None or (isinstance(value, bool | int | float | str) and type(value).__module__ == "builtins"):
             return value
@@ -50,12 +43,11 @@ class Codec:
             return {_KIND: _ARRAY, "dtype": value.dtype.str, "shape": list(value.shape), "data": data}
         if isinstance(value, np.generic):
             return value.item()
-        name = self._names.get(type(value))
-        if name is not None:
-            return {_KIND: name, "fields": self._fields(value)}
+        if type(value) in self._classes.values():
+            return {_KIND: type(value).__name__, "fields": self._fields(value)}
         if type(value) in (tuple, list):
             return [self.dump(each) for each in value]
-        raise TypeError(f"{type(value).__name__} has no stored name: give it one in the codec")
+        raise TypeError(f"{type(value).__name__} is no stored class: add it to those of the codec")
 
     def load(self, found: Any) -> Any:
         """Turn the result of ``dump`` into the value; lists come back as tuples.

@@ -29,9 +29,7 @@ if TYPE_CHECKING:
 Key: TypeAlias = tuple[str | int, ...]
 Value = TypeVar("Value")
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
-_VERSION = 4
-"""Version of the table; another version counts as other settings."""
-_APPLICATION_ID = 0x56416A6C  # marks our files; other programs' databases are left alone
+_APPLICATION_ID = 0x56416A6C  # marks our files; another for another table. Other programs' databases are left alone
 _TABLE = (
     "CREATE TABLE IF NOT EXISTS results "
     "(settings TEXT, key TEXT, value TEXT NOT NULL, PRIMARY KEY (settings, key)) WITHOUT ROWID"
@@ -93,7 +91,7 @@ class Journal(Generic[Value]):
         remedy: str = "move the file away",
     ) -> None:
         self.path = path
-        self._facts: dict[str, Any] = json.loads(json.dumps({"journal_version": _VERSION, **settings}, default=_plain))
+        self._facts: dict[str, Any] = json.loads(json.dumps(settings, default=_plain))
         self._settings = hashlib.sha256(json.dumps(self._facts, sort_keys=True).encode()).hexdigest()
         self._dump, self._load, self._remedy = dump, load, remedy
         self._lock = threading.Lock()
