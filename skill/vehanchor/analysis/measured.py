@@ -14,7 +14,7 @@ from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.pictures.placement import Cut
+    from vehanchor.imagery.raster import Raster
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
 
@@ -22,15 +22,12 @@ if TYPE_CHECKING:
 class AreaAnalysis(Analysis, AreaEvidence):
     """Area with its evidence, drawing and export."""
 
-    def _cut(self) -> Cut:
-        from vehanchor.pictures.measured import cut_to_objects
+    def _draw(self, raster: Raster) -> NDArray[np.uint8]:
+        from vehanchor.pictures.measured import cut_to_objects, draw_area
+        from vehanchor.pictures.scale import read_reduced
 
-        return cut_to_objects([self])
-
-    def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
-        from vehanchor.pictures.measured import draw_area
-
-        return draw_area(image, self, cut=cut)
+        cut = cut_to_objects([self])
+        return draw_area(read_reduced(raster, cut.part), self, cut=cut)
 
     def full_mask(self) -> NDArray[np.bool_]:
         """Make the mask in the size of the image, ``[h, w]``.
@@ -82,15 +79,12 @@ class AreaAnalysis(Analysis, AreaEvidence):
 class DistanceAnalysis(Analysis, DistanceEvidence):
     """Distance with its evidence, drawing and export."""
 
-    def _cut(self) -> Cut:
-        from vehanchor.pictures.measured import cut_to_lines
+    def _draw(self, raster: Raster) -> NDArray[np.uint8]:
+        from vehanchor.pictures.measured import cut_to_lines, draw_distance
+        from vehanchor.pictures.scale import read_reduced
 
-        return cut_to_lines([self.measurement])
-
-    def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
-        from vehanchor.pictures.measured import draw_distance
-
-        return draw_distance(image, self, cut=cut)
+        cut = cut_to_lines([self.measurement])
+        return draw_distance(read_reduced(raster, cut.part), self, cut=cut)
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:

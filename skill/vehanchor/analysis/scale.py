@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.metadata.georeference import Ground
-    from vehanchor.pictures.placement import Cut
+    from vehanchor.imagery.raster import Raster
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,21 +48,14 @@ class Analysis:
             InvalidParameterError: the source cannot be read twice, and no image is given.
             ImageError: the image can no longer be read.
         """
-        from vehanchor.pictures.scale import read_reduced
-
         source = self.image if image is None else image
         if source is None:
             raise InvalidParameterError("the analysis does not have its image: give it, as overlay(image)")
         with open_raster(source, self.reading) as raster:
-            cut = self._cut()
-            return self._draw(read_reduced(raster, cut and cut.part), cut)
+            return self._draw(raster)
 
-    def _cut(self) -> Cut | None:
-        """Choose the part of the image to draw; None for all of it."""
-        return None
-
-    def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
-        """Draw the result over ``[h, w, 3]`` RGB: the image, the part of ``cut``, or a reduced copy of either."""
+    def _draw(self, raster: Raster) -> NDArray[np.uint8]:
+        """Draw the result over the image or its part, or a reduced copy of either, ``[h, w, 3]`` RGB."""
         raise NotImplementedError
 
     def _repr_png_(self) -> bytes | None:
@@ -98,11 +91,10 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
         vehicles = self.vehicles
         return 1.0 if vehicles is None else vehicles.resolved
 
-    def _draw(self, image: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
-        from vehanchor.pictures.scale import draw_overlay
+    def _draw(self, raster: Raster) -> NDArray[np.uint8]:
+        from vehanchor.pictures.scale import draw_overlay, read_reduced
 
-        del cut
-        return draw_overlay(image, self)
+        return draw_overlay(read_reduced(raster), self)
 
     def plot(self) -> Figure:
         """Plot the lengths, their density and the scale, as ``vehanchor estimate --plot`` does.
