@@ -120,9 +120,10 @@ def _length_sd(places: Sequence[Place], unit_px: tuple[float, float]) -> float:
 
 def _conclude(places: Sequence[Place], coordinates: CoordinateFrame, scale: ResolvedScale) -> DistanceMeasurement:
     """Make the record from path and scale."""
-    length_px = _length(places)
-    distance, low, high = scale.length_m(places), None, None
-    if distance is not None:
+    length_px, gsd, distance, low, high = _length(places), scale.gsd_m_per_px, None, None, None
+    if gsd is not None:
+        plane = scale.plane
+        distance = gsd * length_px if plane is None else float(plane.length(places[:-1], places[1:]).sum())
         low, high = scale.spread.plus(_length_sd(places, coordinates.unit_px) / length_px).around(distance)
     return DistanceMeasurement(
         status=scale.status,

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from vehanchor.analysis.pipeline import georeference_notice, notices_of
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import image_id
-from vehanchor.imagery.metadata.lens import equivalent_lens, lens
+from vehanchor.imagery.metadata.lens import lens
 from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale, Notice
 from vehanchor.records.gsd_estimate import known_scale
@@ -21,13 +20,12 @@ from vehanchor.rulers.camera import height_log_sd
 from vehanchor.rulers.stated_scale import stated_witness
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.lengths import Z95, Interval
-from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.posterior import answer
 from vehanchor.scale.reliability import RELIABILITY
-from vehanchor.tilt.camera_tilt import metadata_tilt, plane_of_record
+from vehanchor.tilt.camera_tilt import ground_plane, metadata_tilt, plane_of_record
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     import numpy as np
     from numpy.typing import NDArray
@@ -37,6 +35,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate, ScaleSource, Status
+    from vehanchor.scale.plane import GroundPlane
 
 _COARSE_M_PER_PX = 3.0
 """From here on a car has fewer than two pixels: 5 to 30 cm are usual for aerial photographs, and easily typed."""
@@ -115,14 +114,6 @@ class ResolvedScale:
         if self.gsd_m_per_px is None or not n_px:
             return None
         return self.gsd_m_per_px if self.plane is None else math.sqrt(self.plane.area(mask, left, top) / n_px)
-
-    def length_m(self, places: Sequence[tuple[float, float]]) -> float | None:
-        """Compute the length of a path in the image, metres; None without a scale."""
-        if self.gsd_m_per_px is None:
-            return None
-        if self.plane is None:
-            return self.gsd_m_per_px * sum(math.dist(first, second) for first, second in pairwise(places))
-        return float(self.plane.length(places[:-1], places[1:]).sum())
 
     @property
     def estimate(self) -> GsdEstimate | None:
@@ -275,8 +266,7 @@ def _given_plane(raster: Raster, scale: KnownScale) -> GroundPlane | None:
     """Make the ground plane of an earlier estimate."""
     if scale.plane is None:
         return None
-    size, looked = (raster.width_px, raster.height_px), scale.plane
-    plane = GroundPlane(scale.gsd_m_per_px, looked.tilt_deg, looked.focal_length_px, *size, looked.roll_deg)
+    plane = ground_plane(scale.plane, raster.width_px, raster.height_px, scale.gsd_m_per_px)
     plane.check()
     return plane
 
@@ -295,9 +285,7 @@ def _camera_above(
     """
     OBJECT_HEIGHT_M.check("object_height_m", object_height_m)
     chosen, camera = options.rulers, raster.camera if options.rulers.metadata else None
-    seen = None if camera is None else lens(ImageFacts(raster.width_px, raster.height_px), camera)
-    if chosen.focal_35mm is not None:
-        seen = equivalent_lens(raster.width_px, raster.height_px, chosen.focal_35mm)
+    seen = lens(ImageFacts(raster.width_px, raster.height_px), camera, chosen.focal_35mm)
     height = chosen.height_m or (camera.height_m if camera is not None else None)
     if seen is None and height is None:
         raise InvalidParameterError(
@@ -335,9 +323,5 @@ def _raised(
         spread = found.spread.plus(share * lens_log_sd).times(1 / (1 - share))
     else:
         spread = found.spread.plus(share / (1 - share) * height_log_sd)
-    return replace(
-        found,
-        gsd_m_per_px=found.gsd_m_per_px * (1 - share),
-        spread=spread,
-        plane=None if found.plane is None else found.plane.raised(object_height_m),
-    )
+    gsd = found.gsd_m_per_px * (1 - share)
+    return replace(found, gsd_m_per_px=gsd, spread=spread, plane=found.plane and replace(found.plane, gsd_m_per_px=gsd))

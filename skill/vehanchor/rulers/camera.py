@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from vehanchor.imagery.metadata.camera import CameraMetadata
-from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
+from vehanchor.imagery.metadata.lens import lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.ruler import Ruler, mark_of_height, point_witness, unusable
@@ -58,8 +58,7 @@ class Camera(Ruler):
         if taken_ratio(view.image, camera) is None:
             return unusable(self.kind, cropped(view.image, camera, "the camera metadata are not usable"))
         tilt_deg = camera.off_nadir_deg if view.plane is None else view.plane.tilt_deg
-        size = view.image.width_px, view.image.height_px
-        seen = lens(view.image, camera) if given_mm is None else equivalent_lens(*size, given_mm)
+        seen = lens(view.image, camera, given_mm)
         if seen is None:
             if tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG:
                 return unusable(self.kind, _tilted(tilt_deg, unusable=True))
@@ -72,7 +71,7 @@ class Camera(Ruler):
 
     def _without_height(self, view: View, camera: CameraMetadata, given_mm: float | None) -> Witness | None:
         """Say that the height is missing, unless the caller gives it or the focal length is missing, too."""
-        if view.options.rulers.height_m is None and (given_mm is not None or lens(view.image, camera) is not None):
+        if view.options.rulers.height_m is None and lens(view.image, camera, given_mm) is not None:
             return self._unusable(
                 "the focal length is known, but the height above the ground is missing: give height_m", camera.refused
             )

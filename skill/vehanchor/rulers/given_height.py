@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
+from vehanchor.imagery.metadata.lens import lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera import LENS, coarsening, cropped
@@ -16,7 +16,6 @@ from vehanchor.scale.lengths import Z95
 from vehanchor.scale.reliability import RELIABILITY, SAME_NUMBER, Shared
 
 if TYPE_CHECKING:
-    from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
@@ -46,11 +45,7 @@ class GivenHeight(Ruler):
             return unusable(self.kind, cropped(image, camera, _NO_LENS_OF_A_CROP))
         if _repeats(view, chosen.height_m):
             return unusable(self.kind, _repeated(chosen.height_m))
-        seen: Lens | None = None
-        if chosen.focal_35mm is not None:
-            seen = equivalent_lens(image.width_px, image.height_px, chosen.focal_35mm)
-        elif camera is not None:
-            seen = lens(image, camera)
+        seen = lens(image, camera, chosen.focal_35mm)
         if seen is None:
             return _unusable("the file has no usable focal length. Also give its 35 mm equivalent")
         coarser, tilt_log_sd = coarsening(0.0 if view.plane is None else view.plane.tilt_deg)

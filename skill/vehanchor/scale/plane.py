@@ -9,7 +9,7 @@ the image. At nadir ``n = (0, 0, 1)``, and the only scale is ``h / f``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -157,23 +157,6 @@ class GroundPlane:
             TooObliqueError: as in ``ground``.
         """
         return np.asarray(np.linalg.norm(self.ground(first) - self.ground(second), axis=1))
-
-    def raised(self, height_m: float) -> GroundPlane:
-        """Create the parallel plane at a height above the ground, for example at a roof.
-
-        Args:
-            height_m: height above the ground, metres.
-
-        Raises:
-            TooObliqueError: the plane lies above the camera.
-        """
-        left = 1 - height_m / self.height_m
-        if left <= 0:
-            raise TooObliqueError(
-                f"an object {height_m:g} m above the ground lies above the camera, which is {self.height_m:.0f} m up: "
-                "give a lower height"
-            )
-        return replace(self, gsd_m_per_px=self.gsd_m_per_px * left)
 
     def _above(self, ground: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert points ``[n, 3]`` on the ground to pixels of a nadir view, from the image's centre."""

@@ -64,7 +64,7 @@ class CameraTilt(NamedTuple):
 
     def plane(self, image: ImageFacts, gsd_m_per_px: float = 1.0) -> GroundPlane:
         """Ground plane of an image, with a scale at its centre."""
-        return _plane(self, image.width_px, image.height_px, gsd_m_per_px)
+        return ground_plane(self, image.width_px, image.height_px, gsd_m_per_px)
 
     def record(self, image: ImageFacts, gsd_m_per_px: float | None) -> TiltEstimate:
         """Tilt as records show it, with the range of scales if the scale at the centre is known."""
@@ -124,19 +124,17 @@ def focal_length(image: ImageFacts, options: ScaleOptions) -> tuple[float, bool]
     Returns:
         Pixels of the image, and whether it is known.
     """
-    given, camera = options.rulers.focal_35mm, image.camera if options.rulers.metadata else None
-    if given is not None:
-        return equivalent_lens(image.width_px, image.height_px, given).pixels, True
-    seen = None if camera is None else lens(image, camera)
-    if seen is not None:
-        return seen.pixels, True
-    return equivalent_lens(image.width_px, image.height_px, _USUAL_FOCAL_35MM).pixels, False
+    seen = lens(image, image.camera if options.rulers.metadata else None, options.rulers.focal_35mm)
+    if seen is None:
+        return equivalent_lens(image.width_px, image.height_px, _USUAL_FOCAL_35MM).pixels, False
+    return seen.pixels, True
 
 
 def plane_of_record(record: GsdEstimate) -> GroundPlane | None:
     """Ground plane of an estimated image; None for an image taken at nadir, or without a scale."""
-    tilt, gsd = record.tilt, record.gsd_m_per_px
-    return None if tilt is None or gsd is None else _plane(tilt, record.image_width_px, record.image_height_px, gsd)
+    if record.tilt is None or record.gsd_m_per_px is None:
+        return None
+    return ground_plane(record.tilt, record.image_width_px, record.image_height_px, record.gsd_m_per_px)
 
 
 def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | None) -> TiltEstimate:
@@ -147,8 +145,9 @@ def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | No
         record: of that image.
         gsd_m_per_px: the other scale; None for none.
     """
-    plane = plane_of_record(record.model_copy(update={"gsd_m_per_px": gsd_m_per_px, "tilt": tilt}))
-    least, largest = (None, None) if plane is None else plane.gsd_range
+    least = largest = None
+    if gsd_m_per_px is not None:
+        least, largest = ground_plane(tilt, record.image_width_px, record.image_height_px, gsd_m_per_px).gsd_range
     return tilt.model_copy(update={"gsd_least_m_per_px": least, "gsd_largest_m_per_px": largest})
 
 
@@ -157,7 +156,10 @@ def known_plane(tilt: CameraTilt | TiltEstimate) -> KnownPlane:
     return KnownPlane(tilt_deg=tilt.tilt_deg, roll_deg=tilt.roll_deg, focal_length_px=tilt.focal_length_px)
 
 
-def _plane(tilt: CameraTilt | TiltEstimate, width_px: int, height_px: int, gsd_m_per_px: float) -> GroundPlane:
+def ground_plane(
+    tilt: CameraTilt | TiltEstimate | KnownPlane, width_px: int, height_px: int, gsd_m_per_px: float
+) -> GroundPlane:
+    """Ground plane of an image of this size, with a scale at its centre."""
     return GroundPlane(gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, width_px, height_px, tilt.roll_deg)
 
 

@@ -57,18 +57,21 @@ def taken_ratio(image: ImageFacts, camera: CameraMetadata) -> float | None:
     return taken_long / long if abs(short - fitting) <= slack else None
 
 
-def lens(image: ImageFacts, camera: CameraMetadata) -> Lens | None:
+def lens(image: ImageFacts, camera: CameraMetadata | None, given_35mm: float | None = None) -> Lens | None:
     """Read the focal length from the most exact of the metadata; its spread grows if they contradict each other.
 
     Args:
         image: its size.
         camera: its metadata.
+        given_35mm: the caller's 35 mm equivalent focal length, millimetres, in place of the metadata.
 
     Returns:
         None without a focal length, or for a crop.
     """
-    ratio = taken_ratio(image, camera)
-    if ratio is None:
+    if given_35mm is not None:
+        return equivalent_lens(image.width_px, image.height_px, given_35mm)
+    ratio = None if camera is None else taken_ratio(image, camera)
+    if camera is None or ratio is None:
         return None
     known = []
     sized = camera.taken_width_px is not None
