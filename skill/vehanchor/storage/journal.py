@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeAlias, TypeVar
 
-from pydantic import BaseModel
+from pydantic_core import to_jsonable_python
 
 from vehanchor.errors import InvalidParameterError, OutputError
 
@@ -91,7 +91,7 @@ class Journal(Generic[Value]):
         remedy: str = "move the file away",
     ) -> None:
         self.path = path
-        self._facts: dict[str, Any] = json.loads(json.dumps(settings, default=_plain))
+        self._facts: dict[str, Any] = to_jsonable_python(settings)
         self._settings = hashlib.sha256(json.dumps(self._facts, sort_keys=True).encode()).hexdigest()
         self._dump, self._load, self._remedy = dump, load, remedy
         self._lock = threading.Lock()
@@ -220,12 +220,6 @@ class Journal(Generic[Value]):
         if self.path is not None:
             for name in (self.path.name, f"{self.path.name}-journal"):  # the second is SQLite's own
                 self.path.with_name(name).unlink(missing_ok=True)
-
-
-def _plain(record: Any) -> Any:
-    if isinstance(record, BaseModel):
-        return record.model_dump(mode="json")
-    raise TypeError(f"{type(record).__name__} is not JSON")
 
 
 def _difference(theirs: Any, ours: Mapping[str, Any]) -> str:
