@@ -21,15 +21,7 @@ from vehanchor.errors import (
     InvalidParameterError,
 )
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M
-from vehanchor.scale.lengths import (
-    WEIGHTED_SMOOTHING,
-    Z95,
-    guard_length,
-    kde_density,
-    kde_mode,
-    resampled_modes,
-    vehicle_weights,
-)
+from vehanchor.scale.lengths import Z95, guard_length, kde_density, kde_mode, kernel_weights, resampled_modes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -176,9 +168,8 @@ def _metres(images: Sequence[SurveyedImage]) -> NDArray[np.float64]:
 def _weights(images: Sequence[SurveyedImage], lengths: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Choose each vehicle's weight and the factor on the bandwidth, as in estimates with this calibration."""
     scores = [image.scores for image in images if image.scores is not None]
-    if len(scores) < len(images):
-        return np.ones(len(lengths)), 1.0
-    return vehicle_weights(lengths, np.concatenate(scores)), WEIGHTED_SMOOTHING
+    weighted = len(scores) == len(images)
+    return kernel_weights(lengths, np.concatenate(scores) if weighted else (), "weighted_kde" if weighted else "kde")
 
 
 def _blocks(images: Sequence[SurveyedImage]) -> NDArray[np.intp]:

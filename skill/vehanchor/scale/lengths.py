@@ -22,7 +22,7 @@ _GROUP_LOG_BANDWIDTH = 0.15  # more than the spread of a fleet (0.09) and of the
 _GROUP_LOG_STEP = 0.01
 _GRID_STEP = 0.2  # of a bandwidth; the maximum is then refined between grid points
 _MAY_BE_HIGHEST = 0.98  # of the highest point of the grid, which lies up to a tenth of a bandwidth beside its peak
-WEIGHTED_SMOOTHING = 2.0  # of Scott's bandwidth; on the train split 1.5 to 3 do alike, 1 jumps between peaks
+_WEIGHTED_SMOOTHING = 2.0  # of Scott's bandwidth; on the train split 1.5 to 3 do alike, 1 jumps between peaks
 LEAST_SCORE = 1e-3  # some models give scores of 0
 _BOOTSTRAP_REPLICATES = 400
 _BOOTSTRAP_SEED = 20260
@@ -158,7 +158,7 @@ def kde_mode(lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing:
 
     Args:
         lengths: ``[n]`` pixels, n >= 1.
-        weights: ``[n]`` or None.
+        weights: ``[n]`` non-negative, not all zero; None for equal ones.
         smoothing: factor on Scott's bandwidth.
 
     Returns:
@@ -168,8 +168,6 @@ def kde_mode(lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing:
         InvalidParameterError: no lengths, or unusable weights.
     """
     values = np.asarray(lengths, dtype=np.float64)
-    if len(values) == 0:
-        raise InvalidParameterError("the mode of no lengths is not defined: pass at least one")
     share = _normalised(values, weights)
     low, high = float(values.min()), float(values.max())
     bandwidth = smoothing * scott_bandwidth(values, share)
@@ -198,20 +196,26 @@ def _peak(
     return float((left + right) / 2)
 
 
-def vehicle_weights(lengths: ArrayLike, scores: ArrayLike) -> NDArray[np.float64]:
-    """Compute the vehicles' weights for ``weighted_kde``: ``score^2 * length``.
+def kernel_weights(
+    lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation
+) -> tuple[NDArray[np.float64], float]:
+    """Choose the vehicles' weights and the factor on the bandwidth: ``score^2 * length`` and 2 for ``weighted_kde``.
 
     Most false alarms, such as roof windows and bushes, have low scores and short boxes, as have half-hidden cars.
 
     Args:
         lengths: ``[n]`` pixels.
-        scores: ``[n]`` detection scores, 0..1.
+        scores: ``[n]`` detection scores, 0..1; used by ``weighted_kde``.
+        aggregation: see ``modal_length``.
 
     Returns:
-        ``[n]`` positive.
+        ``[n]`` positive weights, and the factor on Scott's bandwidth.
     """
+    values = np.asarray(lengths, dtype=np.float64)
+    if aggregation != "weighted_kde":
+        return np.ones(len(values)), 1.0
     score = np.maximum(np.asarray(scores, dtype=np.float64), LEAST_SCORE)
-    return np.asarray(score**2 * np.asarray(lengths, dtype=np.float64))
+    return np.asarray(score**2 * values), _WEIGHTED_SMOOTHING
 
 
 def modal_density(
@@ -228,9 +232,8 @@ def modal_density(
     Returns:
         ``[g]`` density per pixel; all zero if the lengths have no spread.
     """
-    if aggregation == "weighted_kde":
-        return kde_density(at, lengths, vehicle_weights(lengths, scores), smoothing=WEIGHTED_SMOOTHING)
-    return kde_density(at, lengths)
+    weights, smoothing = kernel_weights(lengths, scores, aggregation)
+    return kde_density(at, lengths, weights, smoothing=smoothing)
 
 
 def modal_length(lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation = "kde") -> tuple[float, Aggregation]:
@@ -249,15 +252,10 @@ def modal_length(lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation
     values = np.asarray(lengths, dtype=np.float64)
     if aggregation in ("kde", "weighted_kde") and len(values) < MIN_KDE_VEHICLES:
         aggregation = "median"
-    if aggregation == "kde":
-        return kde_mode(values), aggregation
-    if aggregation == "weighted_kde":
-        return kde_mode(values, vehicle_weights(values, scores), smoothing=WEIGHTED_SMOOTHING), aggregation
-    if aggregation == "median":
-        return float(np.median(values)), aggregation
-    if aggregation == "mean":
-        return float(np.mean(values)), aggregation
-    raise InvalidParameterError(f"aggregation {aggregation!r} is not known: use kde, weighted_kde, median or mean")
+    if aggregation in ("median", "mean"):
+        return float(np.median(values) if aggregation == "median" else np.mean(values)), aggregation
+    weights, smoothing = kernel_weights(values, scores, aggregation)
+    return kde_mode(values, weights, smoothing=smoothing), aggregation
 
 
 def resampled_modes(
@@ -309,9 +307,7 @@ def statistical_log_sds(
         divided by the root of the number of cars. The second one stays large if a few cars agree by chance.
     """
     values = np.asarray(lengths, dtype=np.float64)
-    weights, smoothing = np.ones(len(values)), 1.0
-    if aggregation == "weighted_kde":
-        weights, smoothing = vehicle_weights(values, scores), WEIGHTED_SMOOTHING
+    weights, smoothing = kernel_weights(values, scores, aggregation)
     resampling = 0.0
     if len(values) >= MIN_KDE_VEHICLES:
         resampling = float(np.sqrt(np.mean(np.log(resampled_modes(values, weights, smoothing) / mode_px) ** 2)))
