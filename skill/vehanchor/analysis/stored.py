@@ -10,7 +10,6 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
-from vehanchor.scale.lengths import Interval
 from vehanchor.scale.posterior import Lack, Mark, Witness
 from vehanchor.scale.reliability import Shared
 from vehanchor.tilt.camera_tilt import CameraTilt
@@ -20,7 +19,6 @@ STORED_CLASSES: tuple[type[Any], ...] = (
     CameraTilt,
     Detections,
     ImageFacts,
-    Interval,
     Lack,
     Looks,
     Mark,

@@ -218,8 +218,7 @@ class Journal(Generic[Value]):
         """Delete the file: the run is complete."""
         self.close()
         if self.path is not None:
-            for name in (self.path.name, f"{self.path.name}-journal"):  # the second is SQLite's own
-                self.path.with_name(name).unlink(missing_ok=True)
+            self.path.unlink(missing_ok=True)
 
 
 def _difference(theirs: Any, ours: Mapping[str, Any]) -> str:
