@@ -5,8 +5,7 @@ An analysis is a pure function of image, detector and options: the memory change
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from vehanchor.analysis.pipeline import analyse_raster
@@ -25,8 +24,7 @@ class AnalysisMemory:
     """The last analyses, by image, detector and options."""
 
     def __init__(self) -> None:
-        self._found: OrderedDict[tuple[str, str, str], ScaleAnalysis] = OrderedDict()
-        self._lock = threading.Lock()
+        self._kept = lru_cache(_MOST)(_no_analysis)
 
     def analyse(self, detector: Detector, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:
         """Return the analysis of an open image; see ``vehanchor.analysis.pipeline.analyse_raster``.
@@ -35,15 +33,12 @@ class AnalysisMemory:
         """
         if options.search.max_seconds is not None:
             return analyse_raster(detector, raster, options)
-        key = image_id(raster), detector.card.sha256, repr(options)
-        with self._lock:
-            known = self._found.get(key)
-            if known is not None:
-                self._found.move_to_end(key)
-                return known
-        analysis = analyse_raster(detector, raster, options)
-        with self._lock:
-            self._found[key] = analysis
-            while len(self._found) > _MOST:
-                self._found.popitem(last=False)
-        return analysis
+        kept = self._kept(image_id(raster), detector.card.sha256, repr(options))
+        if not kept:
+            kept.append(analyse_raster(detector, raster, options))
+        return kept[0]
+
+
+def _no_analysis(*_key: str) -> list[ScaleAnalysis]:
+    """Make the place for the analysis of an image, a detector and options."""
+    return []
