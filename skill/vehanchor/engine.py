@@ -14,9 +14,9 @@ import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, overload
 
 from vehanchor.analysis.pipeline import analyse_image, analyse_raster, checked_detector, estimate_each
 from vehanchor.courts.find import load_court_network
@@ -83,8 +83,8 @@ class Engine:
     ) -> None:
         self.options, self.runtime = options or ScaleOptions(), runtime or Runtime()
         self._sources = detector, segmenter, classes
-        self._detector = OnDemand(partial(open_detector, detector, classes, self.runtime.idle))
-        self._segmenter = OnDemand(partial(open_segmenter, segmenter, self.runtime.idle))
+        self._detector = _once(partial(open_detector, detector, classes, self.runtime.idle))
+        self._segmenter = _once(partial(open_segmenter, segmenter, self.runtime.idle))
 
     @property
     def detector(self) -> Detector:
@@ -93,7 +93,7 @@ class Engine:
         Raises:
             ModelError: the detector cannot be used.
         """
-        return self._detector.get().under(self.runtime)
+        return self._detector().under(self.runtime)
 
     @property
     def segmenter(self) -> Segmenter:
@@ -103,7 +103,7 @@ class Engine:
             ModelError: the segmenter cannot be used.
             InvalidParameterError: the source is neither a ``Segmenter`` nor two paths.
         """
-        return self._segmenter.get().under(self.runtime)
+        return self._segmenter().under(self.runtime)
 
     def load(self) -> None:
         """Load the detector and the auxiliary models before their first use.
@@ -305,20 +305,15 @@ def _kept(image: ImageSource) -> ImageSource | None:
     return image if can_be_read_again(image) else None
 
 
-class OnDemand(Generic[T]):
-    """Model that one thread loads on first use."""
+def _once(load: Callable[[], T]) -> Callable[[], T]:
+    """Give a function that loads a model on its first call, in one thread, and returns it on each."""
+    lock, loaded = threading.Lock(), cache(load)
 
-    def __init__(self, load: Callable[[], T]) -> None:
-        self._load, self._lock, self._model = load, threading.Lock(), None
+    def get() -> T:
+        with lock:
+            return loaded()
 
-    _model: T | None
-
-    def get(self) -> T:
-        """Load the model, or return the loaded one."""
-        with self._lock:
-            if self._model is None:
-                self._model = self._load()
-            return self._model
+    return get
 
 
 def open_detector(source: DetectorSource | None, classes: Sequence[str | int] | None, runtime: Runtime) -> Detector:
