@@ -35,10 +35,8 @@ if TYPE_CHECKING:
     from vehanchor.detection.search import ImageSearch
     from vehanchor.options.method import Effort
     from vehanchor.rulers.ruler import View
-    from vehanchor.scale.posterior import Answer
 
 _LEAST_FLEET_LOG_SD = 0.03  # even a known fleet differs this much between parts of a town
-_CHANGE, _FAST_CHANGE = 0.0125, 0.025  # log standard deviations
 _CHANCE_MARGIN = 0.03  # early and full searches of nine photographs differed by at most 0.017
 
 
@@ -63,26 +61,20 @@ class StopRule(NamedTuple):
 
     Attributes:
         share: limit of ``Convergence.share``.
-        change: limit of ``Convergence.change``.
+        change: limit of ``Convergence.change``; inf for none.
         checks: number of checks in a row at which the conditions must hold.
     """
 
     share: float
-    change: float
-    checks: int
-
-
-_PHOTOGRAPH = StopRule(share=0.9, change=_CHANGE, checks=1)
-_PHOTOGRAPH_FAST = StopRule(share=1.35, change=_FAST_CHANGE, checks=1)
-_LARGE = StopRule(share=0.45, change=math.inf, checks=2)
-_LARGE_FAST = StopRule(share=0.9, change=math.inf, checks=1)
+    change: float = math.inf
+    checks: int = 1
 
 
 def stop_rule(effort: Effort, n_pixels: int) -> StopRule:
     """Choose the stopping rule for an image by its size and the effort."""
     if n_pixels < LARGE_PIXELS:
-        return _PHOTOGRAPH_FAST if effort == "fast" else _PHOTOGRAPH
-    return _LARGE_FAST if effort == "fast" else _LARGE
+        return StopRule(share=1.35, change=0.025) if effort == "fast" else StopRule(share=0.9, change=0.0125)
+    return StopRule(share=0.9) if effort == "fast" else StopRule(share=0.45, checks=2)
 
 
 def search_until_settled(search: ImageSearch, view: View) -> None:
@@ -117,18 +109,15 @@ def convergence(view: View, unseen_share: float = 1.0) -> Convergence:
         return Convergence()
     heard = with_doubts([vehicles, *(each for each in measured if each is not None and each.found)])
     found = answer(heard)
-    settled = not vehicles.doubted and found is not None and _is_settled(found)
+    imprecise = found is not None and found.reason == "imprecise" and found.chance < USABLE_CHANCE - _CHANCE_MARGIN
+    # A little change of the value leaves the status as it is: usable, or clearly too imprecise.
+    settled = not vehicles.doubted and found is not None and (found.usable or imprecise)
     resampling, spread = vehicles.statistical_log_sds
     return Convergence(
         math.hypot(resampling, spread) / max(vehicles.reference.log_sd, _LEAST_FLEET_LOG_SD) if settled else math.inf,
         resampling * math.sqrt(unseen_share) if vehicles.n >= MIN_KDE_VEHICLES else math.inf,
         product(*(each.density for each in heard)),
     )
-
-
-def _is_settled(found: Answer) -> bool:
-    """Test whether a little change of the value leaves the status as it is: usable, or clearly too imprecise."""
-    return found.usable or (found.reason == "imprecise" and found.chance < USABLE_CHANCE - _CHANCE_MARGIN)
 
 
 def has_converged(checks: Sequence[Convergence], rule: StopRule) -> bool:
