@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.analysis.pipeline import georeference_notice, notices_of
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
@@ -19,10 +19,10 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera import height_log_sd
 from vehanchor.rulers.stated_scale import stated_witness
 from vehanchor.scale.defaults import USABLE_CHANCE
-from vehanchor.scale.lengths import Z95, Interval
+from vehanchor.scale.lengths import Spread
 from vehanchor.scale.posterior import answer
 from vehanchor.scale.reliability import RELIABILITY
-from vehanchor.tilt.camera_tilt import ground_plane, metadata_tilt, plane_of_record
+from vehanchor.tilt.camera_tilt import ground_plane, metadata_tilt
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,40 +42,6 @@ _COARSE_M_PER_PX = 3.0
 
 ScaleInput: TypeAlias = "Callable[[Raster, ScaleOptions], ScaleAnalysis] | float | KnownScale"
 """The known scale, or the analysis that finds it."""
-
-
-class Spread(NamedTuple):
-    """Uncertainty of a positive quantity: standard deviations of its log.
-
-    The interval of a scale is often skewed. A symmetric standard deviation would move both of its ends, so a distance
-    would contradict the scale that it rests on. Errors of other sources are added to each side.
-
-    Attributes:
-        below: towards smaller values.
-        above: towards larger values.
-    """
-
-    below: float = 0.0
-    above: float = 0.0
-
-    @classmethod
-    def of_interval(cls, value: float | None, low: float | None, high: float | None) -> Spread:
-        """Convert a 95 % interval; without one, both sides are 0; with a value at an end, that side is."""
-        if not (value and low and high):
-            return cls()
-        return cls(max(math.log(value / low), 0.0) / Z95, max(math.log(high / value), 0.0) / Z95)
-
-    def times(self, factor: float) -> Spread:
-        """Return the spread of a power of the quantity, or of the quantity with its relative error multiplied."""
-        return Spread(self.below * factor, self.above * factor)
-
-    def plus(self, log_sd: float) -> Spread:
-        """Add an independent symmetric error to each side."""
-        return Spread(math.hypot(self.below, log_sd), math.hypot(self.above, log_sd))
-
-    def around(self, value: float) -> Interval:
-        """Return the 95 % interval around a value."""
-        return Interval(value * math.exp(-Z95 * self.below), value * math.exp(Z95 * self.above))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,9 +135,7 @@ def given_scale(
         )
     if scale is not None:
         return known_scale(scale)
-    if gsd_m_per_px is None:
-        return None
-    return GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
+    return None if gsd_m_per_px is None else GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
 
 
 def resolve_scale(
@@ -215,7 +179,7 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
     if callable(scale):
         analysis = scale(raster, options)
         record = analysis.estimate
-        plane, notices = plane_of_record(record), record.warnings
+        plane, notices = _plane(raster, record.scale), record.warnings
         return ResolvedScale(
             record.gsd_m_per_px, _spread(record), record.confidence, "estimated", analysis, notices, plane, record.scale
         )
@@ -228,7 +192,7 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
             "of this image, or leave scale out"
         )
     reused = ResolvedScale(
-        scale.gsd_m_per_px, _spread(scale), scale.confidence, "reused", plane=_given_plane(raster, scale), known=scale
+        scale.gsd_m_per_px, _spread(scale), scale.confidence, "reused", plane=_plane(raster, scale), known=scale
     )
     return _given(raster, options, reused, "the scale given back is")
 
@@ -262,9 +226,9 @@ def _unit_notice(gsd_m_per_px: float, own_m_per_px: float | None) -> tuple[Notic
     )
 
 
-def _given_plane(raster: Raster, scale: KnownScale) -> GroundPlane | None:
-    """Make the ground plane of an earlier estimate."""
-    if scale.plane is None:
+def _plane(raster: Raster, scale: KnownScale | None) -> GroundPlane | None:
+    """Make the ground plane of an estimate; None for an image taken at nadir, or without a scale."""
+    if scale is None or scale.plane is None:
         return None
     plane = ground_plane(scale.plane, raster.width_px, raster.height_px, scale.gsd_m_per_px)
     plane.check()

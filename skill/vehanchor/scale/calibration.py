@@ -21,7 +21,7 @@ from vehanchor.errors import (
     InvalidParameterError,
 )
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M
-from vehanchor.scale.lengths import Z95, guard_length, kde_density, kde_mode, kernel_weights, resampled_modes
+from vehanchor.scale.lengths import Spread, guard_length, kde_density, kde_mode, kernel_weights, resampled_modes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -252,7 +252,7 @@ def calibrate(
             f"resolution guard of {shortest_px:.1f} px, where lengths come out too short. Use images of "
             f"{length.mode_m / shortest_px:.2f} m/px or finer"
         )
-    low_m, high_m = _widened(length, truth_log_sd)
+    low_m, high_m = Spread.of_interval(*length[:3]).plus(truth_log_sd).around(length.mode_m)
     return Calibration(
         reference_length_m=length.mode_m,
         reference_length_ci95_low_m=low_m,
@@ -266,13 +266,6 @@ def calibrate(
         detector=detector,
         detector_sha256=detector_sha256,
     )
-
-
-def _widened(length: ModalLength, log_sd: float) -> tuple[float, float]:
-    """Widen the interval by an independent error."""
-    down, up = math.log(length.mode_m / length.low_m), math.log(length.high_m / length.mode_m)
-    reach = Z95 * log_sd
-    return length.mode_m * math.exp(-math.hypot(down, reach)), length.mode_m * math.exp(math.hypot(up, reach))
 
 
 def load_calibration(path: str | os.PathLike[str]) -> Calibration:
