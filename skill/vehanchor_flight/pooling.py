@@ -15,13 +15,14 @@ import numpy as np
 from vehanchor.analysis.pipeline import conclude
 from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.scene_scale import SceneScalePrior
+from vehanchor.records import KnownPlane
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.scale.density import quantile, shifted
 from vehanchor.scale.posterior import Lack, Remark, Witness
-from vehanchor.tilt.camera_tilt import known_plane, with_scale
+from vehanchor.tilt.camera_tilt import with_scale
 from vehanchor_flight.photograph import of_photographs
 
 if TYPE_CHECKING:
@@ -72,7 +73,8 @@ def pool(
     if own.tilt is None or chief.tilt is None:
         return pooled
     tilt = with_scale(own.tilt, own, pooled.estimate.gsd_m_per_px)
-    scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": known_plane(chief.tilt)})
+    plane = KnownPlane.model_validate(chief.tilt, from_attributes=True)
+    scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": plane})
     return replace(pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt, "scale": scale}))
 
 

@@ -28,6 +28,7 @@ from vehanchor.records import (
     EstimateDetails,
     FrameScale,
     GsdEstimate,
+    KnownPlane,
     KnownScale,
     Notice,
     RulerScale,
@@ -46,12 +47,11 @@ from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judged
 from vehanchor.scale.reliability import SAME_NUMBER
-from vehanchor.tilt.camera_tilt import known_plane, metadata_tilt, tilt_notice
+from vehanchor.tilt.camera_tilt import metadata_tilt, tilt_notice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
@@ -317,11 +317,6 @@ def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:
     )
 
 
-def model_id(card: DetectorCard) -> str:
-    """Give the first digits of a detector's checksum."""
-    return card.sha256[:_MODEL_DIGITS]
-
-
 def known_scale(
     view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
 ) -> KnownScale | None:
@@ -334,8 +329,8 @@ def known_scale(
         gsd_ci95_high_m_per_px=max(interval[1], gsd),
         confidence=confidence,
         image_id=view.image.image_id,
-        model_id=model_id(view.card),
-        plane=None if view.tilt is None else known_plane(view.tilt),
+        model_id=view.card.sha256[:_MODEL_DIGITS],
+        plane=view.tilt and KnownPlane.model_validate(view.tilt, from_attributes=True),
     )
 
 

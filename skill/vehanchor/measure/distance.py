@@ -108,13 +108,10 @@ def _length(places: Sequence[Place]) -> float:
 
 def _length_sd(places: Sequence[Place], unit_px: tuple[float, float]) -> float:
     """Compute the standard deviation of a path's length, pixels, from an error of one step of coordinates per point."""
-    at = np.array(places)
-    legs = np.diff(at, axis=0)
+    legs = np.diff(np.array(places), axis=0)
     reach = np.hypot(legs[:, 0], legs[:, 1])[:, None]
     along = np.divide(legs, reach, out=np.zeros_like(legs), where=reach > 0)
-    gradient = np.zeros_like(at)  # of the length by each point; 0 for a point on a straight line
-    gradient[:-1] -= along
-    gradient[1:] += along
+    gradient = np.diff(along, axis=0, prepend=0.0, append=0.0)  # of the length by each point; 0 on a straight line
     return float(np.hypot.reduce((gradient * unit_px * _POINT_SD).ravel()))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from vehanchor.detection.boxes import box_axes
 from vehanchor.errors import TooObliqueError
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
-from vehanchor.records import KnownPlane, Notice, TiltEstimate
+from vehanchor.records import Notice, TiltEstimate
 from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.defaults import CAR_LENGTH_OVER_WIDTH
 from vehanchor.scale.lengths import Z95
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import GsdEstimate
+    from vehanchor.records import GsdEstimate, KnownPlane
 
 NADIR_TOLERANCE_DEG = 10.0  # an image with a smaller tilt counts as taken at nadir
 TILT_SD_DEG = 1.5  # of a gimbal's angle and of nearly level ground
@@ -130,13 +130,6 @@ def focal_length(image: ImageFacts, options: ScaleOptions) -> tuple[float, bool]
     return seen.pixels, True
 
 
-def plane_of_record(record: GsdEstimate) -> GroundPlane | None:
-    """Ground plane of an estimated image; None for an image taken at nadir, or without a scale."""
-    if record.tilt is None or record.gsd_m_per_px is None:
-        return None
-    return ground_plane(record.tilt, record.image_width_px, record.image_height_px, record.gsd_m_per_px)
-
-
 def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | None) -> TiltEstimate:
     """Recalculate the range of scales of a tilt for another scale at the centre.
 
@@ -149,11 +142,6 @@ def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | No
     if gsd_m_per_px is not None:
         least, largest = ground_plane(tilt, record.image_width_px, record.image_height_px, gsd_m_per_px).gsd_range
     return tilt.model_copy(update={"gsd_least_m_per_px": least, "gsd_largest_m_per_px": largest})
-
-
-def known_plane(tilt: CameraTilt | TiltEstimate) -> KnownPlane:
-    """Tilt as a known scale carries it."""
-    return KnownPlane(tilt_deg=tilt.tilt_deg, roll_deg=tilt.roll_deg, focal_length_px=tilt.focal_length_px)
 
 
 def ground_plane(
@@ -252,9 +240,8 @@ def rectified(detections: Detections, plane: GroundPlane) -> Detections:
 
     Args:
         detections: in pixels of the image; positions and angles are kept.
-        plane: ground plane; its scale does not matter.
+        plane: ground plane, with one metre per pixel at the image's centre.
     """
-    plane = replace(plane, gsd_m_per_px=1.0)
     lengths, widths = (plane.length(*ends) for ends in box_axes(detections.boxes))
     measured = detections.boxes.copy()
     measured[:, 2] = length_off_nadir(lengths, widths, bodies=detections.looks is not None)
