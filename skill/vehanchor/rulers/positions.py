@@ -94,9 +94,8 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
         agreement = min(1.0, abs(product) / math.sqrt(spread_px * spread_m))  # rounding can exceed 1
         gsd = math.sqrt(spread_m / spread_px)  # both have errors: geometric mean of the two regressions
         off = np.abs(in_m - gsd * (product / max(abs(product), 1e-12)) * in_px)
-        typical = max(
-            float(np.median(off)) / 0.8326, 1e-6
-        )  # median of a Rayleigh distribution over its scale, / sqrt 2
+        # 0.8326: median of a Rayleigh distribution over its scale, / sqrt 2
+        typical = max(float(np.median(off)) / 0.8326, 1e-6)
         weight = 1.0 / (1.0 + (off / (_REACH * typical)) ** 2) ** 2
     n = float(weight.sum())
     if agreement < _LEAST_AGREEMENT or n < _LEAST - 0.5:

@@ -26,9 +26,8 @@ _worker: Worker | None = None  # in a worker process
 
 def local_workers(n_tasks: int) -> int:
     """Choose one worker per CPU: single-threaded workers are faster than one worker with all threads."""
-    return max(
-        1, min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, n_tasks)
-    )
+    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(cpus, n_tasks))
 
 
 def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[BatchRow]:
