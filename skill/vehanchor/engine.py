@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, overload
@@ -23,7 +23,7 @@ from vehanchor.courts.find import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError
-from vehanchor.imagery.sources.opening import ImageSource, can_be_read_again, open_raster
+from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.measure.resolved_scale import given_scale
@@ -230,7 +230,7 @@ class Engine:
         known = engine._scale_input(gsd_m_per_px, scale, chosen)
         with open_raster(image, chosen.reading) as raster:
             (found,) = analyse_objects(raster, [prompt], segmenter, known, chosen, object_height_m=object_height_m)
-        return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
+        return found.drawn_over(image, raster, chosen.reading)
 
     def measure_distance(
         self, image: ImageSource, path: Sequence[Place], options: ScaleOptions | None = None, **keywords: Any
@@ -273,7 +273,7 @@ class Engine:
         places, known = read_path(path), engine._scale_input(gsd_m_per_px, scale, chosen)
         with open_raster(image, chosen.reading) as raster:
             (found,) = analyse_paths(raster, [places], known, chosen, object_height_m=object_height_m)
-        return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
+        return found.drawn_over(image, raster, chosen.reading)
 
     def for_call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
         """Apply the keywords of a call to the engine and its options.
@@ -298,11 +298,6 @@ class Engine:
         """Take the caller's known scale, else the analysis that finds it."""
         given = given_scale(gsd_m_per_px, scale, options)
         return partial(analyse_raster, checked_detector(self.detector, options)) if given is None else given
-
-
-def _kept(image: ImageSource) -> ImageSource | None:
-    """Keep the image for later drawing; None for a source that can be read only once."""
-    return image if can_be_read_again(image) else None
 
 
 def _once(load: Callable[[], T]) -> Callable[[], T]:

@@ -22,7 +22,7 @@ from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import ImageListError, InvalidParameterError, VehAnchorError
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
-from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.records import (
     ConfidenceTerms,
     EstimateDetails,
@@ -77,9 +77,7 @@ def checked_detector(detector: Detector, options: ScaleOptions) -> Detector:
 def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
     """Open an image, search it and measure its scale; see ``Engine.analyse_scale``."""
     with open_raster(image, options.reading) as raster:
-        analysis = analyse_raster(detector, raster, options)
-    seen = image if can_be_read_again(image) else None
-    return replace(analysis, image=seen, reading=options.reading, ground=raster.ground)
+        return analyse_raster(detector, raster, options).drawn_over(image, raster, options.reading)
 
 
 def estimate_each(images: Sequence[ImageSource], detector: Detector, options: ScaleOptions) -> list[GsdEstimate]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from vehanchor.detection.boxes import box_corners
 from vehanchor.errors import InvalidParameterError, MissingExtraError
-from vehanchor.imagery.sources.opening import ImageSource, open_raster
+from vehanchor.imagery.sources.opening import ImageSource, can_be_read_again, open_raster
 from vehanchor.options import Reading
 from vehanchor.pictures.evidence import ScaleEvidence
 
@@ -34,6 +34,11 @@ class Analysis:
     image: ImageSource | None = None
     reading: Reading = Reading()  # noqa: RUF009 - frozen
     ground: Ground | None = None
+
+    def drawn_over(self, image: ImageSource, raster: Raster, reading: Reading) -> Self:
+        """Copy the analysis with the image that it is of; a source that can be read only once is not kept."""
+        again = image if can_be_read_again(image) else None
+        return replace(self, image=again, reading=reading, ground=raster.ground)
 
     def overlay(self, image: ImageSource | None = None) -> NDArray[np.uint8]:
         """Draw the result and a scale bar over the image; a measurement shows its part of the image with a margin.
