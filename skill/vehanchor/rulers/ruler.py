@@ -18,7 +18,7 @@ from vehanchor.scale.reliability import CALLER
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Detections
@@ -68,18 +68,6 @@ class View:
     def plane(self) -> GroundPlane | None:
         """Ground plane of a tilted view, with one metre per pixel at the image's centre; None at nadir."""
         return None if self.tilt is None else self.tilt.plane(self.image)
-
-    def rectified(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Rectify points ``[n, 2]`` of the image to nadir and to the scale of its centre.
-
-        Returns:
-            ``[n, 2]`` pixels with an arbitrary origin. At nadir the points themselves.
-
-        Raises:
-            TooObliqueError: a point is above the horizon, or just below it.
-        """
-        places = np.asarray(points, dtype=np.float64)
-        return places if self.plane is None else self.plane.from_above(places)
 
     def at_nadir(self) -> View:
         """Copy the view without its tilt."""
