@@ -84,13 +84,9 @@ def lengths_of(what: str, region: str | None = None) -> tuple[Standard, tuple[Va
     """Find a thing of known size and its lengths.
 
     Args:
-        what: its name, with an optional country, as "railway_gauge/ES".
+        what: its name, as ``check_name`` allows it, with an optional country, as "railway_gauge/ES".
         region: country or region of the image; the country in the name is used instead if there is one.
-
-    Raises:
-        KnownLengthError: the thing is not in the catalogue, or the country is no two-letter code.
     """
-    check_name(what)
     name, _, country = what.partition("/")
     standard = standards()[name]
     return standard, standard.lengths_in(country or region)

@@ -83,14 +83,13 @@ def paper_scale(
         guard_length_px: ``P_thresh``, in pixels of that copy.
         length_range_px: shortest and longest vehicle in the model's training data.
     """
-    values, score = np.asarray(lengths, dtype=np.float64), np.asarray(scores, dtype=np.float64)
     mode_px, aggregation = mode
     if mode_px is None:
         return PaperScale(None, None, 0.0, Terms(), guarded=False)
     length_m, log_sd = reference_m[0], reference_m[1] / reference_m[0]
-    gsd, (resampling, fleet) = length_m / mode_px, statistical_log_sds(values, score, mode_px, aggregation)
+    gsd, (resampling, fleet) = length_m / mode_px, statistical_log_sds(lengths, scores, mode_px, aggregation)
     reach = float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + log_sd**2)))  # of a lognormal 95 % interval
-    terms = confidence_terms(values, score, mode_px * seen_scale, length_range_px)
+    terms = confidence_terms(lengths, scores, mode_px * seen_scale, length_range_px)
     guarded = mode_px * seen_scale < guard_length_px
     return PaperScale(
         gsd,
