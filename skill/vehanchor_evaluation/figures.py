@@ -13,8 +13,8 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.placement import Placement
 from vehanchor.pictures.plot import require_plots
 from vehanchor.pictures.scale import caption_panel, draw_vehicles, fit_for_eyes, read_reduced
-from vehanchor.scale.calibration import length_density
-from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX, Z95
+from vehanchor.scale.calibration import weighted_lengths_m
+from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX, Z95, kde_density
 from vehanchor_evaluation.gsd import HIGH_ERROR
 from vehanchor_evaluation.known_scale import DATASET_READING
 
@@ -212,7 +212,7 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     """
     figure = require_plots()(figsize=(8.0, 4.6), dpi=_DPI, layout="constrained")
     axes = _axes(figure.add_subplot())
-    metres = np.concatenate([image.boxes[:, 2] * image.gsd_m_per_px for image in images])
+    metres, weights, smoothing = weighted_lengths_m(images)
     mode = calibration.reference_length_m
     low, high = np.percentile(metres, [0.5, 99.5])
     low, high = max(0.0, min(low, 0.6 * mode)), max(min(high, 2.5 * mode), 1.4 * mode)
@@ -222,7 +222,7 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
         shown, bins=list(edges), color="#56B4E9", edgecolor="white", linewidth=0.5, label=f"{len(metres)} vehicles"
     )
     at = np.linspace(low, high, 800)
-    density = length_density(images, at) * len(metres) * (edges[1] - edges[0])
+    density = kde_density(at, metres, weights, smoothing=smoothing) * len(metres) * (edges[1] - edges[0])
     axes.plot(at, density, color=_BLUE, lw=2, label="density (KDE)")
     ends = calibration.reference_length_ci95_low_m, calibration.reference_length_ci95_high_m
     axes.axvspan(

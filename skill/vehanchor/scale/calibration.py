@@ -21,12 +21,12 @@ from vehanchor.errors import (
     InvalidParameterError,
 )
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M
-from vehanchor.scale.lengths import Spread, guard_length, kde_density, kde_mode, kernel_weights, resampled_modes
+from vehanchor.scale.lengths import Spread, guard_length, kde_mode, kernel_weights, resampled_modes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
 MIN_VEHICLES = 100
 """Least number of vehicles. Lengths of one fleet spread by about 9 %: the mode of 100 cars is known to 3 % (95 %)."""
@@ -137,8 +137,7 @@ def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
     Raises:
         InvalidParameterError: there is no vehicle.
     """
-    metres = _metres(images)
-    weights, smoothing = _weights(images, metres)
+    metres, weights, smoothing = weighted_lengths_m(images)
     mode = kde_mode(metres, weights, smoothing=smoothing)
     modes = resampled_modes(metres, weights, smoothing, _blocks(images))
     low, high = np.percentile(modes, [2.5, 97.5])
@@ -146,23 +145,10 @@ def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
     return ModalLength(mode, min(float(low), mode), max(float(high), mode), spread)
 
 
-def length_density(images: Sequence[SurveyedImage], at: ArrayLike) -> NDArray[np.float64]:
-    """Compute the density whose mode is ``modal_length_m``.
-
-    Args:
-        images: vehicles and true scales, at least two lengths among them.
-        at: ``[g]`` lengths, metres.
-
-    Returns:
-        ``[g]`` density per metre.
-    """
-    metres = _metres(images)
-    weights, smoothing = _weights(images, metres)
-    return kde_density(at, metres, weights, smoothing=smoothing)
-
-
-def _metres(images: Sequence[SurveyedImage]) -> NDArray[np.float64]:
-    return np.concatenate([np.zeros(0), *(image.boxes[:, 2] * image.gsd_m_per_px for image in images)])
+def weighted_lengths_m(images: Sequence[SurveyedImage]) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Collect the lengths ``[n]`` in metres, their weights ``[n]``, and the factor on the bandwidth of the density."""
+    metres = np.concatenate([np.zeros(0), *(image.boxes[:, 2] * image.gsd_m_per_px for image in images)])
+    return metres, *_weights(images, metres)
 
 
 def _weights(images: Sequence[SurveyedImage], lengths: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
