@@ -90,7 +90,7 @@ def run_batch(
         detector: name of a bundled model or path of an ONNX file; default the bundled one.
         classes: classes of the model that count as vehicles; default the model's own.
         options: of the method, without a frame.
-        known_lengths: CSV with lines of known length by image; see ``read_known_lengths``.
+        known_lengths: CSV with lines of known length by image; see ``known_length_table.lines_in``.
         details: write all columns.
         overwrite: start again; a table stays until the new one is complete.
         runtime: providers of the models, each on one thread; its progress gets (images done, images in all).
@@ -214,14 +214,14 @@ def _write_counted(
     statuses: Counter[str] = Counter()
     causes: dict[tuple[str | None, str], Cause] = {}
 
-    def counted() -> Iterator[BatchRow]:
+    def counted() -> Iterator[Mapping[str, Any]]:
         for row in rows:
             assert row is not None  # the run is complete
             statuses["error" if row.estimate is None else row.estimate.status] += 1
             if (advice := row.advice) is not None:
                 n_before, first = causes.get(same := (row.reason, advice.helps), (0, row))
                 causes[same] = Cause(n_before + 1, first)
-            yield row
+            yield row.flat()
 
     write_table(table, counted(), ALL_COLUMNS if details else COLUMNS)
     return dict(statuses), tuple(sorted(causes.values(), key=lambda cause: -cause.n_rows))

@@ -95,7 +95,7 @@ def photographs(
         if out is not None:
             write_record(out, record)
         if table is not None:
-            write_table(table, (_row(record, each) for each in record.photographs))
+            write_table(table, (_row(record, each).flat() for each in record.photographs))
         _tell(record, as_json=as_json)
 
 
