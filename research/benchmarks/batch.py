@@ -22,7 +22,6 @@ import cv2
 from research.results.record import add_record_option, recording
 from research.scenes import render_scene
 from vehanchor.batch import run_batch
-from vehanchor.batch.run import BatchEngine
 from vehanchor.models.runtime import Runtime
 
 SIDE_PX = 1024
@@ -70,7 +69,7 @@ def simulated_cluster(n_nodes: int) -> Iterator[None]:
         cluster.shutdown()
 
 
-def run_rows(folder: Path, engine: BatchEngine, workers: int) -> Run:
+def run_rows(folder: Path, engine: str, workers: int) -> Run:
     """Run the folder's images."""
     seen: list[float] = []
 

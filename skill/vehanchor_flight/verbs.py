@@ -47,7 +47,7 @@ def estimate_flight(
             photograph.
         engine: holds the models; None for the bundled ones.
         same_scale: all photographs have one scale, as in a survey at one height: pool their evidence.
-        known_lengths_table: CSV of lines of known length in photographs given as paths; see ``read_known_lengths``.
+        known_lengths_table: CSV of lines of known length in photographs given as paths; see ``lines_in``.
         journal: file with the result of each photograph, from which the same call resumes after an interruption;
             removed at the end. It covers photographs given as paths, and frames of ``sample_video``.
         **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
@@ -90,7 +90,7 @@ def rescale(
             wrong size.
         engine: holds the models; None for the bundled ones.
         images: folder of the photographs; None looks near the model's files.
-        known_lengths_table: CSV of lines of known length in the photographs; see ``read_known_lengths``.
+        known_lengths_table: CSV of lines of known length in the photographs; see ``lines_in``.
         journal: as in ``estimate_flight``.
         **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
 

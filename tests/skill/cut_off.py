@@ -50,9 +50,9 @@ _WRITERS: dict[str, Callable[[Path], object]] = {
     "calibration.json": lambda path: write_record(path, CALIBRATION, indent=2),
     "picture.png": lambda path: write_picture(path, _PICTURE),
     "picture.jpg": lambda path: write_picture(path, _PICTURE),
-    "table.csv": lambda path: write_table(path, _ROWS),
-    "table.jsonl": lambda path: write_table(path, _ROWS),
-    "table.parquet": lambda path: write_table(path, _ROWS),
+    "table.csv": lambda path: write_table(path, [row.flat() for row in _ROWS]),
+    "table.jsonl": lambda path: write_table(path, [row.flat() for row in _ROWS]),
+    "table.parquet": lambda path: write_table(path, [row.flat() for row in _ROWS]),
     "report.json": lambda path: write_results(path.parent, "report", CALIBRATION, _FACTS, "# Words\n"),
 }
 _RESULTS = 3

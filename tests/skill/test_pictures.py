@@ -24,7 +24,7 @@ from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import OutputError
-from vehanchor.export.geojson import PIXELS_WKT, write_shapes
+from vehanchor.export.geojson import PIXELS_WKT, check_geojson_path, write_shapes
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
@@ -309,7 +309,8 @@ def expected_corners(analysis: ScaleAnalysis) -> np.ndarray:
 
 
 def test_geojson_of_a_georeferenced_file_is_in_degrees(on_ground: ScaleAnalysis, tmp_path: Path) -> None:
-    collection = json.loads(write_shapes(tmp_path / "a.geojson", on_ground).read_text())
+    write_shapes(tmp_path / "a.geojson", on_ground)
+    collection = json.loads((tmp_path / "a.geojson").read_text())
     assert len(collection["features"]) == 12
     for feature, corners in zip(collection["features"], expected_corners(on_ground), strict=True):
         (ring,) = feature["geometry"]["coordinates"]
@@ -319,7 +320,8 @@ def test_geojson_of_a_georeferenced_file_is_in_degrees(on_ground: ScaleAnalysis,
 
 def test_geojson_of_a_plain_image_is_in_its_pixels(cars: np.ndarray, model: Path, tmp_path: Path) -> None:
     analysis = analyse_scale(cars, detector=Detector(model))
-    written = json.loads(write_shapes(tmp_path / "a.geojson", analysis).read_text())
+    write_shapes(tmp_path / "a.geojson", analysis)
+    written = json.loads((tmp_path / "a.geojson").read_text())
     assert written.pop("crs") == {"type": "name", "properties": {"name": PIXELS_WKT}}
     assert written == json.loads(json.dumps(analysis.__geo_interface__))
 
@@ -333,7 +335,7 @@ def test_the_command_writes_them_and_refuses_before_the_work(cars: np.ndarray, m
     refused = CliRunner().invoke(app, [*words, str(tmp_path / "boxes.gpkg")])
     assert (refused.exit_code, "use the suffix .geojson" in refused.stderr) == (2, True)
     with pytest.raises(OutputError, match="there is no folder"):
-        write_shapes(tmp_path / "none" / "a.geojson", analyse_scale(cars, detector=Detector(model)))
+        check_geojson_path(tmp_path / "none" / "a.geojson")
 
 
 def _run(*arguments: object) -> None:

@@ -6,8 +6,8 @@ resumes. ``table`` writes the rows in the order of the files. ``run`` combines t
 """
 
 from vehanchor.batch.row import BatchRow
-from vehanchor.batch.run import BatchEngine, BatchSummary, run_batch
+from vehanchor.batch.run import BatchSummary, run_batch
 from vehanchor.batch.worker import BatchJob
 from vehanchor.imagery.sources.files import find_images
 
-__all__ = ["BatchEngine", "BatchJob", "BatchRow", "BatchSummary", "find_images", "run_batch"]
+__all__ = ["BatchJob", "BatchRow", "BatchSummary", "find_images", "run_batch"]

@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.engines.local import local_rows, local_workers
@@ -30,8 +30,6 @@ from vehanchor.storage.journal import Journal
 if TYPE_CHECKING:
     import os
     from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-
-BatchEngine = Literal["local", "ray"]
 
 
 class Cause(NamedTuple):
@@ -64,7 +62,7 @@ def run_batch(
     inputs: Sequence[str],
     output: str | os.PathLike[str],
     *,
-    engine: BatchEngine = "local",
+    engine: str = "local",
     address: str | None = None,
     workers: int | None = None,
     detector: str | os.PathLike[str] | None = None,
@@ -90,7 +88,7 @@ def run_batch(
         detector: name of a bundled model or path of an ONNX file; default the bundled one.
         classes: classes of the model that count as vehicles; default the model's own.
         options: of the method, without a frame.
-        known_lengths: CSV with lines of known length by image; see ``read_known_lengths``.
+        known_lengths: CSV with lines of known length by image; see ``lines_in``.
         details: write all columns.
         overwrite: start again; a table stays until the new one is complete.
         runtime: providers of the models, each on one thread; its progress gets (images done, images in all).
@@ -197,7 +195,7 @@ def _unfinished(output: Path, overwrite: bool) -> Path:
 
 
 def _rows(
-    engine: BatchEngine, job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
+    engine: str, job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
 ) -> Generator[BatchRow]:
     if not tasks:
         return
@@ -214,14 +212,14 @@ def _write_counted(
     statuses: Counter[str] = Counter()
     causes: dict[tuple[str | None, str], Cause] = {}
 
-    def counted() -> Iterator[BatchRow]:
+    def counted() -> Iterator[Mapping[str, Any]]:
         for row in rows:
             assert row is not None  # the run is complete
             statuses["error" if row.estimate is None else row.estimate.status] += 1
             if (advice := row.advice) is not None:
                 n_before, first = causes.get(same := (row.reason, advice.helps), (0, row))
                 causes[same] = Cause(n_before + 1, first)
-            yield row
+            yield row.flat()
 
     write_table(table, counted(), ALL_COLUMNS if details else COLUMNS)
     return dict(statuses), tuple(sorted(causes.values(), key=lambda cause: -cause.n_rows))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError
@@ -18,13 +18,8 @@ if TYPE_CHECKING:
 
 _CHUNK_ROWS = 4096  # held in memory by the Parquet writer
 
-
-class FlatRow(Protocol):
-    """Row of a table."""
-
-    def flat(self) -> dict[str, Any]:
-        """Give the values by column."""
-        ...
+Rows: TypeAlias = "Iterable[Mapping[str, Any]]"
+"""Values by column."""
 
 
 def check_table_path(path: Path) -> Path:
@@ -40,12 +35,12 @@ def check_table_path(path: Path) -> Path:
     return path
 
 
-def write_table(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type] = COLUMNS) -> None:
+def write_table(path: Path, rows: Rows, columns: Mapping[str, type] = COLUMNS) -> None:
     """Write rows; an existing file is replaced when all are written.
 
     Args:
         path: ``.parquet``, ``.csv`` or ``.jsonl``, checked by ``check_table_path``.
-        rows: in order; not all are held in memory.
+        rows: values by column, in order; not all are held in memory.
         columns: names and types of their values, in order; other values of a row are left out.
 
     Raises:
@@ -55,29 +50,27 @@ def write_table(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]
         _WRITERS[path.suffix.lower()](partial, rows, columns)
 
 
-def _write_jsonl(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]) -> None:
+def _write_jsonl(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
     with path.open("w", encoding="ascii", newline="\n") as file:
         for row in rows:
-            values = row.flat()
-            file.write(json.dumps({name: values[name] for name in columns}, allow_nan=False) + "\n")
+            file.write(json.dumps({name: row[name] for name in columns}, allow_nan=False) + "\n")
 
 
-def _write_csv(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]) -> None:
+def _write_csv(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(columns), lineterminator="\n")
         writer.writeheader()
         for row in rows:
-            values = row.flat()
-            writer.writerow({name: in_cell(values[name]) for name in columns})
+            writer.writerow({name: in_cell(row[name]) for name in columns})
 
 
-def _write_parquet(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]) -> None:
+def _write_parquet(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
     arrow, parquet = _require_pyarrow()
     types = {float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_(), str: arrow.string()}
     schema = arrow.schema([(name, types[kind]) for name, kind in columns.items()])
     remaining = iter(rows)
     with parquet.ParquetWriter(path, schema) as writer:
-        while chunk := [row.flat() for row in islice(remaining, _CHUNK_ROWS)]:
+        while chunk := list(islice(remaining, _CHUNK_ROWS)):
             writer.write_table(arrow.Table.from_pylist(chunk, schema=schema))
 
 
@@ -92,7 +85,7 @@ def _require_pyarrow() -> tuple[Any, Any]:
     return pyarrow, pyarrow.parquet
 
 
-_WRITERS: dict[str, Callable[[Path, Iterable[FlatRow], Mapping[str, type]], None]] = {
+_WRITERS: dict[str, Callable[[Path, Rows, Mapping[str, type]], None]] = {
     ".parquet": _write_parquet,
     ".csv": _write_csv,
     ".jsonl": _write_jsonl,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -12,7 +11,7 @@ import typer
 
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
-from vehanchor.cli.terminal import FAILED, counts_text, exit_on_error, printable, resumable, work_progress
+from vehanchor.cli.terminal import FAILED, counts_text, printable, resumable, work_progress
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.text import count
 
@@ -39,11 +38,6 @@ TargetsFile: TypeAlias = Annotated[
 ]
 
 
-class _Engine(StrEnum):
-    local = "local"
-    ray = "ray"
-
-
 @scale_command(without=(*OF_ONE_IMAGE, "threads"))
 def batch(
     inputs: Inputs,
@@ -51,8 +45,9 @@ def batch(
         Path, typer.Option("--output", "-o", metavar="FILE", help="File to write: .parquet, .csv or .jsonl.")
     ],
     engine: Annotated[
-        _Engine, typer.Option(help="local: processes of this machine; ray: Ray Data (extra 'ray'). Same rows.")
-    ] = _Engine.local,
+        str,
+        typer.Option(metavar="local|ray", help="Processes of this machine, or Ray Data (extra 'ray'). Same rows."),
+    ] = "local",
     address: Annotated[
         str | None,
         typer.Option(
@@ -77,34 +72,33 @@ def batch(
 
     After an interruption, the same command resumes the run. With --measure, the table has one row per target.
     """
-    with exit_on_error():
-        started = time.monotonic()
-        with work_progress("images") as progress:
-            if measure is not None:
-                if engine is not _Engine.local or workers or known_lengths or details:
-                    raise InvalidParameterError("--measure excludes --engine, --workers, --known-lengths and --details")
-                from vehanchor.cli.batch_targets import measure_table
+    started = time.monotonic()
+    with work_progress("images") as progress:
+        if measure is not None:
+            if engine != "local" or workers or known_lengths or details:
+                raise InvalidParameterError("--measure excludes --engine, --workers, --known-lengths and --details")
+            from vehanchor.cli.batch_targets import measure_table
 
-                measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
-                return
-            from vehanchor.batch import run_batch
+            measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
+            return
+        from vehanchor.batch import run_batch
 
-            with resumable(output, "rows"):
-                summary = run_batch(
-                    inputs,
-                    output,
-                    engine=engine.value,
-                    address=address,
-                    workers=workers,
-                    detector=chosen.detector,
-                    classes=chosen.classes,
-                    options=chosen.options(),
-                    known_lengths=known_lengths,
-                    details=details,
-                    overwrite=overwrite,
-                    runtime=chosen.runtime(progress),
-                )
-        _summarise(summary, time.monotonic() - started)
+        with resumable(output, "rows"):
+            summary = run_batch(
+                inputs,
+                output,
+                engine=engine,
+                address=address,
+                workers=workers,
+                detector=chosen.detector,
+                classes=chosen.classes,
+                options=chosen.options(),
+                known_lengths=known_lengths,
+                details=details,
+                overwrite=overwrite,
+                runtime=chosen.runtime(progress),
+            )
+    _summarise(summary, time.monotonic() - started)
 
 
 def _summarise(summary: BatchSummary, seconds: float) -> None:

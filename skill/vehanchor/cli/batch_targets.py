@@ -69,7 +69,7 @@ def measure_table(
         placed = [(feature, row.ground) for row in rows if (feature := row.feature()) is not None]
         write_features(output, placed)
     else:
-        write_table(output, rows, TARGET_COLUMNS)
+        write_table(output, (row.flat() for row in rows), TARGET_COLUMNS)
     _summarise(output, rows)
 
 

@@ -10,7 +10,6 @@ import typer
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.measured import show_measured
-from vehanchor.cli.outputs import chosen_outputs
 from vehanchor.cli.spaced import parse_point
 from vehanchor.cli.terminal import Strict
 from vehanchor.records.text import with_interval
@@ -58,8 +57,8 @@ def distance(
             image, path, gsd_m_per_px=gsd, scale=known, object_height_m=object_height, progress=progress
         )
 
-    outputs = chosen_outputs(line=line, overlay=overlay)
-    show_measured(image, analyse, _facts, outputs, as_json=as_json, strict=strict)
+    files = {"line": line, "overlay": overlay}
+    show_measured(image, analyse, _facts, files, as_json=as_json, strict=strict)
 
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:

@@ -17,7 +17,6 @@ from vehanchor.cli.terminal import (
     NOT_OK,
     STATUS_TEXTS,
     Strict,
-    exit_on_error,
     exit_strictly,
     failures_as_json,
     print_facts,
@@ -101,23 +100,22 @@ def estimate(
     chosen: ParsedOptions,
 ) -> None:
     """Estimate the ground sampling distance (metres per pixel) of aerial images from the cars in them."""
-    with exit_on_error():
-        with failures_as_json(images, as_json):
-            _refuse_folders(images)
-            if len(images) > 1:
-                chosen.options().by_hand.check_single()
-            files = {"overlay": overlay, "plot": plot, "boxes": boxes, "scale_bar": scale_bar, "geotiff": geotiff}
-            outputs = _outputs(images, files)
-            engine = chosen.engine()
-            engine.load()
-        rows, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
-        if rows and not as_json:
-            _print_summary(rows) if len(images) > 1 else print_facts(rows[0][0], _facts(rows[0][1]))
-            for source, record in rows:
-                print_warnings(record.warnings, source if len(images) > 1 else "")
-        if n_failed or n_refused:
-            raise typer.Exit(BAD_INPUT if n_failed else NOT_OK)
-        exit_strictly(strict, (record.status for _, record in rows))
+    with failures_as_json(images, as_json):
+        _refuse_folders(images)
+        if len(images) > 1:
+            chosen.options().by_hand.check_single()
+        files = {"overlay": overlay, "plot": plot, "boxes": boxes, "scale_bar": scale_bar, "geotiff": geotiff}
+        outputs = _outputs(images, files)
+        engine = chosen.engine()
+        engine.load()
+    rows, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
+    if rows and not as_json:
+        _print_summary(rows) if len(images) > 1 else print_facts(rows[0][0], _facts(rows[0][1]))
+        for source, record in rows:
+            print_warnings(record.warnings, source if len(images) > 1 else "")
+    if n_failed or n_refused:
+        raise typer.Exit(BAD_INPUT if n_failed else NOT_OK)
+    exit_strictly(strict, (record.status for _, record in rows))
 
 
 def _refuse_folders(images: Sequence[str]) -> None:

@@ -60,15 +60,10 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
 
     try:
         record: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InvalidParameterError(
-            f"--scale {str(path)!r} cannot be read: {error}. Give the output of 'vehanchor estimate IMAGE --json'"
-        ) from None
-    try:
         if isinstance(record, dict) and "photographs" in record:
             record = _scale_in(record["photographs"], image)
         return known_scale(record)
-    except InvalidParameterError as error:
+    except (OSError, ValueError) as error:  # InvalidParameterError is one
         raise InvalidParameterError(
             f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor estimate IMAGE --json'"
         ) from None

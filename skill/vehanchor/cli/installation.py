@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 _NEEDED = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pydantic", "mcp")
 _EXTRAS = {"rasterio": "geo", "matplotlib": "plots", "pyarrow": "parquet", "ray": "ray"}
 _PICTURE, GSD_M_PER_PX = "bundled/check.jpg", 0.15  # a rendered car park: python -m research.scenes, seed 5
-_TOLERANCE = 0.15
 
 
 def installed() -> list[tuple[str, str]]:
@@ -34,9 +33,3 @@ def installed() -> list[tuple[str, str]]:
 def check_picture(engine: Engine) -> GsdEstimate:
     """Measure the bundled picture."""
     return engine.estimate(files("vehanchor.models").joinpath(_PICTURE).read_bytes())
-
-
-def is_right(record: GsdEstimate) -> bool:
-    """Tell whether the scale of the bundled picture is usable and correct."""
-    gsd = record.gsd_m_per_px
-    return record.status == "ok" and gsd is not None and abs(gsd / GSD_M_PER_PX - 1) <= _TOLERANCE

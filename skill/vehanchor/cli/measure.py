@@ -10,7 +10,6 @@ import typer
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.measured import show_measured
-from vehanchor.cli.outputs import chosen_outputs
 from vehanchor.cli.spaced import parse_point
 from vehanchor.cli.terminal import Strict
 from vehanchor.options.models import SEGMENTER
@@ -30,7 +29,7 @@ SegmenterFiles: TypeAlias = Annotated[
 ]
 
 MaskFile: TypeAlias = Annotated[
-    str | None, typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, in full size.")
+    Path | None, typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, in full size.")
 ]
 OutlineFile: TypeAlias = Annotated[
     Path | None,
@@ -59,7 +58,7 @@ def measure(
     object_height: ObjectHeight = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     overlay: Annotated[
-        str | None,
+        Path | None,
         typer.Option(metavar="OUT.png", help="Write the object with outline, vehicles and scale bar."),
     ] = None,
     mask: MaskFile = None,
@@ -83,8 +82,8 @@ def measure(
             progress=progress,
         )
 
-    outputs = chosen_outputs(outline=outline, overlay=overlay, mask=mask)
-    show_measured(image, analyse, _facts, outputs, as_json=as_json, strict=strict)
+    files = {"outline": outline, "overlay": overlay, "mask": mask}
+    show_measured(image, analyse, _facts, files, as_json=as_json, strict=strict)
 
 
 def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tuple[float, float, bool]] | None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.cli.outputs import check_outputs, write_outputs
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
-    exit_on_error,
     exit_strictly,
     failures_as_json,
     print_facts,
@@ -30,7 +29,7 @@ def show_measured(
     image: str,
     measure: Callable[[Callable[[int, int], None]], Any],
     facts: Callable[[Any], Sequence[tuple[str, str]]],
-    outputs: Mapping[str, Path],
+    files: Mapping[str, Path | None],
     *,
     as_json: bool,
     strict: bool,
@@ -41,23 +40,23 @@ def show_measured(
         image: the photograph.
         measure: makes the analysis; it gets the progress of the search.
         facts: lists the facts of a record for people, without its scale.
-        outputs: files by the names of their options.
+        files: files by the names of their options; None for those that the caller does not want.
         as_json: print one JSON object and nothing else.
         strict: exit with another status if the record is not ok.
     """
-    with exit_on_error():
-        with failures_as_json([image], as_json):
-            check_outputs([image], outputs.items())
-            with work_progress("tiles", lines=as_json) as tell:
-                analysis = measure(partial(tell, name=Path(image).name))
-        record = analysis.measurement
-        if as_json:
-            print_json({"source": image, **record.model_dump(mode="json")})
-        else:
-            print_facts(image, [*facts(record), *_scale_facts(record), ("status", record.status)])
-            print_warnings(record.warnings)
-        write_outputs(analysis, outputs)
-        exit_strictly(strict, [record.status])
+    outputs = {name: path for name, path in files.items() if path is not None}
+    with failures_as_json([image], as_json):
+        check_outputs([image], outputs.items())
+        with work_progress("tiles", lines=as_json) as tell:
+            analysis = measure(partial(tell, name=Path(image).name))
+    record = analysis.measurement
+    if as_json:
+        print_json({"source": image, **record.model_dump(mode="json")})
+    else:
+        print_facts(image, [*facts(record), *_scale_facts(record), ("status", record.status)])
+        print_warnings(record.warnings)
+    write_outputs(analysis, outputs)
+    exit_strictly(strict, [record.status])
 
 
 def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> list[tuple[str, str]]:

@@ -18,11 +18,6 @@ _SHAPES = ("boxes", "line", "outline")
 _METRIC = ("scale_bar", "geotiff")
 
 
-def chosen_outputs(**files: str | Path | None) -> dict[str, Path]:
-    """Collect the files that the caller names."""
-    return {name: Path(each) for name, each in files.items() if each is not None}
-
-
 def check_outputs(images: Iterable[str], outputs: Iterable[tuple[str, Path]]) -> None:
     """Check, before the work, suffixes, folders and conflicts of output files.
 

@@ -28,46 +28,44 @@ PIXELS_WKT = (
 """Reference system of an image without coordinates: GDAL and geopandas read the unit as pixels, not metres."""
 
 
-def check_geojson_path(path: str | Path) -> Path:
+def check_geojson_path(path: Path) -> None:
     """Check, before the work, that a file can be written to a path.
 
     Raises:
         OutputError: the suffix is another one, or the folder does not exist.
     """
-    return check_output_path(path, (SUFFIX,), kind="GeoJSON", also="ogr2ogr and geopandas convert it to other formats")
+    check_output_path(path, (SUFFIX,), kind="GeoJSON", also="ogr2ogr and geopandas convert it to other formats")
 
 
-def write_shapes(path: str | Path, analysis: ScaleAnalysis | AreaAnalysis | DistanceAnalysis) -> Path:
-    """Write the vehicles of a scale, or the measured outline or line with its size; return the path.
+def write_shapes(path: Path, analysis: ScaleAnalysis | AreaAnalysis | DistanceAnalysis) -> None:
+    """Write the vehicles of a scale, or the measured outline or line with its size.
 
     Raises:
-        OutputError: as ``check_geojson_path``, or the file cannot be written.
+        OutputError: the file cannot be written.
     """
     found = analysis.__geo_interface__
     features = [each for each in found.get("features", [found]) if each["geometry"]["coordinates"]]
-    return write_features(path, [(each, analysis.ground) for each in features])
+    write_features(path, [(each, analysis.ground) for each in features])
 
 
-def write_features(path: str | Path, placed: Sequence[tuple[dict[str, Any], Ground | None]]) -> Path:
-    """Write features of one or many images; return the path.
+def write_features(path: Path, placed: Sequence[tuple[dict[str, Any], Ground | None]]) -> None:
+    """Write features of one or many images.
 
     Args:
-        path: path of the file.
+        path: path of the file, checked by ``check_geojson_path``.
         placed: features in pixels, each with the position of its image on the ground; None without a georeference.
 
     Raises:
-        OutputError: as ``check_geojson_path``, or the file cannot be written; or only some images are georeferenced.
+        OutputError: the file cannot be written, or only some images are georeferenced.
     """
-    target = check_geojson_path(path)
     if len({ground is None for _, ground in placed}) > 1:
         raise OutputError("some images are georeferenced and others are not: write one file for each kind")
     collection: dict[str, Any] = {"type": "FeatureCollection"}
     if all(ground is None for _, ground in placed):
         collection["crs"] = {"type": "name", "properties": {"name": PIXELS_WKT}}
     collection["features"] = [feature if ground is None else _in_degrees(feature, ground) for feature, ground in placed]
-    with whole_file(target) as partial:
+    with whole_file(path) as partial:
         partial.write_text(json.dumps(collection), encoding="utf-8")
-    return target
 
 
 def _in_degrees(feature: dict[str, Any], ground: Ground) -> dict[str, Any]:

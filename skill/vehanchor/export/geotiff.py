@@ -21,35 +21,31 @@ _LOCAL_METRES = 'LOCAL_CS["VehAnchor, local metres",UNIT["metre",1]]'
 _TILE_PX = 512
 
 
-def check_copy_path(path: str | Path) -> Path:
+def check_copy_path(path: Path) -> None:
     """Check, before the work, that a copy can be written to a path.
 
     Raises:
         OutputError: the suffix is not that of a TIFF, or the folder does not exist.
         MissingExtraError: rasterio is not installed.
     """
-    target = check_output_path(path, (".tif", ".tiff"), kind="a GeoTIFF")
+    check_output_path(path, (".tif", ".tiff"), kind="a GeoTIFF")
     _import_rasterio()
-    return target
 
 
-def write_metric_copy(path: str | Path, raster: Raster, gsd_m_per_px: float) -> Path:
+def write_metric_copy(path: Path, raster: Raster, gsd_m_per_px: float) -> None:
     """Write an image in full size, 8-bit RGB and upright, with its pixel size.
 
     Args:
-        path: ``.tif`` or ``.tiff``.
+        path: ``.tif`` or ``.tiff``, checked by ``check_copy_path``.
         raster: the image, read by rows of tiles.
         gsd_m_per_px: the side of a pixel, metres.
 
-    Returns:
-        The path.
-
     Raises:
-        OutputError: as ``check_copy_path``, or the file cannot be written.
+        OutputError: the file cannot be written.
         MissingExtraError: rasterio is not installed.
         ImageError: the image cannot be read.
     """
-    target, rasterio = check_copy_path(path), _import_rasterio()
+    rasterio = _import_rasterio()
     width, height = raster.width_px, raster.height_px
     profile: dict[str, Any] = {
         "driver": "GTiff",
@@ -67,7 +63,7 @@ def write_metric_copy(path: str | Path, raster: Raster, gsd_m_per_px: float) -> 
         "crs": rasterio.CRS.from_wkt(_LOCAL_METRES),
         "transform": rasterio.Affine(gsd_m_per_px, 0, 0, 0, -gsd_m_per_px, 0),
     }
-    with whole_file(target) as partial:
+    with whole_file(path) as partial:
         try:
             with rasterio.open(partial, "w", **profile) as copy:
                 for top in range(0, height, _TILE_PX):
@@ -76,7 +72,6 @@ def write_metric_copy(path: str | Path, raster: Raster, gsd_m_per_px: float) -> 
                     copy.write(pixels.transpose(2, 0, 1), window=((top, top + rows), (0, width)))
         except rasterio.errors.RasterioError as error:
             raise OutputError(f"cannot write {str(path)!r}: {error}") from error
-    return target
 
 
 def _import_rasterio() -> Any:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from vehanchor.options.method import Effort, Lengths, Reference, Search
-from vehanchor.options.reading import DECODED_BYTES_PER_PIXEL, Coordinates, Frame, ImageLimits, Reading
-from vehanchor.options.rulers import AddedVehicle, Basis, ByHand, KnownLength, Rulers
-from vehanchor.options.scale_options import DeclaredOption, ScaleOptions, declared_options
+from vehanchor.options.reading import Coordinates, Frame, ImageLimits, Reading
+from vehanchor.options.rulers import Basis, ByHand, KnownLength, Rulers
+from vehanchor.options.scale_options import ScaleOptions, declared_options
 
 __all__ = [
-    "DECODED_BYTES_PER_PIXEL",
-    "AddedVehicle",
     "Basis",
     "ByHand",
     "Coordinates",
-    "DeclaredOption",
     "Effort",
     "Frame",
     "ImageLimits",

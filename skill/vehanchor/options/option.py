@@ -30,22 +30,6 @@ _UNITS = {
     "m": {"mm": 1e-3, "cm": 0.01, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048, "yd": 0.9144},
     "mm": {"mm": 1.0},
 }
-_LONG = {
-    "feet": "ft",
-    "foot": "ft",
-    "metres": "m",
-    "meters": "m",
-    "metre": "m",
-    "meter": "m",
-    "inches": "in",
-    "yards": "yd",
-}
-_EXPECTED = {
-    "bool_type": "use True or False",
-    "string_type": "give one name",
-    "tuple_type": "give a list",
-    "missing": "it is missing",
-}
 
 
 class Limits(NamedTuple):
@@ -104,7 +88,7 @@ class Limits(NamedTuple):
                 return math.nan
         found = _TEXT.fullmatch(value.strip()) if isinstance(value, str) else None
         unit = found[2].lower() if found else ""
-        factor = _UNITS.get(self.unit, {}).get(_LONG.get(unit, unit)) if unit else 1.0
+        factor = _UNITS.get(self.unit, {}).get(unit) if unit else 1.0
         try:
             return math.nan if found is None or factor is None else float(found[1]) * factor
         except ValueError:  # several points
@@ -199,7 +183,7 @@ def refusal(kind: Any, error: ValidationError) -> VehAnchorError:
     field = kind.__pydantic_fields__.get(place[0]) if place else None
     options = [each for each in (field.metadata if field else ()) if isinstance(each, Option)]
     made: Any = getattr(kind, "error", options[0].error if options else InvalidParameterError)
-    words = _EXPECTED.get(first["type"]) or first["msg"].replace("Input should be", "use")
+    words = first["msg"].replace("Input should be", "use")
     if first["type"] == "literal_error":
         words = f"use one of {first['ctx']['expected'].replace(' or ', ', ').replace(chr(39), '')}"
     refused: VehAnchorError = made(f"{'.'.join(place)} is {_shown(first['input'])}: {words}")

@@ -24,37 +24,25 @@ _COLUMNS = ("file", "x1", "y1", "x2", "y2", "metres")
 _OPTIONAL = ("basis", "tolerance_m", "what")
 
 
-def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLength, ...]]:
+def lines_in(path: str | os.PathLike[str] | None, images: Iterable[str | os.PathLike[str]]) -> KnownLengthTable:
     """Read a CSV with the columns ``file``, ``x1``, ``y1``, ``x2``, ``y2`` and ``metres``.
 
     A name of ``vehanchor.rulers.standards`` may stand for the metres. The columns ``basis``, ``tolerance_m`` and
     ``what`` are optional; an empty cell is the default.
 
     Args:
-        path: path of the table; an image may have several lines. Files are relative to the table.
+        path: path of the table; an image may have several lines. Files are relative to the table. None for no lines.
+        images: the images to measure. Lines of other images are refused, because a name may be misspelt.
 
     Returns:
         The lines of each image, in pixels of the image.
 
     Raises:
-        KnownLengthError: the table cannot be read, or a row is invalid; the message names the row.
-    """
-    return read_image_table(path, "known lengths", _COLUMNS, _line, KnownLengthError)
-
-
-def lines_in(path: str | os.PathLike[str] | None, images: Iterable[str | os.PathLike[str]]) -> KnownLengthTable:
-    """Read a table of known lengths, and check that it names no other images; empty without a table.
-
-    Args:
-        path: path of the table.
-        images: the images to measure. Lines of other images are refused, because a name may be misspelt.
-
-    Raises:
-        KnownLengthError: the table cannot be read, or a line lies in another image.
+        KnownLengthError: the table cannot be read, a row is invalid, or a line lies in another image.
     """
     if path is None:
         return {}
-    lines = read_known_lengths(path)
+    lines = read_image_table(path, "known lengths", _COLUMNS, _line, KnownLengthError)
     strangers = sorted(set(lines) - {where_it_is(image) for image in images})
     if strangers:
         raise KnownLengthError(

@@ -7,7 +7,6 @@ import typing
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
-from vehanchor.cli.terminal import exit_on_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -26,14 +25,12 @@ def measuring_command(
             never apply.
 
     Returns:
-        A decorator for a function of the request and the parsed options; the result is for Typer and prints errors to
-        stderr.
+        A decorator for a function of the request and the parsed options; the result is for Typer.
     """
 
     def decorate(command: Callable[[Request, ParsedOptions], None]) -> Callable[..., None]:
         def run(chosen: ParsedOptions, **typed: Any) -> None:
-            with exit_on_error():
-                command(request(**typed), chosen)
+            command(request(**typed), chosen)
 
         chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=ParsedOptions)
         declared = with_signature(run, command, [*fields_of(request), chosen])

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
-from vehanchor.cli.terminal import exit_on_error, printable
+from vehanchor.cli.terminal import printable
 
 
 @scale_command(
@@ -36,12 +36,11 @@ def live(
     chosen: ParsedOptions,
 ) -> None:
     """Estimate the scale while flying: one JSON line for each frame. Advisory; the newest frame wins."""
-    with exit_on_error():
-        from vehanchor_flight.verbs import live_scales
+    from vehanchor_flight.verbs import live_scales
 
-        records = live_scales(source, engine=chosen.engine(), every_s=every, hold_s=hold, idle_s=idle, tell=_tell)
-        for record in records:
-            print(record.model_dump_json(), flush=True)
+    records = live_scales(source, engine=chosen.engine(), every_s=every, hold_s=hold, idle_s=idle, tell=_tell)
+    for record in records:
+        print(record.model_dump_json(), flush=True)
 
 
 def _tell(sentence: str) -> None:

@@ -13,7 +13,6 @@ from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
-    exit_on_error,
     print_facts,
     print_json,
     print_rows,
@@ -73,30 +72,29 @@ def photographs(
     chosen: ParsedOptions,
 ) -> None:
     """Estimate the scales of the photographs of one flight from their common evidence."""
-    with exit_on_error():
-        from vehanchor.batch.table import check_table_path, write_table
-        from vehanchor_flight.verbs import estimate_flight
+    from vehanchor.batch.table import check_table_path, write_table
+    from vehanchor_flight.verbs import estimate_flight
 
-        out = out and check_output_path(out, (".json",), kind="a record")
-        table = table and check_table_path(table)
-        journal = (kept := out or table) and kept.with_name(kept.name + ".journal")
-        images = _images(inputs, every, chosen.options().reading.limits)
-        last = "pooling the evidence of" if same_scale else "linking"
-        counted = isinstance(images, Sequence)  # the length of a video is unknown
-        with work_progress("images") as tell, resumable(journal):
-            record = estimate_flight(
-                images,
-                engine=chosen.engine(),
-                same_scale=same_scale,
-                known_lengths_table=known_lengths,
-                journal=journal,
-                progress=lambda done, n: tell(done, n, last if counted and done == n else "searching"),
-            )
-        if out is not None:
-            write_record(out, record)
-        if table is not None:
-            write_table(table, (_row(record, each) for each in record.photographs))
-        _tell(record, as_json=as_json)
+    out = out and check_output_path(out, (".json",), kind="a record")
+    table = table and check_table_path(table)
+    journal = (kept := out or table) and kept.with_name(kept.name + ".journal")
+    images = _images(inputs, every, chosen.options().reading.limits)
+    last = "pooling the evidence of" if same_scale else "linking"
+    counted = isinstance(images, Sequence)  # the length of a video is unknown
+    with work_progress("images") as tell, resumable(journal):
+        record = estimate_flight(
+            images,
+            engine=chosen.engine(),
+            same_scale=same_scale,
+            known_lengths_table=known_lengths,
+            journal=journal,
+            progress=lambda done, n: tell(done, n, last if counted and done == n else "searching"),
+        )
+    if out is not None:
+        write_record(out, record)
+    if table is not None:
+        write_table(table, (_row(record, each).flat() for each in record.photographs))
+    _tell(record, as_json=as_json)
 
 
 def _tell(record: FlightEstimate, *, as_json: bool) -> None:

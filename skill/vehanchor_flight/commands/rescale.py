@@ -12,7 +12,6 @@ from vehanchor.cli.terminal import (
     NOT_OK,
     STATUS_TEXTS,
     Strict,
-    exit_on_error,
     exit_strictly,
     print_facts,
     print_json,
@@ -76,23 +75,22 @@ def rescale(
     chosen: ParsedOptions,
 ) -> None:
     """Give a reconstruction its size in metres. Files in metres need a usable size."""
-    with exit_on_error():
-        from vehanchor_flight.verbs import rescale as rescaled
+    from vehanchor_flight.verbs import rescale as rescaled
 
-        journal = out and check_output_path(out, (".json",), kind="a record").with_name(out.name + ".journal")
-        model = _model(source, project, geo)
-        with work_progress("images") as progress, resumable(journal):
-            engine = chosen.engine(progress=progress)
-            record = rescaled(model, engine=engine, images=images, known_lengths_table=lines, journal=journal)
-        written = _write_in_metres(model, record, project, geo)
-        if out is not None:
-            write_record(out, record)
-            written.append(out)
-        _tell(record, source, written, as_json=as_json)
-        if record.status != "ok" and (project or geo):
-            typer.echo("no file in metres was written: the size is not usable", err=True)
-            raise typer.Exit(NOT_OK)
-        exit_strictly(strict, [record.status])
+    journal = out and check_output_path(out, (".json",), kind="a record").with_name(out.name + ".journal")
+    model = _model(source, project, geo)
+    with work_progress("images") as progress, resumable(journal):
+        engine = chosen.engine(progress=progress)
+        record = rescaled(model, engine=engine, images=images, known_lengths_table=lines, journal=journal)
+    written = _write_in_metres(model, record, project, geo)
+    if out is not None:
+        write_record(out, record)
+        written.append(out)
+    _tell(record, source, written, as_json=as_json)
+    if record.status != "ok" and (project or geo):
+        typer.echo("no file in metres was written: the size is not usable", err=True)
+        raise typer.Exit(NOT_OK)
+    exit_strictly(strict, [record.status])
 
 
 def _model(source: str, project: Path | None, geo: Path | None) -> Reconstruction:

@@ -22,7 +22,7 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
-from vehanchor.rulers.known_length_table import read_known_lengths
+from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.rulers.positions import baseline
 from vehanchor.rulers.registry import check_rulers
 from vehanchor.rulers.ruler import View
@@ -212,11 +212,11 @@ def test_a_wrong_name_is_refused_before_the_work_with_the_nearest(what: str, wor
 def test_a_table_takes_names(tmp_path: Any) -> None:
     table = tmp_path / "lines.csv"
     table.write_text("file,x1,y1,x2,y2,metres,what\na.png,0,0,50,0,pool_50m,\na.png,0,9,50,9,,railway_gauge/ES\n")
-    (lines,) = read_known_lengths(table).values()
+    (lines,) = lines_in(table, [tmp_path / "a.png"]).values()
     assert [line.what for line in lines] == ["pool_50m", "railway_gauge/ES"]
     table.write_text("file,x1,y1,x2,y2,metres\na.png,0,0,50,0,pool_51m\n")
     with pytest.raises(KnownLengthError, match="line 2: there is no thing of known size 'pool_51m'"):
-        read_known_lengths(table)
+        lines_in(table, [tmp_path / "a.png"])
 
 
 def test_the_command_lists_every_thing_with_its_lengths_and_source() -> None:
