@@ -31,7 +31,7 @@ import numpy as np
 from research.results.record import add_record_option, header, recording
 from research.scenes import render_scene
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
@@ -105,7 +105,7 @@ def search_here(model: Path, image: Path) -> Pass:
     detector.detect_tile(detector.prepared(pixels[:_TILE_PX, :_TILE_PX]), 0.5)
     wall, cpu = time.perf_counter(), time.process_time()
     with open_raster(pixels) as raster:
-        found = search(raster, detector, Search(search_scales=False, effort="full"))
+        found = ImageSearch(raster, detector, Search(search_scales=False, effort="full")).searched()
     spent = time.perf_counter() - wall, time.process_time() - cpu
     status = Path("/proc/self/status").read_text().splitlines()
     peak_kib = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))

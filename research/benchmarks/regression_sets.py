@@ -30,7 +30,7 @@ from research.training.detector.places import Place, is_held_out, looked_at, pla
 from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
@@ -124,7 +124,7 @@ def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
     """Search an image with the default options, at a low threshold."""
     ground = load_scene_scale()
     with open_raster(image) as raster:
-        found = search(raster, detector, Search(min_score=_LEAST_SCORE), prior=ground.predict(raster))
+        found = ImageSearch(raster, detector, Search(min_score=_LEAST_SCORE), prior=ground.predict(raster)).searched()
         return Sighted(found.boxes, found.scores, raster.width_px * raster.height_px / 1e6)
 
 

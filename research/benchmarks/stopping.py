@@ -34,7 +34,7 @@ from vehanchor.detection.scheduler import (
     search_levels,
     tile_prior_of,
 )
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
@@ -71,7 +71,7 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
         image = np.pad(image, [(0, max(0, CELL_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric")
         image = np.ascontiguousarray(image[:CELL_PX, :CELL_PX, ::-1])
         with open_raster(image) as raster:
-            found = search(raster, detector, Search(search_scales=False))
+            found = ImageSearch(raster, detector, Search(search_scales=False)).searched()
         n, looks = len(found.boxes), Looks(*(np.zeros(0) for _ in Looks._fields))
         if n and found.looks is not None:
             looks = found.looks.take(np.arange(n) % len(found.looks))  # beyond the first, those of others in the cell

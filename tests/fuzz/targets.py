@@ -133,7 +133,7 @@ def metadata(data: bytes) -> None:
 
     for tags in (read_exif(read_at), read_exif(lambda at, count: data[6 + at : 6 + at + count])):
         assert all(isinstance(value, str | float | bytes) for value in tags.values())
-    for texts in read_xmp(data, ("RelativeAltitude", "CalibratedFocalLength/X")).properties.values():
+    for texts in read_xmp(data, ("RelativeAltitude", "CalibratedFocalLength/X"))[0].values():
         assert all(len(text) <= MAX_XMP_BYTES for text in texts)
     found = None
     with contextlib.suppress(VehAnchorError):

@@ -27,7 +27,7 @@ from research.training.detector.scenery import CAR_M, load_scenery
 from vehanchor.detection.boxes import box_corners, boxes_from_corners, oriented_iou, oriented_nms
 from vehanchor.detection.chips import KINDS
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.detection.verifier import surroundings
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
@@ -204,7 +204,7 @@ def searched(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Boxes and scores as the library's search finds them, at the image's own and coarser resolutions."""
     with open_raster(sample.image) as raster:
-        seen = search(raster, detector, Search(min_score=_LEAST_SEARCHED))
+        seen = ImageSearch(raster, detector, Search(min_score=_LEAST_SEARCHED)).searched()
     return seen.boxes, seen.scores, seen.scores
 
 

@@ -22,7 +22,7 @@ from research.training.chips.store import STORED_LENGTH_PX, STORED_PX, ChipStore
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detections import Objects
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.detection.verifier import surroundings
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
@@ -124,7 +124,7 @@ def main() -> None:
             raise FileNotFoundError(drawn.path)
         pixels = np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8)
         with open_raster(pixels) as raster:
-            seen = search(raster, detector, Search(min_score=_LEAST_SCORE))
+            seen = ImageSearch(raster, detector, Search(min_score=_LEAST_SCORE)).searched()
         boxes, scores = seen.boxes, seen.scores
         if not len(boxes):
             continue

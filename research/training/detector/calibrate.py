@@ -34,7 +34,7 @@ from vehanchor import estimate_gsd
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Search
 from vehanchor.scale.defaults import Aggregation
@@ -143,7 +143,7 @@ def length_pairs(vehicles: Path, detector: Detector, min_score: float) -> Length
             if min(small.shape[:2]) < 32:
                 continue
             with open_raster(np.ascontiguousarray(small[:, :, ::-1])) as raster:
-                boxes = search(raster, detector, Search(min_score=min_score)).boxes
+                boxes = ImageSearch(raster, detector, Search(min_score=min_score)).searched().boxes
             found, labelled = matched_lengths(boxes, labels * (factor, factor, factor, factor, 1))
             pairs.append(LengthPairs(found, labelled, np.full(len(found), row["set"])))
     return LengthPairs(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
@@ -210,11 +210,11 @@ def main() -> None:
         file = Path(folder) / "vehicles.onnx"
         export(options.run, file, calibration)
         detector = Detector(file)
-        found = []
+        found, search = [], Search(min_score=_SEARCH_SCORE, search_scales=False)
         for image in images:
             if is_dev(image.path.name, image.set):
                 with open_raster(image.path) as raster:
-                    searched = search(raster, detector, Search(min_score=_SEARCH_SCORE, search_scales=False))
+                    searched = ImageSearch(raster, detector, search).searched()
                 found.append(Found(image, searched))
         errors = {threshold: mean_error(found, threshold) for threshold in _THRESHOLDS}
         min_score = min(errors, key=lambda threshold: errors[threshold])

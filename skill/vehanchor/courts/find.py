@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from vehanchor.courts.fit import AFFINE, SIMILARITY, fit, pose_matrix, project
-from vehanchor.courts.match import BASKETBALL, TENNIS, Pose, Reach, match
+from vehanchor.courts.match import BASKETBALL, TENNIS, Pose, match
 from vehanchor.detection.scheduler import WINDOWED_PIXELS
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.raster import Window
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
 
-_FAR = Reach(0.4, 0.04, 27, 3)  # proposals lie at a court's end as often as at its centre
-_THERE = Reach(0.01, 0.01, 1, 1)
+_FAR = np.arange(-10, 11) * 0.04, np.arange(-27, 28, 3)  # proposals lie at a court's end as often as at its centre
+_THERE = np.arange(-1, 2) * 0.01, np.arange(-1, 2)
 _MOST_COURTS = 4
 _MOST_PROPOSALS, _MOST_OF_ONE_SIZE = 20, 6  # best proposals to try; fewer if the scale is known
 _MOST_REJECTED = 4  # rejected candidates in a row before the search ends
@@ -134,11 +134,11 @@ def courts_among(raster: Raster, proposals: Sequence[Proposal], *, n_sizes: int 
     for one in sorted(matches, key=lambda each: -each.score):
         if rejected == _MOST_REJECTED or len(found) == _MOST_COURTS:
             break
-        if any(_lies_in(one.patch.outside(one.pose), court) for court in found):
+        if any(_lies_in(one.patch.outside(one.pose)[:2], court) for court in found):
             continue
         court = _measured(raster, one)
         rejected = 0 if court else rejected + 1
-        if court is not None and not any(_lies_in(_pose_of(court), other) for other in found):
+        if court is not None and not any(_lies_in(court.corners.mean(axis=0).tolist(), other) for other in found):
             found.append(court)
     return sorted(found, key=lambda court: -court.score)
 
@@ -169,7 +169,7 @@ def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
     start = patch.inside(proposal.pose)
     turned = axes(patch.grey, start.x, start.y, _AROUND * firsts[0].length_m * start.px_per_m)
     angles = [axis + quarter for axis in turned for quarter in (0.0, math.pi / 2)]
-    matched = match(patch.grey, firsts, start, _FAR, angles)
+    matched = match(patch.grey, firsts, start, *_FAR, angles)
     matches = [_Match(score, patch, pose, game) for (score, pose), game in zip(matched, games, strict=True)]
     return sorted((each for each in matches if each.score >= _WORTH_A_FIT), key=lambda each: -each.score)
 
@@ -181,7 +181,7 @@ def _measured(raster: Raster, found: _Match) -> Court | None:
     if templates[0].length_m * first.px_per_m * patch.factor < _LEAST_PX:
         return None
     there = _pose(first.matrix)
-    score, pose = max(match(patch.grey, templates, there, _THERE, [there.angle]), key=lambda each: each[0])
+    score, pose = max(match(patch.grey, templates, there, *_THERE, [there.angle]), key=lambda each: each[0])
     if score < _LEAST_SCORE:
         return None
     fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in templates]
@@ -219,7 +219,7 @@ def _is_supported(template: Template, seen: Fit) -> bool:
 
 def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch:
     """Read the patch that covers the whole search range of a court, clipped to the image."""
-    half = math.hypot(template.length_m, template.width_m) / 2 * pose.px_per_m / factor * _MARGIN + _FAR.place
+    half = math.hypot(template.length_m, template.width_m) / 2 * pose.px_per_m / factor * _MARGIN + _FAR[1][-1]
     x, y = (pose.x + 0.5) / factor, (pose.y + 0.5) / factor
     width, height = raster.width_px // factor, raster.height_px // factor
     left, top = (int(np.clip(value - half, 0, size - 1)) for value, size in ((x, width), (y, height)))
@@ -237,16 +237,11 @@ def _pose(matrix: NDArray[np.float64]) -> Pose:
     return Pose(float(x), float(y), math.atan2(c, a), math.hypot(a, c))
 
 
-def _pose_of(court: Court) -> Pose:
-    (x, y), along = court.corners.mean(axis=0), court.corners[1] - court.corners[0]
-    return Pose(float(x), float(y), math.atan2(along[1], along[0]), 1.0 / court.gsd_m_per_px)
-
-
-def _lies_in(pose: Pose, court: Court) -> bool:
-    """Test whether a pose's centre lies in the central part of a court."""
+def _lies_in(centre: Sequence[float], court: Court) -> bool:
+    """Test whether a point lies in the central part of a court."""
     corners = court.corners - court.corners.mean(axis=0)
     outline = np.asarray(court.corners.mean(axis=0) + 0.6 * corners, np.float32)
-    return cv2.pointPolygonTest(outline, (pose.x, pose.y), measureDist=False) >= 0
+    return cv2.pointPolygonTest(outline, tuple(centre), measureDist=False) >= 0
 
 
 def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[float]:

@@ -87,10 +87,10 @@ class _Pieces(NamedTuple):
 @cache
 def _cut(template: Template) -> _Pieces:
     starts, ends, which = [], [], []
-    for index, line in enumerate(template.lines + template.arcs):
-        count = max(1, round(line.length_m / _PIECE_M))
+    for index, line in enumerate(np.concatenate([template.lines, template.arcs])):
+        count = max(1, round(np.hypot(line[2] - line[0], line[3] - line[1]) / _PIECE_M))
         at = np.linspace(0, 1, count + 1)[:, None]
-        points = (1 - at) * (line.x1, line.y1) + at * (line.x2, line.y2)
+        points = (1 - at) * line[:2] + at * line[2:]
         starts.append(points[:-1])
         ends.append(points[1:])
         which += [index] * count

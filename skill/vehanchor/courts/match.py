@@ -8,7 +8,6 @@ line's usual width.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -44,22 +43,6 @@ class Pose(NamedTuple):
     px_per_m: float
 
 
-class Reach(NamedTuple):
-    """Range and step of the search around a pose.
-
-    Attributes:
-        log_size: logarithm of the size ratio to either side.
-        log_size_step: step of that logarithm.
-        place: pixels to either side.
-        place_step: pixels.
-    """
-
-    log_size: float
-    log_size_step: float
-    place: int
-    place_step: int
-
-
 def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Find thin bright lines: pixels brighter than both sides, relative to the surrounding texture.
 
@@ -82,7 +65,8 @@ def match(
     grey: NDArray[np.float32],
     templates: Sequence[Template],
     start: Pose,
-    reach: Reach,
+    log_sizes: NDArray[np.float64],
+    places: NDArray[np.intp],
     angles: Sequence[float],
 ) -> list[tuple[float, Pose]]:
     """Match templates with the lines near a pose.
@@ -91,7 +75,8 @@ def match(
         grey: ``[h, w]`` grey levels around the pose.
         templates: templates of the possible courts.
         start: centre of the search; its size belongs to the first template, the others are scaled to the same length.
-        reach: range of the search.
+        log_sizes: logarithms of the size ratios to try, rising.
+        places: pixels to try to either side, along and across, rising.
         angles: to try, radians.
 
     Returns:
@@ -99,15 +84,12 @@ def match(
         lines, minus the share of its blank segments that does.
     """
     best = [(-1.0, start)] * len(templates)
-    n_sizes = round(reach.log_size / reach.log_size_step)
-    ratios = np.exp(np.arange(-n_sizes, n_sizes + 1) * reach.log_size_step)
-    sizes = [start.px_per_m * templates[0].length_m / template.length_m * ratios for template in templates]
+    sizes = [start.px_per_m * templates[0].length_m / template.length_m * np.exp(log_sizes) for template in templates]
     halves = [
         (np.array([template.length_m, template.width_m]) / 2 + _MARGIN_M) * each[-1]
         for template, each in zip(templates, sizes, strict=True)
     ]
-    half_x, half_y = (int(half) for half in np.ceil(np.max(halves, axis=0)) + reach.place + 2)
-    places = np.arange(-reach.place, reach.place + 1, reach.place_step)
+    half_x, half_y = (int(half) for half in np.ceil(np.max(halves, axis=0)) + places[-1] + 2)
     ends = [_Ends.of(template, each, places, half_x, half_y) for template, each in zip(templates, sizes, strict=True)]
     for angle in angles:
         sums = _turned_sums(grey, start, angle, half_x, half_y)
@@ -164,7 +146,7 @@ class _Ends(NamedTuple):
         cls, template: Template, sizes: NDArray[np.float64], places: NDArray[np.intp], half_x: int, half_y: int
     ) -> _Ends:
         """Compute the indices of a template for every size."""
-        lines = np.array([*template.lines, *template.blank])
+        lines = np.concatenate([template.lines, template.blank])
         metres = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
         wanted, along = np.arange(len(lines)) < len(template.lines), lines[:, 1] == lines[:, 3]
         shares = np.where(wanted, metres / metres[wanted].sum(), -metres / metres[~wanted].sum())
@@ -187,46 +169,25 @@ class _Ends(NamedTuple):
         return float(scores[size, row, column]), int(size), int(row), int(column)
 
 
-class Line(NamedTuple):
-    """Straight painted line.
-
-    Attributes:
-        x1: first end, metres along the court from its centre.
-        y1: first end, metres across.
-        x2: second end, metres along.
-        y2: second end, metres across.
-    """
-
-    x1: float
-    y1: float
-    x2: float
-    y2: float
-
-    @property
-    def length_m(self) -> float:
-        """Length in metres."""
-        return float(np.hypot(self.x2 - self.x1, self.y2 - self.y1))
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Template:
-    """Template of one kind of court.
+    """Template of one kind of court; lines are rows ``(x1, y1, x2, y2)``, metres along and across from its centre.
 
     Attributes:
         kind: ``tennis``, ``basketball_fiba``, ``basketball_nba`` or ``basketball_ncaa``.
         length_m: length to the outside of the lines.
         width_m: width to the outside of the lines.
-        lines: straight lines along or across the court, used to find it.
-        blank: segments without paint between and around the lines; lines there indicate a car park or a roof.
-        arcs: all other paint, as short straight pieces.
+        lines: ``[n, 4]`` straight lines along or across the court, used to find it.
+        blank: ``[n, 4]`` segments without paint between and around the lines; lines there are a car park's or a roof's.
+        arcs: ``[n, 4]`` all other paint, as short straight pieces.
     """
 
     kind: str
     length_m: float
     width_m: float
-    lines: tuple[Line, ...]
-    blank: tuple[Line, ...]
-    arcs: tuple[Line, ...] = ()
+    lines: NDArray[np.float64]
+    blank: NDArray[np.float64]
+    arcs: NDArray[np.float64]
 
     @property
     def outline(self) -> NDArray[np.float64]:
@@ -237,15 +198,15 @@ class Template:
 def _tennis() -> Template:
     x, y = 23.77 / 2 - _HALF_LINE_M, 10.97 / 2 - _HALF_LINE_M
     singles, service = 8.23 / 2 - _HALF_LINE_M, 6.40 - _HALF_LINE_M
-    lines = [Line(-x, side, x, side) for side in (-y, y, -singles, singles)]
-    lines += [Line(end, -y, end, y) for end in (-x, x)]
-    lines += [Line(end, -singles, end, singles) for end in (-service, service)]
-    lines.append(Line(-service, 0.0, service, 0.0))
-    blank = [Line(0.8 - x, side, x - 0.8, side) for side in (-singles / 2, singles / 2)]
-    blank += [Line(-x, side, x, side) for side in (-y - 1.2, y + 1.2)]
-    blank += [Line(end, 0.4 - singles, end, singles - 0.4) for end in (-9.1, 9.1)]
-    blank += [Line(end, -y, end, y) for end in (-x - 1.2, x + 1.2)]
-    return Template("tennis", 23.77, 10.97, tuple(lines), tuple(blank))
+    lines = [(-x, side, x, side) for side in (-y, y, -singles, singles)]
+    lines += [(end, -y, end, y) for end in (-x, x)]
+    lines += [(end, -singles, end, singles) for end in (-service, service)]
+    lines.append((-service, 0.0, service, 0.0))
+    blank = [(0.8 - x, side, x - 0.8, side) for side in (-singles / 2, singles / 2)]
+    blank += [(-x, side, x, side) for side in (-y - 1.2, y + 1.2)]
+    blank += [(end, 0.4 - singles, end, singles - 0.4) for end in (-9.1, 9.1)]
+    blank += [(end, -y, end, y) for end in (-x - 1.2, x + 1.2)]
+    return Template("tennis", 23.77, 10.97, np.array(lines), np.array(blank), np.zeros((0, 4)))
 
 
 def _basketball(kind: str) -> Template:
@@ -256,26 +217,23 @@ def _basketball(kind: str) -> Template:
     }[kind]
     x, y = length / 2 - _HALF_LINE_M, width / 2 - _HALF_LINE_M
     key, free = key_width / 2 - _HALF_LINE_M, length / 2 - key_length + _HALF_LINE_M
-    lines = [Line(-x, side, x, side) for side in (-y, y)]
-    lines += [Line(end, -y, end, y) for end in (-x, 0.0, x)]
-    lines += [Line(end * free, side, end * x, side) for end in (-1, 1) for side in (-key, key)]
-    lines += [Line(end * free, -key, end * free, key) for end in (-1, 1)]
-    blank = [Line(-x, side, x, side) for side in (-y - 1.2, y + 1.2)]
-    blank += [Line(end, -y, end, y) for end in (-x - 1.2, x + 1.2)]
-    blank += [Line(-4.5, side, 4.5, side) for side in (-4.6, 4.6)]
-    blank += [Line(end, -y + 0.8, end, y - 0.8) for end in (-3.2, 3.2)]
+    lines = [(-x, side, x, side) for side in (-y, y)]
+    lines += [(end, -y, end, y) for end in (-x, 0.0, x)]
+    lines += [(end * free, side, end * x, side) for end in (-1, 1) for side in (-key, key)]
+    lines += [(end * free, -key, end * free, key) for end in (-1, 1)]
+    blank = [(-x, side, x, side) for side in (-y - 1.2, y + 1.2)]
+    blank += [(end, -y, end, y) for end in (-x - 1.2, x + 1.2)]
+    blank += [(-4.5, side, 4.5, side) for side in (-4.6, 4.6)]
+    blank += [(end, -y + 0.8, end, y - 0.8) for end in (-3.2, 3.2)]
     straight, reach = width / 2 - from_side - _HALF_LINE_M, arc - _HALF_LINE_M
     turn = np.arcsin(straight / reach)
     angles = np.linspace(-turn, turn, _ARC_STEPS)
     basket = length / 2 - 1.575
-    arcs = _pieces(np.stack([1.8 * np.cos(a := np.linspace(0, 2 * np.pi, 20)), 1.8 * np.sin(a)], axis=1))
+    arcs = [np.stack([1.8 * np.cos(a := np.linspace(0, 2 * np.pi, 20)), 1.8 * np.sin(a)], axis=1)]
     for end in (-1.0, 1.0):
-        arcs += _pieces(np.stack([end * (basket - reach * np.cos(angles)), reach * np.sin(angles)], axis=1))
-    return Template(kind, length, width, tuple(lines), tuple(blank), tuple(arcs))
-
-
-def _pieces(points: NDArray[np.float64]) -> list[Line]:
-    return [Line(*map(float, (*a, *b))) for a, b in pairwise(points)]
+        arcs.append(np.stack([end * (basket - reach * np.cos(angles)), reach * np.sin(angles)], axis=1))
+    pieces = np.concatenate([np.hstack([arc[:-1], arc[1:]]) for arc in arcs])
+    return Template(kind, length, width, np.array(lines), np.array(blank), pieces)
 
 
 TENNIS = _tennis()

@@ -62,14 +62,11 @@ _ENOUGH_VEHICLES = 5  # at the other resolutions, to skip an unlikely one; the p
 _TILES_AT_ONCE = 4  # tiles that are scheduled together; each is read while the model runs on the one before
 
 
-def search(
-    raster: Raster,
-    detector: Detector,
-    options: Search | None = None,
-    *,
-    prior: SceneScalePrior | None = None,
-) -> Detections:
-    """Search an image to the limits of the options (paper, section III-B); see ``ImageSearch``.
+class ImageSearch:
+    """Search of an image (paper, section III-B), which visits tiles while it is iterated over.
+
+    An iteration yields the expected share of the vehicles in the tiles that are not visited, at growing intervals; its
+    caller may then ask for the ``result`` so far, ``leave_out`` resolutions, or ``stop``.
 
     Args:
         raster: the image; at most two of its tiles are in memory.
@@ -77,26 +74,14 @@ def search(
         options: how to search; None for the defaults.
         prior: scene-scale prior, which orders the resolutions and weighs the boxes' sizes; None without one.
 
-    Returns:
-        Vehicles and other objects in image pixels, after oriented non-maximum suppression.
-
     Raises:
         InvalidParameterError: a tile larger than the model's fixed input, a stride beyond the tile.
     """
-    work = ImageSearch(raster, detector, options or Search(), prior)
-    for _ in work:
-        pass
-    return work.result()
 
-
-class ImageSearch:
-    """Search of an image, which visits tiles while it is iterated over.
-
-    An iteration yields the expected share of the vehicles in the tiles that are not visited, at growing intervals; its
-    caller may then ask for the ``result`` so far, ``leave_out`` resolutions, or ``stop``. Arguments as in ``search``.
-    """
-
-    def __init__(self, raster: Raster, detector: Detector, options: Search, prior: SceneScalePrior | None) -> None:
+    def __init__(
+        self, raster: Raster, detector: Detector, options: Search | None = None, prior: SceneScalePrior | None = None
+    ) -> None:
+        options = options or Search()
         card = detector.card
         self._raster, self._detector, self._prior = raster, detector, prior
         self._nms_iou = options.nms_iou
@@ -140,6 +125,12 @@ class ImageSearch:
         unfinished: Stopped = "max_tiles" if self.n_visited == self._most else "converged"
         self._because = self._because or ("all_searched" if self.n_visited == total else unfinished)
         tell(total, total)
+
+    def searched(self) -> Detections:
+        """Visit tiles to the limits of the options, and merge what they show."""
+        for _ in self:
+            pass
+        return self.result()
 
     def stop(self) -> None:
         """End the search: more tiles cannot change the scale."""

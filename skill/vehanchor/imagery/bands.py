@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -20,15 +20,11 @@ BandChoice: TypeAlias = tuple[int, int, int] | None
 """Bands that the caller wants as red, green and blue, counted from 1; None for the default of ``choose_bands``."""
 
 
-class ChosenBands(NamedTuple):
-    """Bands for red, green and blue, counted from 0, and notices about the choice."""
-
-    channels: tuple[int, int, int]
-    notes: tuple[RasterNote, ...]
-
-
-def choose_bands(n_bands: int, wanted: BandChoice) -> ChosenBands:
+def choose_bands(n_bands: int, wanted: BandChoice) -> tuple[tuple[int, int, int], tuple[RasterNote, ...]]:
     """Choose three of an image's bands.
+
+    Returns:
+        Bands for red, green and blue, counted from 0, and notices about the choice.
 
     Raises:
         InvalidParameterError: a wanted band is missing.
@@ -36,13 +32,13 @@ def choose_bands(n_bands: int, wanted: BandChoice) -> ChosenBands:
     if wanted is not None:
         if max(wanted) > n_bands:
             raise InvalidParameterError(f"bands={wanted!r} names a band above {n_bands}, the image's number of bands")
-        return ChosenBands((wanted[0] - 1, wanted[1] - 1, wanted[2] - 1), ())
+        return (wanted[0] - 1, wanted[1] - 1, wanted[2] - 1), ()
     if n_bands < 3:  # the second of two is alpha
-        return ChosenBands((0, 0, 0), ())
+        return (0, 0, 0), ()
     if n_bands <= 4:  # the fourth is alpha or near infrared
-        return ChosenBands((0, 1, 2), ())
+        return (0, 1, 2), ()
     message = f"the image has {n_bands} bands; the first three are read as red, green and blue: set bands for others"
-    return ChosenBands((0, 1, 2), (RasterNote("bands_selected", message),))
+    return (0, 1, 2), (RasterNote("bands_selected", message),)
 
 
 def is_alpha(values: NDArray[Any]) -> bool:

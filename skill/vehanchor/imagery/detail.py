@@ -29,12 +29,6 @@ _LOWEST_CUT = 5  # cycles per patch; lower frequencies have too few cycles
 _EMPTY = -2.2  # decades below the usual decline; 2 % of the photographs in the train split are lower
 
 
-def _rings() -> NDArray[np.intp]:
-    """Assign each cell of a patch's discrete Fourier transform to a ring: the larger of its two frequencies."""
-    frequency = np.abs(np.fft.fftfreq(PATCH_PX, 1 / PATCH_PX))
-    return np.asarray(np.maximum(frequency[:, None], frequency[None, :]), dtype=np.intp)
-
-
 def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
     """Compute the mean power of patches by frequency.
 
@@ -46,7 +40,8 @@ def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
     Returns:
         ``[33]`` mean power per cell of the rings at 0, 1, .. 32 cycles per patch.
     """
-    rings = _rings().ravel()
+    frequency = np.abs(np.fft.fftfreq(PATCH_PX, 1 / PATCH_PX))
+    rings = np.maximum.outer(frequency, frequency).astype(np.intp).ravel()
     taper = np.hanning(PATCH_PX + 2)[1:-1]
     total, count = np.zeros(PATCH_PX // 2 + 1), 0
     for patch in patches:

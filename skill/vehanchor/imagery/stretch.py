@@ -31,22 +31,15 @@ UNIT_RANGE = Stretch(0.0, 1.0)
 _LEAST_EMPTY = 1 - STRETCH_PERCENTILES[1] / 100  # share of the pixels from which a value reaches the percentiles
 
 
-class NoData(NamedTuple):
-    """Value of pixels without data, and their share."""
-
-    value: float
-    share: float
-
-
-def find_no_data(sample: NDArray[Any]) -> NoData | None:
+def find_no_data(sample: NDArray[Any]) -> tuple[float, float] | None:
     """Find a value that stands for "no data" without being declared, as -9999 or 65535 beside values of 12 bits.
 
     Args:
         sample: finite values of the image, ``[n, bands]``.
 
     Returns:
-        The lowest or highest value, if it fills all bands of 2 % of the pixels and is apart from all others by more
-        than their whole range; None otherwise. Clipped highlights are next to other values.
+        The lowest or highest value and its share, if it fills all bands of 2 % of the pixels and is apart from all
+        others by more than their whole range; None otherwise. Clipped highlights are next to other values.
     """
     for extreme in (sample.min(), sample.max()) if sample.size else ():
         empty = (sample == extreme).all(axis=1)
@@ -55,7 +48,7 @@ def find_no_data(sample: NDArray[Any]) -> NoData | None:
         others = sample[~empty]
         least, most = float(others.min()), float(others.max())
         if max(least - float(extreme), float(extreme) - most) > most - least > 0:
-            return NoData(float(extreme), float(empty.mean()))
+            return float(extreme), float(empty.mean())
     return None
 
 

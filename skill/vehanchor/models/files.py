@@ -8,7 +8,7 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar
 
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 
@@ -86,13 +86,8 @@ def external_locations(content: bytes) -> tuple[str, ...]:
     return tuple(found)
 
 
-class _FileState(NamedTuple):
-    """Properties by which a changed file is detected."""
-
-    path: Path
-    size_bytes: int
-    mtime_ns: int
-    inode: int
+_FileState: TypeAlias = tuple[Path, int, int, int]
+"""Path, size in bytes, time and inode, by which a changed file is detected."""
 
 
 def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -146,12 +141,12 @@ def _state(file: Path) -> _FileState | None:
         found = file.stat()
     except (OSError, ValueError):  # ValueError: a NUL in the name
         return None
-    return _FileState(file, found.st_size, found.st_mtime_ns, found.st_ino)
+    return file, found.st_size, found.st_mtime_ns, found.st_ino
 
 
 @functools.lru_cache(maxsize=32)
 def _locations(state: _FileState) -> tuple[str, ...]:
     try:
-        return external_locations(state.path.read_bytes())
+        return external_locations(state[0].read_bytes())
     except OSError:  # for example a folder; loading reports it
         return ()

@@ -64,14 +64,11 @@ def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArr
         ``[h, w, 3]`` uint8 RGB.
     """
     width, height = size
-    if window.height_px <= _ROWS_PER_STRIP:
-        narrow = _resized(raster.read(window), width, window.height_px)
-    else:
-        narrow = np.empty((window.height_px, width, 3), np.uint8)
-        for top in range(0, window.height_px, _ROWS_PER_STRIP):
-            rows = min(_ROWS_PER_STRIP, window.height_px - top)
-            strip = raster.read(Window(window.x_px, window.y_px + top, window.width_px, rows))
-            narrow[top : top + rows] = _resized(strip, width, rows)
+    narrow = np.empty((window.height_px, width, 3), np.uint8)
+    for top in range(0, window.height_px, _ROWS_PER_STRIP):
+        rows = min(_ROWS_PER_STRIP, window.height_px - top)
+        strip = raster.read(Window(window.x_px, window.y_px + top, window.width_px, rows))
+        narrow[top : top + rows] = _resized(strip, width, rows)
     return _resized(narrow, width, height)
 
 

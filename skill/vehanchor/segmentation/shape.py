@@ -117,37 +117,25 @@ def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
     return Circle(bounds[0] + x, bounds[1] + y, diameter)
 
 
-def outline_parts(mask: NDArray[np.bool_], max_points: int = MAX_OUTLINE_POINTS) -> list[Rings]:
-    """Trace the outline of a mask ``[h, w]`` along its pixels' sides, simplified to at most ``max_points`` points.
+def outline_parts(mask: NDArray[np.bool_]) -> list[Rings]:
+    """Trace the outline of a mask ``[h, w]`` along its pixels' sides, simplified to at most 200 points.
 
-    The tolerance starts at half a pixel and grows until the outline has few enough points. If many tiny pieces still
-    exceed the limit, the smallest are left out. The largest piece comes first.
+    The tolerance starts at half a pixel and grows until the outline has few enough points. Of more than 50 pieces and
+    holes the smallest are left out. The largest piece comes first.
     """
-    n_rings = max_points // 4  # a ring keeps four points at any tolerance
     traced = _traced(mask)
-    traced = traced._replace(parts=[rings[: n_rings + 1] for rings in traced.parts[:n_rings]])
+    left = MAX_OUTLINE_POINTS // 4  # a ring keeps four points at any tolerance
+    kept: list[list[NDArray[np.int32]]] = []
+    for rings in traced.parts:
+        kept.append(rings[:left])
+        left -= len(kept[-1])
+    traced = traced._replace(parts=list(filter(None, kept)))
     tolerance = 0.5
     parts = _simplified(traced, tolerance)
-    while sum(len(ring) for part in parts for ring in part) > max_points and tolerance < max(mask.shape):
+    while sum(len(ring) for part in parts for ring in part) > MAX_OUTLINE_POINTS:
         tolerance *= _TOLERANCE_GROWTH
         parts = _simplified(traced, tolerance)
-    return _within(parts, max_points)
-
-
-def _within(parts: list[Rings], max_points: int) -> list[Rings]:
-    """Take parts in order, with as many of their holes as fit, up to ``max_points`` points."""
-    kept: list[Rings] = []
-    left = max_points
-    for exterior, *holes in parts:
-        left -= len(exterior)
-        if left < 0:
-            break
-        kept.append([exterior])
-        for hole in holes:
-            if len(hole) <= left:
-                kept[-1].append(hole)
-                left -= len(hole)
-    return kept
+    return parts
 
 
 def _cut(mask: NDArray[np.bool_], bounds: Bounds) -> NDArray[np.uint8]:

@@ -36,11 +36,11 @@ def draw_court(
     finer = np.diag([_FINER, _FINER, 1.0])
     finer[:2, 2] = (_FINER - 1) / 2
     canvas = np.full((side_px * _FINER, side_px * _FINER), 90, np.uint8)
-    for index, line in enumerate((*template.lines, *template.arcs)):
+    for index, line in enumerate(np.concatenate([template.lines, template.arcs])):
         if index not in missing:
-            along = np.array([line.x2 - line.x1, line.y2 - line.y1]) / line.length_m
+            along = (line[2:] - line[:2]) / np.hypot(*(line[2:] - line[:2]))
             normal = np.array([-along[1], along[0]]) * 0.04
-            ends = np.array([(line.x1, line.y1), (line.x2, line.y2)])
+            ends = line.reshape(2, 2)
             band = np.array([ends[0] + normal, ends[1] + normal, ends[1] - normal, ends[0] - normal])
             points = np.rint(project(finer @ matrix, band) * 16).astype(np.int32)
             cv2.fillPoly(canvas, [points], 220, cv2.LINE_AA, 4)

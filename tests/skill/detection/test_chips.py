@@ -16,7 +16,7 @@ from vehanchor import analyse_scale
 from vehanchor.detection.chips import CHIP_LENGTH_PX, ChipAnswers, ChipNetwork, bodies, candidate_chips, looks
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector, load_detector, networks_sha256
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
@@ -140,7 +140,7 @@ def test_the_bundled_network_measures_rendered_cars(bundled: ChipNetwork) -> Non
 
 def _found(detector: Detector, pixels: NDArray[np.uint8], options: Search | None = None) -> Detections:
     with open_raster(pixels) as raster:
-        return search(raster, detector, options)
+        return ImageSearch(raster, detector, options).searched()
 
 
 def _scene(n: int, scores: list[float]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:

@@ -21,7 +21,7 @@ from vehanchor.detection.card import (
 )
 from vehanchor.detection.contracts import EndToEnd, Raw, recognise_contract, vehicle_classes
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import (
     InvalidParameterError,
     ModelContractError,
@@ -59,7 +59,7 @@ def test_every_layout_gives_the_painted_boxes(
     image, painted = _picture(classes=[kind] * 3)
     detector = Detector(write_detector(tmp_path / "m.onnx", layout=layout, names=names, fixed_size=fixed_size))
     with open_raster(image) as raster:
-        found = search(raster, detector)
+        found = ImageSearch(raster, detector).searched()
     assert_same_boxes(found.boxes, painted)
     np.testing.assert_allclose(found.scores, 0.9, atol=1 / 255)
 
@@ -74,7 +74,9 @@ def test_swapped_sides_unbounded_angles_and_half_precision_are_the_same_boxes(
     image, painted = _picture()
     with open_raster(image) as raster:
         assert_same_boxes(
-            search(raster, Detector(write_detector(tmp_path / "m.onnx", **changes))).boxes, painted, within
+            ImageSearch(raster, Detector(write_detector(tmp_path / "m.onnx", **changes))).searched().boxes,
+            painted,
+            within,
         )
 
 
@@ -84,7 +86,7 @@ def test_other_classes_are_not_vehicles_unless_asked_for(tmp_path: Path) -> None
 
     def found(classes: list[str | int] | None) -> NDArray[np.float64]:
         with open_raster(image) as raster:
-            return search(raster, Detector(path, classes=classes)).boxes
+            return ImageSearch(raster, Detector(path, classes=classes)).searched().boxes
 
     assert_same_boxes(found(None), painted[:1])
     assert_same_boxes(found(["small-vehicle", "Large_Vehicle"]), painted[:2])
@@ -98,9 +100,9 @@ def test_scores_below_the_threshold_are_dropped(tmp_path: Path) -> None:
     image, _ = _picture(scores=[0.9, 0.3, 0.08])
     detector = Detector(write_detector(tmp_path / "m.onnx"))
     with open_raster(image) as raster:
-        assert len(search(raster, detector).boxes) == 2  # the paper's 0.1
-        assert len(search(raster, detector, Search(min_score=0.05)).boxes) == 3
-        assert len(search(raster, detector, Search(min_score=0.5)).boxes) == 1
+        assert len(ImageSearch(raster, detector).searched().boxes) == 2  # the paper's 0.1
+        assert len(ImageSearch(raster, detector, Search(min_score=0.05)).searched().boxes) == 3
+        assert len(ImageSearch(raster, detector, Search(min_score=0.5)).searched().boxes) == 1
 
 
 def test_files_that_are_no_such_model_say_what_was_found(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.detection.scheduler import MIN_LEVEL_SIDE_PX, TileScheduler, level_shares, search_levels, tile_prior_map
-from vehanchor.detection.search import ImageSearch, search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
@@ -111,7 +111,9 @@ def test_progress_counts_the_tiles_of_all_levels_and_may_stop_in_any(searching: 
     image = blank_image(1100, 900)
     seen: list[tuple[int, int]] = []
     with open_raster(image) as raster:
-        found = search(raster, searching.under(Runtime(progress=lambda done, total: seen.append((done, total)))))
+        found = ImageSearch(
+            raster, searching.under(Runtime(progress=lambda done, total: seen.append((done, total))))
+        ).searched()
     assert found.n_tiles == 2 + 1 + 1 + 1
     assert seen == [(k, 5) for k in range(6)]
 
@@ -120,7 +122,7 @@ def test_progress_counts_the_tiles_of_all_levels_and_may_stop_in_any(searching: 
             raise TimeoutError
 
     with open_raster(image) as raster, pytest.raises(TimeoutError):
-        search(raster, searching.under(Runtime(progress=stop)))
+        ImageSearch(raster, searching.under(Runtime(progress=stop))).searched()
 
 
 def _ground(gsd: float) -> SceneScalePrior:
@@ -147,7 +149,7 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
     with open_raster(image) as raster:
         ground = None if gsd is None else _ground(gsd)
         told = searching.under(Runtime(progress=lambda *each: seen.append(each)))
-        found = search(raster, told, Search(effort=effort), prior=ground)
+        found = ImageSearch(raster, told, Search(effort=effort), prior=ground).searched()
     assert found.n_tiles == len(tiles)
     assert found.n_tiles_total == 4
     assert found.stopped_because == ("all_searched" if len(tiles) == 4 else "converged")
@@ -188,8 +190,8 @@ def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_p
 def test_the_order_of_the_visits_does_not_show_in_what_was_found(searching: Detector) -> None:
     image, painted = _painted(2, _fleet(45.0, 42), columns=7)
     with open_raster(image) as raster:
-        full = search(raster, searching, Search(tile_px=160, stride_px=96, effort="full"))
-        ordered = search(raster, searching, Search(tile_px=160, stride_px=96, max_tiles=10_000))
+        full = ImageSearch(raster, searching, Search(tile_px=160, stride_px=96, effort="full")).searched()
+        ordered = ImageSearch(raster, searching, Search(tile_px=160, stride_px=96, max_tiles=10_000)).searched()
     np.testing.assert_allclose(np.sort(full.boxes[:, 2]), np.sort(painted[:, 2]), atol=0.02)  # each once, none cut
     assert full.boxes.tobytes() == ordered.boxes.tobytes()
     assert full.scores.tobytes() == ordered.scores.tobytes()
@@ -200,8 +202,8 @@ def test_a_search_ends_at_the_limit_of_tiles_or_seconds_and_says_so(searching: D
     image, _ = _painted(2, _fleet(45.0, 42), columns=7)
     small: dict[str, Any] = {"tile_px": 160, "stride_px": 96}
     with open_raster(image) as raster:
-        twice = [search(raster, searching, Search(**small, max_tiles=12)) for _ in range(2)]
-        hurried = search(raster, searching, Search(**small, max_seconds=1e-9))
+        twice = [ImageSearch(raster, searching, Search(**small, max_tiles=12)).searched() for _ in range(2)]
+        hurried = ImageSearch(raster, searching, Search(**small, max_seconds=1e-9)).searched()
     first, second = twice
     assert first.boxes.tobytes() == second.boxes.tobytes()
     assert 0 < len(first.boxes) < 42
@@ -230,7 +232,7 @@ def test_tiles_find_each_vehicle_once_in_image_coordinates(tmp_path: Path, width
     image, painted = _street(width, height)
     detector = Detector(write_detector(tmp_path / "m.onnx"))
     with open_raster(image) as raster:
-        found = search(raster, detector, Search(tile_px=tile))
+        found = ImageSearch(raster, detector, Search(tile_px=tile)).searched()
     assert_same_boxes(found.boxes, painted)
     assert found.n_tiles > 1
 
@@ -239,9 +241,9 @@ def test_a_model_of_fixed_size_sets_the_tile_and_pads_small_images(tmp_path: Pat
     image, painted = _street(400, 200)
     detector = Detector(write_detector(tmp_path / "m.onnx", fixed_size=320))
     with open_raster(image) as raster:
-        assert_same_boxes(search(raster, detector).boxes, painted)
+        assert_same_boxes(ImageSearch(raster, detector).searched().boxes, painted)
         with pytest.raises(InvalidParameterError, match="fixed"):
-            search(raster, detector, Search(tile_px=1024))
+            ImageSearch(raster, detector, Search(tile_px=1024)).searched()
 
 
 # --- Other objects ---------------------------------------------------------------------------------------------------
@@ -260,12 +262,12 @@ def test_objects_of_other_classes_are_kept_beside_the_vehicles_with_their_class(
     detector = Detector(write_detector(tmp_path / "m.onnx", names=_KINDS))
     with open_raster(image) as raster:
         for options in (Search(), Search(tile_px=256)):
-            found = search(raster, detector, options)
+            found = ImageSearch(raster, detector, options).searched()
             assert_same_boxes(found.boxes, painted[[0, 3]])
             assert_same_boxes(found.others.boxes, painted[[1, 2, 4, 5]])
             np.testing.assert_allclose(found.others.scores, [0.7, 0.6, 0.5, 0.4], atol=1 / 255)  # best first
             assert found.others.classes.tolist() == [2, 1, 1, 2]
-        ships = search(raster, Detector(detector.path, classes=["ship", "small vehicle"]))
+        ships = ImageSearch(raster, Detector(detector.path, classes=["ship", "small vehicle"])).searched()
     assert len(ships.boxes) == 4
     assert set(ships.others.classes.tolist()) == {2}
 

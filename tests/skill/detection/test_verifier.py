@@ -13,7 +13,7 @@ from research.scenes import render_scene
 from vehanchor.detection.card import VerifierCard, read_card, read_detector_card
 from vehanchor.detection.detections import Objects
 from vehanchor.detection.detector import load_detector
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.detection.verifier import CHIP_PX, Verifier, surroundings
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.sources.opening import open_raster
@@ -87,7 +87,9 @@ def test_a_search_verifies_fewer_candidates_a_tile_once_it_has_found_many_vehicl
     for many in (10**6, 30):
         monkeypatch.setattr("vehanchor.detection.search._MANY_VEHICLES", many)
         with open_raster(image) as raster:
-            found[many] = search(raster, load_detector(resolve_model()), Search(tile_px=512, search_scales=False))
+            found[many] = ImageSearch(
+                raster, load_detector(resolve_model()), Search(tile_px=512, search_scales=False)
+            ).searched()
         verified[many], counts = counts, []
     first = verified[30].index(min(verified[30]))
     assert verified[30][0] == verified[10**6][0] >= 60

@@ -12,7 +12,7 @@ import vehanchor
 from tests.conftest import ROOT
 from tests.records import CASES
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.search import search
+from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
@@ -80,7 +80,9 @@ def detector() -> Detector:
 def test_the_preset_gives_the_papers_numbers(scene: Path, detector: Detector) -> None:
     record = vehanchor.estimate_gsd(scene, detector=detector, preset="paper")
     with open_raster(str(ROOT / scene)) as raster:
-        found = search(raster, detector, Search(min_score=0.1, search_scales=False, verify=False, effort="full"))
+        found = ImageSearch(
+            raster, detector, Search(min_score=0.1, search_scales=False, verify=False, effort="full")
+        ).searched()
     lengths = found.boxes[:, 2]
     kept = lengths[lengths <= 1.5 * np.median(lengths)]
     assert record.n_vehicles == len(kept) >= 5

@@ -22,7 +22,7 @@ from vehanchor.imagery.formats.ifd import (
     read_ifd,
 )
 from vehanchor.imagery.formats.image_header import COPIES, ImageHeader, TiffLayout
-from vehanchor.imagery.formats.jpeg import EXIF_PREFIX, MAX_SEGMENTS, Reader, read_jpeg
+from vehanchor.imagery.formats.jpeg import EXIF_PREFIX, MAX_SEGMENTS, read_jpeg
 from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000, read_jpeg2000
 
 IMAGE_FORMATS: dict[str, tuple[str, ...]] = {
@@ -148,13 +148,12 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
     length, kind, width, height, depth, colour = struct.unpack(">I4sIIBB", read_at(8, 18))
     if kind != b"IHDR" or length != 13:
         raise ImageDecodeError("the PNG does not begin with its IHDR chunk: damaged")
-    reader = Reader(read_at)
     orientation = 1
     complete = False
     metadata: list[tuple[int, int]] = []
     position = 8
     n_chunks = 0
-    while len(head := reader.get(position, 8)) == 8:
+    while len(head := read_at(position, 8)) == 8:
         n_chunks += 1
         if n_chunks > _MAX_PNG_CHUNKS:
             raise ImageTooLargeError(f"the PNG has more than {_MAX_PNG_CHUNKS} chunks; save it again")
@@ -162,7 +161,7 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
         if kind == b"IHDR" and n_chunks > 1:
             raise ImageDecodeError("the PNG declares its size twice: damaged")
         if kind == b"IEND":
-            complete = length == 0 and len(reader.get(position + 8, 4)) == 4  # OpenCV allocates any length
+            complete = length == 0 and len(read_at(position + 8, 4)) == 4  # OpenCV allocates any length
             break
         if kind in (b"eXIf", b"iTXt"):
             metadata.append((position + 8, length))
@@ -208,15 +207,14 @@ def _read_webp(read_at: ReadAt) -> ImageHeader:
     sizes: set[tuple[int, int]] = set()
     orientation = 1
     metadata: list[tuple[int, int]] = []
-    reader = Reader(read_at)
     position = 12
     n_chunks = 0
-    while position < end and len(head := reader.get(position, 8)) == 8:
+    while position < end and len(head := read_at(position, 8)) == 8:
         n_chunks += 1
         if n_chunks > MAX_SEGMENTS:
             raise ImageTooLargeError(f"the WebP has more than {MAX_SEGMENTS} chunks; save it again")
         kind, length = struct.unpack("<4sI", head)
-        body = reader.get(position + 8, 10)
+        body = read_at(position + 8, 10)
         if kind == b"VP8X":
             sizes.add((1 + int.from_bytes(body[4:7], "little"), 1 + int.from_bytes(body[7:10], "little")))
         elif kind == b"VP8 ":

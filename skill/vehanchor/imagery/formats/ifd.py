@@ -146,12 +146,15 @@ def _values(
     return struct.unpack(values, read_at(elsewhere, struct.calcsize(values)))
 
 
+def in_memory(data: bytes) -> ReadAt:
+    """Make the reader of a file or block in memory."""
+    return lambda offset, count: data[offset : offset + count]
+
+
 def exif_orientation(payload: bytes) -> int:
     """Read the orientation of an EXIF block, 1 to 8; 1 if it is absent or damaged."""
     try:
-        tags = read_ifd(
-            lambda offset, count: payload[offset : offset + count], frozenset({TAG_ORIENTATION}), whole=False
-        )
+        tags = read_ifd(in_memory(payload), frozenset({TAG_ORIENTATION}), whole=False)
     except (struct.error, ImageDecodeError):  # damaged metadata leaves the pixels usable
         return 1
     return orientation_of(tags)

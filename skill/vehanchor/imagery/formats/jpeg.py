@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import struct
+import sys
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
@@ -19,7 +20,6 @@ MAX_SEGMENTS = 10_000
 """Maximum number of segments; 512 MiB of metadata in segments of 64 KiB, the largest possible, are 8,192."""
 
 EXIF_PREFIX = b"Exif\0\0"
-_CHUNK_BYTES = 1 << 16
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # DHT, JPG and DAC share the range
 _SOF_ONE_PASS = frozenset({0xC0, 0xC1, 0xC3, 0xC9, 0xCB})  # sequential and lossless; all others refine earlier scans
 _STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})  # TEM and RSTn carry no length
@@ -29,56 +29,28 @@ _MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _AFTER_FILL = re.compile(rb"\xff[^\xff]")
 
 
-class Reader:
-    """Buffered reader of a file's bytes by position; makes many small sequential reads cheap."""
-
-    def __init__(self, read_at: ReadAt) -> None:
-        self._read_at = read_at
-        self._start = 0
-        self._chunk = b""
-
-    def get(self, position: int, count: int) -> bytes:
-        """Read ``count`` bytes from a position, fewer only at the end of the file."""
-        offset = position - self._start
-        if offset >= 0 and offset + count <= len(self._chunk):
-            return self._chunk[offset : offset + count]
-        if count > _CHUNK_BYTES:
-            return self._read_at(position, count)
-        self._start, self._chunk = position, self._read_at(position, _CHUNK_BYTES)
-        return self._chunk[:count]
-
-    def find(self, pair: re.Pattern[bytes], position: int) -> int:
-        """Find the first match of a two-byte pattern from a position on; the end of the file if there is none."""
-        while True:
-            if len(self.get(position, 2)) < 2:
-                return position + len(self._chunk[position - self._start :])
-            found = pair.search(self._chunk, position - self._start)
-            if found:
-                return self._start + found.start()
-            position = self._start + len(self._chunk) - 1  # a match may straddle two chunks
-
-
 def read_jpeg(read_at: ReadAt) -> ImageHeader:
-    """Read the header of a JPEG from its markers.
+    """Read the header of a JPEG from its markers; the file is held in memory, since it is decoded whole.
 
     Raises:
         ImageDecodeError: the file has no frame header, or more than one.
         ImageTooLargeError: the file has more segments or scans than an image needs.
         struct.error: the file ends within the frame header.
     """
-    reader = Reader(read_at)
+    data = read_at(0, sys.maxsize)
     frame: tuple[int, int, int, int] | None = None
     orientation, complete = 1, False
     metadata: list[tuple[int, int]] = []
     n_segments = n_scans = 0
     position = 2
     while True:
-        start = reader.get(position, 2)
+        start = data[position : position + 2]
         if len(start) < 2 or start[0] != 0xFF:
             break
         marker = start[1]
         if marker == 0xFF:  # fill bytes
-            position = reader.find(_AFTER_FILL, position)
+            found = _AFTER_FILL.search(data, position)
+            position = found.start() if found else len(data)
             continue
         if marker in (_EOI, _STUFFING):  # some decoders skip stuffing byte by byte, others read it as a segment
             complete = marker == _EOI
@@ -89,7 +61,7 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
         position += 2
         if marker in _STANDALONE:
             continue
-        head = reader.get(position, 8)
+        head = data[position : position + 8]
         length = int.from_bytes(head[:2], "big")
         if len(head) < 2 or length < 2:
             break
@@ -100,7 +72,7 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
         elif marker == _APP1:
             metadata.append((position + 2, length - 2))
             if head[2:8] == EXIF_PREFIX:
-                orientation = exif_orientation(reader.get(position + 8, length - 8))
+                orientation = exif_orientation(data[position + 8 : position + length])
         position += length
         if marker == _SOS:
             n_scans += 1
@@ -109,7 +81,8 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
                     f"the JPEG has more than {MAX_SCANS} scans, each covering the whole image; save it again as a "
                     "baseline JPEG"
                 )
-            position = reader.find(_MARKER_IN_SCAN, position)
+            found = _MARKER_IN_SCAN.search(data, position)
+            position = found.start() if found else len(data)
     if frame is None:
         raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
     return _header(frame, n_scans, orientation, complete, metadata)

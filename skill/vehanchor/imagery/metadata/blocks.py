@@ -9,7 +9,7 @@ import zlib
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.formats.ifd import TIFF_SIGNATURES
+from vehanchor.imagery.formats.ifd import TIFF_SIGNATURES, in_memory
 from vehanchor.imagery.formats.jpeg import EXIF_PREFIX
 
 if TYPE_CHECKING:
@@ -27,48 +27,32 @@ _DIGEST_BYTES, _FURTHER_HEAD_BYTES = 32, 40
 _PNG_XMP = b"XML:com.adobe.xmp\0"  # then two bytes on compression, a language and a translation, which end with 0
 
 
-class MetadataBlocks:
-    """Metadata blocks of a file, in its order.
+def metadata_blocks(read_at: ReadAt, header: ImageHeader) -> tuple[list[ReadAt], list[bytes]]:
+    """Read the metadata blocks of a file, in its order.
 
-    Args:
-        read_at: reads the file.
-        header: its header.
-
-    Attributes:
-        exif: readers of the EXIF blocks, which are TIFF structures, with offsets from their first bytes. That of a TIFF
-            is the file itself, with the XMP as one of its tags.
-        xmp: the XMP packets, ``MAX_XMP_BYTES`` together; what exceeds them is left out.
+    Returns:
+        Readers of the EXIF blocks, which are TIFF structures, with offsets from their first bytes, and the XMP packets.
+        The EXIF of a TIFF is the file itself, with the XMP as one of its tags.
     """
-
-    def __init__(self, read_at: ReadAt, header: ImageHeader) -> None:
-        self.exif: list[ReadAt] = [read_at] if header.tiff else []
-        self.xmp: list[bytes] = []
-        self._left = MAX_XMP_BYTES
-        further: dict[bytes, dict[bytes, bytes]] = {}
-        for offset, n_bytes in header.metadata[:_MAX_BLOCKS]:
-            block = read_at(offset, min(n_bytes, _MAX_BLOCK_BYTES))
-            if block.startswith((EXIF_PREFIX, *TIFF_SIGNATURES)):
-                self._add_exif(block.removeprefix(EXIF_PREFIX))
-            elif block.startswith(_FURTHER_XMP_PREFIX):
-                part = block[len(_FURTHER_XMP_PREFIX) :]
-                at, content = part[_DIGEST_BYTES + 4 : _FURTHER_HEAD_BYTES], part[_FURTHER_HEAD_BYTES:]
-                if int.from_bytes(at, "big") < MAX_XMP_BYTES:
-                    further.setdefault(part[:_DIGEST_BYTES], {})[at] = content
-            elif block.startswith(_PNG_XMP):
-                self.add_xmp(_xmp_of_text(block))
-            elif block.startswith((_XMP_PREFIX, b"<")) or header.format == "WebP":
-                self.add_xmp(block.removeprefix(_XMP_PREFIX))
-        for parts in further.values():
-            self.add_xmp(b"".join(parts[at] for at in sorted(parts)))
-
-    def _add_exif(self, block: bytes) -> None:
-        self.exif.append(lambda offset, count: block[offset : offset + count])
-
-    def add_xmp(self, packet: bytes) -> None:
-        """Add an XMP packet, as far as there is room."""
-        if packet and self._left > 0:
-            self.xmp.append(packet[: self._left])
-            self._left -= len(packet)
+    exif = [read_at] if header.tiff else []
+    xmp: list[bytes] = []
+    further: dict[bytes, dict[bytes, bytes]] = {}
+    for offset, n_bytes in header.metadata[:_MAX_BLOCKS]:
+        block = read_at(offset, min(n_bytes, _MAX_BLOCK_BYTES))
+        if block.startswith((EXIF_PREFIX, *TIFF_SIGNATURES)):
+            exif.append(in_memory(block.removeprefix(EXIF_PREFIX)))
+        elif block.startswith(_FURTHER_XMP_PREFIX):
+            part = block[len(_FURTHER_XMP_PREFIX) :]
+            at, content = part[_DIGEST_BYTES + 4 : _FURTHER_HEAD_BYTES], part[_FURTHER_HEAD_BYTES:]
+            if int.from_bytes(at, "big") < MAX_XMP_BYTES:
+                further.setdefault(part[:_DIGEST_BYTES], {})[at] = content
+        elif sum(map(len, xmp)) >= MAX_XMP_BYTES:
+            continue
+        elif block.startswith(_PNG_XMP):
+            xmp.append(_xmp_of_text(block))
+        elif block.startswith((_XMP_PREFIX, b"<")) or header.format == "WebP":
+            xmp.append(block.removeprefix(_XMP_PREFIX))
+    return exif, xmp + [b"".join(parts[at] for at in sorted(parts)) for parts in further.values()]
 
 
 def _xmp_of_text(chunk: bytes) -> bytes:

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.metadata.blocks import MetadataBlocks
+from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, metadata_blocks
 from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.metadata.makers import MAKERS, makers_of
 from vehanchor.imagery.metadata.sensors import sensor_of
@@ -86,16 +87,15 @@ def read_camera(read_at: ReadAt, header: ImageHeader) -> CameraMetadata | None:
 
     Time and memory are bounded, so untrusted files are safe.
     """
-    blocks = MetadataBlocks(read_at, header)
-    tags = [read_exif(each) for each in blocks.exif]
-    for each in tags:
-        notes = each.get("ApplicationNotes")
-        if isinstance(notes, bytes):
-            blocks.add_xmp(notes)
-    packets = [read_xmp(each, _NAMES) for each in blocks.xmp]
-    without = DAMAGED if any(each.properties for each in packets) else ""  # of others: one had what there is
-    refused = [each.refused for each in packets if each.refused not in ("", without)]
-    camera = _combine(tags, [each.properties for each in packets], refused)
+    exif, xmp = metadata_blocks(read_at, header)
+    tags = [read_exif(each) for each in exif]
+    xmp += [notes for each in tags if isinstance(notes := each.get("ApplicationNotes"), bytes)]
+    starts = accumulate(map(len, xmp), initial=0)
+    packets = [packet[: max(0, MAX_XMP_BYTES - start)] for start, packet in zip(starts, xmp, strict=False)]
+    read = [read_xmp(each, _NAMES) for each in packets if each]
+    without = DAMAGED if any(found for found, _ in read) else ""  # of others: one had what there is
+    refused = [reason for _, reason in read if reason not in ("", without)]
+    camera = _combine(tags, [found for found, _ in read], refused)
     return None if camera == CameraMetadata() else camera
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import re
 from functools import cache
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 from xml.parsers import expat
 
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES
@@ -23,29 +23,20 @@ _WIDE = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be", b"<\0": "utf-16-le"
 _DECLARATION = re.compile(r"<!(?:DOCTYPE|ENTITY)")
 
 
-class XmpPacket(NamedTuple):
-    """Properties of a packet.
-
-    Attributes:
-        properties: of the packet.
-        refused: why the packet was refused, as a clause; empty if it was read.
-    """
-
-    properties: Properties
-    refused: str = ""
-
-
-def read_xmp(packet: bytes, names: tuple[str, ...]) -> XmpPacket:
+def read_xmp(packet: bytes, names: tuple[str, ...]) -> tuple[Properties, str]:
     """Read a packet's properties.
 
     Args:
         packet: bytes from ``<?xpacket`` or ``<x:xmpmeta`` on; those after ``MAX_XMP_BYTES`` are left out.
         names: of the properties to find.
+
+    Returns:
+        The properties, and why the packet was refused, as a clause; empty if it was read.
     """
     packet = packet[:MAX_XMP_BYTES].strip(b" \r\n\t")
     text = packet.decode(_WIDE.get(packet[:2], "utf-8-sig"), "replace").strip("\0\ufeff \r\n\t")
     if _DECLARATION.search(text):
-        return XmpPacket({}, "its XMP declares a document type or entities, which no camera writes")
+        return {}, "its XMP declares a document type or entities, which no camera writes"
     spaces = {prefix: address.rstrip("/") for prefix, address in _PREFIX.findall(text)}
     structures, statement = _patterns(names)
     parts = [("", text), *((f"{each['outer']}/", each[0]) for each in structures.finditer(text))]
@@ -55,7 +46,7 @@ def read_xmp(packet: bytes, names: tuple[str, ...]) -> XmpPacket:
             value = html.unescape(each["element"] if each["attribute"] is None else each["attribute"]).strip()
             if value and outer + each["name"] in names and each["prefix"] in spaces:
                 found.setdefault((spaces[each["prefix"]], outer + each["name"]), []).append(value)
-    return XmpPacket(found, "" if found or _is_xml(text) else DAMAGED)
+    return found, "" if found or _is_xml(text) else DAMAGED
 
 
 DAMAGED = "its XMP is damaged"

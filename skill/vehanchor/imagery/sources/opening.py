@@ -19,6 +19,7 @@ from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLarge
 from vehanchor.imagery.formats.decoding import decode, decodes_tiff
 from vehanchor.imagery.formats.header import is_tiff
 from vehanchor.imagery.formats.heic import is_heic, open_heic
+from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000
 from vehanchor.imagery.limits import check_bytes, read_checked_header
 from vehanchor.imagery.metadata.camera import read_camera
@@ -124,10 +125,7 @@ def _open_bytes(
         raise ImageDecodeError(f"the image ({source}) is empty: 0 bytes")
     if is_heic(data[:32]):
         return open_heic(data, source, bands, limits)
-
-    def read_at(offset: int, count: int) -> bytes:
-        return data[offset : offset + count]
-
+    read_at = in_memory(data)
     header = header or read_checked_header(read_at, limits)
     if _needs_windows(header, limits):
         return _open_by_windows(data, source, header, bands, limits, read_at)

@@ -63,9 +63,9 @@ def _of(properties: str, namespaces: dict[str, str] = DJI, make: str = "DJI", **
     ],
 )
 def test_damaged_xmp_is_read_by_the_names_of_the_makers(damage: Callable[[bytes], bytes]) -> None:
-    found = read_xmp(damage(PACKET), MAKERS[0].names)
-    assert found.refused == ""
-    assert found.properties[("http://www.dji.com/drone-dji/1.0", "RelativeAltitude")][0] == "+98.90"
+    found, refused = read_xmp(damage(PACKET), MAKERS[0].names)
+    assert refused == ""
+    assert found[("http://www.dji.com/drone-dji/1.0", "RelativeAltitude")][0] == "+98.90"
 
 
 def test_damaged_xmp_without_a_known_name_says_so() -> None:
