@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from importlib.util import find_spec
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -30,8 +31,10 @@ def check_table_path(path: Path) -> Path:
         MissingExtraError: pyarrow is not installed (Parquet).
     """
     check_output_path(path, tuple(_WRITERS), kind="a table", also=".geojson holds the targets of --measure")
-    if path.suffix.lower() == ".parquet":
-        _require_pyarrow()
+    if path.suffix.lower() == ".parquet" and find_spec("pyarrow") is None:
+        raise MissingExtraError(
+            "writing Parquet needs pyarrow: pip install 'vehanchor[parquet]', or write .csv or .jsonl"
+        )
     return path
 
 
@@ -65,24 +68,15 @@ def _write_csv(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
 
 
 def _write_parquet(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
-    arrow, parquet = _require_pyarrow()
+    import pyarrow as arrow
+    import pyarrow.parquet as parquet
+
     types = {float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_(), str: arrow.string()}
     schema = arrow.schema([(name, types[kind]) for name, kind in columns.items()])
     remaining = iter(rows)
     with parquet.ParquetWriter(path, schema) as writer:
         while chunk := list(islice(remaining, _CHUNK_ROWS)):
             writer.write_table(arrow.Table.from_pylist(chunk, schema=schema))
-
-
-def _require_pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise MissingExtraError(
-            "writing Parquet needs pyarrow: pip install 'vehanchor[parquet]', or write .csv or .jsonl"
-        ) from None
-    return pyarrow, pyarrow.parquet
 
 
 _WRITERS: dict[str, Callable[[Path, Rows, Mapping[str, type]], None]] = {

@@ -17,7 +17,6 @@ from vehanchor.records.text import count
 
 if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
-    from vehanchor.batch.run import Cause
 
 
 Inputs: TypeAlias = Annotated[
@@ -103,24 +102,15 @@ def batch(
 
 def _summarise(summary: BatchSummary, seconds: float) -> None:
     """Print what would help images without a usable scale, and the summary; fail if every image did."""
-    for cause in summary.causes:
-        print(_advice(cause), file=sys.stderr)
-    print(_summary_text(summary, seconds), file=sys.stderr)
+    for n_rows, first in summary.causes:
+        advice = "; ".join(filter(None, first.advice or ()))
+        print(f"{n_rows} x {first.reason}, as in {printable(first.file)}: {advice}", file=sys.stderr)
+    resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""
+    print(
+        f"{printable(str(summary.table))}: {count(summary.n_rows, 'row')} ({counts_text(summary.statuses)}){resumed}; "
+        f"{count(summary.n_rows - summary.n_resumed, 'image')} in {seconds:.1f} s",
+        file=sys.stderr,
+    )
     if summary.statuses.get("error", 0) == summary.n_rows:
         print("no image could be used: the columns error_code and error say why", file=sys.stderr)
         raise typer.Exit(FAILED)
-
-
-def _summary_text(summary: BatchSummary, seconds: float) -> str:
-    made = summary.n_rows - summary.n_resumed
-    resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""
-    return (
-        f"{printable(str(summary.table))}: {count(summary.n_rows, 'row')} ({counts_text(summary.statuses)}){resumed}; "
-        f"{count(made, 'image')} in {seconds:.1f} s"
-    )
-
-
-def _advice(cause: Cause) -> str:
-    """Say how many images have no usable scale for a cause, and what is wrong with the first of them."""
-    n_rows, first = cause
-    return f"{n_rows} x {first.reason}, as in {printable(first.file)}: {'; '.join(filter(None, first.advice or ()))}"

@@ -101,7 +101,11 @@ def estimate(
 ) -> None:
     """Estimate the ground sampling distance (metres per pixel) of aerial images from the cars in them."""
     with failures_as_json(images, as_json):
-        _refuse_folders(images)
+        folder = next((source for source in images if Path(source).is_dir()), None)
+        if folder is not None:
+            raise ImageNotFoundError(
+                f"{folder!r} is a folder: 'vehanchor batch {folder} -o scales.csv' measures all images in it"
+            )
         if len(images) > 1:
             chosen.options().by_hand.check_single()
         files = {"overlay": overlay, "plot": plot, "boxes": boxes, "scale_bar": scale_bar, "geotiff": geotiff}
@@ -116,14 +120,6 @@ def estimate(
     if n_failed or n_refused:
         raise typer.Exit(BAD_INPUT if n_failed else NOT_OK)
     exit_strictly(strict, (record.status for _, record in rows))
-
-
-def _refuse_folders(images: Sequence[str]) -> None:
-    folder = next((source for source in images if Path(source).is_dir()), None)
-    if folder is not None:
-        raise ImageNotFoundError(
-            f"{folder!r} is a folder: 'vehanchor batch {folder} -o scales.csv' measures all images in it"
-        )
 
 
 def _estimate_all(

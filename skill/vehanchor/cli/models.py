@@ -35,13 +35,9 @@ def _show(
     ] = None,
 ) -> None:
     """Show bundled models, your own model files and the things of known size, and check the installation."""
-    if sizes:
+    if sizes or check:
         with exit_on_error():
-            _print_sizes(as_json=as_json)
-        raise typer.Exit
-    if check:
-        with exit_on_error():
-            _check_installation(provider)
+            _print_sizes(as_json=as_json) if sizes else _check_installation(provider)
         raise typer.Exit
 
 

@@ -149,12 +149,11 @@ def print_rows(
     from rich.table import Table
     from rich.text import Text
 
-    shown = Text(printable(title)) if title else None
     table = Table(
         box=box.SIMPLE_HEAD,
         pad_edge=not heading,
         show_header=heading,
-        title=shown,
+        title=title and Text(printable(title)),
         title_justify="left",
         title_style="bold",
     )

@@ -6,6 +6,7 @@ right and y upwards.
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.errors import MissingExtraError, OutputError
@@ -29,7 +30,8 @@ def check_copy_path(path: Path) -> None:
         MissingExtraError: rasterio is not installed.
     """
     check_output_path(path, (".tif", ".tiff"), kind="a GeoTIFF")
-    _import_rasterio()
+    if find_spec("rasterio") is None:
+        raise MissingExtraError("writing a GeoTIFF needs rasterio: pip install 'vehanchor[geo]'")
 
 
 def write_metric_copy(path: Path, raster: Raster, gsd_m_per_px: float) -> None:
@@ -42,10 +44,11 @@ def write_metric_copy(path: Path, raster: Raster, gsd_m_per_px: float) -> None:
 
     Raises:
         OutputError: the file cannot be written.
-        MissingExtraError: rasterio is not installed.
         ImageError: the image cannot be read.
     """
-    rasterio = _import_rasterio()
+    import rasterio
+    import rasterio.errors
+
     width, height = raster.width_px, raster.height_px
     profile: dict[str, Any] = {
         "driver": "GTiff",
@@ -72,12 +75,3 @@ def write_metric_copy(path: Path, raster: Raster, gsd_m_per_px: float) -> None:
                     copy.write(pixels.transpose(2, 0, 1), window=((top, top + rows), (0, width)))
         except rasterio.errors.RasterioError as error:
             raise OutputError(f"cannot write {str(path)!r}: {error}") from error
-
-
-def _import_rasterio() -> Any:
-    try:
-        import rasterio
-        import rasterio.errors
-    except ImportError as error:
-        raise MissingExtraError("writing a GeoTIFF needs rasterio: pip install 'vehanchor[geo]'") from error
-    return rasterio

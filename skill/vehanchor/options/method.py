@@ -186,35 +186,6 @@ class Reference:
             raise InvalidParameterError(f"give {' or '.join(given)}, not both: each sets the reference length")
 
 
-PRESETS: dict[Preset, dict[str, Any]] = {
-    "paper": {
-        "min_score": 0.1,
-        "nms_iou": NMS_IOU,
-        "search_scales": False,
-        "verify": False,
-        "effort": "full",
-        "max_tiles": None,
-        "max_seconds": None,
-        "aggregation": "kde",
-        "alpha": OUTLIER_ALPHA,
-        "reference_length_m": 5.045,  # paper, equation 4
-        "region": None,
-        "calibration": None,
-        "rulers": ("vehicles",),
-        "metadata": False,
-        "known_lengths": (),
-        "height_m": None,
-        "height_basis": "assumed",
-        "height_tolerance_m": None,
-        "focal_35mm": None,
-        "gsd_m_per_px": None,
-        "drop": (),
-        "add": (),
-    }
-}
-"""Options of each preset by keyword."""
-
-
 @group(frozen=True)
 class Method:
     """Preset of the method.

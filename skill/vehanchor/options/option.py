@@ -73,9 +73,8 @@ class Limits(NamedTuple):
         """
         found = self._number(value)
         low = (self.least is not None and found < self.least) or (self.above is not None and found <= self.above)
-        if not math.isfinite(found) or low or (self.most is not None and found > self.most):
-            raise InvalidParameterError(f"{name} is {_shown(value)}: use {self}")
-        if self.whole and found != int(found):
+        high = self.most is not None and found > self.most
+        if not math.isfinite(found) or low or high or (self.whole and found != int(found)):
             raise InvalidParameterError(f"{name} is {_shown(value)}: use {self}")
         return int(found) if self.whole else found
 

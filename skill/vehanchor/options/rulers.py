@@ -241,12 +241,7 @@ _Line = Annotated[
 
 def _names(value: Any) -> Any:
     """Read names with commas."""
-    names = [name.strip() for name in value.split(",")] if isinstance(value, str) else value
-    if isinstance(names, list | tuple | set | frozenset | dict) and all(isinstance(name, str) for name in names):
-        if not names:
-            raise InvalidParameterError(f"rulers is {value!r}: name at least one, or leave it out")
-        return tuple(dict.fromkeys(names))
-    raise InvalidParameterError(f"rulers is {value!r}: give a list of names")
+    return [name.strip() for name in value.split(",")] if isinstance(value, str) else value
 
 
 @group(frozen=True)
@@ -318,6 +313,8 @@ class Rulers:
     ] = None
 
     def __post_init__(self) -> None:
+        if self.rulers == ():
+            raise InvalidParameterError("rulers is empty: name at least one, or leave it out")
         lonely = ["height_tolerance_m"] if self.height_tolerance_m is not None else []
         lonely += ["focal_35mm"] if self.focal_35mm is not None and not self.metadata else []
         lonely += ["height_basis"] if self.height_basis == "measured" else []

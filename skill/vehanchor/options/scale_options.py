@@ -8,15 +8,33 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
-from vehanchor.options.method import PRESETS, Lengths, Method, Reference, Search
+from vehanchor.options.method import Lengths, Method, Reference, Search
 from vehanchor.options.option import Option
 from vehanchor.options.reading import CoordinateFrame, Frame, Reading
 from vehanchor.options.rulers import AddedVehicle, ByHand, KnownLength, Rulers
+from vehanchor.scale.defaults import Preset
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _Line = TypeVar("_Line", KnownLength, AddedVehicle)
+
+_OF_METHOD = [vars(group) for group in (Search(), Lengths(), Reference(), Rulers(), ByHand())]
+_FREE = ("tile_px", "stride_px")  # a preset leaves them to the caller
+PRESETS: dict[Preset, dict[str, Any]] = {
+    "paper": {
+        **{name: default for group in _OF_METHOD for name, default in group.items() if name not in _FREE},
+        "min_score": 0.1,
+        "search_scales": False,
+        "verify": False,
+        "effort": "full",
+        "aggregation": "kde",
+        "reference_length_m": 5.045,  # paper, equation 4
+        "rulers": ("vehicles",),
+        "metadata": False,
+    }
+}
+"""Options of each preset by keyword."""
 
 
 @dataclass(frozen=True)

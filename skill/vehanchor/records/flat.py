@@ -85,11 +85,9 @@ def _joined(outer: str, inner: str) -> str:
 
 def _bare(field: FieldInfo) -> Any:
     """Give the type of a field's values without null."""
-    kinds = [kind for kind in get_args(field.annotation) if kind is not type(None)]
-    optional = type(None) in get_args(field.annotation)
-    kind = field.annotation
-    if optional and all(isinstance(each, type) or get_origin(each) is not None for each in kinds):
-        kind = kinds[0]
+    kind, kinds = field.annotation, get_args(field.annotation)
+    if type(None) in kinds:
+        kind = next(each for each in kinds if each is not type(None))
     if get_origin(kind) is Annotated:
         kind = get_args(kind)[0]
     return type(get_args(kind)[0]) if get_origin(kind) is Literal else kind

@@ -7,6 +7,8 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple
 
+from pydantic import TypeAdapter
+
 from vehanchor.errors import KnownLengthError
 from vehanchor.scale.countries import COUNTRY_REGIONS
 
@@ -68,16 +70,9 @@ class Standard(NamedTuple):
 def standards() -> Mapping[str, Standard]:
     """Read the catalogue, by name."""
     table = tomllib.loads(files("vehanchor.rulers").joinpath("standards.toml").read_text(encoding="utf-8"))
-    return {
-        name: Standard(
-            name,
-            entry["between"],
-            entry["chance_wrong"],
-            entry["source"],
-            tuple(Variant(**{**each, "countries": tuple(each.get("countries", ()))}) for each in entry["variants"]),
-        )
-        for name, entry in table.items()
-    }
+    return TypeAdapter(dict[str, Standard]).validate_python(
+        {name: {"name": name, **entry} for name, entry in table.items()}
+    )
 
 
 def lengths_of(what: str, region: str | None = None) -> tuple[Standard, tuple[Variant, ...]]:
