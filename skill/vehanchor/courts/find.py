@@ -36,8 +36,9 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
 
-_FAR = np.arange(-10, 11) * 0.04, np.arange(-27, 28, 3)  # proposals lie at a court's end as often as at its centre
-_THERE = np.arange(-1, 2) * 0.01, np.arange(-1, 2)
+# Ranges of sizes and places; proposals lie at a court's end as often as at its centre.
+_FAR: tuple[NDArray[np.float64], NDArray[np.intp]] = np.arange(-10.0, 11.0) * 0.04, np.arange(-27, 28, 3)
+_THERE: tuple[NDArray[np.float64], NDArray[np.intp]] = np.arange(-1.0, 2.0) * 0.01, np.arange(-1, 2)
 _MOST_COURTS = 4
 _MOST_PROPOSALS, _MOST_OF_ONE_SIZE = 20, 6  # best proposals to try; fewer if the scale is known
 _MOST_REJECTED = 4  # rejected candidates in a row before the search ends
@@ -189,7 +190,8 @@ def _measured(raster: Raster, found: _Match) -> Court | None:
     corners = patch.in_image(project(seen.matrix, template.outline))
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
         return None
-    if not _is_supported(template, seen):
+    arcs = seen.line_coverage[len(template.lines) :]
+    if seen.coverage < _LEAST_COVERAGE or (len(arcs) and arcs.mean() < _SEEN_ARCS) or not math.isfinite(seen.log_sd):
         return None
     if not fit(patch.grey, template, seen.matrix, AFFINE).distortion <= _MOST_DISTORTION:
         return None
@@ -205,16 +207,6 @@ def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tu
         seen = fit(finer.grey, template, pose_matrix(finer.inside(patch.outside(_pose(seen.matrix)))), SIMILARITY)
         patch = finer
     return seen, patch
-
-
-def _is_supported(template: Template, seen: Fit) -> bool:
-    """Test whether enough of the template's lines and arcs were found."""
-    arcs = seen.line_coverage[len(template.lines) :]
-    return (
-        seen.coverage >= _LEAST_COVERAGE
-        and (not len(arcs) or float(arcs.mean()) >= _SEEN_ARCS)
-        and math.isfinite(seen.log_sd)
-    )
 
 
 def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch:

@@ -93,14 +93,11 @@ def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray
     cosine, sine = np.cos(turn), np.sin(turn)
     shift = _turned((second[:, :2] - first[:, :2]).T, np.cos(first[:, 4]), -np.sin(first[:, 4]))
     half_a, half_b = first[:, 2:4].T / 2, second[:, 2:4].T / 2
-    across = np.abs(cosine) < np.abs(sine)
+    along_b = np.where(np.abs(cosine) < np.abs(sine), half_b[::-1], half_b)  # of parallel boxes, in the frames of a
+    sides = np.clip(half_a + along_b - np.abs(shift), 0, 2 * np.minimum(half_a, along_b))
     parallel = np.minimum(np.abs(cosine), np.abs(sine)) < _PARALLEL_RAD
     with np.errstate(divide="ignore", invalid="ignore"):  # of boxes without a width
-        shared = np.where(
-            parallel,
-            _parallel_overlap(half_a, np.where(across, half_b[::-1], half_b), shift),
-            _slanted_overlap(half_a, half_b, shift, cosine, sine),
-        )
+        shared = np.where(parallel, sides[0] * sides[1], _slanted_overlap(half_a, half_b, shift, cosine, sine))
         iou = shared / (4 * (half_a.prod(axis=0) + half_b.prod(axis=0)) - shared)
     return np.asarray(np.clip(np.nan_to_num(iou, nan=0.0), 0.0, 1.0))
 
@@ -111,14 +108,6 @@ def _turned(
     """Turn vectors ``[2, ..., k]`` by angles."""
     x, y = vectors
     return np.stack([x * cosine - y * sine, x * sine + y * cosine])
-
-
-def _parallel_overlap(
-    half_a: NDArray[np.float64], half_b: NDArray[np.float64], shift: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Compute the area that parallel boxes share, from their half sides ``[2, k]`` and the shift of their centres."""
-    sides = np.clip(half_a + half_b - np.abs(shift), 0, 2 * np.minimum(half_a, half_b))
-    return np.asarray(sides[0] * sides[1])
 
 
 def _slanted_overlap(

@@ -84,18 +84,13 @@ def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: ChipNetw
     chosen = boxes[:_MOST_VERIFIED]
     side = chips.CHIP_COLUMNS, chips.CHIP_LENGTH_PX
     narrower, same, wider = (
-        _suits(network, _chips(raster, chosen, width, *side)) for width in (1 / _FACTOR, 1.0, _FACTOR)
+        float(np.clip(network.answers(chips.middle(squares)).logit, -_MOST_LOGIT, _MOST_LOGIT).mean())
+        for squares in (_chips(raster, chosen, width, *side) for width in (1 / _FACTOR, 1.0, _FACTOR))
     )
     too_wide = max(0.0, min(narrower - same, (narrower - wider) / 3))
     too_high = max(0.0, min(wider - same, (wider - narrower) / 3))
     parallel = abs(np.exp(2j * chosen[:, 4]).mean()) >= _PARALLEL
     return (too_wide - too_high) / (_LIMIT_PARALLEL if parallel else _LIMIT_CROSSED)
-
-
-def _suits(network: ChipNetwork, squares: NDArray[np.uint8]) -> float:
-    """Compute the mean logit of square chips."""
-    logits = network.answers(chips.middle(squares)).logit
-    return float(np.clip(logits, -_MOST_LOGIT, _MOST_LOGIT).mean())
 
 
 def _chips(

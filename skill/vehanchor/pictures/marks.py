@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from vehanchor.pictures.placement import Placement
     from vehanchor.scale.posterior import Mark
 
-Rgb: TypeAlias = tuple[int, int, int]
-
 MARK_RGB = (0, 190, 138)  # Okabe and Ito's bluish green, lighter
 _RIM_RGB = (22, 24, 28)
 _LETTERS = 0.8  # height of capitals over that of the caption
@@ -29,7 +27,7 @@ def draw_marks(
     picture: NDArray[np.uint8],
     marks: Sequence[Mark],
     place: Placement,
-    colour: Rgb = MARK_RGB,
+    colour: tuple[int, int, int] = MARK_RGB,
 ) -> None:
     """Draw the marks of rulers that lie in the picture, with labels beside their middle.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from vehanchor.pictures.placement import Placement
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
-
-    Measured: TypeAlias = AreaMeasurement | DistanceMeasurement
 
 MEASURED_RGB = (204, 121, 167)  # Okabe and Ito's reddish purple, beside the vehicles' sky blue and orange
 PROMPT_RGB = (240, 228, 66)  # Okabe and Ito's yellow
@@ -177,7 +175,7 @@ def _numbered(labels: Sequence[str]) -> list[str]:
     return [f"{number}: {label}".removesuffix(": ") for number, label in enumerate(labels, 1)]
 
 
-def _objection(record: Measured) -> str:
+def _objection(record: AreaMeasurement | DistanceMeasurement) -> str:
     """Explain why the scale is not usable; empty for a usable scale and without one."""
     if record.scale_confidence is None or record.gsd_m_per_px is None or record.scale_confidence >= USABLE_CHANCE:
         return ""
