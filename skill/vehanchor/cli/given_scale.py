@@ -63,7 +63,7 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
         if isinstance(record, dict) and "photographs" in record:
             record = _scale_in(record["photographs"], image)
         return known_scale(record)
-    except (OSError, ValueError) as error:  # InvalidParameterError is one
+    except (OSError, ValueError, TypeError, KeyError) as error:  # InvalidParameterError is a ValueError
         raise InvalidParameterError(
             f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor estimate IMAGE --json'"
         ) from None
@@ -76,10 +76,7 @@ def _scale_in(photographs: Sequence[Mapping[str, Any]], image: str) -> Any:
         InvalidParameterError: the photograph is not in the record.
     """
     wanted = Path(image)
-    try:
-        scales = [(Path(each["photograph"]), each["scale"]) for each in photographs]
-    except (TypeError, KeyError) as error:
-        raise InvalidParameterError(f"a photograph has no name or no scale: {error}") from None
+    scales = [(Path(each["photograph"]), each["scale"]) for each in photographs]
     found = [scale for path, scale in scales if path.absolute() == wanted.absolute()]
     found = found or [scale for path, scale in scales if path.name == wanted.name]
     if len(found) != 1:

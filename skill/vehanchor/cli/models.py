@@ -13,7 +13,6 @@ from vehanchor.records.text import scale_text
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
-    from vehanchor.rulers.standards import Standard
 
 _TOLERANCE = 0.15  # of the scale that --check measures, relative
 
@@ -48,21 +47,13 @@ def _print_sizes(*, as_json: bool) -> None:
     for each in standards().values():
         if as_json:
             print_json({**each._asdict(), "variants": [variant._asdict() for variant in each.variants]})
-        else:
-            print_facts(each.name, _size_facts(each))
-
-
-def _size_facts(standard: Standard) -> list[tuple[str, str]]:
-    lengths = []
-    for each in standard.variants:
-        countries = f": {', '.join(each.countries)}" if each.countries else ""
-        lengths.append(("length", f"{each.metres:g} m +- {100 * each.log_sd:.2g} %{countries}"))
-    return [
-        ("between", standard.between),
-        *lengths,
-        ("chance of another thing", f"{100 * standard.chance_wrong:.0f} %"),
-        ("source", standard.source),
-    ]
+            continue
+        facts = [("between", each.between)]
+        for variant in each.variants:
+            countries = f": {', '.join(variant.countries)}" if variant.countries else ""
+            facts.append(("length", f"{variant.metres:g} m +- {100 * variant.log_sd:.2g} %{countries}"))
+        mistaken = f"{100 * each.chance_wrong:.0f} %"
+        print_facts(each.name, [*facts, ("chance of another thing", mistaken), ("source", each.source)])
 
 
 def _check_installation(providers: list[str] | None) -> None:

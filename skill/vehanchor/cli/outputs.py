@@ -9,7 +9,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.storage.atomic import check_output_path
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.records import GsdEstimate
@@ -44,6 +44,7 @@ def check_outputs(images: Iterable[str], outputs: Iterable[tuple[str, Path]]) ->
 
 def _check(name: str, path: Path) -> None:
     """Check suffix, folder and needs of one file."""
+    check: Callable[[Path], object]
     if name in _SHAPES:
         from vehanchor.export.geojson import check_geojson_path as check
     elif name == "geotiff":
