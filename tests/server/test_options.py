@@ -64,7 +64,7 @@ def test_the_library_takes_what_an_option_declares_and_nothing_beyond(keyword: s
 
 
 def test_numbers_are_read_from_texts_and_lengths_with_their_units() -> None:
-    options = ScaleOptions.of({"min_score": " 0.2", "height_m": "30 ft", "focal_35mm": "24 mm", "alpha": "none"})
+    options = ScaleOptions.of({"min_score": " 0.2", "height_m": "30 feet", "focal_35mm": "24 mm", "alpha": "none"})
     assert options.search.min_score == 0.2
     assert options.rulers.height_m == pytest.approx(9.144)
     assert options.rulers.focal_35mm == 24

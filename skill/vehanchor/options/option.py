@@ -27,7 +27,9 @@ __all__ = ["Flag", "Limits", "Number", "Option", "group", "in_order", "refusal",
 
 _TEXT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)\s*([a-z%]*)", re.IGNORECASE)
 _UNITS = {
-    "m": {"mm": 1e-3, "cm": 0.01, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048, "yd": 0.9144},
+    "m": {"mm": 1e-3, "cm": 0.01, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048, "yd": 0.9144}
+    | dict.fromkeys(("metre", "metres", "meter", "meters"), 1.0)
+    | dict.fromkeys(("foot", "feet"), 0.3048),
     "mm": {"mm": 1.0},
 }
 
