@@ -152,3 +152,16 @@ def example() -> Callable[[str], Any]:
         return module
 
     return load
+
+
+def test_it_lands_where_the_lower_bound_fits_and_says_where(decide_zone: Callable[..., Any]) -> None:
+    decision = decide_zone(_record())
+    assert decision.action == "land"
+    assert (decision.center_x_px, decision.center_y_px, decision.needed_m) == (40.5, 30.5, 8.0)
+    assert decision.reason == "a circle of at least 8.5 m fits by the ruler (estimate 10.0 m), 8.0 m needed"
+
+
+def test_an_estimate_that_fits_is_not_enough(decide_zone: Callable[..., Any]) -> None:
+    decision = decide_zone(_record(inscribed_diameter_ci95_low_m=7.9))
+    assert decision.action == "next_zone"
+    assert decision.reason.startswith("too small: a circle of at least 7.9 m")

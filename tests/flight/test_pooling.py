@@ -171,3 +171,12 @@ def test_one_scale_for_two_sorties_is_warned_of() -> None:
     assert "2 sorties of 1 and 1 photographs" in warning.message
     one = _same_scale(_taken("2025:10:05 16:40:31"), _taken("2025:10:05 16:40:33"))
     assert "several_sorties" not in {each.code for each in one.warnings}
+
+
+def test_tiles_and_skipped_candidates_add_up() -> None:
+    first, second = (
+        Detections(np.zeros((0, 5)), np.zeros(0), 3, 1, n_tiles_total=20, n_skipped=5),
+        Detections(np.zeros((0, 5)), np.zeros(0), 4, 0, n_tiles_total=30, n_skipped=2),
+    )
+    pooled = pooled_detections([first, second], np.zeros(2))
+    assert (pooled.n_tiles, pooled.n_capped_tiles, pooled.n_tiles_total, pooled.n_skipped) == (7, 1, 50, 7)

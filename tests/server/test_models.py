@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests.sam_models import SamFiles
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor_server.errors import CallError
@@ -86,3 +87,10 @@ def test_a_calibration_must_be_the_detectors(settings: Settings, detector_path: 
         models.segmenter()
         assert not models.ready
         assert models.failure == code
+
+
+def test_a_segmenter_that_cannot_be_loaded_is_not_ready(settings: Settings, segmenter_paths: SamFiles) -> None:
+    models = Models(replace(settings, segmenter=(segmenter_paths[1], segmenter_paths[0])))
+    models.load_all()
+    assert models.failure == "model_contract"
+    assert not models.ready

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.flight.reconstruction.flights import Pose, write_opensfm
-from vehanchor.errors import ReconstructionError
+from vehanchor.errors import OutputError, ReconstructionError
 from vehanchor_flight.reconstruction.files import (
     images_of,
     on_earth,
@@ -131,3 +131,17 @@ def test_positions_on_earth_are_those_of_proj() -> None:
     shrunk = 1 + 500 / 6_380_000  # that plane lies at sea level
     assert np.column_stack([x, y]) * shrunk == pytest.approx(points[:, :2], abs=0.02)
     assert found[:, 2] == pytest.approx([500, 500.02, 520.04], abs=0.01)
+
+
+@pytest.mark.parametrize("write", [_text, _binary])
+def test_a_rescaled_colmap_model_differs_in_its_lengths_alone(tmp_path: Path, write: object) -> None:
+    old = read_model(write(tmp_path / "old"))  # type: ignore[operator]
+    new = read_model(write_rescaled(old, tmp_path / "new", 2.5))
+    assert new.kind == old.kind
+    assert new.points == pytest.approx(2.5 * old.points)
+    for before, after in zip(old.shots, new.shots, strict=True):
+        assert after.centre == pytest.approx(2.5 * before.centre)
+        assert after.rotation == pytest.approx(before.rotation)
+        assert (after.name, after.lens) == (before.name, before.lens)
+    with pytest.raises(OutputError, match="not empty"):
+        write_rescaled(old, tmp_path / "new", 2.5)

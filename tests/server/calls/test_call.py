@@ -172,3 +172,9 @@ async def test_closing_stops_what_runs_and_accepts_nothing_more() -> None:
         capacity.close()
     await call()
     assert codes == ["server_stopping", "server_stopping"]
+
+
+async def test_the_deadline_counts_before_the_thread_as_well() -> None:
+    capacity = Capacity(1, 0.1)
+    with pytest.raises(CallError, match="deadline_exceeded"):
+        await capacity.run(lambda _: anyio.sleep(5))

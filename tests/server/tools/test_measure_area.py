@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +19,15 @@ import vehanchor
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, called, check_shape, error_of, input_schema, record_of, text_of
+from tests.server.test_app import AREA as AREA_TOKENS
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
+from vehanchor.records import AreaMeasurement, Notice, OtherObject
 from vehanchor_server.app import create_server
+from vehanchor_server.calls.compact import short_record
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
+from vehanchor_server.tools.messages import answer_of
 
 pytestmark = pytest.mark.anyio
 
@@ -149,3 +154,39 @@ async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
     )
     assert "/nowhere/secret.onnx" in caplog.text
     assert not estimate.is_error
+
+
+async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServer[object], images: Path) -> None:
+    half = {name: value / 2 for name, value in POOL_BOX.items()}
+    frame = {"width_px": 320, "height_px": 256}
+    result = await asked(server, {**by_path(images / "pool.png"), "targets": [{"box": half}], "frame": frame})
+    whole = record_of(await asked(server, pool_in(images / "pool.png")))
+    record = record_of(result)
+    assert record["area_m2"] == whole["area_m2"]
+    assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * whole["gsd_m_per_px"])
+    assert "Mask: x 150 to 174, y 165 to 213 in your copy." in text_of(result)
+
+
+async def test_the_longest_answer_about_an_area_stays_short(server: MCPServer[object], images: Path) -> None:
+    frame = {"width_px": 320, "height_px": 256}
+    half = {name: value / 2 for name, value in POOL_BOX.items()}
+    full = {**by_path(images / "pool_two.png"), "targets": [{"box": half}], "frame": frame, "detail": "full"}
+    found = AreaMeasurement.model_validate(record_of(await asked(server, full)))
+    assert found.estimate is not None
+    assert found.bounding_box is not None
+    other = OtherObject(area_m2=1234.5, mask_area_px=12345, mask_score=0.8, bounding_box=found.bounding_box)
+    codes = ("extent_unknown", "mask_score_low", "mask_touches_edge", "mask_in_pieces", "target_small")
+    notices = tuple(Notice(code=code, message=f"{'A fact ' * 12}. And more.") for code in codes)
+    changes = {"reason": "not_cars", "n_vehicles": 24}
+    worst = found.model_copy(
+        update={
+            "alternatives": (other, other),
+            "warnings": notices,
+            "estimate": found.estimate.model_copy(update=changes),
+        }
+    )
+    answer = answer_of([worst], ["Region europe: cars of 4.85 m."], "short")
+    assert len(answer.text) <= 4 * AREA_TOKENS[0]
+    assert answer.text.endswith("Region europe: cars of 4.85 m.")
+    assert all(notice.code in answer.text for notice in notices)
+    assert len(json.dumps(short_record([worst], answer.warnings), separators=(",", ":"))) <= 4 * AREA_TOKENS[1]

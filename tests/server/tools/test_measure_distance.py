@@ -114,3 +114,14 @@ async def test_coordinates_that_look_like_shares_or_per_cent_are_questioned_unle
     assert "0 to 100" not in text_of(named)
     assert "scale 0.100 m/px as stated, scale confidence" in text_of(named)
     assert text_of(named).endswith("The stated scale is taken as +- 10 %.")
+
+
+async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServer[object], images: Path) -> None:
+    whole = record_of(await called(server, "measure_distance", images / "cars.png", lines=[LINE], **MEASURED))
+    for coordinates, reach in (("fraction", 1), ("per_mille", 1000)):
+        points = [{"x": at["x"] / 640 * reach, "y": at["y"] / 512 * reach} for at in LINE["points"]]
+        lines = [{"points": points}]
+        told = await called(
+            server, "measure_distance", images / "cars.png", lines=lines, coordinates=coordinates, **MEASURED
+        )
+        assert record_of(told)["distance_m"] == pytest.approx(whole["distance_m"])

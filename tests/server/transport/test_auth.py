@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from tests.server.conversation import listening, serving
 from vehanchor_server.settings import Settings, SettingsError
 from vehanchor_server.transport.auth import (
+    KEYS_RETRY_S,
     OidcVerifier,
     StaticTokenVerifier,
     _get_json,
@@ -253,3 +254,24 @@ def test_a_token_file_that_everyone_can_read_is_told(
     path.chmod(mode)
     assert len(read_tokens(path)) == 1
     assert ("every user of this machine can read the token file" in caplog.text) == warned
+
+
+async def test_a_second_unknown_key_is_refused_at_once(issuer: Issuer) -> None:
+    verifier = issuer.verifier()
+    assert await verifier.verify_token(issuer.token()) is not None
+    verifier._tried_at = -KEYS_RETRY_S
+    issuer.answers_after_s = 0.3
+    async with anyio.create_task_group() as group:
+        group.start_soon(verifier.verify_token, issuer.token(kid="first"))
+        await anyio.sleep(0.1)
+        with anyio.fail_after(0.2):
+            assert await verifier.verify_token(issuer.token(kid="second")) is None
+    assert len(issuer.fetched) == 4
+
+
+def test_settings_choose_the_verifier() -> None:
+    assert token_verifier(Settings()) is None
+    for age, expected_s in (("", 86400), ("#max-age=90", 90)):
+        oidc = token_verifier(Settings(oidc=(ISSUER + age, AUDIENCE)))
+        assert isinstance(oidc, OidcVerifier)
+        assert (oidc._issuer, oidc._max_key_age_s) == (ISSUER, expected_s)

@@ -35,7 +35,7 @@ from vehanchor.errors import (
     WorkerDiedError,
 )
 from vehanchor.models.runtime import Runtime
-from vehanchor.options import ScaleOptions
+from vehanchor.options import Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.rulers.known_length_table import lines_in
 
@@ -491,3 +491,27 @@ def test_a_table_of_lines_that_cannot_be_used_is_told_with_what_is_wrong(text: s
 def test_the_default_is_a_worker_a_cpu_but_no_more_than_images(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2}, raising=False)
     assert [local_workers(n) for n in (1, 2, 3, 100)] == [1, 2, 3, 3]
+
+
+def test_an_image_that_was_replaced_meanwhile_is_looked_at_again(
+    analysed: list[str], detector: Path, folder: Path, table: Path, tmp_path: Path
+) -> None:
+    image = tmp_path / "a.png"
+    image.write_bytes((folder / "empty.png").read_bytes())
+    images = [str(image), "cars.png", "empty.png"]
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(images, table, detector=detector, workers=1)
+    image.write_bytes((folder / "cars.png").read_bytes())
+    assert run_batch(images, table, detector=detector, workers=1).n_resumed == 1
+    assert [row["n_vehicles"] for row in _rows(table)] == [20, 20, 0]
+
+
+def test_rows_of_other_options_are_not_mixed_in(analysed: list[str], detector: Path, table: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(["."], table, detector=detector, workers=1)
+    other = ScaleOptions(reference=Reference(4.3))
+    with pytest.raises(InvalidParameterError, match=r"reference_length_m None \(now 4.3\)"):
+        run_batch(["."], table, detector=detector, workers=1, options=other)
+    again = run_batch(["."], table, detector=detector, workers=1, options=other, overwrite=True, details=True)
+    assert again.n_resumed == 0
+    assert {row["reference_length_m"] for row in _rows(table)} == {4.3, None}

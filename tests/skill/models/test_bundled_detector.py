@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,6 +20,8 @@ from vehanchor.models.zoo import (
 )
 from vehanchor.records import GsdEstimate
 from vehanchor.scale.countries import REGIONS
+from vehanchor_evaluation.gsd import run_trials, summarise
+from vehanchor_evaluation.table import survey_table
 
 _FLEET_M = 4.6
 _GSD = 0.12
@@ -98,3 +101,25 @@ def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:
     assert card.region_lengths_m["europe"] < card.reference_length_m < card.region_lengths_m["north_america"]
     assert card.length_range_px == (9.0, 64.0)
     assert card.licence == "Apache-2.0"
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) -> None:
+    images = [
+        image
+        for image in survey_table(real_data / "gsd" / "table.csv").images
+        if image.split == "val" and (image.labelled_vehicles or 0) >= 5
+    ]
+    summary = summarise(run_trials(images[::3], detector))  # research/benchmarks/detector.py takes all
+    assert summary.images == 35
+    assert summary.median <= 0.08
+    assert summary.coverage >= 0.9
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_photographs_without_vehicles_rarely_get_a_confident_answer(real_data: Path, detector: Detector) -> None:
+    images = [i for i in survey_table(real_data / "gsd" / "table.csv").images if i.set == "empty" and i.split == "val"]
+    confident = [t for t in run_trials(images, detector) if t.analysis.estimate.status == "ok"]
+    assert len(confident) <= 1

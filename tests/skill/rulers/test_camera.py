@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 from tests.analyses import log_sd, made_card, measured
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.detections import Detections
-from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.facts import ImageFacts, image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
 from vehanchor.rulers.ruler import View
@@ -194,3 +196,14 @@ def test_the_camera_can_be_left_out(options: dict[str, Any]) -> None:
     analysis = analyse_view(_view(MAVIC, **options))
     assert "camera" not in [each.kind for each in analysis.witnesses]
     assert (analysis.estimate.gsd_m_per_px, analysis.estimate.rulers) == (None, ())
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("name", "height_m"), [("minsk_10", 98.9), ("minsk_12", 99.0)])
+def test_nadir_photographs_of_a_known_sensor_come_out_within_a_few_per_cent(
+    real_data: Path, name: str, height_m: float
+) -> None:
+    with open_raster(real_data / f"tilt/images/{name}.jpg") as raster:
+        facts = image_facts(raster)
+    witness = measured(Camera(), replace(_view(None), image=facts))
+    assert witness.gsd_m_per_px == pytest.approx(height_m * 6.17 / (4.73 * 3000), rel=0.01)

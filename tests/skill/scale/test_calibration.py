@@ -13,6 +13,7 @@ from scipy.stats import gaussian_kde
 from typer.testing import CliRunner
 
 import vehanchor
+from research.scenes import render_scene
 from tests.known_scale_data import n_results
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.skill.imagery.files import exif, jpeg, xmp
@@ -375,3 +376,25 @@ def test_photographs_with_a_line_of_known_length_need_no_georeference(folder: Pa
     result = _run("calibrate", "--table", folder / "table.csv", *common)
     assert result.exit_code == 2
     assert "--photographs" in result.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fleet_m", [3.9, 5.4])
+def test_the_reference_length_of_a_fleet_is_recovered_from_labels_within_a_percent(
+    tmp_path: Path, fleet_m: float
+) -> None:
+    (tmp_path / "images").mkdir()
+    (tmp_path / "labelTxt-v1.5").mkdir()
+    drawn = []
+    for seed, gsd in enumerate((0.12, 0.15, 0.20)):
+        scene = render_scene(
+            gsd, width_px=1200, height_px=1200, seed=seed, layout="parking", mean_vehicle_length_m=fleet_m
+        )
+        cv2.imwrite(str(tmp_path / "images" / f"P{seed:04}.png"), scene.image[:, :, ::-1])
+        (tmp_path / "labelTxt-v1.5" / f"P{seed:04}.txt").write_text(f"imagesource:scene\n{scene.dota_text()}")
+        drawn += [v.length_px * gsd for v in scene.vehicles if v.kind == "small-vehicle"]
+    result = CliRunner().invoke(cli.app, ["calibrate", "--dota", str(tmp_path), "--out", str(tmp_path / "c.json")])
+    assert result.exit_code == 0, result.stderr
+    record = load_calibration(tmp_path / "c.json")
+    assert record.n_vehicles == len(drawn) > 1000
+    assert record.reference_length_m == pytest.approx(1.010 * fleet_m, rel=0.01)  # the mode, by render_scene's contract

@@ -21,6 +21,7 @@ from tests.skill.imagery.files import (
     bigtiff_header,
     bmp_header,
     encoded,
+    exif,
     geotiff,
     jpeg_header,
     jpeg_with,
@@ -208,3 +209,22 @@ def test_a_truncated_file_is_not_measured(name: str, share: float, capfd: pytest
 def test_bytes_after_the_end_do_no_harm() -> None:
     for data in (JPEG, PNG, WITH_THUMBNAIL, TRUNCATABLE["webp"], TRUNCATABLE["bmp"]):
         np.testing.assert_array_equal(read_all(data + b"trailer \xff\xd8\xff" * 9), read_all(data))
+
+
+def test_damaged_exif_is_ignored() -> None:
+    data = encoded(".jpg")
+    for payload in (
+        b"Exif\0\0",
+        b"Exif\0\0II*\0",
+        b"Exif\0\0" + exif({"Orientation": 6})[:20],
+        b"Exif\0\0XX*\0" + b"\xff" * 20,
+    ):
+        segment = b"\xff\xe1" + struct.pack(">H", len(payload) + 2) + payload
+        assert read_all(data[:2] + segment + data[2:]).shape == RGB.shape
+
+
+@pytest.mark.parametrize("missing", [1, 2, 40])
+@pytest.mark.parametrize("name", ["jpeg", "progressive", "png", "webp", "bmp"])
+def test_the_last_bytes_are_missed(name: str, missing: int) -> None:
+    with pytest.raises(ImageDecodeError):
+        open_raster(TRUNCATABLE[name][:-missing])

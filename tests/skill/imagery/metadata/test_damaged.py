@@ -264,3 +264,16 @@ def test_the_documentation_has_every_row_of_the_makers() -> None:
         assert all(
             f"`{name}`" in rows[maker.name] for name in (maker.height, maker.pitch, maker.focal_px, maker.focal) if name
         )
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        '<drone-skydio:CalibratedFocalLength rdf:parseType="Resource"><drone-skydio:X>3000</drone-skydio:X>'
+        "</drone-skydio:CalibratedFocalLength>",
+        '<drone-skydio:CalibratedFocalLength drone-skydio:X="3000" drone-skydio:Y="2"/>',
+        'drone-skydio:CalibratedFocalLengthX="3000"',
+    ],
+)
+def test_a_structure_is_read_as_the_file_has_it_and_flattened(said: str) -> None:
+    assert _of(said, SKYDIO, "Skydio").focal_px == 3000

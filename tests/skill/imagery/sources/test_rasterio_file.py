@@ -210,3 +210,12 @@ def test_overviews_show_where_to_look_without_reading_the_whole_file(tmp_path: P
         assert next_finer is not None
         assert np.abs(next_finer.astype(int) - read_reduced_window(raster, Window(3, 2, 30, 20), 16)).max() <= 1
         assert raster.read_overview(Window(0, 0, 20, 10), 32) is None
+
+
+def test_datasets_that_cannot_be_measured(tmp_path: Path) -> None:
+    signed = geotiff(tmp_path / "a.tif", RGB.astype(np.int16))
+    with rasterio.open(signed) as dataset, pytest.raises(ImageFormatError, match="int16"):
+        open_raster(dataset)
+    inks = geotiff(tmp_path / "b.tif", np.dstack([RGB, RGB[..., 0]]).astype(np.uint16), photometric="CMYK")
+    with rasterio.open(inks) as dataset, pytest.raises(ImageFormatError, match="black, cyan, magenta, yellow: convert"):
+        open_raster(dataset)
