@@ -29,8 +29,16 @@ _TEXT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)\s*([a-z%]*)", re.IGNORECASE)
 _UNITS = {
     "m": {"mm": 1e-3, "cm": 0.01, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048, "yd": 0.9144}
     | dict.fromkeys(("metre", "metres", "meter", "meters"), 1.0)
-    | dict.fromkeys(("foot", "feet"), 0.3048),
+    | dict.fromkeys(("foot", "feet"), 0.3048)
+    | {"inches": 0.0254, "yards": 0.9144},
     "mm": {"mm": 1.0},
+}
+_EXPECTED = {
+    "bool_type": "use True or False",
+    "bool_parsing": "use True or False",
+    "string_type": "give one name",
+    "tuple_type": "give a list",
+    "missing": "it is missing",
 }
 
 
@@ -184,7 +192,7 @@ def refusal(kind: Any, error: ValidationError) -> VehAnchorError:
     field = kind.__pydantic_fields__.get(place[0]) if place else None
     options = [each for each in (field.metadata if field else ()) if isinstance(each, Option)]
     made: Any = getattr(kind, "error", options[0].error if options else InvalidParameterError)
-    words = first["msg"].replace("Input should be", "use")
+    words = _EXPECTED.get(first["type"]) or first["msg"].replace("Input should be", "use")
     if first["type"] == "literal_error":
         words = f"use one of {first['ctx']['expected'].replace(' or ', ', ').replace(chr(39), '')}"
     refused: VehAnchorError = made(f"{'.'.join(place)} is {_shown(first['input'])}: {words}")
@@ -198,7 +206,7 @@ def in_order(*names: str) -> BeforeValidator:
         values = value.replace(",", " ").split() if isinstance(value, str) else value
         if isinstance(values, dict) or not isinstance(values, Iterable):
             return values
-        return dict(zip((*names, *map(str, range(64))), values, strict=False))
+        return dict(zip((*names, *map(str, range(64))), values, strict=False))  # no group has the fields "0", "1", ...
 
     return BeforeValidator(read)
 
