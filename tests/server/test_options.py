@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import typer
 
-from vehanchor.cli.cli_options import ParsedOptions, read_options, scale_command
+from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import ScaleOptions, declared_options
 from vehanchor.options.option import Limits
@@ -94,16 +94,16 @@ def test_a_file_has_options_by_keyword_and_the_command_line_overrides_it(tmp_pat
     file = tmp_path / "options.toml"
     file.write_text('effort = "full"\nheight_m = 40\nknown_lengths = ["0 0 30 0 5"]\nthreads = 1\n')
     names = {"effort", "height_m", "known_lengths", "threads"}
-    chosen = ParsedOptions({**read_options(file, names), "height_m": "50"})
+    chosen = ParsedOptions({"height_m": "50"}, file, names)
     assert chosen.options().search.effort == "full"
     assert chosen.options().rulers.height_m == 50
     assert chosen.options().rulers.known_lengths[0].metres == 5
     assert chosen.runtime().threads == 1
     with pytest.raises(InvalidParameterError, match="has 'effort': the options of this command are height_m"):
-        read_options(file, names - {"effort"})
+        ParsedOptions({}, file, names - {"effort"}).options()
     file.write_text("effort: full")
     with pytest.raises(InvalidParameterError, match=r"--options .* cannot be read"):
-        read_options(file, names)
+        ParsedOptions({}, file, names).options()
 
 
 def test_the_tools_have_the_limits_and_the_help_of_the_options() -> None:

@@ -17,7 +17,8 @@ import re
 import tomllib
 import types
 import typing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -54,9 +55,38 @@ _MODELS = {
 
 @dataclass(frozen=True)
 class ParsedOptions:
-    """Values of the options by keyword; checked on use."""
+    """Values of the options by keyword, from the command line and a file; checked on use.
 
-    values: Mapping[str, Any]
+    Attributes:
+        typed: values of the command line.
+        file: TOML file with further ones; None without one.
+        names: options of the command.
+    """
+
+    typed: Mapping[str, Any]
+    file: Path | None = None
+    names: Collection[str] = field(default=())
+
+    @cached_property
+    def values(self) -> Mapping[str, Any]:
+        """All values; those of the command line take precedence.
+
+        Raises:
+            InvalidParameterError: the file cannot be read, or has an option that the command does not have.
+        """
+        if self.file is None:
+            return self.typed
+        try:
+            of_file = tomllib.loads(self.file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InvalidParameterError(f"--options {str(self.file)!r} cannot be read: {error}") from None
+        unknown = next((name for name in of_file if name not in self.names), None)
+        if unknown is not None:
+            raise InvalidParameterError(
+                f"--options {str(self.file)!r} has {unknown!r}: the options of this command are "
+                f"{', '.join(sorted(self.names))}"
+            )
+        return {**of_file, **self.typed}
 
     def options(self) -> ScaleOptions:
         """Make the options of the method.
@@ -107,23 +137,6 @@ def read_classes(values: Iterable[object]) -> list[str | int] | None:
     return [int(each) if each.isdecimal() else each for each in map(str, values)] or None
 
 
-def read_options(file: Path, names: Collection[str]) -> dict[str, Any]:
-    """Read a TOML file with values of the named options.
-
-    Raises:
-        InvalidParameterError: the file cannot be read, or has another option.
-    """
-    try:
-        found = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InvalidParameterError(f"--options {str(file)!r} cannot be read: {error}") from None
-    if unknown := [name for name in found if name not in names]:
-        raise InvalidParameterError(
-            f"--options {str(file)!r} has {unknown[0]!r}: the options of this command are {', '.join(sorted(names))}"
-        )
-    return found
-
-
 def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Add the options of all groups to a command, which receives them as the argument ``chosen``; report its errors.
 
@@ -146,8 +159,7 @@ def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., N
             typed = {name: value for name in names if (value := arguments.pop(name)) not in (None, [])}
             file = arguments.pop(_FILE)
             with exit_on_error():
-                values = typed if file is None else {**read_options(file, names), **typed}
-                command(**arguments, chosen=ParsedOptions(values))
+                command(**arguments, chosen=ParsedOptions(typed, file, names))
 
         parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in own.values()]
         parameters += [*added, _FILE_PARAMETER]

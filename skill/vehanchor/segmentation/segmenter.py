@@ -56,7 +56,7 @@ class SegmenterCard:
         name: the model's name.
         sha256: checksum of the encoder's file followed by the decoder's (``cat ENCODER DECODER | sha256sum``); external
             weights follow their file.
-        contract: layout of inputs and outputs: ``sam``, ``sam2`` or ``transformers``.
+        contract: layout of inputs and outputs: ``sam``, ``sam2``, ``transformers`` or ``efficient_sam``.
         input_px: side of the input, pixels.
         min_score: masks with a lower score need a check of the outline.
         mask_area_log_sd: standard deviation of the log of mask area over true area, for boxes.
@@ -175,6 +175,7 @@ class Segmenter(LoadedModel):
             The mask with its window.
 
         Raises:
+            PromptError: this model cannot read the prompt.
             ImageTooLargeError: the crop has more pixels than the limits allow.
             ModelContractError: the model violates its contract.
         """

@@ -158,8 +158,9 @@ def test_the_options_reach_the_method(run: Any) -> None:
     assert "450 x 250 px:" in _estimate(run, "cars.png", *options).stdout
 
 
-def test_what_stops_every_image_still_gives_each_its_line_of_json(run: Any) -> None:
-    result = _estimate(run, "cars.png", "few.png", "--json", "--alpha", "-1")
+@pytest.mark.parametrize("wrong", [("--alpha", "-1"), ("--options", "missing.toml")])
+def test_what_stops_every_image_still_gives_each_its_line_of_json(run: Any, wrong: tuple[str, str]) -> None:
+    result = _estimate(run, "cars.png", "few.png", "--json", *wrong)
     assert result.exit_code == 2
     assert [(line["source"], line["error"]["code"]) for line in _lines(result)] == [
         ("cars.png", "invalid_parameter"),
