@@ -103,10 +103,11 @@ def _short(record: BaseModel) -> dict[str, Any]:
     if isinstance(record, AreaMeasurement) and record.alternatives:
         short["alternatives"] = [_size(other) for other in record.alternatives]
     frame = short.get("frame") or {}
-    if has_unknown_extent(record) or frame.get("bounding_box"):
-        short.pop("bounding_box", None)  # the frame already has it in the caller's pixels
     if has_unknown_extent(record):
         frame.pop("bounding_box", None)
+        short.pop("bounding_box", None)
+    elif frame.get("bounding_box"):
+        short.pop("bounding_box", None)  # the frame already has it in the caller's pixels
     return short
 
 

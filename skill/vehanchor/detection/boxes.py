@@ -278,11 +278,11 @@ def _near_pairs(
     """
     points = np.concatenate([first, second]) - np.minimum(first.min(axis=0), second.min(axis=0))
     cells = (points / max(reach, points.max() / _MOST_CELLS)).astype(np.int64) + 1
-    numbers = cells @ (2 * _MOST_CELLS, 1)
-    order = np.argsort(numbers[len(first) :])
-    ends = numbers[: len(first), None] + np.array([-2, 0, 2]) * _MOST_CELLS  # three cells of each of three columns
-    low = np.searchsorted(numbers[len(first) :], ends.ravel() - 1, sorter=order)
-    n = np.searchsorted(numbers[len(first) :], ends.ravel() + 1, "right", order) - low
+    own, others = np.split(cells @ (2 * _MOST_CELLS, 1), [len(first)])
+    order = np.argsort(others)
+    middles = (own[:, None] + np.array([-2, 0, 2]) * _MOST_CELLS).ravel()  # of three cells in each of three columns
+    low = np.searchsorted(others, middles - 1, sorter=order)
+    n = np.searchsorted(others, middles + 1, "right", order) - low
     found = []
     for k in np.split(np.arange(len(n)), np.searchsorted(np.cumsum(n), np.arange(_FEW_PAIRS, n.sum(), _FEW_PAIRS))):
         i = np.repeat(k // 3, n[k])

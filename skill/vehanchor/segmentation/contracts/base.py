@@ -151,6 +151,7 @@ class SamContract(LoadedModel, ABC):
             prompt: in pixels of the image.
 
         Raises:
+            PromptError: this model cannot read the prompt.
             ModelContractError: the outputs are not masks with scores.
         """
         features = self._run(self._encoder, {self._image.name: self._prepared(image)})
