@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vehanchor.courts.find import Proposal, courts_among
+from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.raster import Raster
 from vehanchor.models.session import run_session
 
@@ -41,7 +42,7 @@ def _each_image_is_looked_at_once() -> Iterator[None]:
         return seen[key]
 
     def fitted(raster: Raster, proposals: list[Proposal], **sizes: int) -> Any:
-        key = raster.width_px, raster.height_px, sizes["n_sizes"], *proposals
+        key = image_id(raster), sizes["n_sizes"], *proposals
         if key not in seen:
             seen[key] = courts_among(raster, proposals, **sizes)
         return list(seen[key])
