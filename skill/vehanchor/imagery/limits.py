@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 MIN_SIDE_PX = 16
 """Smallest side of a measurable image: a 5 m car is 17 px long at 0.3 m/px, the coarsest usable GSD."""
 
-_WINDOWED = ("TIFF", "JPEG 2000")  # formats that can be read by windows
+WINDOWED_FORMATS = ("TIFF", "JPEG 2000")
+"""Formats that can be read by windows."""
+
 _BLOCK_COPIES = 2  # the decoder copies a strip or tile from one buffer into one for each band
 _SAMPLES_PER_PIXEL = 4  # in a block of the largest allowed image size
 
@@ -98,7 +100,7 @@ def check_header(header: ImageHeader, limits: ImageLimits) -> None:
         ImageTooLargeError: see ``read_checked_header``.
         ImageFormatError: the image is too small to measure.
     """
-    windowed = header.format in _WINDOWED
+    windowed = header.format in WINDOWED_FORMATS
     if not windowed and header.width_px * header.height_px > limits.max_pixels:
         raise ImageTooLargeError(
             f"the {header.format} declares {header.width_px} x {header.height_px} px, the limit is "

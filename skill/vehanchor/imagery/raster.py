@@ -119,7 +119,7 @@ class Raster(ABC):
 
     def _to_rgb(self, stored: StoredPixels) -> NDArray[np.uint8]:
         """Convert stored pixels to upright 8-bit RGB."""
-        shown = to_uint8(stored.rgb, self._stretch)
+        shown = stored.rgb if self._stretch is None else to_uint8(stored.rgb, self._stretch)
         if stored.valid is not None:
             shown[~stored.valid] = 0
         if self._no_data is not None:

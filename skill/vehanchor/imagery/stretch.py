@@ -82,10 +82,8 @@ def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
     return Stretch(low, high)
 
 
-def to_uint8(pixels: NDArray[Any], stretch: Stretch | None) -> NDArray[np.uint8]:
-    """Convert stored values of any shape to 0..255; without a stretch, return them unchanged."""
-    if stretch is None:
-        return pixels
+def to_uint8(pixels: NDArray[Any], stretch: Stretch) -> NDArray[np.uint8]:
+    """Convert stored values of any shape to 0..255."""
     if pixels.dtype == np.uint16:
         table = _scaled(np.arange(1 << 16, dtype=np.float64), stretch)
         shown: NDArray[np.uint8] = table[pixels]

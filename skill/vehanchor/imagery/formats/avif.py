@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from vehanchor.imagery.formats.boxes import Box
     from vehanchor.imagery.formats.ifd import ReadAt
 
-_BRANDS = frozenset({b"avif", b"mif1", b"miaf"})
 _MAX_META_BYTES = 1 << 20
 _MAX_ITEMS = 300  # a grid has at most 256, plus EXIF, XMP and alpha
 _MAX_ILOC_BYTES = 1 << 14  # of 300 items of up to 46 bytes
@@ -45,15 +44,6 @@ _EXIF_ORIENTATION = {  # (quarter turns anticlockwise, mirror: None, 0 up-down, 
     (3, 0): 7,
     (3, 1): 5,
 }
-
-
-def is_avif(start: bytes) -> bool:
-    """Test whether a file that begins with these 32 bytes is a still AVIF."""
-    (length,) = struct.unpack(">I", start[:4]) if len(start) >= 16 else (0,)
-    if start[4:8] != b"ftyp" or start[8:12] not in _BRANDS:
-        return False
-    compatible = start[16 : min(length, len(start))]
-    return start[8:12] == b"avif" or b"avif" in (compatible[at : at + 4] for at in range(0, len(compatible), 4))
 
 
 def read_avif(read_at: ReadAt) -> ImageHeader:

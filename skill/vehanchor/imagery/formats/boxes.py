@@ -1,4 +1,4 @@
-"""Boxes of ISO base media files: AVIF and JPEG 2000."""
+"""Boxes of ISO base media files: AVIF, HEIC and JPEG 2000."""
 
 from __future__ import annotations
 
@@ -13,6 +13,19 @@ if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
 
 _MAX_BOXES = 1000  # in one box; real files have a dozen
+_STILL = {b"avif": "AVIF", b"heic": "HEIC", b"heix": "HEIC"}
+"""Brands of still images, and their format; hevc, hevx and avis are sequences."""
+
+_ANY_STILL = (b"mif1", b"miaf")  # then the compatible brands tell
+
+
+def still_format(start: bytes) -> str | None:
+    """Tell AVIF from HEIC by the brands in a file's first 32 bytes; None for any other file."""
+    if start[4:8] != b"ftyp":
+        return None
+    compatible = (start[at : at + 4] for at in range(16, min(int.from_bytes(start[:4]), len(start)), 4))
+    brands = compatible if start[8:12] in _ANY_STILL else (start[8:12],)
+    return next((_STILL[brand] for brand in brands if brand in _STILL), None)
 
 
 class Box(NamedTuple):

@@ -10,7 +10,8 @@ import struct
 from contextlib import suppress
 
 from vehanchor.errors import ImageDecodeError, ImageFormatError, ImageTooLargeError
-from vehanchor.imagery.formats.avif import is_avif, read_avif
+from vehanchor.imagery.formats.avif import read_avif
+from vehanchor.imagery.formats.boxes import still_format
 from vehanchor.imagery.formats.ifd import (
     MAX_VALUES,
     TAG_ORIENTATION,
@@ -23,7 +24,8 @@ from vehanchor.imagery.formats.ifd import (
 )
 from vehanchor.imagery.formats.image_header import COPIES, ImageHeader, TiffLayout
 from vehanchor.imagery.formats.jpeg import EXIF_PREFIX, MAX_SEGMENTS, read_jpeg
-from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000, read_jpeg2000
+from vehanchor.imagery.formats.jpeg2000 import SIGNATURES as JPEG2000_SIGNATURES
+from vehanchor.imagery.formats.jpeg2000 import read_jpeg2000
 
 IMAGE_FORMATS: dict[str, tuple[str, ...]] = {
     "JPEG": (".jpg", ".jpeg"),
@@ -38,6 +40,13 @@ IMAGE_FORMATS: dict[str, tuple[str, ...]] = {
 """Suffixes of each image format; help, messages and lists of files derive from it."""
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_SIGNATURES: dict[str, bytes | tuple[bytes, ...]] = {
+    "JPEG": b"\xff\xd8\xff",
+    "PNG": _PNG_SIGNATURE,
+    "TIFF": TIFF_SIGNATURES,
+    "BMP": b"BM",
+    "JPEG 2000": JPEG2000_SIGNATURES,
+}
 _PNG_BANDS = {0: 1, 2: 3}  # grey and RGB; all others, and these with transparency, can become four
 _KEPT_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
 _MAX_PNG_CHUNKS = 100_000  # 512 MiB in chunks of 8 KiB, as libpng writes them, would be 65,536
@@ -70,36 +79,27 @@ _TAGS_OF_ONE = frozenset(
 )
 
 
-def is_tiff(start: bytes) -> bool:
-    """Test whether a file that begins with these bytes (at least four) is a TIFF or BigTIFF."""
-    return start[:4] in TIFF_SIGNATURES
+def image_format(start: bytes) -> str | None:
+    """Tell the format, as in ``IMAGE_FORMATS``, by a file's first 32 bytes; None for any other file."""
+    if start[:4] == b"RIFF" and start[8:12] == b"WEBP":
+        return "WebP"
+    return next((name for name, mark in _SIGNATURES.items() if start.startswith(mark)), None) or still_format(start)
 
 
 def read_header(read_at: ReadAt) -> ImageHeader:
-    """Read format, declared size, orientation and completeness.
+    """Read format, declared size, orientation and completeness; HEIC has none here.
 
     Raises:
         ImageDecodeError: the format is unknown, or the header is damaged.
     """
     start = read_at(0, 32)
-    if start.startswith(b"\xff\xd8\xff"):
-        name, parse = "JPEG", read_jpeg
-    elif start.startswith(_PNG_SIGNATURE):
-        name, parse = "PNG", _read_png
-    elif is_tiff(start):
-        name, parse = "TIFF", _read_tiff
-    elif start.startswith(b"RIFF") and start[8:12] == b"WEBP":
-        name, parse = "WebP", _read_webp
-    elif start.startswith(b"BM"):
-        name, parse = "BMP", _read_bmp
-    elif is_avif(start):
-        name, parse = "AVIF", read_avif
-    elif is_jpeg2000(start):
-        name, parse = "JPEG 2000", read_jpeg2000
-    else:
+    name = image_format(start) or ""
+    readers = {"JPEG": read_jpeg, "PNG": _read_png, "TIFF": _read_tiff, "WebP": _read_webp, "BMP": _read_bmp}
+    read = {**readers, "AVIF": read_avif, "JPEG 2000": read_jpeg2000}.get(name)
+    if read is None:
         raise ImageDecodeError(f"not an image in one of the formats {', '.join(IMAGE_FORMATS)}: {_advice(start)}")
     try:
-        return parse(read_at)
+        return read(read_at)
     except struct.error:
         raise ImageDecodeError(f"the {name} ends within its header: truncated") from None
 

@@ -17,18 +17,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ImageLimits
 
-_BRANDS = frozenset({b"heic", b"heix"})  # still images in HEVC; hevc and hevx are sequences
-_ANY_STILL = frozenset({b"mif1"})
-_BRAND_LIST_BYTES = 32  # bytes of the brand list to read
 _BYTES_PER_PIXEL = 12  # two 16-bit planes of HEVC's colours, and RGB with alpha twice
-
-
-def is_heic(start: bytes) -> bool:
-    """Test whether a file that begins with these 32 bytes is a still HEIC."""
-    if start[4:8] != b"ftyp":
-        return False
-    compatible = {start[at : at + 4] for at in range(16, min(int.from_bytes(start[:4]), _BRAND_LIST_BYTES), 4)}
-    return start[8:12] in _BRANDS or (start[8:12] in _ANY_STILL and not _BRANDS.isdisjoint(compatible))
 
 
 def open_heic(data: bytes, source: str, bands: BandChoice, limits: ImageLimits) -> Raster:

@@ -12,14 +12,10 @@ from vehanchor.imagery.formats.image_header import ImageHeader
 if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
 
-_SIGNATURE = b"\x00\x00\x00\x0cjP  \r\n\x87\n"
-_CODESTREAM = b"\xff\x4f\xff\x51"  # its first marker, SOC, and SIZ, which must follow
+SIGNATURES = (b"\x00\x00\x00\x0cjP  \r\n\x87\n", _CODESTREAM := b"\xff\x4f\xff\x51")
+"""First bytes of a JP2 file, and of a bare codestream: its first marker, SOC, and SIZ, which must follow."""
+
 _MAX_BANDS = 16_384  # in the standard
-
-
-def is_jpeg2000(start: bytes) -> bool:
-    """Test whether a file that begins with these 12 bytes is a JP2 file or a bare codestream."""
-    return start.startswith((_SIGNATURE, _CODESTREAM))
 
 
 def read_jpeg2000(read_at: ReadAt) -> ImageHeader:

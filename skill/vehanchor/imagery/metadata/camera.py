@@ -88,6 +88,8 @@ def read_camera(read_at: ReadAt, header: ImageHeader) -> CameraMetadata | None:
     Time and memory are bounded, so untrusted files are safe.
     """
     exif, xmp = metadata_blocks(read_at, header)
+    if not exif and not xmp:
+        return None
     tags = [read_exif(each) for each in exif]
     xmp += [notes for each in tags if isinstance(notes := each.get("ApplicationNotes"), bytes)]
     starts = accumulate(map(len, xmp), initial=0)

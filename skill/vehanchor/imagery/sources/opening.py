@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError, InvalidParameterError
 from vehanchor.imagery.formats.decoding import decode, decodes_tiff
-from vehanchor.imagery.formats.header import is_tiff
-from vehanchor.imagery.formats.heic import is_heic, open_heic
+from vehanchor.imagery.formats.header import image_format
+from vehanchor.imagery.formats.heic import open_heic
 from vehanchor.imagery.formats.ifd import in_memory
-from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000
-from vehanchor.imagery.limits import check_bytes, read_checked_header
+from vehanchor.imagery.limits import WINDOWED_FORMATS, check_bytes, read_checked_header
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
 from vehanchor.imagery.sources.arrays import ArrayRaster
@@ -94,7 +93,7 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
 
 def can_be_read_again(image: ImageSource) -> bool:
     """Test whether an image can be opened a second time; a stream cannot."""
-    return is_dataset(image) or is_pillow(image) or not hasattr(image, "read")
+    return not hasattr(image, "read") or is_dataset(image) or is_pillow(image)
 
 
 def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
@@ -107,8 +106,8 @@ def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
             file.seek(offset)
             return file.read(count)
 
-        header, start = None, read_at(0, 32)
-        if is_tiff(start) or is_jpeg2000(start):
+        header = None
+        if image_format(read_at(0, 32)) in WINDOWED_FORMATS:
             header = read_checked_header(read_at, limits)
             if n_bytes > limits.max_bytes or _needs_windows(header, limits):
                 return _open_by_windows(str(Path(path).absolute()), path, header, bands, limits, read_at)
@@ -123,7 +122,7 @@ def _open_bytes(
     check_bytes(len(data), limits)
     if not data:
         raise ImageDecodeError(f"the image ({source}) is empty: 0 bytes")
-    if is_heic(data[:32]):
+    if image_format(data[:32]) == "HEIC":
         return open_heic(data, source, bands, limits)
     read_at = in_memory(data)
     header = header or read_checked_header(read_at, limits)
