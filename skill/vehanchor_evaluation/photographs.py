@@ -10,7 +10,7 @@ from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.known_length_table import with_lines_of
-from vehanchor.rulers.registry import active_rulers
+from vehanchor.rulers.registry import allowed_rulers
 from vehanchor.scale.lengths import Z95
 from vehanchor_evaluation.known_scale import (
     DATASET_READING,
@@ -51,7 +51,7 @@ def survey_photographs(
         InvalidParameterError: a path does not exist, or the options exclude all these rulers.
     """
     rulers = tuple(
-        each.kind for each in active_rulers(options.rulers) if each.sets_scale and each.pooling_gain is not None
+        each.kind for each in allowed_rulers(options.rulers) if each.sets_scale and each.pooling_gain is not None
     )
     if not rulers:
         raise InvalidParameterError("photographs need a ruler other than vehicles: drop --rulers and --metadata")

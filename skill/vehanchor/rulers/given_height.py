@@ -33,13 +33,13 @@ class GivenHeight(Ruler):
     help = "the height above the ground that you give, and a focal length"
     colour = "#CC79A7"
     pooling_gain = 0.0  # one height: one error
+    fact = "height_m"
     uses_plane = True
 
-    def measure(self, view: View) -> Witness | None:
+    def measure(self, view: View) -> Witness:
         """Measure by the given height and the focal length."""
         chosen, image = view.options.rulers, view.image
-        if chosen.height_m is None:
-            return None
+        assert chosen.height_m is not None
         camera = image.camera if chosen.metadata else None
         if camera is not None and taken_ratio(image, camera) is None:
             return unusable(self.kind, cropped(image, camera, _NO_LENS_OF_A_CROP))

@@ -41,17 +41,16 @@ class KnownLengths(Ruler):
     label = "known length"
     help = "lines that you draw, and their metres or what they measure"
     colour = "#009E73"
+    fact = "known_lengths"
     uses_plane = True
 
-    def measure(self, view: View) -> Witness | None:
+    def measure(self, view: View) -> Witness:
         """Multiply the densities of the measured lines; without any, those of the assumed ones.
 
         Raises:
             KnownLengthError: a line gives an impossible scale.
         """
         lines = view.options.rulers.known_lengths
-        if not lines:
-            return None
         drawn = [_drawn(line, view) for line in lines]
         groups = _groups(drawn)
         each = [_witness(group, view.options.reference.region) for group in groups]

@@ -40,7 +40,7 @@ def check_rulers(options: Rulers) -> None:
         raise InvalidParameterError(f"rulers is {options.rulers!r}: use some of {', '.join(RULERS)}")
 
 
-def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
+def allowed_rulers(options: Rulers) -> tuple[type[Ruler], ...]:
     """List the rulers that the caller allows, in the order of the registry.
 
     Raises:
@@ -48,10 +48,15 @@ def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
     """
     check_rulers(options)
     return tuple(
-        ruler()
+        ruler
         for ruler in map(ruler_class, RULERS)
         if (options.rulers is None or ruler.kind in options.rulers) and (options.metadata or not ruler.reads_metadata)
     )
+
+
+def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
+    """Make the allowed rulers, without those that need a fact which the caller does not state."""
+    return tuple(ruler() for ruler in allowed_rulers(options) if ruler.fact is None or getattr(options, ruler.fact))
 
 
 def uses(options: Rulers, kind: str) -> bool:

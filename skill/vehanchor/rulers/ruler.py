@@ -90,6 +90,8 @@ class Ruler:
             whose ``View.expected`` tells it cars from parts of cars in a tilted view.
         needs_search: it measures detections, so that the detector must run.
         reads_metadata: it is left out if the caller forbids metadata.
+        fact: field of ``vehanchor.options.Rulers`` that it measures with, and without which it is left out; None for a
+            ruler that needs no fact from the caller.
         uses_plane: it measures on ``View.plane``. If False, it is left out in a tilted view.
         sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other rulers.
     """
@@ -102,6 +104,7 @@ class Ruler:
     pooling_gain: ClassVar[float | None] = 0.5
     needs_search: ClassVar[bool] = False
     reads_metadata: ClassVar[bool] = False
+    fact: ClassVar[str | None] = None
     uses_plane: ClassVar[bool] = False
     sets_scale: ClassVar[bool] = True
 

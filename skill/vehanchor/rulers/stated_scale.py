@@ -22,12 +22,14 @@ class StatedScale(Ruler):
     help = "a scale from elsewhere, such as a map or a sister photograph"
     colour = "#56B4E9"
     pooling_gain = 0.0  # one statement: one error
+    fact = "stated_scale"
     uses_plane = True
 
-    def measure(self, view: View) -> Witness | None:
+    def measure(self, view: View) -> Witness:
         """Take the stated scale with its tolerance."""
         stated = view.options.rulers.stated_scale
-        return None if stated is None else stated_witness(stated)
+        assert stated is not None
+        return stated_witness(stated)
 
 
 def stated_witness(stated: Stated) -> Witness:
