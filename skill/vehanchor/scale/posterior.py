@@ -206,19 +206,19 @@ def judged(witnesses: Sequence[Witness]) -> Answer | None:
     if not setting:
         return None
     posterior, none_right = _posterior(heard, setting)
+    confirmed = np.zeros_like(posterior)  # by priors alone
+    if any(each.assumed for each in heard):
+        confirmed = _guessed(heard) - _guessed([heard[k] for k in setting])
     given_any = normalised(np.maximum(posterior - none_right, 0.0) + LEAST_PROBABILITY)
     value = quantile(given_any, 0.5)
-    chance = mass_within(posterior, value)
-    if any(each.assumed for each in heard):  # a prior narrows a guess, no more
-        with_priors, without = _unconfirmed(heard, value), _unconfirmed([heard[k] for k in setting], value)
-        chance += min(0.0, without - with_priors)
+    chance = mass_within(posterior, value) - max(0.0, mass_within(confirmed, value))  # a prior only narrows a guess
     return Answer(value, credible_interval(given_any), min(chance, MOST_SURE), given_any)
 
 
-def _unconfirmed(heard: Sequence[Witness], value: float) -> float:
-    """Compute the part of the chance in which no witness that is found or measured is right."""
+def _guessed(heard: Sequence[Witness]) -> NDArray[np.float64]:
+    """Compute the part ``[g]`` of the posterior in which no witness that is found or measured is right."""
     known = [k for k, each in enumerate(heard) if each.sets_scale and not each.assumed]
-    return mass_within(_posterior(heard, known)[1], value)
+    return _posterior(heard, known)[1]
 
 
 def _reason(heard: Sequence[Witness], without: Sequence[Answer | None], chance: float) -> Reason:
