@@ -68,6 +68,7 @@ def open_session(path: Path, *, content: bytes | None = None, runtime: Runtime |
     wanted = _installed(chosen.providers)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # fatal only; a broken file raises an error of this package
+    options.add_session_config_entry("session.force_spinning_stop", "1")  # else threads spin on after each run
     if chosen.threads is not None:
         options.intra_op_num_threads = chosen.threads
         options.inter_op_num_threads = 1
