@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from vehanchor_server.parts import Parts
 
 _IDLE_S = 5.0  # idle time before freed memory is returned; a call after that maps it again, for some 25 ms
+_MEMORY_OPTIONS = ((-8, 1), (-3, 8 << 20))  # one heap for all threads; large blocks return to the system when freed
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
 _logger = logging.getLogger(__name__)
 
@@ -70,6 +71,8 @@ def serve_tasks(
     """
     from vehanchor_server.request_log import configure_logging
 
+    for option, value in _MEMORY_OPTIONS:
+        _glibc("mallopt", option, value)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the server ends its workers
     _keep_streams(connection, log)
     configure_logging()
@@ -79,6 +82,7 @@ def serve_tasks(
         confinement = Confinement(lacks="the operator's settings") if readable is None else confine(readable)
         threading.Thread(target=_end_with_server, args=(connection,), name="vehanchor-server", daemon=True).start()
         services.models.load_all()
+        _glibc("malloc_trim", 0)
     except Exception:
         send(connection, _bug())
         return
@@ -87,7 +91,7 @@ def serve_tasks(
     with contextlib.suppress(EOFError, ConnectionError):  # the server ended, or released this worker
         while True:
             if not connection.poll(_IDLE_S):
-                _give_back_memory()
+                _glibc("malloc_trim", 0)
             task = connection.recv()
             _limit_cpu(limits.cpu_s)
             failure = _outcome(services, task, connection)
@@ -162,10 +166,10 @@ def _limit_memory(n_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (has + n_bytes, has + n_bytes))
 
 
-def _give_back_memory() -> None:
-    """Return freed memory to the system (glibc only)."""
+def _glibc(function: str, *arguments: int) -> None:
+    """Call a function of glibc's memory allocator, if there is one."""
     with contextlib.suppress(OSError, TypeError, AttributeError):  # TypeError: Windows has no CDLL of itself
-        ctypes.CDLL(None).malloc_trim(0)
+        getattr(ctypes.CDLL(None), function)(*arguments)
 
 
 def _limit_cpu(seconds: float) -> None:

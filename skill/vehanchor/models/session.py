@@ -85,6 +85,8 @@ def open_session(path: Path, *, content: bytes | None = None, runtime: Runtime |
         raise _converted(error, f"{path} is not an ONNX model that ONNX Runtime can load") from None
     if wanted[0] not in session.get_providers():  # ONNX Runtime silently falls back to the CPU
         _warn_once(f"{wanted[0]} cannot start here: models run on {session.get_providers()[0]}")
+    if session.get_providers() == ["CPUExecutionProvider"]:
+        session._model_bytes = None  # it keeps the file only to open it again with other providers
     return session
 
 
