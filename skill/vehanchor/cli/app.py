@@ -86,7 +86,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; the entry point of ``vehanchor`` and of ``python -m vehanchor``."""
-    gc.set_threshold(50_000)  # imports create 75,000 lasting objects; to visit them again took a tenth of the time
+    gc.set_threshold(200_000)  # imports create 170,000 lasting objects; to visit them again takes a tenth of the time
     atexit.register(gc.freeze)  # else Python visits them thrice when it exits, for 0.1 s
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # before its import; our errors report the problem
     try:
