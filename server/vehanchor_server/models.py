@@ -13,11 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 from vehanchor.errors import VehAnchorError
 from vehanchor.models.files import read_model
 from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
-from vehanchor.models.zoo import (
-    auxiliary_model,
-    resolve_model,
-    resolve_segmenter,
-)
+from vehanchor.models.zoo import auxiliary_model, resolve_model, resolve_segmenter
 from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:

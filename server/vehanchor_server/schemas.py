@@ -15,6 +15,7 @@ from typing import Any
 
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
+from vehanchor_server.tools.portable_schema import portable_schema
 from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
 
@@ -31,8 +32,8 @@ def schema_files(tools: Collection[str] = PUBLISHED) -> dict[str, str]:
         if tool.name not in tools:
             continue
         documents[f"{tool.name}.input.json"] = {**_DIALECT, **tool.full_parameters}
-        if tool.record_schema:
-            documents[f"{tool.name}.output.json"] = {**_DIALECT, **tool.record_schema}
+        if tool.record is not None:
+            documents[f"{tool.name}.output.json"] = {**_DIALECT, **portable_schema(tool.record.model_json_schema())}
     documents["anthropic.json"] = [anthropic_definition(tool) for tool in contract]
     documents["openai.json"] = [openai_definition(tool) for tool in contract]
     return {name: json.dumps(document, indent=2, ensure_ascii=False) + "\n" for name, document in documents.items()}

@@ -3,9 +3,9 @@
 The call imports the library, because importing OpenCV and ONNX Runtime would delay the server's first answer.
 """
 
-# No postponed annotations here: the SDK reads the result's schema from them.
+# No postponed annotations here: the SDK reads the arguments' schema from them.
 
-from typing import Annotated, Any
+from typing import Any
 
 from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult, InputRequiredResult
@@ -67,7 +67,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
-    ) -> Annotated[CallToolResult, GsdEstimate] | InputRequiredResult:
+    ) -> CallToolResult | InputRequiredResult:
         question = Question(with_user_input(ctx, given), wanted, same_scale)
         if more_images:
             check_flight_question(question.given)
@@ -84,6 +84,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         title="Measure the scale of an aerial image",
         description=_DESCRIPTION,
         meta=APP_META,
+        record=GsdEstimate,
         answered=("status", "gsd_m_per_px", "confidence"),
         kinds=services.settings.image_kinds,
     )

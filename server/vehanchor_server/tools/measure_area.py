@@ -1,6 +1,6 @@
 """The tool ``measure_area``: measure the areas of objects. Structured as ``estimate_gsd``."""
 
-# No postponed annotations here: the SDK reads the result's schema from them.
+# No postponed annotations here: the SDK reads the arguments' schema from them.
 
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,7 +57,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         given: Given,
         wanted: PictureRequest,
         detail: DetailArgument = "short",
-    ) -> Annotated[CallToolResult, AreaMeasurement]:
+    ) -> CallToolResult:
         places = [place for target in targets for place in target.places]
         question = Question(given, wanted, targets)
         reply, told = await answered(services, ctx, image, _measure, question, places, detail=detail)
@@ -68,6 +68,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         title="Measure the areas of objects in an aerial image",
         description=_DESCRIPTION,
         meta=APP_META,
+        record=AreaMeasurement,
         answered=("status", "area_m2", "scale_confidence", "inscribed_diameter_m"),
         kinds=services.settings.image_kinds,
     )

@@ -1,6 +1,6 @@
 """The tool ``measure_distance``: measure distances. Structured as ``estimate_gsd``."""
 
-# No postponed annotations here: the SDK reads the result's schema from them.
+# No postponed annotations here: the SDK reads the arguments' schema from them.
 
 from typing import Annotated, Any
 
@@ -68,7 +68,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
         given: Given,
         wanted: PictureRequest,
         detail: DetailArgument = "short",
-    ) -> Annotated[CallToolResult, DistanceMeasurement]:
+    ) -> CallToolResult:
         places = [(point.x, point.y) for line in lines for point in line.points]
         question = Question(given, wanted, lines)
         reply, told = await answered(services, ctx, image, _measure, question, places, detail=detail)
@@ -78,6 +78,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
         measure_distance,
         title="Measure distances in an aerial image",
         description=_DESCRIPTION,
+        record=DistanceMeasurement,
         answered=("status", "distance_m", "scale_confidence"),
         kinds=services.settings.image_kinds,
     )

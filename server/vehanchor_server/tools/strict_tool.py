@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+import types
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ from mcp.server.mcpserver import Context
 from mcp.server.mcpserver.exceptions import ToolError, UnexpectedToolError
 from mcp.server.mcpserver.tools import Tool
 from mcp.types import CallToolResult, InputRequiredResult, ToolAnnotations
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from vehanchor_server.calls.reply import PictureRequest
 from vehanchor_server.errors import CallError
@@ -29,12 +30,12 @@ class StrictTool(Tool):
 
     Attributes:
         full_parameters: complete schema of the arguments; ``parameters`` is the reduced one for models.
-        record_schema: schema of the complete record; ``output_schema`` has the fields of every answer.
+        record: type of the record in full answers; ``output_schema`` has the fields of every answer.
         first_image: finds an image of this server for examples in errors.
     """
 
     full_parameters: dict[str, Any] = Field(default_factory=dict, exclude=True)
-    record_schema: dict[str, Any] = Field(default_factory=dict, exclude=True)
+    record: type[BaseModel] | None = Field(default=None, exclude=True)
     first_image: Callable[[], str | None] | None = Field(default=None, exclude=True)
 
     @classmethod
@@ -45,34 +46,34 @@ class StrictTool(Tool):
         title: str,
         description: str,
         meta: dict[str, Any] | None = None,
+        record: type[BaseModel] | None = None,
         answered: Sequence[str] = (),
         kinds: Sequence[str] = (),
     ) -> StrictTool:
         """Create a read-only, idempotent tool.
 
         Args:
-            function: the implementation; its name, parameters and result define the tool, as for
-                ``Tool.from_function``.
+            function: the implementation; its name and parameters define the tool, as for ``Tool.from_function``.
             title: title for people.
             description: description for planners; clients keep 2 KB of it.
             meta: the tool's ``_meta``.
+            record: type of the record in the structured content; None without any.
             answered: fields of the record in the listed schema; other fields need full detail. Default: all fields.
             kinds: kinds of images in the listed schema; default: all.
         """
         annotations = ToolAnnotations(
             read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
         )
-        tool = cls.from_function(function, title=title, description=description, annotations=annotations, meta=meta)
+        words: dict[str, Any] = {"title": title, "description": description}
+        tool = cls.from_function(function, **words, annotations=annotations, meta=meta, structured_output=False)
         assert isinstance(tool, StrictTool)
-        arguments = tool.fn_metadata.arg_model
-        arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments silently
-        arguments.model_rebuild(force=True)
+        arguments = tool.fn_metadata.arg_model  # which drops unknown arguments silently
+        tool.fn_metadata.arg_model = types.new_class(arguments.__name__, (arguments,), {"extra": "forbid"})
         tool.full_parameters = portable_schema({"additionalProperties": False, **tool.parameters})
         tool.parameters = listed(tool.full_parameters, kinds)
-        if tool.fn_metadata.output_schema is not None:
-            tool.record_schema = portable_schema(tool.fn_metadata.output_schema)
-            tool.fn_metadata.output_schema = _answered(tool.record_schema, answered)
-            tool.fn_metadata.output_model = None  # records validate short and full answers
+        if record is not None:
+            tool.record = record
+            tool.fn_metadata.output_schema = _answered(record, answered)  # records validate short and full answers
         return tool
 
     async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:
@@ -128,16 +129,15 @@ class StrictTool(Tool):
         return words if found is None else words.replace(json.dumps(EXAMPLE_PATH), json.dumps(found))
 
 
-def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+def _answered(record: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:
     """Return the schema of every answer, short or full: selected fields of the record with their types."""
-    if not names:
-        return record
-    types: dict[str, Any] = {}
-    for name in names:
-        field = record["properties"][name]
+    fields: dict[str, Any] = {}
+    for name in names or record.model_fields:
+        kind: Any = record.model_fields[name].annotation
+        field = TypeAdapter(kind).json_schema()
         kinds = [option["type"] for option in field.get("anyOf", [field])]
-        types[name] = {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
-    return {"type": "object", "properties": types}
+        fields[name] = {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
+    return {"type": "object", "properties": fields}
 
 
 def _with_integers(value: Any) -> Any:

@@ -5,7 +5,7 @@ structured content, because several hosts show a model nothing beside it. The pa
 work.
 """
 
-# No postponed annotations here: the SDK reads the result's schema from them.
+# No postponed annotations here: the SDK reads the arguments' schema from them.
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -120,7 +120,7 @@ def page_image_tool(services: Services) -> StrictTool:
         part: _Part = None,
         long_side_px: _Side = _USUAL_SIDE_PX,
         page: _Page = 1,
-    ) -> Annotated[CallToolResult, PageImages]:
+    ) -> CallToolResult:
         if image is None:
             names, total = await _list_images(services, page)
             more = names and (page - 1) * _IMAGES_A_PAGE + len(names) < total
@@ -137,6 +137,7 @@ def page_image_tool(services: Services) -> StrictTool:
         title="Show an image on the page",
         description="For the page of this server; models use view_image.",
         meta=PAGE_ONLY_META,
+        record=PageImages,
         answered=("images",),
         kinds=services.settings.image_kinds,
     )

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jsonschema
 import pytest
@@ -47,11 +47,12 @@ def image_size_tool(services: Services) -> StrictTool:
 
     async def image_size(
         image: ImageArgument, ctx: Context[Any, Any], detail: DetailArgument = "short"
-    ) -> Annotated[CallToolResult, Size]:
+    ) -> CallToolResult:
         answer = await run_call(services, ctx, image, _image_size, None)
         return answer.to_result(f"{answer.record.width_px} px wide.")
 
-    return StrictTool.read_only(image_size, title="Tell an image's size", description="Tells the size of an image.")
+    title, description = "Tell an image's size", "Tells the size of an image."
+    return StrictTool.read_only(image_size, title=title, description=description, record=Size)
 
 
 @work(Size)
