@@ -18,11 +18,11 @@ from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult, Icon, InputRequiredResult, ListToolsResult, PaginatedRequestParams
 
 from vehanchor_server.app_page.page import PAGE_ONLY_META, app_extension
-from vehanchor_server.errors import CallError, shortened
+from vehanchor_server.errors import shortened
 from vehanchor_server.services import Services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
-from vehanchor_server.tools.strict_tool import StrictTool
+from vehanchor_server.tools.strict_tool import ReportedError, StrictTool
 from vehanchor_server.tools.view_image import page_image_tool
 
 _FIXED: tuple[CacheableMethod, ...] = ("tools/list", "resources/list", "resources/read")
@@ -86,7 +86,7 @@ class _Server(MCPServer[object]):
         known = {tool.name: tool.meta != PAGE_ONLY_META for tool in self._tool_manager.list_tools()}
         if name not in known:
             names = ", ".join(each for each, is_listed in known.items() if is_listed)
-            raise CallError("unknown_tool", f"there is no tool {shortened(name)!r}. Tools: {names}.")
+            raise ReportedError("unknown_tool", f"there is no tool {shortened(name)!r}. Tools: {names}.")
         return await super().call_tool(name, arguments, context)
 
 

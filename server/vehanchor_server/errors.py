@@ -2,7 +2,7 @@
 
 The library's codes (``vehanchor.errors``) pass through unchanged. The server adds:
 
-* CallError (ToolError)
+* CallError (Exception)
   x ``invalid_arguments``   an argument is missing, unknown or malformed
   x ``unknown_tool``        there is no tool of that name
   x ``source_disabled``     the server accepts no images of that ``kind``
@@ -22,8 +22,6 @@ The library's codes (``vehanchor.errors``) pass through unchanged. The server ad
 
 from __future__ import annotations
 
-from mcp.server.mcpserver.exceptions import ToolError
-
 from vehanchor.records.foreign_text import on_one_line
 
 WORKER_KILLED = "worker_killed"
@@ -36,7 +34,7 @@ def shortened(name: str) -> str:
     return name if len(name) <= _SHOWN_CHARS else f"...{name[-_SHOWN_CHARS:]}"
 
 
-class CallError(ToolError):
+class CallError(Exception):
     """Failure of a call with a remedy for the caller.
 
     Args:

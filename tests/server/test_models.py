@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ from tests.sam_models import SamFiles
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor_server.errors import CallError
-from vehanchor_server.models import Models
+from vehanchor_server.models import SLOW_IMPORTS, Models
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.scale_arguments import scale_options
 
@@ -94,3 +96,9 @@ def test_a_segmenter_that_cannot_be_loaded_is_not_ready(settings: Settings, segm
     models.load_all()
     assert models.failure == "model_contract"
     assert not models.ready
+
+
+def test_workers_do_without_the_sdk() -> None:
+    modules = ["vehanchor_server.calls.worker_process", "vehanchor_server.services", *SLOW_IMPORTS]
+    script = f"import sys\nfor name in {modules}: __import__(name)\nprint('mcp' in sys.modules)"
+    assert subprocess.check_output([sys.executable, "-c", script], text=True) == "False\n", "30 MB, and 0.3 s"

@@ -11,13 +11,13 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from mcp.server.apps import Apps, ResourceCsp
-
 from vehanchor.rulers.standards import standards
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, REGIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from mcp.server.apps import Apps
 
 APP_URI = "ui://vehanchor/panel.html"
 APP_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI}}
@@ -48,6 +48,8 @@ _VIEW_PARTS = ("call", "local", *_SHARED, "exporting", "thumbnails", "overview",
 
 def app_extension() -> Apps:
     """Create the MCP Apps extension with the page as its only resource; tools refer to it by ``APP_META``."""
+    from mcp.server.apps import Apps, ResourceCsp
+
     apps = Apps()
     apps.add_html_resource(
         APP_URI,

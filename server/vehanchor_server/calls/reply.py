@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
-from mcp.server.mcpserver import Image
-from mcp.types import CallToolResult, TextContent
 from pydantic import BaseModel
 
 from vehanchor.options import Frame
@@ -15,6 +13,8 @@ from vehanchor_server.calls.compact import short_record
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from mcp.types import CallToolResult
 
     from vehanchor_server.app_page.panel import Drawing
 
@@ -72,6 +72,9 @@ class Reply(Generic[Record]):
             detail: extent of the records.
             shown: the requested picture; the evidence follows the text, without structured content.
         """
+        from mcp.server.mcpserver import Image
+        from mcp.types import CallToolResult, TextContent
+
         content: list[Any] = [TextContent(type="text", text=text)]
         kind = "" if shown is None else shown.kind
         if kind == "evidence":

@@ -18,15 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
-from vehanchor_server.calls.messages import (
-    BUG,
-    MAX_WORDS,
-    Loaded,
-    Progressed,
-    Refused,
-    send,
-    send_reply,
-)
+from vehanchor_server.calls.messages import BUG, MAX_WORDS, Loaded, Progressed, Refused, send, send_reply
 from vehanchor_server.calls.task import perform
 from vehanchor_server.errors import WORKER_KILLED, CallError
 from vehanchor_server.sandbox.confinement import Confinement, confine

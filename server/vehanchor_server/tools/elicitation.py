@@ -43,15 +43,11 @@ class _ScaleInput(BaseModel):
 
     region: Literal[REGIONS] | None = Field(None, title="Region", description="Where the image was taken.")  # type: ignore[valid-type]
     height_m: Height | None = Field(
-        None,
-        title="Height, m",
-        description="Camera height above ground, for a nadir view.",
+        None, title="Height, m", description="Camera height above ground, for a nadir view."
     )
     height_basis: Basis | None = Field(None, title="Height known by", description="measured: above this ground.")
     focal_35mm: FocalLength | None = Field(
-        None,
-        title="Focal length, mm",
-        description="With the height: 35 mm equivalent, if missing in the file.",
+        None, title="Focal length, mm", description="With the height: 35 mm equivalent, if missing in the file."
     )
     known_length: str | None = Field(
         None,

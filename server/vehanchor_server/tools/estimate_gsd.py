@@ -5,10 +5,7 @@ The call imports the library, because importing OpenCV and ONNX Runtime would de
 
 # No postponed annotations here: the SDK reads the arguments' schema from them.
 
-from typing import Any
-
-from mcp.server.mcpserver import Context
-from mcp.types import CallToolResult, InputRequiredResult
+from typing import TYPE_CHECKING, Any
 
 from vehanchor.records import GsdEstimate
 from vehanchor_server.app_page.page import APP_META
@@ -18,7 +15,6 @@ from vehanchor_server.calls.task import work
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.elicitation import request_scale_input, with_user_input
 from vehanchor_server.tools.flight_question import (
     MoreImagesArgument,
     SameScaleArgument,
@@ -35,7 +31,9 @@ from vehanchor_server.tools.scale_arguments import (
     scale_options,
     with_options,
 )
-from vehanchor_server.tools.strict_tool import StrictTool
+
+if TYPE_CHECKING:
+    from vehanchor_server.tools.strict_tool import StrictTool
 
 _KNOWN = (
     "railway_gauge",
@@ -55,8 +53,10 @@ _DESCRIPTION = (
 )
 
 
-def estimate_gsd_tool(services: Services) -> StrictTool:
+def estimate_gsd_tool(services: Services) -> "StrictTool":
     """Create the tool for a server."""
+    from vehanchor_server.tools.elicitation import request_scale_input, with_user_input
+    from vehanchor_server.tools.strict_tool import CallToolResult, Context, InputRequiredResult, StrictTool
 
     @with_options("estimate")
     async def estimate_gsd(

@@ -4,8 +4,6 @@
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mcp.server.mcpserver import Context
-from mcp.types import CallToolResult
 from pydantic import Field
 
 from vehanchor.records import AreaMeasurement
@@ -26,11 +24,11 @@ from vehanchor_server.tools.scale_arguments import (
     resolve_source,
     with_options,
 )
-from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import MAX_TARGETS, Target
 
 if TYPE_CHECKING:
     from vehanchor.segmentation.prompt import Prompt
+    from vehanchor_server.tools.strict_tool import StrictTool
 
 _DESCRIPTION = (
     "Measures the area (square metres) and size of objects in a near-nadir aerial or satellite image: roof, pool, "
@@ -43,8 +41,9 @@ _DESCRIPTION = (
 _EXAMPLE = [{"box": {"x_min": 255, "y_min": 160, "x_max": 535, "y_max": 470}}]
 
 
-def measure_area_tool(services: Services) -> StrictTool:
+def measure_area_tool(services: Services) -> "StrictTool":
     """Create the tool for a server."""
+    from vehanchor_server.tools.strict_tool import CallToolResult, Context, StrictTool
 
     @with_options("measure")
     async def measure_area(

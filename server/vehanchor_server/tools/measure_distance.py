@@ -2,10 +2,8 @@
 
 # No postponed annotations here: the SDK reads the arguments' schema from them.
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from mcp.server.mcpserver import Context
-from mcp.types import CallToolResult
 from pydantic import Field
 
 from vehanchor.options.option import Number
@@ -27,8 +25,10 @@ from vehanchor_server.tools.scale_arguments import (
     resolve_source,
     with_options,
 )
-from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import MAX_POINTS, MAX_TARGETS
+
+if TYPE_CHECKING:
+    from vehanchor_server.tools.strict_tool import StrictTool
 
 _DESCRIPTION = (
     "Measures ground distances (metres) in a near-nadir aerial or satellite image: how wide, how long, how far. "
@@ -52,8 +52,9 @@ class Line(FrozenModel):
     points: tuple[Place, ...] = Field(min_length=2, max_length=MAX_POINTS)
 
 
-def measure_distance_tool(services: Services) -> StrictTool:
+def measure_distance_tool(services: Services) -> "StrictTool":
     """Create the tool for a server."""
+    from vehanchor_server.tools.strict_tool import CallToolResult, Context, StrictTool
 
     @with_options("measure", paged=False)
     async def measure_distance(

@@ -7,7 +7,6 @@ import inspect
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeAlias, TypeVar, get_args
 
-from mcp.server.apps import client_supports_apps
 from pydantic import BeforeValidator, Field
 
 from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
@@ -71,6 +70,7 @@ def with_options(kind: str, *, paged: bool = True) -> Callable[[Callable[..., An
         A decorator for a function with the parameters ``given``, which gets the options that the caller gave, and
         ``wanted``, the picture: the evidence for ``view_image``, or the image for a host with pages.
     """
+    from mcp.server.apps import client_supports_apps
 
     def decorate(tool: Callable[..., Any]) -> Callable[..., Any]:
         own = inspect.signature(tool).parameters

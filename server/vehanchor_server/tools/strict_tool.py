@@ -21,8 +21,14 @@ from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.complaints import complaints
 from vehanchor_server.tools.portable_schema import listed, portable_schema
 
+__all__ = ["CallToolResult", "Context", "InputRequiredResult", "StrictTool"]  # what a tool needs of the SDK, too
+
 MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120
 _EXACT = 2.0**53  # above, floats are no counts
+
+
+class ReportedError(CallError, ToolError):
+    """Failure of a call, which the SDK logs without a traceback. Workers do not know the SDK."""
 
 
 class StrictTool(Tool):
@@ -95,10 +101,10 @@ class StrictTool(Tool):
             cause = error.__cause__
             if isinstance(cause, CallError):
                 status = cause.code
-                raise cause from cause.__cause__
+                raise ReportedError(status, cause.explanation) from cause.__cause__
             if isinstance(cause, ValidationError):
                 status = "invalid_arguments"
-                raise CallError(status, self._complaints(cause, arguments)) from cause
+                raise ReportedError(status, self._complaints(cause, arguments)) from cause
             status = "internal_error"
             raise UnexpectedToolError(
                 "internal_error: the server failed on this call; its log has the cause. Report it to the operator."

@@ -12,10 +12,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import groupby
 from pathlib import PurePath
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from mcp.server.mcpserver import Context, Image
-from mcp.types import CallToolResult, TextContent
 from pydantic import BeforeValidator, Field
 from pydantic_core import from_json
 
@@ -31,8 +29,10 @@ from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.picture import part_window
-from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import Box
+
+if TYPE_CHECKING:
+    from vehanchor_server.tools.strict_tool import CallToolResult, StrictTool
 
 _DESCRIPTION = (
     "Shows an image, or a part of it, with a grid of pixel coordinates. View it before you give coordinates, and a "
@@ -79,8 +79,9 @@ class PageImages(FrozenModel):
     next_page: int | None = Field(default=None, description="Number of the next page; null on the last.")
 
 
-def view_image_tool(services: Services, measuring: Mapping[str, StrictTool]) -> StrictTool:
+def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -> "StrictTool":
     """Create the tool for a server, with the tools whose calls it shows, by name."""
+    from vehanchor_server.tools.strict_tool import CallToolResult, Context, StrictTool
 
     async def view_image(
         ctx: Context[Any, Any],
@@ -104,15 +105,13 @@ def view_image_tool(services: Services, measuring: Mapping[str, StrictTool]) -> 
         return _with_picture(_words(seen.record, long_side_px), seen.picture)
 
     return StrictTool.read_only(
-        view_image,
-        title="View an aerial image",
-        description=_DESCRIPTION,
-        kinds=services.settings.image_kinds,
+        view_image, title="View an aerial image", description=_DESCRIPTION, kinds=services.settings.image_kinds
     )
 
 
-def page_image_tool(services: Services) -> StrictTool:
+def page_image_tool(services: Services) -> "StrictTool":
     """Create the page's tool: an image without a grid, or the list of images, as data."""
+    from vehanchor_server.tools.strict_tool import CallToolResult, Context, StrictTool
 
     async def page_image(
         ctx: Context[Any, Any],
@@ -143,7 +142,10 @@ def page_image_tool(services: Services) -> StrictTool:
     )
 
 
-def _with_picture(words: str, jpeg: bytes | None, data: dict[str, Any] | None = None) -> CallToolResult:
+def _with_picture(words: str, jpeg: bytes | None, data: dict[str, Any] | None = None) -> "CallToolResult":
+    from mcp.server.mcpserver import Image
+    from mcp.types import CallToolResult, TextContent
+
     content: list[Any] = [TextContent(type="text", text=words)]
     if jpeg is not None:
         content.append(Image(data=jpeg, format="jpeg").to_image_content())

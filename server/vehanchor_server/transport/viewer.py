@@ -134,11 +134,7 @@ def serve_viewer(settings: Settings, photograph: Path | None, port: int, opened:
         app = create_viewer(settings, address, dropped)
         logging.disable(logging.INFO)  # a person reads this terminal
         config = uvicorn.Config(
-            app,
-            log_config=None,
-            access_log=False,
-            server_header=False,
-            timeout_graceful_shutdown=_SHUTDOWN_S,
+            app, log_config=None, access_log=False, server_header=False, timeout_graceful_shutdown=_SHUTDOWN_S
         )
         uvicorn.Server(config).run(sockets=[listening])
 
