@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import logging
 import multiprocessing
 import os
@@ -63,6 +64,7 @@ def serve_tasks(
     """
     from vehanchor_server.request_log import configure_logging
 
+    gc.freeze()  # collections would write to what the fork server made, and so copy the memory that is shared with it
     for option, value in _MEMORY_OPTIONS:
         _glibc("mallopt", option, value)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the server ends its workers

@@ -196,9 +196,10 @@ def test_a_picture_has_a_bound(pipe: tuple[Connection, Connection]) -> None:
 @work(Value)
 def foreign_bytes(services: Services, job: Job, source: Any, hexadecimal: str) -> Reply[Value]:
     """Write bytes of the caller's choice where messages belong, as a compromised worker can."""
-    import gc
+    import inspect
 
-    (connection,) = (each for each in gc.get_objects() if isinstance(each, Connection) and not each.closed)
+    callers = (each.frame.f_locals for each in inspect.stack())
+    connection = next(names["connection"] for names in callers if "connection" in names)
     connection.send_bytes(bytes.fromhex(hexadecimal))
     time.sleep(100)
     return answered(None)
