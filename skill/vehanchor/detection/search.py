@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 _MIN_TILE_PX = 32
 _LEAST_CHANCE = 0.01  # of cars at a resolution; most of it is the floor of the scene-scale prior
-_EXCLUDED_CHANCE = 0.008  # of cars at a resolution, by the vehicles found at others
+_EXCLUDED_CHANCE = 0.03  # of cars at a resolution, by the vehicles found at others; one clear car leaves 2 to 3 %
 _FEW_VEHICLES = 12  # up to this number, the chip network looks at weaker candidates and at mirrored chips
 _MOST_CANDIDATES = 24  # then, best scores first
 _MOST_LOOKED_AT = 64  # vehicles; 100 give the same answers to 1,957 photographs
