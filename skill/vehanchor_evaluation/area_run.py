@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehanchor.records.text import count
 from vehanchor_evaluation.area import area_trials, open_mask_log, segment_entries, summarise_area
 from vehanchor_evaluation.area_report import area_report
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet
@@ -77,7 +78,7 @@ def measure_areas(
         segmenter,
         open_mask_log(logs and logs / "masks.sqlite", segmenter.card.sha256),
         workers=n_workers,
-        progress=step(f"{len(entries)} objects"),
+        progress=step(count(len(entries), "object")),
     )
     images = {entry.image: KnownScaleImage(entry.image, entry.gsd_m_per_px) for entry in entries}
     searched = search_known_scale(
@@ -87,7 +88,7 @@ def measure_areas(
         classes=classes,
         cache=logs and logs / "detections.sqlite",
         workers=n_workers,
-        progress=step(f"{len(images)} images"),
+        progress=step(count(len(images), "image")),
     )
     trials = area_trials(entries, masks, _scales(searched, detector, options))
     issues += [found for found in searched.values() if isinstance(found, FileIssue)]
@@ -125,13 +126,14 @@ def _run_facts(detector: Detector, segmenter: Segmenter, options: ScaleOptions, 
 
 def _facts(trials: Sequence[AreaTrial], entries: Sequence[AreaEntry], detector: str, segmenter: str) -> list[str]:
     """Describe the basis of the table, one sentence each."""
+    images = count(len({trial.image for trial in trials}), "image")
     facts = [
-        f"{len(trials)} of {len(entries)} entries measured, in {len({trial.image for trial in trials})} images",
+        f"{len(trials)} of {count(len(entries), 'object')} measured, in {images}",
         f"detector {detector}, segmenter {segmenter}; a missing scale or mask counts as an error of 100 %",
     ]
     if trials:
         iou = np.array([trial.mask_iou for trial in trials])
         n_without = sum(trial.gsd_m_per_px is None for trial in trials)
         facts.append(f"masks: IoU median {np.median(iou):.3f}, mean {iou.mean():.3f}")
-        facts.append(f"scale: none for {n_without} entries ({n_without / len(trials):.0%})")
+        facts.append(f"scale: none for {count(n_without, 'object')} ({n_without / len(trials):.0%})")
     return facts

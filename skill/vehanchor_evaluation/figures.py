@@ -13,6 +13,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.placement import Placement
 from vehanchor.pictures.plot import require_plots
 from vehanchor.pictures.scale import caption_panel, draw_vehicles, fit_for_eyes, read_reduced
+from vehanchor.records.text import count
 from vehanchor.scale.calibration import weighted_lengths_m
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX, Z95, kde_density
 from vehanchor_evaluation.gsd import HIGH_ERROR
@@ -161,7 +162,7 @@ def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
     nominal = np.linspace(0.0, 0.99, 100)
     left.plot([0, 1], [0, 1], color=_GREY, lw=1, ls="--", label="ideal")
     if known:
-        left.plot(nominal, interval_coverage(known, nominal), color=_BLUE, lw=2, label=f"{len(known)} images")
+        left.plot(nominal, interval_coverage(known, nominal), color=_BLUE, lw=2, label=count(len(known), "image"))
     left.axvline(0.95, color=_GREY, lw=0.8, ls=":")
     left.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
     left.set_xlabel("nominal coverage of the interval")
@@ -219,7 +220,7 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     shown = metres[(metres >= low) & (metres <= high)]
     edges = np.linspace(low, high, int(np.clip(np.sqrt(len(shown)) * 2, 12, 80)) + 1)
     axes.hist(
-        shown, bins=list(edges), color="#56B4E9", edgecolor="white", linewidth=0.5, label=f"{len(metres)} vehicles"
+        shown, bins=list(edges), color="#56B4E9", edgecolor="white", linewidth=0.5, label=count(len(metres), "vehicle")
     )
     at = np.linspace(low, high, 800)
     density = kde_density(at, metres, weights, smoothing=smoothing) * len(metres) * (edges[1] - edges[0])
@@ -234,7 +235,7 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     axes.set_ylabel("vehicles")
     beyond = len(metres) - len(shown)
     note = f", {beyond} beyond the axis" if beyond else ""
-    axes.set_title(f"{calibration.n_images} images{note}", loc="left", fontsize=11)
+    axes.set_title(f"{count(calibration.n_images, 'image')}{note}", loc="left", fontsize=11)
     axes.legend(frameon=False, fontsize=9)
     return figure
 
@@ -300,7 +301,7 @@ def sheet_cell(trial: ScaleTrial) -> SheetCell:
         (
             f"error {100 * trial.signed_error:+.1f} %",
             f"{estimate.gsd_m_per_px:.3g} m/px, true {trial.image.gsd_m_per_px:.3g}",
-            f"{estimate.n_vehicles or 0} vehicles, confidence {estimate.confidence:.2f}",
+            f"{count(estimate.n_vehicles or 0, 'vehicle')}, confidence {estimate.confidence:.2f}",
             trial.image.path.name[-48:].encode("ascii", "replace").decode(),
         ),
     )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.errors import OutputError
 from vehanchor.records.foreign_text import in_cell
+from vehanchor.records.text import count
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.reliability import LEAST_ESTIMATES
 
@@ -178,7 +179,7 @@ def scale_markdown(report: ScaleReport) -> str:
             if report.label_reference_length_m is None
             else f"; KDE mode of these labels: {report.label_reference_length_m:.4g} m"
         ),
-        f"No estimate, as no vehicle was found: {report.no_vehicle_found} images; "
+        f"No estimate, as no vehicle was found: {count(report.no_vehicle_found, 'image')}; "
         f"images with labels but no labelled vehicle: {report.no_vehicle_labelled}",
         f"Skipped: {_counts(report.skipped)}; used in part: {_counts(report.noted)}",
         f"Confidence against error: Pearson {_number(report.confidence_error_pearson)}, "

@@ -132,3 +132,6 @@ def test_lines_of_one_photograph_scale_all_of_one_scale(flight: list[str], detec
     for strangers in ([car_park(FLEET)], flight[:2]):
         with pytest.raises(KnownLengthError, match="not one of the images"):
             estimate_flight(strangers, detector=detector, known_lengths_table=lines)
+    lines.write_text(lines.read_text() + "9.png,1,1,9,9,1,measured\n")
+    with pytest.raises(KnownLengthError, match="images, nor is 1 other: files"):
+        estimate_flight(flight[:2], detector=detector, known_lengths_table=lines)

@@ -19,6 +19,7 @@ from pydantic_core import from_json
 
 from vehanchor.options import Coordinates, Frame, Reading, declared_options
 from vehanchor.options.option import Limits
+from vehanchor.records.text import count
 from vehanchor_server.app_page.page import PAGE_ONLY_META
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
@@ -162,7 +163,7 @@ async def _list_images(services: Services, page: int) -> tuple[list[str], int]:
 
 
 def _list_in_words(names: Sequence[str], total: int, page: int) -> str:
-    head = f"{total} image{'' if total == 1 else 's'}"
+    head = count(total, "image")
     if len(names) < total:
         first = (page - 1) * _IMAGES_A_PAGE
         shown = f"{first + 1} to {first + len(names)}" if names else "none"

@@ -16,6 +16,7 @@ from vehanchor.errors import OutputError, PromptError
 from vehanchor.export.geojson import SUFFIX, check_geojson_path, write_features
 from vehanchor.imagery.sources.files import find_images, where_it_is
 from vehanchor.measure.targets import TARGET_COLUMNS, TargetRow, measure_targets, read_targets
+from vehanchor.records.text import count
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -79,7 +80,7 @@ def _summarise(output: Path, rows: Sequence[TargetRow]) -> None:
     for target, error in errors[:_SHOWN_ERRORS]:
         report(error, f"{target.file} {target.name}".strip())
     counts = Counter("error" if row.record is None else row.record.status for row in rows)
-    print(f"{printable(str(output))}: {len(rows)} targets ({counts_text(counts)})", file=sys.stderr)
+    print(f"{printable(str(output))}: {count(len(rows), 'target')} ({counts_text(counts)})", file=sys.stderr)
     if len(errors) == len(rows):
         print("no target could be measured", file=sys.stderr)
         raise typer.Exit(FAILED)

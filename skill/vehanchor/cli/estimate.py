@@ -31,7 +31,7 @@ from vehanchor.cli.terminal import (
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
-from vehanchor.records.text import advice_for, scale_text, significant
+from vehanchor.records.text import advice_for, count, scale_text, significant
 
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
@@ -217,7 +217,7 @@ def _print_summary(rows: Sequence[tuple[str, GsdEstimate]]) -> None:
     folder, names = under_one_folder([source for source, _ in rows])
     columns = {"image": "text", **dict.fromkeys(("m/px", "95 %", "confidence", "vehicles"), "number"), "status": "word"}
     cells = [(name, *_cells(record)) for name, (_, record) in zip(names, rows, strict=True)]
-    print_rows(columns, cells, f"{len(rows)} images in {folder}" if folder else "")
+    print_rows(columns, cells, f"{count(len(rows), 'image')} in {folder}" if folder else "")
 
 
 def _cells(record: GsdEstimate) -> tuple[str, ...]:

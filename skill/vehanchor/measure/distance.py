@@ -18,6 +18,7 @@ from vehanchor.measure.resolved_scale import resolve_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import DistanceMeasurement, ImagePoint
+from vehanchor.records.text import count
 from vehanchor.segmentation.prompt import read_numbers
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
         x, y = read_numbers(each, (2,), "a point of the path", "x, y")
         places.append((x, y))
     if not 2 <= len(places) <= MAX_PATH_POINTS:
-        raise PromptError(f"the path has {len(places)} points: give two, or up to {MAX_PATH_POINTS} along a line")
+        n = count(len(places), "point")
+        raise PromptError(f"the path has {n}: give two, or up to {MAX_PATH_POINTS} along a line")
     return tuple(places)
 
 

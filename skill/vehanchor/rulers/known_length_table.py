@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.sources.files import where_it_is
 from vehanchor.options.rulers import KnownLength, Rulers
+from vehanchor.records.text import count
 from vehanchor.rulers.image_table import read_image_table
 from vehanchor.rulers.standards import check_name
 
@@ -45,9 +46,10 @@ def lines_in(path: str | os.PathLike[str] | None, images: Iterable[str | os.Path
     lines = read_image_table(path, "known lengths", _COLUMNS, _line, KnownLengthError)
     strangers = sorted(set(lines) - {where_it_is(image) for image in images})
     if strangers:
+        others = len(strangers) - 1
         raise KnownLengthError(
             f"a line of known length is in {strangers[0]!r}, which is not one of the images"
-            + (f", nor are {len(strangers) - 1} others" if len(strangers) > 1 else "")
+            + (f", nor {'is' if others == 1 else 'are'} {count(others, 'other')}" if others else "")
             + ": files are named relative to the table"
         )
     return lines

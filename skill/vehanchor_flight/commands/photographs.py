@@ -22,7 +22,7 @@ from vehanchor.cli.terminal import (
     work_progress,
 )
 from vehanchor.errors import InvalidParameterError
-from vehanchor.records.text import NO_SCALE, significant, with_interval
+from vehanchor.records.text import NO_SCALE, count, significant, with_interval
 from vehanchor.storage.atomic import check_output_path, write_record
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
     folder, names = under_one_folder([each.photograph for each in record.photographs])
     where = f" in {folder}" if folder else ""
     short = {each.photograph: name for each, name in zip(record.photographs, names, strict=True)}
-    print_facts(f"{len(record.photographs)} photographs{where}", _facts(record, short))
+    print_facts(f"{count(len(record.photographs), 'photograph')}{where}", _facts(record, short))
     if not record.same_scale:
         _print_photographs(record.photographs, short)
     print_warnings(record.warnings)

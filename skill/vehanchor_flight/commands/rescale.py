@@ -136,7 +136,7 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
         facts.append((ruler.label, f"{_interval(ruler)}, n {ruler.n}, right: {ruler.p_right:.2f}"))
     used = [each for each in record.photographs if each.status == "used"]
     if record.photographs:
-        facts.append(("photographs", f"{record.n_photographs}, {len(used)} of them carry the factor"))
+        facts.append(("photographs", f"{record.n_photographs}, used for the factor: {len(used)}"))
     outliers = (each for each in record.photographs if each.status == "outlier")
     facts += [("outlier", f"{each.photograph}: {', '.join(each.rulers)} {_interval(each)}") for each in outliers]
     facts += [("written", str(path)) for path in written]

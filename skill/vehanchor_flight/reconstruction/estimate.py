@@ -151,8 +151,8 @@ def _nothing_usable(failures: Sequence[Failure], images: Path) -> VehAnchorError
     """Choose the error of a model without a usable photograph."""
     if failures and all(isinstance(each.error, ImageNotFoundError) for each in failures):
         return ReconstructionError(
-            f"none of the model's {len(failures)} photographs is in {str(images)!r}, as {failures[0].name!r}: name "
-            "their folder with --images"
+            f"no photograph of the model, such as {failures[0].name!r}, is in {str(images)!r}: name their folder "
+            "with --images"
         )
     return failures[0].error if failures else ReconstructionError("the model has no photographs")
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vehanchor.errors import ReconstructionError
+from vehanchor.records.text import count
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,7 +62,9 @@ def model_plane(model: Reconstruction) -> Plane:
     centres = np.array([shot.centre for shot in model.shots])
     points = _thinned(model.points[np.isfinite(model.points).all(axis=1)])
     if len(points) < _LEAST_POINTS:
-        raise ReconstructionError(f"the model has {len(points)} points, too few for its ground: give the whole project")
+        raise ReconstructionError(
+            f"the model has {count(len(points), 'point')}, too few for its ground: give the whole project"
+        )
     distance = float(np.median(np.linalg.norm(points - np.median(centres, axis=0), axis=1)))
     thickness = _THICKNESS * distance
     found = _upwards(_most_common(points, thickness), np.median(centres, axis=0))

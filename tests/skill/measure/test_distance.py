@@ -87,7 +87,7 @@ def test_no_vehicles_mean_pixels_and_no_metres(detector: Detector) -> None:
     [
         (5, {}, "path is 5: give a line, or points"),
         ("1 2", {}, "path is '1 2': give a line, or points"),
-        ([(1, 1)], {}, "1 points: give two"),
+        ([(1, 1)], {}, "the path has 1 point: give two"),
         ([], {}, "0 points"),
         ([(1, 1), (1, 2, 3)], {}, "use x, y"),
         ([(1, 1), (float("nan"), 2)], {}, "finite"),
