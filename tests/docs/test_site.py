@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.packaging, pytest.mark.timeout(600)]
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     needed_module("mkdocs", "pip install -e '.[docs]'")
     folder = tmp_path_factory.mktemp("site")
-    build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(folder)]
+    build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     built = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
     return folder
