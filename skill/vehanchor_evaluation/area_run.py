@@ -11,6 +11,7 @@ from vehanchor.records.text import count
 from vehanchor_evaluation.area import area_trials, open_mask_log, segment_entries, summarise_area
 from vehanchor_evaluation.area_report import area_report
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet
+from vehanchor_evaluation.report import percent
 from vehanchor_evaluation.search import default_workers, search_known_scale
 
 if TYPE_CHECKING:
@@ -135,5 +136,5 @@ def _facts(trials: Sequence[AreaTrial], entries: Sequence[AreaEntry], detector: 
         iou = np.array([trial.mask_iou for trial in trials])
         n_without = sum(trial.gsd_m_per_px is None for trial in trials)
         facts.append(f"masks: IoU median {np.median(iou):.3f}, mean {iou.mean():.3f}")
-        facts.append(f"scale: none for {count(n_without, 'object')} ({n_without / len(trials):.0%})")
+        facts.append(f"scale: none for {count(n_without, 'object')} ({percent(n_without / len(trials), 0)})")
     return facts

@@ -185,8 +185,8 @@ def scale_markdown(report: ScaleReport) -> str:
         f"Confidence against error: Pearson {_number(report.confidence_error_pearson)}, "
         f"Spearman {_number(report.confidence_error_spearman)}",
         f"Errors above 20 %: {report.high_errors}; the resolution guard flags {report.high_errors_guarded} of them, "
-        f"the status flags {report.high_errors_low_confidence}. The {report.low_errors} others: "
-        f"{report.low_errors_guarded} and {report.low_errors_low_confidence}",
+        f"the status flags {report.high_errors_low_confidence}. Other errors: {report.low_errors}, "
+        f"flagged {report.low_errors_guarded} and {report.low_errors_low_confidence}",
     ]
     title = f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
     over = "Errors cover images with an estimate; an error above 20 % is wrong."

@@ -157,7 +157,7 @@ class Raster(ABC):
         if empty is not None:
             self._no_data, share = empty
             sample = sample[(sample != self._no_data).any(axis=1)]
-            words.append(f"the value {self._no_data:g}, in {share:.0%} of the pixels, counts as no data")
+            words.append(f"the value {self._no_data:g}, in {share * 100:.0f} % of the pixels, counts as no data")
         self._stretch = choose_stretch(sample)
         if self._stretch is not None and self._stretch != UNIT_RANGE:
             low, high = self._stretch

@@ -100,7 +100,7 @@ def test_a_value_far_from_all_others_is_no_data_and_named(dtype: str, no_data: f
     for image in (filled, geotiff(tmp_path / "a.tif", filled)):
         with open_raster(image) as raster:
             shown = raster.read()
-            assert f"the value {no_data:g}, in 10% of the pixels, counts as no data" in raster.warnings[0].message
+            assert f"the value {no_data:g}, in 10 % of the pixels, counts as no data" in raster.warnings[0].message
         assert not shown[:4].any()
         np.testing.assert_array_equal(shown[4:], read_all(values[4:]))
 
@@ -111,7 +111,7 @@ def test_no_data_beside_reflectances_is_told_though_nothing_is_stretched() -> No
     with open_raster(values) as raster:
         np.testing.assert_array_equal(raster.read()[4:], RGB[4:])
         assert [note.message for note in raster.warnings] == [
-            "the value -9999, in 10% of the pixels, counts as no data"
+            "the value -9999, in 10 % of the pixels, counts as no data"
         ]
 
 
