@@ -81,7 +81,7 @@ def run_batch(
 
     Args:
         inputs: directories, patterns and files; see ``find_images``.
-        output: ``.parquet`` (extra ``parquet``), ``.csv`` or ``.jsonl``.
+        output: the table; its suffix selects the format (``write_table``).
         engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with a model per actor.
         address: of a Ray cluster; None starts one on this machine.
         workers: number of models; default one per CPU of the machine or cluster.

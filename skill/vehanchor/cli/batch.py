@@ -40,9 +40,7 @@ TargetsFile: TypeAlias = Annotated[
 @scale_command(without=(*OF_ONE_IMAGE, "threads"))
 def batch(
     inputs: Inputs,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="File to write: .parquet, .csv or .jsonl.")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Table to write, such as scales.csv.")],
     engine: Annotated[
         str,
         typer.Option(metavar="local|ray", help="Processes of this machine, or Ray Data (extra 'ray'). Same rows."),

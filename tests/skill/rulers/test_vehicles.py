@@ -109,7 +109,7 @@ def test_a_published_length_is_converted_to_the_boxes_of_a_detector() -> None:
         ("Europe", None),
         ("eurpe", "nearest: europe"),
         ("south asai", "nearest: south_asia"),
-        ("JP", "leave region out"),
+        ("TV", "leave region out"),
     ],
 )
 def test_an_unknown_place_names_the_nearest(card: DetectorCard, region: str, expected: str | None) -> None:
