@@ -19,10 +19,7 @@ from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
 from vehanchor.options import ScaleOptions
 from vehanchor_evaluation.dota import parse_labels, read_labels
-from vehanchor_evaluation.figures import (
-    interval_coverage,
-    plot_cumulative_error,
-)
+from vehanchor_evaluation.figures import interval_coverage, plot_cumulative_error
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
 from vehanchor_evaluation.known_scale import KnownScaleImage
 

@@ -90,10 +90,7 @@ def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
         estimate_flight([images[1], images[1]], detector=detector)
 
 
-@pytest.mark.parametrize(
-    "option",
-    [{"frame": (4, 3)}, {"known_lengths": [(0, 0, 50, 0, 5.0)]}, {"drop": [1]}],
-)
+@pytest.mark.parametrize("option", [{"frame": (4, 3)}, {"known_lengths": [(0, 0, 50, 0, 5.0)]}, {"drop": [1]}])
 def test_what_belongs_to_one_image_is_refused(flight: list[str], detector: Detector, option: dict[str, Any]) -> None:
     with pytest.raises(InvalidParameterError, match="one image"):
         estimate_flight(flight, detector=detector, **option)

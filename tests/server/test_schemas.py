@@ -76,10 +76,7 @@ def _properties(node: dict[str, Any]) -> set[str]:
     [
         ("estimate_gsd", {}),
         ("measure_area", {"targets": [{"box": POOL_BOX, "points": None}]}),
-        (
-            "measure_area",
-            {"targets": [{"box": None, "points": [{"x": 324, "y": 378, "label": None}]}]},
-        ),
+        ("measure_area", {"targets": [{"box": None, "points": [{"x": 324, "y": 378, "label": None}]}]}),
     ],
 )
 async def test_what_strict_mode_makes_a_model_send_is_accepted(
