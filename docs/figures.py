@@ -18,7 +18,7 @@ from matplotlib.patches import Polygon
 
 from research.scenes import Scene, render_scene
 from vehanchor import analyse_scale
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.boxes import box_corners, oriented_iou
 from vehanchor.scale.lengths import modal_density
 

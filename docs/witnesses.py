@@ -16,7 +16,7 @@ from matplotlib.patches import Polygon
 
 from research.scenes import Scene, render_scene
 from vehanchor import Engine
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.boxes import box_corners
 from vehanchor.pictures.plot import plot_rulers
 from vehanchor.records.text import significant

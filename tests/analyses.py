@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehanchor.analysis.pipeline import analyse_view
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts

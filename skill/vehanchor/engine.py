@@ -35,8 +35,8 @@ from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 
 if TYPE_CHECKING:
-    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
-    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.analysis.measured_analysis import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.measure.resolved_scale import ScaleInput
     from vehanchor.options.reading import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale

@@ -20,7 +20,7 @@ from vehanchor_evaluation.search import ABLATION_ALPHAS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.options import ScaleOptions
     from vehanchor_evaluation.gsd import ScaleBenchmark
     from vehanchor_evaluation.known_scale import KnownScaleImage

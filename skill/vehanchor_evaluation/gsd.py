@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.analysis.pipeline import analyse_image, checked_detector
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Reference, ScaleOptions

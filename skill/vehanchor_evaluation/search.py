@@ -13,7 +13,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.analysis.pipeline import analyse_view, search_raster
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.analysis.stored import STORED_CLASSES
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import networks_sha256

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.options import ScaleOptions

@@ -16,10 +16,10 @@ from vehanchor.analysis.pipeline import conclude
 from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.records import KnownPlane
-from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
+from vehanchor.rulers.witnesses import expected_scale, measure_all
 from vehanchor.scale.density import quantile, shifted
 from vehanchor.scale.posterior import Lack, Remark, Witness
 from vehanchor.tilt.camera_tilt import with_scale
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor_flight.photograph import Photograph
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
     from vehanchor.errors import VehAnchorError
     from vehanchor.imagery.facts import ImageFacts

@@ -21,7 +21,7 @@ from tests.docs.documents import blocks
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.server.conversation import by_path, text_of
 from vehanchor.analysis.pipeline import analyse_view
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata

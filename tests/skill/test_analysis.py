@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from tests.analyses import make_analysis
 from tests.models import car_park
 from vehanchor import analyse_area, analyse_distance, analyse_scale
-from vehanchor.analysis.measured import AreaAnalysis
+from vehanchor.analysis.measured_analysis import AreaAnalysis
 from vehanchor.cli.app import app
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, MissingExtraError

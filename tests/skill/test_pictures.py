@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from tests.analyses import analyse_found, made_card, make_analysis
 from tests.models import blank_image, car_park, write_detector
 from vehanchor import analyse_scale
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.cli.app import app
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detections import Detections

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from research.results.record import header
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.options import ScaleOptions

@@ -18,9 +18,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.detection.scheduler import LARGE_PIXELS
-from vehanchor.rulers.measurement import with_doubts
 from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.rulers.witnesses import with_doubts
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import product
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES

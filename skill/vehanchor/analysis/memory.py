@@ -12,7 +12,7 @@ from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.imagery.identity import image_id
 
 if TYPE_CHECKING:
-    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions

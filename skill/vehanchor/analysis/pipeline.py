@@ -1,6 +1,6 @@
 """Pipeline from a photograph to its scale: the geometric perception skill.
 
-    image -> raster -> prior -> search -> tilt -> rulers -> decision -> record
+    image -> raster -> tilt -> prior -> search -> rulers -> decision -> record
 
 Stateless except for loaded models, and deterministic: the same image and model give the same record for any number of
 threads.
@@ -15,7 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehanchor.analysis.convergence import search_until_settled
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.detections import NOT_SEARCHED, corrected
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import ImageSearch
@@ -36,13 +36,13 @@ from vehanchor.records import (
     VehiclesByHand,
 )
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.measurement import disagreements, measure_all, with_doubts
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.stated_scale import StatedScale
 from vehanchor.rulers.vehicles import measured_vehicles
+from vehanchor.rulers.witnesses import disagreements, measure_all, with_doubts
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judged
@@ -170,7 +170,7 @@ def analyse_view(view: View, known: Sequence[Witness] | None = None) -> ScaleAna
 
     Args:
         view: of the image, with its tilt.
-        known: as in ``vehanchor.rulers.measurement.measure_all``.
+        known: as in ``vehanchor.rulers.witnesses.measure_all``.
 
     Raises:
         InvalidParameterError: the model does not know the region, or a ruler does not exist.

@@ -17,7 +17,7 @@ from vehanchor.records.text import with_interval
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from vehanchor.analysis.measured import DistanceAnalysis
+    from vehanchor.analysis.measured_analysis import DistanceAnalysis
     from vehanchor.records import DistanceMeasurement
 
 

@@ -18,7 +18,7 @@ from vehanchor.records.text import significant, with_interval
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vehanchor.analysis.measured import AreaAnalysis
+    from vehanchor.analysis.measured_analysis import AreaAnalysis
     from vehanchor.records import AreaMeasurement, OtherObject
 
 _SHORT_SHA = 12

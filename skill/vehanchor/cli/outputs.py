@@ -11,7 +11,7 @@ from vehanchor.storage.atomic import check_output_path
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.records import GsdEstimate
 
 _SHAPES = ("boxes", "line", "outline")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.analysis.measured import AreaAnalysis
+from vehanchor.analysis.measured_analysis import AreaAnalysis
 from vehanchor.measure.resolved_scale import resolve_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.records import (

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.analysis.measured import DistanceAnalysis
+from vehanchor.analysis.measured_analysis import DistanceAnalysis
 from vehanchor.errors import PromptError
 from vehanchor.measure.resolved_scale import resolve_scale
 from vehanchor.options import ScaleOptions

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Mapping, Sequence
 
-    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.measured_analysis import AreaAnalysis, DistanceAnalysis
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.imagery.raster import Raster

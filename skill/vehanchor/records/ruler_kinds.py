@@ -15,7 +15,7 @@ RULERS: dict[str, str] = {
     "scene_scale": "vehanchor.rulers.scene_scale:SceneScale",
     "camera": "vehanchor.rulers.camera:Camera",
     "known_length": "vehanchor.rulers.known_length:KnownLengths",
-    "height": "vehanchor.rulers.given_height:GivenHeight",
+    "height": "vehanchor.rulers.height:GivenHeight",
     "stated_scale": "vehanchor.rulers.stated_scale:StatedScale",
     "courts": "vehanchor.rulers.courts:Courts",
     "positions": "vehanchor.rulers.positions:Positions",

@@ -18,9 +18,9 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import read_reduced_window
 from vehanchor.options.option import Limits
-from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.rulers.witnesses import measure_all
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import quantile
 from vehanchor.scale.lengths import Z95
@@ -32,7 +32,7 @@ from vehanchor_flight.records import LiveScale
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.detection.detector import Detector
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster

@@ -16,10 +16,10 @@ from vehanchor.analysis.pipeline import conclude, search_raster
 from vehanchor.detection.boxes import box_axes
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.rulers.witnesses import measure_all
 from vehanchor.scale.plane import LEAST_DESCENT
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt, length_off_nadir
 from vehanchor_flight.photograph import Photograph, StoredPhotograph

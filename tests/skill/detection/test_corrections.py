@@ -12,7 +12,7 @@ import pytest
 from tests.analyses import analyse_found, made_card
 from tests.models import blank_image
 from vehanchor import Engine
-from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.batch.run import run_batch
 from vehanchor.detection.detections import Detections, Looks, corrected
 from vehanchor.detection.detector import Detector

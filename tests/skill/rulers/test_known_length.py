@@ -20,7 +20,7 @@ from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.given_height import GivenHeight
+from vehanchor.rulers.height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.rulers.positions import baseline

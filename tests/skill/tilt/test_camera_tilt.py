@@ -13,7 +13,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
-from vehanchor.rulers.given_height import GivenHeight
+from vehanchor.rulers.height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane

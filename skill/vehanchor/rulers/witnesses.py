@@ -1,4 +1,4 @@
-"""Measurement of an image with all rulers: first those that do not depend on vehicles, then the others."""
+"""Witnesses of an image, from all rulers: first those that do not depend on vehicles, then the others."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.analysis.scale import Analysis, import_supervision
+from vehanchor.analysis.scale_analysis import Analysis, import_supervision
 from vehanchor.errors import OutputError
 from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
 
