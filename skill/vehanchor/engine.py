@@ -30,7 +30,7 @@ from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.models.zoo import resolve_model, resolve_segmenter
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.registry import check_rulers
+from vehanchor.rulers.active import check_rulers
 from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 

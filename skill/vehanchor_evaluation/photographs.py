@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.rulers.active import allowed_rulers
 from vehanchor.rulers.known_length_table import with_lines_of
-from vehanchor.rulers.registry import allowed_rulers
 from vehanchor.scale.lengths import Z95
 from vehanchor_evaluation.known_scale import (
     DATASET_READING,

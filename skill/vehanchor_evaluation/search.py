@@ -22,7 +22,7 @@ from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
-from vehanchor.rulers.registry import needs_search
+from vehanchor.rulers.active import needs_search
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import select
 from vehanchor.scale.defaults import OUTLIER_ALPHA

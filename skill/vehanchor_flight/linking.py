@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.rulers.active import uses
 from vehanchor.rulers.positions import Positions, baseline, places_of
-from vehanchor.rulers.registry import uses
 from vehanchor.scale.lengths import Z95
 from vehanchor_flight.components import Component
 from vehanchor_flight.graph import Link, Unary, solve, tilt_share

@@ -11,7 +11,7 @@ from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.stored import STORED_CLASSES
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
-from vehanchor.rulers.registry import ruler_class
+from vehanchor.rulers.active import ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor.storage.codec import Codec
 

@@ -16,7 +16,7 @@ from vehanchor.analysis.pipeline import conclude
 from vehanchor.detection.detections import Detections, Looks
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.records import KnownPlane
-from vehanchor.rulers.registry import ruler_class
+from vehanchor.rulers.active import ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.witnesses import expected_scale, measure_all

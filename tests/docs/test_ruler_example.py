@@ -28,8 +28,8 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.records.flat import flat_row
-from vehanchor.records.ruler_kinds import RULERS
-from vehanchor.rulers.registry import ruler_class
+from vehanchor.records.ruler_registry import RULERS
+from vehanchor.rulers.active import ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor_flight.verbs import estimate_flight
 

@@ -15,7 +15,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.options import ScaleOptions, declared_options
 from vehanchor.options.option import Limits
 from vehanchor.options.rulers import OBJECT_HEIGHT
-from vehanchor.rulers.registry import rulers_help
+from vehanchor.rulers.active import rulers_help
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools

@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.detection.scheduler import LARGE_PIXELS
-from vehanchor.rulers.registry import active_rulers
+from vehanchor.rulers.active import active_rulers
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.rulers.witnesses import with_doubts
 from vehanchor.scale.defaults import USABLE_CHANCE

@@ -36,8 +36,8 @@ from vehanchor.records import (
     VehiclesByHand,
 )
 from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class
 from vehanchor.rulers.reference import reference_length
-from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.stated_scale import StatedScale

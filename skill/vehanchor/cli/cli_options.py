@@ -30,7 +30,7 @@ from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.models.runtime import Progress, Runtime
 from vehanchor.options import ScaleOptions, declared_options, models
 from vehanchor.options.option import Option
-from vehanchor.rulers.registry import rulers_help
+from vehanchor.rulers.active import rulers_help
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping

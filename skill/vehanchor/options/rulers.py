@@ -249,7 +249,7 @@ class Rulers:
     """Rulers to use, and known facts about the scale.
 
     Attributes:
-        rulers: kinds of the rulers to use; None for all. ``vehanchor.records.ruler_kinds`` lists them.
+        rulers: kinds of the rulers to use; None for all. ``vehanchor.records.ruler_registry`` lists them.
         metadata: use the camera's metadata in the file; False is the paper's case.
         known_lengths: lines of known length: x1, y1, x2, y2 in pixels, metres or the name of a thing of known
             size, and optionally the basis and the tolerance; see ``KnownLength``.

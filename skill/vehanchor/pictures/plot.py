@@ -9,7 +9,7 @@ import numpy as np
 from vehanchor.errors import MissingExtraError
 from vehanchor.pictures.scale import write_picture
 from vehanchor.records.text import NO_SCALE, count, scale_text, significant
-from vehanchor.rulers.registry import ruler_class
+from vehanchor.rulers.active import ruler_class
 from vehanchor.scale.density import GRID
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, modal_density
 

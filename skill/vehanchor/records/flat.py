@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
-from vehanchor.records.ruler_kinds import RULERS
+from vehanchor.records.ruler_registry import RULERS
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
-from vehanchor.records.ruler_kinds import RulerKind
+from vehanchor.records.ruler_registry import RulerKind
 from vehanchor.scale.defaults import Aggregation, Preset, Reason, Stopped
 
 Status = Literal["ok", "low_confidence", "no_scale"]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from vehanchor.imagery.metadata.lens import lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.active import uses
 from vehanchor.rulers.camera import LENS, coarsening, cropped
-from vehanchor.rulers.registry import uses
 from vehanchor.rulers.ruler import Ruler, assumed, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95

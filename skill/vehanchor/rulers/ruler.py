@@ -1,6 +1,6 @@
 """What a ruler is made of: its input, its base class, and witnesses of one scale with a lognormal error.
 
-To add a ruler, subclass ``Ruler`` in a file of its own and name it in ``vehanchor.records.ruler_kinds``.
+To add a ruler, subclass ``Ruler`` in a file of its own and name it in ``vehanchor.records.ruler_registry``.
 """
 
 from __future__ import annotations

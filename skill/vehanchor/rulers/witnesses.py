@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.registry import active_rulers, ruler_class
+from vehanchor.rulers.active import active_rulers, ruler_class
 from vehanchor.rulers.ruler import unusable
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import PROBABLY_RIGHT
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import Ruler, View
     from vehanchor.scale.posterior import Answer, Remark, Witness
 
-_STATED = ("known_length", "height")
 _UNIT_RATIO, _UNIT_TOLERANCE = math.log(100.0), math.log(2.0)  # centimetres for metres; scenes tell a factor of two
 
 
@@ -132,7 +131,7 @@ def _unit_notices(heard: Sequence[Witness]) -> list[Notice]:
     """Warn of stated facts that differ from another ruler by a factor of about 100."""
     notices = {}
     for fact, other in permutations(heard, 2):
-        if fact.kind not in _STATED or fact.gsd_m_per_px is None or other.gsd_m_per_px is None:
+        if ruler_class(fact.kind).fact is None or fact.gsd_m_per_px is None or other.gsd_m_per_px is None:
             continue
         off = math.log(fact.gsd_m_per_px / other.gsd_m_per_px)
         if abs(abs(off) - _UNIT_RATIO) <= _UNIT_TOLERANCE:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from vehanchor.scale.defaults import USABLE_CHANCE
+from vehanchor.scale.defaults import PROBABLY_RIGHT, USABLE_CHANCE
 from vehanchor.scale.density import (
     LEAST_PROBABILITY,
     blurred,
@@ -157,7 +157,7 @@ class Answer:
         chance: 0..1, chance of an error below 20 %.
         density: ``[g]`` posterior, given that at least one witness who can set a scale is right.
         p_right: by witness that found something, the chance that it is right; these do not add up to 1.
-        leading: index of the setting witness without which the interval is widest.
+        leading: index of the setting witness without which the interval is widest, of those that are probably right.
         reason: why the scale is not usable; None if it is.
     """
 
@@ -191,10 +191,12 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
     _, *wrong = _posterior(heard, *((k,) for k in range(len(heard))))
     without = [judged([*heard[:k], *heard[k + 1 :]]) for k in range(len(heard))]
     widths = [math.inf if each is None else each.interval.high / each.interval.low for each in without]
+    p_right = tuple(max(0.0, 1.0 - float(each.sum())) for each in wrong)
+    setting = [k for k, each in enumerate(heard) if each.sets_scale]
     return replace(
         found,
-        p_right=tuple(max(0.0, 1.0 - float(each.sum())) for each in wrong),
-        leading=max((k for k, each in enumerate(heard) if each.sets_scale), key=widths.__getitem__),
+        p_right=p_right,
+        leading=max(setting, key=lambda k: (p_right[k] >= PROBABLY_RIGHT, widths[k])),
         reason=None if found.usable else _reason(heard, without, found.chance),
     )
 

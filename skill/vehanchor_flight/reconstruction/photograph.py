@@ -16,7 +16,7 @@ from vehanchor.analysis.pipeline import conclude, search_raster
 from vehanchor.detection.boxes import box_axes
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.rulers.registry import active_rulers
+from vehanchor.rulers.active import active_rulers
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.rulers.witnesses import measure_all

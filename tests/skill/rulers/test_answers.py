@@ -219,9 +219,11 @@ def test_a_height_five_times_that_of_the_cars_is_no_scale_to_use() -> None:
 @pytest.mark.parametrize("basis", ["assumed", "measured"])
 @pytest.mark.parametrize(("cars_gsd", "factor", "words"), [(0.02, 100, "not centimetres"), (1.0, 0.01, "give metres")])
 def test_a_mistyped_unit_is_told_and_does_not_lead(basis: str, cars_gsd: float, factor: float, words: str) -> None:
-    record = record_of(30, car_px=5 / cars_gsd, **_lines(factor * cars_gsd, basis=basis))
-    assert any(words in warning.message for warning in record.warnings if warning.code == "unit_mistyped")
-    assert record.leading_ruler == "vehicles" or record.status != "ok"
+    gsd = factor * cars_gsd
+    for given in (_lines(gsd, basis=basis), {"gsd_m_per_px": gsd, "gsd_basis": basis}):
+        record = record_of(30, car_px=5 / cars_gsd, **given)
+        assert any(words in warning.message for warning in record.warnings if warning.code == "unit_mistyped")
+        assert record.leading_ruler == "vehicles" or record.status != "ok"
 
 
 def test_a_tolerance_is_the_interval_of_the_line() -> None:

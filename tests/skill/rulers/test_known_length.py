@@ -20,11 +20,11 @@ from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.active import active_rulers, check_rulers
 from vehanchor.rulers.height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.rulers.positions import baseline
-from vehanchor.rulers.registry import active_rulers, check_rulers
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.standards import lengths_of, standards
 from vehanchor.scale.countries import COUNTRY_REGIONS

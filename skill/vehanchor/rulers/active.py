@@ -1,4 +1,4 @@
-"""Classes of the registered rulers; all lists of rulers in library, server and page derive from the registry."""
+"""Rulers that a call uses, of those in ``vehanchor.records.ruler_registry``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.records.ruler_kinds import RULERS
+from vehanchor.records.ruler_registry import RULERS
 from vehanchor.rulers.standards import check_name
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """Registered rulers, one line each: their kinds in records, and where their classes are.
 
-Records, JSON schemas and tables list the kinds; ``vehanchor.rulers.registry`` imports the classes.
+Records, JSON schemas and tables list the kinds; ``vehanchor.rulers.active`` imports the classes.
 """
 
 from __future__ import annotations
