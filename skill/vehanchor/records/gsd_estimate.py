@@ -183,7 +183,7 @@ class GsdEstimate(Record):
         "the image. assumed: assumed facts alone. imprecise: the fleet or the fact is too uncertain."
     )
     leading_ruler: RulerKind | None = Field(
-        description="The ruler without which the interval is widest; null without a scale."
+        description="The probably right ruler without which the interval is widest; null without a scale."
     )
     rulers: tuple[RulerScale, ...] = Field(description="All rulers with evidence; empty without a scale.")
     image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
