@@ -55,10 +55,11 @@ def mask_notices(
             "took in its surroundings.",
         )
     if len(pieces) > 1:
+        largest = int(100 * pieces[0] / pieces.sum())
         yield Notice(
             code=NoticeCode.MASK_IN_PIECES,
-            message=f"The mask has {len(pieces)} separate pieces; the largest is {100 * pieces[0] / pieces.sum():.0f}"
-            " % of it. All of them count towards the area.",
+            message=f"The mask has {len(pieces)} separate pieces; the largest is {largest} % of it. All of them count "
+            "towards the area.",
         )
     if width_px < SMALL_TARGET_PX:
         yield Notice(
