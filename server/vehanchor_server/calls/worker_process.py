@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from vehanchor_server.parts import Parts
 
 _IDLE_S = 5.0  # idle time before freed memory is returned; a call after that maps it again, for some 25 ms
-_MEMORY_OPTIONS = ((-8, 1), (-3, 8 << 20))  # one heap for all threads; large blocks return to the system when freed
+_M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3  # of malloc.h
+_MEMORY_OPTIONS = ((_M_ARENA_MAX, 1), (_M_MMAP_THRESHOLD, 8 << 20))  # one heap; freed large blocks leave the process
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
 _logger = logging.getLogger(__name__)
 
