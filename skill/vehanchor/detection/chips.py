@@ -31,7 +31,6 @@ _LEAST_LENGTH_PX = 1.5 * CHIP_LENGTH_PX  # of a candidate where it is read; more
 _MIRRORS = ((1, 1), (-1, -1), (1, -1), (-1, 1))  # along and across the candidate's axis
 _BATCH = 16  # chips per run: bounds the memory
 _LEAST_SIZE, _MOST_SIZE = (0.5, 0.15), (1.6, 0.9)  # length and width in candidate lengths: the limits of the training
-_LOOKS_SHARE = 0.9  # of the spread that the network states for its metres; fits 1,172 photographs of 22 places best
 _CUT_LOG_SD = 1.0  # of a length or width that the image's border cuts: it tells nothing; a choice
 
 
@@ -129,8 +128,8 @@ def looks(boxes: NDArray[np.float64], answers: ChipAnswers, image_px: tuple[int,
     sizes_px = answers.sizes * boxes[:, 2:3]
     log_gsd = (shares * (answers.log_metres - np.log(sizes_px))).sum(axis=1)
     edge_variance = 1 / (1 / variances).sum(axis=1)
-    by_looks = _LOOKS_SHARE * answers.metres_sd.mean(axis=1)
-    return Looks(log_gsd + np.log(sizes_px[:, 0]), np.sqrt(by_looks**2 + edge_variance), answers.logit)
+    log_sds = np.sqrt(answers.metres_sd.mean(axis=1) ** 2 + edge_variance)
+    return Looks(log_gsd + np.log(sizes_px[:, 0]), log_sds, answers.logit)
 
 
 def _cut(boxes: NDArray[np.float64], image_px: tuple[int, int]) -> NDArray[np.bool_]:

@@ -25,7 +25,7 @@ from vehanchor.scale.lengths import (
 )
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
-from vehanchor.scale.reliability import CAR_LOG_SD, RELIABILITY, uncalibrated_wrong, unresolved
+from vehanchor.scale.reliability import CAR_LOG_SD, RELIABILITY, looks_error, uncalibrated_wrong, unresolved
 from vehanchor.tilt.camera_tilt import rectified
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ class VehicleWitness(Witness):
         if self.reference.by_looks is not None and found.looks is not None:
             seen = len(found.looks)
             lengths_m[:seen] = np.exp(found.looks.log_lengths + self.reference.by_looks)
-            log_sds[:seen] = found.looks.log_sds
+            log_sds[:seen] = found.looks.log_sds * looks_error(scores[:seen])
         if found.corrections is not None:
             log_sds = np.hypot(log_sds, found.corrections.pointed_log_sds)
         voting = self.fleet.kept if self.only_kept else slice(None)

@@ -6,9 +6,14 @@ A measured chance of error is ``(false + 0.5) / (finds + 10)``. A number without
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
 
 
 class Reliability(NamedTuple):
@@ -40,6 +45,10 @@ LOOKS_LOG_MEAN = -0.015
 """Mean error of that log: cars of 13 places are 2.8 % shorter than they look; half of it is taken off. Any mean of
 -0.03 to 0 and spread of 0.04 to 0.06 makes 1,089 to 1,099 of 1,255 photographs usable, 8 to 11 of them wrong; with a
 spread below 0.05 fewer than 95 of 100 intervals hold."""
+
+_FAIR_ODDS, _DOUBT_POWER = 20.0, 0.125
+"""Odds of a car at which its looks err as they state, and the power of the error with lower odds. Of 15,050 vehicles
+in photographs of known scale the rms error is 0.89 of the stated one for scores from 0.995 on, and 1.3 below 0.95."""
 
 KNOWN_REGION = 0.85
 """Share of the model's spread of reference lengths that remains within a region: with it, 95 of 100 intervals hold on
@@ -91,6 +100,16 @@ def unresolved(coarseness: float) -> Reliability:
     each = RELIABILITY["vehicles, too coarse"]
     logs = math.log(max(1.0, coarseness))
     return each._replace(log_sd=each.log_sd * logs, chance_wrong=min(1.0, each.chance_wrong * logs))
+
+
+def looks_error(scores: ArrayLike) -> NDArray[np.float64]:
+    """Compute the error of looks over the stated one ``[n]``: the surer that it is a car, the better they are read.
+
+    Args:
+        scores: ``[n]`` detection scores.
+    """
+    sure = np.clip(scores, 1 - MOST_SURE, MOST_SURE)
+    return np.asarray((_FAIR_ODDS * (1 - sure) / sure) ** _DOUBT_POWER)
 
 
 class Shared(NamedTuple):

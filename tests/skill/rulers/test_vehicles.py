@@ -20,6 +20,7 @@ from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, REGIONS, country_length
+from vehanchor.scale.posterior import answer
 from vehanchor.scale.reliability import LOOKS_LOG_SD
 
 _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
@@ -128,3 +129,14 @@ def test_a_named_region_narrows_a_fleet_that_is_read_by_its_looks(card: Detector
     assert card.bodies is not None
     assert card.bodies.region_lengths_m["south_asia"] < named.length_m < 4.4
     assert named.log_sd < 0.9 * read.log_sd
+
+
+def test_of_two_cars_the_surer_one_tells_more(card: DetectorCard) -> None:
+    seen = Looks(np.log([4.3, 4.7]), np.full(2, 0.07), np.full(2, 4.0))
+    view = replace(_view([45.0, 45.0]), card=card)
+    answers = [
+        answer([Vehicles().measure(replace(view, detections=replace(view.detections, scores=scores, looks=seen)))])
+        for scores in (np.array([0.99, 0.9]), np.array([0.9, 0.99]))
+    ]
+    shorter, longer = (each.gsd_m_per_px for each in answers if each)
+    assert 1.02 * shorter < longer < 1.08 * shorter
