@@ -59,7 +59,7 @@ class Looks(NamedTuple):
 
     Attributes:
         log_lengths: ``[n]`` float64, log of the metres that each body's length in pixels stands for.
-        log_sds: ``[n]`` float64, their standard deviations.
+        log_sds: ``[n]`` float64, their standard deviations as the network states them (see ``looks_error``).
         logits: ``[n]`` float64, log odds of a small vehicle in a fitting box, before calibration.
     """
 
