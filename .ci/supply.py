@@ -1,11 +1,15 @@
 #!/usr/bin/env python3
 """What an installed environment is made of, and what is known against it.
 
-    .ci/supply.py sbom PYTHON OUT.json    CycloneDX of the environment of an interpreter: its distributions, and inside
-                                       each the C libraries that its wheel brings; with Debian's packages, where dpkg is
-    .ci/supply.py audit LOCKED.txt        known vulnerabilities of locked versions; fails, too, where nothing is known
+    .ci/supply.py sbom PYTHON OUT.json    CycloneDX of the environment of an interpreter: its
+    distributions, and inside
+                                       each the C libraries that its wheel brings; with Debian's
+                                       packages, where dpkg is
+    .ci/supply.py audit LOCKED.txt        known vulnerabilities of locked versions; fails, too,
+    where nothing is known
 
-Runs ``cyclonedx-py`` (cyclonedx-bom) and ``pip-audit``, which `.ci/run` gives an environment of their own.
+Runs ``cyclonedx-py`` (cyclonedx-bom) and ``pip-audit``, which `.ci/run` gives an environment of
+their own.
 """
 
 from __future__ import annotations
@@ -33,7 +37,9 @@ _LINKED = {
 
 def main() -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     sbom = commands.add_parser("sbom")
     sbom.add_argument("python", type=Path)
@@ -45,7 +51,10 @@ def main() -> int:
         bill = bill_of_materials(options.python)
         options.out.write_text(json.dumps(bill, indent=1) + "\n")
         inside = sum(len(component.get("components", [])) for component in bill["components"])
-        print(f"{options.out}: {len(bill['components'])} components, {inside} C libraries inside wheels")
+        print(
+            f"{options.out}: {len(bill['components'])} components, {inside} C libraries inside "
+            "wheels"
+        )
         return 0
     found = verdict(audited(options.requirements))
     print("\n".join(found) or "nothing is known against any of them")
@@ -55,7 +64,9 @@ def main() -> int:
 def bill_of_materials(python: Path) -> dict[str, Any]:
     """CycloneDX 1.6 of an interpreter's environment, as a JSON object."""
     command = ["cyclonedx-py", "environment", str(python), "--of", "JSON", "--output-reproducible"]
-    bill: dict[str, Any] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    bill: dict[str, Any] = json.loads(
+        subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    )
     where = [str(python), "-c", "import sysconfig; print(sysconfig.get_path('platlib'))"]
     site = Path(subprocess.run(where, check=True, capture_output=True, text=True).stdout.strip())
     for component in bill["components"]:
@@ -96,26 +107,42 @@ def debian() -> list[dict[str, str]]:
     command = ["dpkg-query", "-W", "-f", "${Package} ${Version} ${Architecture}\n"]
     lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
     return [
-        {"type": "library", "name": name, "version": version, "purl": f"pkg:deb/debian/{name}@{version}?arch={machine}"}
+        {
+            "type": "library",
+            "name": name,
+            "version": version,
+            "purl": f"pkg:deb/debian/{name}@{version}?arch={machine}",
+        }
         for name, version, machine in (line.split() for line in lines)
     ]
 
 
 def audited(requirements: Path) -> dict[str, Any]:
     """What ``pip-audit`` says of locked requirements, as a JSON object."""
-    command = ["pip-audit", "--requirement", str(requirements), "--require-hashes", "--disable-pip", "--format", "json"]
+    command = [
+        "pip-audit",
+        "--requirement",
+        str(requirements),
+        "--require-hashes",
+        "--disable-pip",
+        "--format",
+        "json",
+    ]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     try:
         answer: dict[str, Any] = json.loads(run.stdout)
     except json.JSONDecodeError:
-        raise SystemExit(f"error: pip-audit gives no answer: {run.stderr.strip()[-2000:]}") from None
+        raise SystemExit(
+            f"error: pip-audit gives no answer: {run.stderr.strip()[-2000:]}"
+        ) from None
     return answer
 
 
 def verdict(answer: dict[str, Any]) -> list[str]:
     """What speaks against the requirements, a line each: known vulnerabilities, and whatever nobody could look up.
 
-    ``pip-audit`` says "No known vulnerabilities found" and exits with 0 where its database did not answer.
+    ``pip-audit`` says "No known vulnerabilities found" and exits with 0 where its database did not
+    answer.
     """
     dependencies = answer.get("dependencies", [])
     if not dependencies:

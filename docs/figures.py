@@ -52,16 +52,23 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
     for corners in box_corners(analysis.detections.boxes):
         boxes.add_patch(Polygon(corners, fill=False, edgecolor="#FFD400", linewidth=1.2))
     boxes.set(xlim=extent[:2], ylim=extent[2:], xticks=[], yticks=[])
-    boxes.set_title(f"1. Cars as oriented boxes: {estimate.details.n_detections}", loc="left", fontsize=10)
+    boxes.set_title(
+        f"1. Cars as oriented boxes: {estimate.details.n_detections}", loc="left", fontsize=10
+    )
 
-    kept, scores = analysis.detections.boxes[analysis.kept, 2], analysis.detections.scores[analysis.kept]
+    kept, scores = (
+        analysis.detections.boxes[analysis.kept, 2],
+        analysis.detections.scores[analysis.kept],
+    )
     grid = np.linspace(kept.min() * 0.9, kept.max() * 1.1, 400)
     lengths.hist(kept, bins=24, density=True, color="#56B4E9", alpha=0.6)
     lengths.plot(grid, modal_density(grid, kept, scores, estimate.details.aggregation), color=BLUE)
     lengths.axvline(estimate.mode_length_px, color=ORANGE)
     lengths.set(xlabel="longer side, pixels", yticks=[])
     lengths.spines[["top", "right", "left"]].set_visible(False)
-    lengths.set_title(f"2. Their modal length: {estimate.mode_length_px:.1f} px", loc="left", fontsize=10)
+    lengths.set_title(
+        f"2. Their modal length: {estimate.mode_length_px:.1f} px", loc="left", fontsize=10
+    )
 
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
     vehicles = next(ruler.gsd_m_per_px for ruler in estimate.rulers if ruler.kind == "vehicles")
@@ -75,7 +82,12 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
     )
     for i, line in enumerate(lines):
         scale.text(
-            0.02, 0.84 - 0.16 * i, line, fontsize=15 if i < 2 else 11, color=INK, weight="bold" if i == 1 else None
+            0.02,
+            0.84 - 0.16 * i,
+            line,
+            fontsize=15 if i < 2 else 11,
+            color=INK,
+            weight="bold" if i == 1 else None,
         )
     scale.axis("off")
     scale.set_title("3. Metres per pixel", loc="left", fontsize=10)
@@ -98,7 +110,11 @@ def draw_hits_and_misses(scene: Scene) -> Figure:
     hit = oriented_iou(found, boxes[False]).max(axis=1, initial=0.0) >= HIT_IOU
     excused = oriented_iou(found, boxes[True]).max(axis=1, initial=0.0) > 0.1
     missed = oriented_iou(boxes[False], found).max(axis=1, initial=0.0) < HIT_IOU
-    groups = {"#00A65A": found[hit], "#E8112D": boxes[False][missed], "#FFD400": found[~hit & ~excused]}
+    groups = {
+        "#00A65A": found[hit],
+        "#E8112D": boxes[False][missed],
+        "#FFD400": found[~hit & ~excused],
+    }
     figure = Figure(figsize=(8, 8.4), dpi=110, layout="constrained")
     axes = figure.subplots()
     axes.imshow(scene.image)
@@ -108,7 +124,8 @@ def draw_hits_and_misses(scene: Scene) -> Figure:
     counts = [len(group) for group in groups.values()]
     axes.set(xticks=[], yticks=[])
     axes.set_title(
-        f"{counts[0]} hits (green), {counts[1]} misses (red), {counts[2]} false alarms (yellow)", fontsize=11
+        f"{counts[0]} hits (green), {counts[1]} misses (red), {counts[2]} false alarms (yellow)",
+        fontsize=11,
     )
     return figure
 
@@ -118,7 +135,10 @@ def photograph_page(image: Path, picture: Path) -> None:
     from playwright.sync_api import sync_playwright  # extra browser
 
     command = [sys.executable, "-m", "vehanchor", "view", str(image), "--no-browser"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as viewer, sync_playwright() as playwright:
+    with (
+        subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as viewer,
+        sync_playwright() as playwright,
+    ):
         assert viewer.stderr is not None
         url = viewer.stderr.readline().split()[1]
         chromium = os.environ.get("CHROMIUM") or shutil.which("chromium")
@@ -133,7 +153,9 @@ def photograph_page(image: Path, picture: Path) -> None:
         for n, (tool, start, end) in enumerate(MEASURED, start=1):
             page.get_by_role("button", name=tool, exact=True).click()
             for i, (x, y) in enumerate((start, end)):
-                page.mouse.move(box["x"] + x * box["width"] / width_px, box["y"] + y * box["height"] / height_px)
+                page.mouse.move(
+                    box["x"] + x * box["width"] / width_px, box["y"] + y * box["height"] / height_px
+                )
                 (page.mouse.up if i else page.mouse.down)()
             page.locator(f"ol.measured li:nth-child({n})").wait_for()
         page.keyboard.press("Escape")
@@ -153,7 +175,9 @@ def draw_icon(side_px: int) -> np.ndarray:
         (0, 0xD4, 255, 255),
     )
 
-    def block(left: int, top: int, right: int, bottom: int, radius: int, colour: tuple[int, ...]) -> None:
+    def block(
+        left: int, top: int, right: int, bottom: int, radius: int, colour: tuple[int, ...]
+    ) -> None:
         cv2.rectangle(icon, (left + radius, top), (right - radius, bottom), colour, -1)
         cv2.rectangle(icon, (left, top + radius), (right, bottom - radius), colour, -1)
         for x in (left + radius, right - radius):
@@ -164,7 +188,11 @@ def draw_icon(side_px: int) -> np.ndarray:
     block(170, 230, 854, 560, 110, paint)
     block(330, 275, 420, 515, 30, glass)
     block(640, 275, 710, 515, 30, glass)
-    for left, top, right, bottom in ((170, 740, 854, 790), (170, 670, 220, 860), (804, 670, 854, 860)):
+    for left, top, right, bottom in (
+        (170, 740, 854, 790),
+        (170, 670, 220, 860),
+        (804, 670, 854, 860),
+    ):
         block(left, top, right, bottom, 20, line)
     return cv2.resize(icon, (side_px, side_px), interpolation=cv2.INTER_AREA)
 
@@ -175,10 +203,12 @@ def main() -> None:
         cv2.imwrite(str(icon), draw_icon(side_px), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     pixels = cv2.imread(str(IMAGE))
     assert pixels is not None
-    draw(analyse_scale(IMAGE), pixels[:, :, ::-1]).savefig(ROOT / "docs" / "images" / "image_to_number.png")
-    draw_hits_and_misses(render_scene(0.15, width_px=800, height_px=800, seed=5, layout="urban")).savefig(
-        ROOT / "docs" / "images" / "hits_and_misses.jpg", pil_kwargs={"quality": 88}
+    draw(analyse_scale(IMAGE), pixels[:, :, ::-1]).savefig(
+        ROOT / "docs" / "images" / "image_to_number.png"
     )
+    draw_hits_and_misses(
+        render_scene(0.15, width_px=800, height_px=800, seed=5, layout="urban")
+    ).savefig(ROOT / "docs" / "images" / "hits_and_misses.jpg", pil_kwargs={"quality": 88})
     photograph_page(SHOWN, ROOT / "docs" / "images" / "page.jpg")
 
 

@@ -36,11 +36,13 @@ FOCAL_PX = 700.0  # 84 m above the ground give 0.12 m/px
 FIRST = (120, 260)  # corner of the first pasted vehicle
 YELLOW, GREEN, TRUTH = "#FFD400", "#009E73", "#D55E00"
 _XMP = (
-    '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
+    'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
     '<rdf:Description rdf:about="" xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" '
     'drone-dji:RelativeAltitude="{height_m:+.2f}" drone-dji:GimbalPitchDegree="-90.00" '
     'drone-dji:GimbalRollDegree="0.00" drone-dji:CalibratedFocalLength="{focal_px}" '
-    'drone-dji:CalibratedOpticalCenterX="{x}" drone-dji:CalibratedOpticalCenterY="{y}"/></rdf:RDF></x:xmpmeta>'
+    'drone-dji:CalibratedOpticalCenterX="{x}" '
+    'drone-dji:CalibratedOpticalCenterY="{y}"/></rdf:RDF></x:xmpmeta>'
 )
 
 
@@ -55,7 +57,9 @@ class Example(NamedTuple):
 
 def examples() -> list[Example]:
     """Make the ten scenes, in the order of the page."""
-    known = {factor: {"known_lengths": [(*LINE, 60.0 * factor, "measured")]} for factor in (1.0, 1.3)}
+    known = {
+        factor: {"known_lengths": [(*LINE, 60.0 * factor, "measured")]} for factor in (1.0, 1.3)
+    }
     hill = with_height(STREET, 30.0)
     return [
         Example("many_cars", PARK, GSD, {}),
@@ -82,13 +86,19 @@ def with_height(photograph: Path, height_m: float) -> bytes:
 
 
 def _one_car() -> NDArray[np.uint8]:
-    return render_scene(GSD, width_px=640, height_px=480, seed=2, n_vehicles=1, layout="urban").image
+    return render_scene(
+        GSD, width_px=640, height_px=480, seed=2, n_vehicles=1, layout="urban"
+    ).image
 
 
 def _pasted(factor: float, rows: int, columns: int) -> NDArray[np.uint8]:
     """Paste one vehicle of a scene of 0.06 m/px, enlarged, in rows into fields of 0.12 m/px."""
-    chip = _chip(render_scene(GSD / 2, width_px=1024, height_px=768, seed=1, layout="parking"), factor)
-    image = render_scene(GSD, width_px=800, height_px=600, seed=1, layout="countryside", n_vehicles=0).image.copy()
+    chip = _chip(
+        render_scene(GSD / 2, width_px=1024, height_px=768, seed=1, layout="parking"), factor
+    )
+    image = render_scene(
+        GSD, width_px=800, height_px=600, seed=1, layout="countryside", n_vehicles=0
+    ).image.copy()
     height_px, width_px = chip.shape[:2]
     (left, top), (across, down) = FIRST, (width_px + 8, height_px + 12)
     if rows > 1:
@@ -111,7 +121,9 @@ def _chip(scene: Scene, factor: float) -> NDArray[np.uint8]:
     top = car.y_px - (sin * width_px + cos * height_px) / 2
     turned = np.array([[cos, -sin, left], [sin, cos, top]])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(scene.image, turned, (width_px, height_px), flags=flags), dtype=np.uint8)
+    return np.asarray(
+        cv2.warpAffine(scene.image, turned, (width_px, height_px), flags=flags), dtype=np.uint8
+    )
 
 
 def pixels_of(image: Path | bytes | NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -131,9 +143,14 @@ def sentence(analysis: ScaleAnalysis) -> str:
     assert record.gsd_ci95_low_m_per_px is not None
     assert record.gsd_ci95_high_m_per_px is not None
     status = "ok" if record.reason is None else f"{record.status}, {record.reason}"
-    low, high = significant(record.gsd_ci95_low_m_per_px), significant(record.gsd_ci95_high_m_per_px)
+    low, high = (
+        significant(record.gsd_ci95_low_m_per_px),
+        significant(record.gsd_ci95_high_m_per_px),
+    )
     codes = "".join(sorted({f"; {warning.code}" for warning in record.warnings}))
-    value = f"{significant(record.gsd_m_per_px)} m/px ({low} to {high}), chance {record.confidence:.2f}"
+    value = (
+        f"{significant(record.gsd_m_per_px)} m/px ({low} to {high}), chance {record.confidence:.2f}"
+    )
     return f"{status}: {value}{codes}"
 
 
@@ -150,7 +167,11 @@ def draw(analysis: ScaleAnalysis, pixels: NDArray[np.uint8], true_gsd_m_per_px: 
     scene.set(xticks=[], yticks=[], xlim=(0, pixels.shape[1]), ylim=(pixels.shape[0], 0))
     plot_rulers(densities, analysis)
     densities.axvline(
-        true_gsd_m_per_px, color=TRUTH, linestyle="--", linewidth=1.4, label=f"true {true_gsd_m_per_px:g}"
+        true_gsd_m_per_px,
+        color=TRUTH,
+        linestyle="--",
+        linewidth=1.4,
+        label=f"true {true_gsd_m_per_px:g}",
     )
     densities.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8.5, frameon=False)
     densities.set_title(sentence(analysis), loc="left", fontsize=10)
@@ -164,7 +185,9 @@ def main() -> None:
         analysis = engine.analyse_scale(each.image, **each.options)
         print(f"{each.name}: {sentence(analysis)}")
         figure = draw(analysis, pixels_of(each.image), each.true_gsd_m_per_px)
-        figure.savefig(IMAGES / f"witnesses_{each.name}.jpg", pil_kwargs={"quality": 82, "optimize": True})
+        figure.savefig(
+            IMAGES / f"witnesses_{each.name}.jpg", pil_kwargs={"quality": 82, "optimize": True}
+        )
 
 
 if __name__ == "__main__":

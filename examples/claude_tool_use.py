@@ -4,8 +4,8 @@
     export ANTHROPIC_API_KEY=... ANTHROPIC_MODEL=...        # and ANTHROPIC_BASE_URL for a gateway
     python examples/claude_tool_use.py examples/car_park.jpg "How wide is the car park, in metres?"
 
-``--way mcp`` gets the tools from the server; the SDK calls them. ``--way schemas`` uses the definitions in
-``schemas/anthropic.json`` with its own loop, for programs without MCP.
+``--way mcp`` gets the tools from the server; the SDK calls them. ``--way schemas`` uses the
+definitions in ``schemas/anthropic.json`` with its own loop, for programs without MCP.
 """
 
 from __future__ import annotations
@@ -23,14 +23,18 @@ try:
     from anthropic.lib.tools.mcp import async_mcp_tool
     from mcp import Client, StdioServerParameters
 except ModuleNotFoundError as missing:
-    sys.exit(f"this example needs the package {missing.name!r}: pip install -r examples/requirements.txt")
+    sys.exit(
+        f"this example needs the package {missing.name!r}: pip install -r examples/requirements.txt"
+    )
 
 MAX_TOKENS = 2048
 MAX_TURNS = 8
 SCHEMAS = Path(__file__).parent.parent / "schemas" / "anthropic.json"
 SYSTEM = (
-    "You answer questions about aerial images. Every distance, length and area comes from a tool, never from your own "
-    "eyes. If a tool's status is not ok, say that the image allows no answer, and name another source of scale."
+    "You answer questions about aerial images. Every distance, length and area comes from a "
+    "tool, never from your own "
+    "eyes. If a tool's status is not ok, say that the image allows no answer, and name another "
+    "source of scale."
 )
 
 
@@ -51,11 +55,17 @@ async def by_mcp(claude: anthropic.AsyncAnthropic, model: str, tools: Client, qu
         results = await runner.generate_tool_call_response()  # the runner's next message
         for block in results["content"] if results else ():
             content = block["content"]
-            tell_result(content if isinstance(content, str) else " ".join(part.get("text", "") for part in content))
+            tell_result(
+                content
+                if isinstance(content, str)
+                else " ".join(part.get("text", "") for part in content)
+            )
     return answer
 
 
-async def by_schemas(claude: anthropic.AsyncAnthropic, model: str, tools: Client, question: str) -> str:
+async def by_schemas(
+    claude: anthropic.AsyncAnthropic, model: str, tools: Client, question: str
+) -> str:
     """Answer with a loop of our own and the definitions on disk."""
     messages: list[Any] = [{"role": "user", "content": question}]
     for _ in range(MAX_TURNS):
@@ -75,19 +85,32 @@ async def by_schemas(claude: anthropic.AsyncAnthropic, model: str, tools: Client
                 result = await tools.call_tool(block.name, block.input)
                 text = " ".join(getattr(part, "text", "") for part in result.content)
                 tell_result(text)
-                record = json.dumps(result.structured_content) if result.structured_content else text
+                record = (
+                    json.dumps(result.structured_content) if result.structured_content else text
+                )
                 content = [{"type": "text", "text": record}, *pictures(result.content)]
                 results.append(
-                    {"type": "tool_result", "tool_use_id": block.id, "content": content, "is_error": result.is_error}
+                    {
+                        "type": "tool_result",
+                        "tool_use_id": block.id,
+                        "content": content,
+                        "is_error": result.is_error,
+                    }
                 )
-        messages += [{"role": "assistant", "content": message.content}, {"role": "user", "content": results}]
+        messages += [
+            {"role": "assistant", "content": message.content},
+            {"role": "user", "content": results},
+        ]
     return "no answer: too many turns"
 
 
 def pictures(content: list[Any]) -> list[dict[str, Any]]:
     """Convert a tool's pictures for Claude."""
     return [
-        {"type": "image", "source": {"type": "base64", "media_type": part.mime_type, "data": part.data}}
+        {
+            "type": "image",
+            "source": {"type": "base64", "media_type": part.mime_type, "data": part.data},
+        }
         for part in content
         if part.type == "image"
     ]

@@ -4,8 +4,8 @@
     export OPENAI_API_KEY=... OPENAI_MODEL=...               # and OPENAI_BASE_URL for a gateway
     python examples/openai_tool_use.py examples/car_park.jpg "How wide is the car park, in metres?"
 
-``--way agents`` passes the server to the OpenAI Agents SDK. ``--way responses`` uses the strict definitions in
-``schemas/openai.json`` with its own loop over the Responses API.
+``--way agents`` passes the server to the OpenAI Agents SDK. ``--way responses`` uses the strict
+definitions in ``schemas/openai.json`` with its own loop over the Responses API.
 """
 
 from __future__ import annotations
@@ -24,13 +24,17 @@ try:
     from agents.mcp import MCPServerStdio
     from mcp import Client, StdioServerParameters
 except ModuleNotFoundError as missing:
-    sys.exit(f"this example needs the package {missing.name!r}: pip install -r examples/requirements.txt")
+    sys.exit(
+        f"this example needs the package {missing.name!r}: pip install -r examples/requirements.txt"
+    )
 
 MAX_TURNS = 8
 SCHEMAS = Path(__file__).parent.parent / "schemas" / "openai.json"
 SYSTEM = (
-    "You answer questions about aerial images. Every distance, length and area comes from a tool, never from your own "
-    "eyes. If a tool's status is not ok, say that the image allows no answer, and name another source of scale."
+    "You answer questions about aerial images. Every distance, length and area comes from a "
+    "tool, never from your own "
+    "eyes. If a tool's status is not ok, say that the image allows no answer, and name another "
+    "source of scale."
 )
 
 
@@ -38,15 +42,24 @@ async def by_agents(model: str, root: Path, question: str) -> str:
     """Answer with the Agents SDK, which launches the server and calls its tools."""
     set_tracing_disabled(True)
     command: Any = {"command": "vehanchor", "args": ["serve", "--root", str(root)]}
-    async with MCPServerStdio(params=command, client_session_timeout_seconds=60, cache_tools_list=True) as server:
+    async with MCPServerStdio(
+        params=command, client_session_timeout_seconds=60, cache_tools_list=True
+    ) as server:
         agent = Agent(name="surveyor", instructions=SYSTEM, model=model, mcp_servers=[server])
         result = await Runner.run(agent, question, max_turns=MAX_TURNS)
     for item in result.new_items:
         if isinstance(item, ToolCallItem):
-            print(f"calls {getattr(item.raw_item, 'name', '')} {getattr(item.raw_item, 'arguments', '')}")
+            print(
+                f"calls {getattr(item.raw_item, 'name', '')} "
+                f"{getattr(item.raw_item, 'arguments', '')}"
+            )
         elif isinstance(item, ToolCallOutputItem):
-            parts = item.output if isinstance(item.output, list) else [item.output]  # a list if there is a picture
-            print("tool ", *(part.get("text", "") if isinstance(part, dict) else part for part in parts))
+            # a list if there is a picture
+            parts = item.output if isinstance(item.output, list) else [item.output]
+            print(
+                "tool ",
+                *(part.get("text", "") if isinstance(part, dict) else part for part in parts),
+            )
     return str(result.final_output)
 
 
@@ -71,14 +84,22 @@ async def by_responses(model: str, root: Path, question: str) -> str:
                 result = await tools.call_tool(call.name, json.loads(call.arguments))
                 text = " ".join(getattr(part, "text", "") for part in result.content)
                 print(f"tool  {text}")
-                record = json.dumps(result.structured_content) if result.structured_content else text
+                record = (
+                    json.dumps(result.structured_content) if result.structured_content else text
+                )
                 shown = [
-                    {"type": "input_image", "image_url": f"data:{part.mime_type};base64,{part.data}", "detail": "auto"}
+                    {
+                        "type": "input_image",
+                        "image_url": f"data:{part.mime_type};base64,{part.data}",
+                        "detail": "auto",
+                    }
                     for part in result.content
                     if part.type == "image"
                 ]
                 output = [{"type": "input_text", "text": record}, *shown]
-                items.append({"type": "function_call_output", "call_id": call.call_id, "output": output})
+                items.append(
+                    {"type": "function_call_output", "call_id": call.call_id, "output": output}
+                )
     return "no answer: too many turns"
 
 

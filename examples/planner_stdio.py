@@ -2,10 +2,13 @@
 
     python examples/planner_stdio.py examples/scenes/safe.jpg --zone 255 160 535 470
 
-The planner works without a language model, so that its rules are explicit. Planners with a model need the same rules:
+The planner works without a language model, so that its rules are explicit. Planners with a model
+need the same rules:
 
-1. Never decide on a scale whose ``status`` is not ``ok``. Try the next ruler; without one, hold altitude.
-2. A zone fits only if the *lower* end of its 95 % interval fits: ``inscribed_diameter_ci95_low_m``, never the estimate.
+1. Never decide on a scale whose ``status`` is not ``ok``. Try the next ruler; without one, hold
+  altitude.
+2. A zone fits only if the *lower* end of its 95 % interval fits: ``inscribed_diameter_ci95_low_m``,
+  never the estimate.
 3. Log the reason of every decision on stderr; print the decision as one JSON object on stdout.
 """
 
@@ -107,16 +110,24 @@ def decide_zone(record: dict[str, Any], ruler: Ruler, zone: Zone, craft: Craft) 
         return Decision(Action.HOLD_ALTITUDE, f"no scale from {ruler.name}", ruler.name, zone)
     if "reason" in record:  # against the scale
         why = f"{record['reason']}; {REMEDIES[record['reason']]}"
-        reason = f"the scale from {ruler.name} is not ok (confidence {record['scale_confidence']:.2f}): {why}"
+        reason = (
+            f"the scale from {ruler.name} is not ok (confidence "
+            f"{record['scale_confidence']:.2f}): {why}"
+        )
         return Decision(Action.HOLD_ALTITUDE, reason, ruler.name, zone)
     if record["status"] != "ok":
         return Decision(Action.NEXT_ZONE, "the zone's outline is uncertain", ruler.name, zone)
     low = record["inscribed_diameter_ci95_low_m"]
-    seen = f"a circle of at least {low:.1f} m fits by {ruler.name} (estimate {record['inscribed_diameter_m']:.1f} m)"
+    seen = (
+        f"a circle of at least {low:.1f} m fits by {ruler.name} (estimate "
+        f"{record['inscribed_diameter_m']:.1f} m)"
+    )
     center = record["inscribed_center"]
     measured = (ruler.name, zone, craft.needed_m, low, center["x_px"], center["y_px"])
     if low < craft.needed_m:
-        return Decision(Action.NEXT_ZONE, f"too small: {seen}, {craft.needed_m:.1f} m needed", *measured)
+        return Decision(
+            Action.NEXT_ZONE, f"too small: {seen}, {craft.needed_m:.1f} m needed", *measured
+        )
     return Decision(Action.LAND, f"{seen}, {craft.needed_m:.1f} m needed", *measured)
 
 
@@ -144,7 +155,9 @@ async def decide(
             result = await client.call_tool("measure_area", arguments)
             if result.is_error:  # "code: problem. remedy"
                 message = " ".join(getattr(part, "text", "") for part in result.content)
-                return Decision(Action.HOLD_ALTITUDE, f"the measurement failed: {message}", ruler.name, zone)
+                return Decision(
+                    Action.HOLD_ALTITUDE, f"the measurement failed: {message}", ruler.name, zone
+                )
             decision = decide_zone(result.structured_content or {}, ruler, zone, craft)
             log.info("%s: %s", decision.action, decision.reason)
             if decision.action is Action.LAND:
@@ -159,11 +172,22 @@ async def decide(
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Decide a landing with VehAnchor's measurements.")
     parser.add_argument("image", type=Path)
-    parser.add_argument("--zone", type=float, nargs=4, action="append", metavar=("X1", "Y1", "X2", "Y2"), default=[])
-    parser.add_argument("--diameter", type=float, default=4.0, help="diameter of the craft with rotors, metres")
-    parser.add_argument("--margin", type=float, default=2.0, help="free margin on each side, metres")
-    parser.add_argument("--region", help="region of the cars, such as europe; needed where cars are small: south_asia")
-    parser.add_argument("--altitude", type=float, help="next ruler: the barometer's height above ground, metres")
+    parser.add_argument(
+        "--zone", type=float, nargs=4, action="append", metavar=("X1", "Y1", "X2", "Y2"), default=[]
+    )
+    parser.add_argument(
+        "--diameter", type=float, default=4.0, help="diameter of the craft with rotors, metres"
+    )
+    parser.add_argument(
+        "--margin", type=float, default=2.0, help="free margin on each side, metres"
+    )
+    parser.add_argument(
+        "--region",
+        help="region of the cars, such as europe; needed where cars are small: south_asia",
+    )
+    parser.add_argument(
+        "--altitude", type=float, help="next ruler: the barometer's height above ground, metres"
+    )
     parser.add_argument("--focal", type=float, help="focal length in pixels, for --altitude")
     return parser.parse_args()
 
@@ -179,13 +203,16 @@ async def main() -> None:
     zones = [Zone(*corners) for corners in options.zone]
     craft = Craft(options.diameter, options.margin)
     server = StdioServerParameters(
-        command=sys.executable, args=["-m", "vehanchor", "serve", "--root", str(options.image.resolve().parent)]
+        command=sys.executable,
+        args=["-m", "vehanchor", "serve", "--root", str(options.image.resolve().parent)],
     )
     with Path(os.devnull).open("w") as quiet:  # the server's log is not the planner's
         async with Client(stdio_client(server, errlog=quiet)) as client:
             decision = await decide(client, options.image, zones, rulers, craft, options.region)
     log.info("decision: %s, because %s", decision.action, decision.reason)
-    print(json.dumps({name: value for name, value in asdict(decision).items() if value is not None}))
+    print(
+        json.dumps({name: value for name, value in asdict(decision).items() if value is not None})
+    )
 
 
 if __name__ == "__main__":

@@ -42,7 +42,13 @@ def _chunk(kind: bytes, body: bytes) -> bytes:
 def _png(between: bytes, side_px: int = 64) -> bytes:
     rows = (b"\0" + bytes(3 * side_px)) * side_px
     header = _chunk(b"IHDR", struct.pack(">IIBBBBB", side_px, side_px, 8, 2, 0, 0, 0))
-    return b"\x89PNG\r\n\x1a\n" + header + between + _chunk(b"IDAT", zlib.compress(rows)) + _chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + header
+        + between
+        + _chunk(b"IDAT", zlib.compress(rows))
+        + _chunk(b"IEND", b"")
+    )
 
 
 def _png_chunks(n_bytes: int) -> bytes:
@@ -56,7 +62,9 @@ HEADER_BOMBS: dict[str, Callable[[int], bytes]] = {
     "jpeg TEM markers": _jpeg(b"\xff\x01"),
     "jpeg empty comments": _jpeg(b"\xff\xfe\x00\x02"),
     "jpeg restart markers": _jpeg(b"\xff\xda\x00\x02" + b"\xff\xd0" * 30),
-    "jpeg stuffing": lambda n_bytes: _jpeg(b"\xff\xda\x00\x02")(4)[:-2] + b"\xff\0" * (n_bytes // 2) + b"\xff\xd9",
+    "jpeg stuffing": lambda n_bytes: (
+        _jpeg(b"\xff\xda\x00\x02")(4)[:-2] + b"\xff\0" * (n_bytes // 2) + b"\xff\xd9"
+    ),
     "webp empty chunks": _webp_chunks,
     "png empty chunks": _png_chunks,
 }
@@ -67,7 +75,9 @@ def jpeg_of_scans(n_scans: int, side_px: int = 512) -> bytes:
     """A progressive JPEG that refines the same coefficients again and again."""
     image = np.random.default_rng(1).integers(0, 256, (side_px, side_px, 3), dtype=np.uint8)
     image = cv2.GaussianBlur(image, (0, 0), 8).astype(np.uint8)
-    done, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_QUALITY, 30])
+    done, encoded = cv2.imencode(
+        ".jpg", image, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_QUALITY, 30]
+    )
     assert done
     data = encoded.tobytes()
     last = data.rindex(b"\xff\xda")
@@ -81,11 +91,15 @@ def png_of_text(n_chunks: int, mebibytes: float = 7.5) -> bytes:
     return _png(_chunk(b"zTXt", text) * n_chunks)
 
 
-def tiff_of_directory(entries: list[tuple[int, int, int, int]], order: str = "<", after: bytes = b"") -> bytes:
+def tiff_of_directory(
+    entries: list[tuple[int, int, int, int]], order: str = "<", after: bytes = b""
+) -> bytes:
     """A TIFF of one directory: tag, type, count, value or offset; ``after`` follows it."""
     data = (b"II" if order == "<" else b"MM") + struct.pack(order + "HIH", 42, 8, len(entries))
     for tag, kind, count, value in entries:
-        data += struct.pack(order + ("HHIHxx" if kind in (3, 8) and count == 1 else "HHII"), tag, kind, count, value)
+        data += struct.pack(
+            order + ("HHIHxx" if kind in (3, 8) and count == 1 else "HHII"), tag, kind, count, value
+        )
     return data + bytes(4) + after
 
 
@@ -107,7 +121,9 @@ def tiff_with_two_sizes(small_px: int = 64, large_px: int = 20_000) -> bytes:
     return tiff_of_directory(entries, after=bytes(small_px * small_px))
 
 
-def zero_tiff(side_px: int, dtype: str = "float64", bands: int = 4, rows: int | None = None) -> bytes:
+def zero_tiff(
+    side_px: int, dtype: str = "float64", bands: int = 4, rows: int | None = None
+) -> bytes:
     """A small file of a large image: all zeros, in strips of so many rows (None: of one strip), deflated."""
     rows = rows or side_px
     strip = zlib.compress(bytes(rows * side_px * bands * np.dtype(dtype).itemsize), 9)
@@ -190,7 +206,8 @@ class Family(NamedTuple):
 
     Attributes:
         make: an image of a size.
-        size: the smaller of two, of which the other is four times as large: bytes, scans, chunks or pixels.
+        size: the smaller of two, of which the other is four times as large: bytes, scans, chunks or
+            pixels.
         unit: of the size.
     """
 
@@ -219,14 +236,20 @@ def _square(dtype: str, bands: int, rows: int | None) -> Callable[[int], bytes]:
 
 FAMILIES: dict[str, Family] = {
     **{name: Family(make, MIB, "bytes") for name, make in HEADER_BOMBS.items()},
-    "progressive JPEG, 1 megapixel": Family(lambda n_scans: jpeg_of_scans(n_scans, 1024), 25, "scans"),
-    "progressive JPEG, beyond the limit": Family(lambda n_scans: jpeg_of_scans(n_scans, 1024), 625, "scans"),
+    "progressive JPEG, 1 megapixel": Family(
+        lambda n_scans: jpeg_of_scans(n_scans, 1024), 25, "scans"
+    ),
+    "progressive JPEG, beyond the limit": Family(
+        lambda n_scans: jpeg_of_scans(n_scans, 1024), 625, "scans"
+    ),
     "PNG with zipped texts": Family(png_of_text, 50, "texts"),
     "TIFF float64 RGBA, strips": Family(_square("float64", 4, 16), 16_000_000, "pixels"),
     "TIFF float64 grey, one strip": Family(_square("float64", 1, None), 16_000_000, "pixels"),
     "TIFF 16-bit RGBA, one strip": Family(_square("uint16", 4, None), 16_000_000, "pixels"),
     "TIFF 8-bit RGB, one strip": Family(_square("uint8", 3, None), 16_000_000, "pixels"),
-    "TIFF of two sizes": Family(lambda side_px: tiff_with_two_sizes(large_px=side_px), 5_000, "pixels a side"),
+    "TIFF of two sizes": Family(
+        lambda side_px: tiff_with_two_sizes(large_px=side_px), 5_000, "pixels a side"
+    ),
 }
 
 
@@ -242,13 +265,21 @@ FAMILIES["TIFF of shared tags"] = Family(_tiff_of_shared_tags, 1 << 18, "bytes")
 
 def _noise(side_px: int, bands: int, dtype: str = "uint8") -> NDArray[Any]:
     """Smooth noise, which every format compresses somewhat; alpha is neither 0 nor 255 all over."""
-    coarse = np.random.default_rng(1).integers(1, 255, (side_px // 8, side_px // 8, bands), dtype=np.uint8)
-    fine = cv2.resize(coarse, (side_px, side_px), interpolation=cv2.INTER_LINEAR).reshape(side_px, side_px, bands)
+    coarse = np.random.default_rng(1).integers(
+        1, 255, (side_px // 8, side_px // 8, bands), dtype=np.uint8
+    )
+    fine = cv2.resize(coarse, (side_px, side_px), interpolation=cv2.INTER_LINEAR).reshape(
+        side_px, side_px, bands
+    )
     return fine.astype(dtype) * (1 if dtype == "uint8" else 4)
 
 
-def _encoded(suffix: str, bands: int, dtype: str = "uint8", *parameters: int) -> Callable[[int], bytes]:
-    return lambda side_px: cv2.imencode(suffix, _noise(side_px, bands, dtype), parameters)[1].tobytes()
+def _encoded(
+    suffix: str, bands: int, dtype: str = "uint8", *parameters: int
+) -> Callable[[int], bytes]:
+    return lambda side_px: cv2.imencode(suffix, _noise(side_px, bands, dtype), parameters)[
+        1
+    ].tobytes()
 
 
 _FAST_AVIF = cv2.IMWRITE_AVIF_SPEED, 10
@@ -287,7 +318,11 @@ def cost(data: bytes, folder: Path) -> Cost:
     path = folder / "bomb"
     path.write_bytes(data)
     done = subprocess.run(
-        [sys.executable, "-c", _WORK, str(path)], capture_output=True, text=True, check=True, timeout=120
+        [sys.executable, "-c", _WORK, str(path)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
     )
     return Cost(*json.loads(done.stdout))
 

@@ -22,7 +22,8 @@ from vehanchor.models.session import run_session
 ROOT = Path(__file__).parent.parent
 MOST_WORKERS = 4  # each loads everything once
 
-# What a test means does not depend on how busy the machine is; the timeout of pytest catches what hangs.
+# What a test means does not depend on how busy the machine is; the timeout of pytest catches what
+# hangs.
 hypothesis.settings.register_profile("vehanchor", deadline=None)
 hypothesis.settings.load_profile("vehanchor")
 
@@ -73,6 +74,8 @@ def car_park() -> NDArray[np.uint8]:
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Run the quick tests side by side; the longer ones measure time, and a few files start faster alone."""
-    everything = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword
+    everything = (
+        config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword
+    )
     quick = config.option.markexpr in config.getini("addopts")
     return min(os.cpu_count() or 1, MOST_WORKERS) if everything and quick else 0

@@ -13,17 +13,22 @@ Answered = tuple[int, dict[str, Any], dict[str, str]]
 
 
 @contextmanager
-def json_server(answer: Callable[[str, dict[str, str], dict[str, Any]], Answered | None]) -> Iterator[str]:
+def json_server(
+    answer: Callable[[str, dict[str, str], dict[str, Any]], Answered | None],
+) -> Iterator[str]:
     """Listen, and give the address.
 
     Args:
-        answer: to a path, headers (lower case) and a body: status, body and further headers, or None to hang up.
+        answer: to a path, headers (lower case) and a body: status, body and further headers, or
+            None to hang up.
     """
 
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             body = json.loads(self.rfile.read(int(self.headers["content-length"])))
-            answered = answer(self.path, {name.lower(): value for name, value in self.headers.items()}, body)
+            answered = answer(
+                self.path, {name.lower(): value for name, value in self.headers.items()}, body
+            )
             if answered is None:
                 self.close_connection = True
                 return

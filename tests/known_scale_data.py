@@ -19,11 +19,16 @@ REFERENCE_M = 5.045
 
 
 def dota_lines(boxes: NDArray[np.float64], name: str = "small-vehicle") -> str:
-    return "".join(" ".join(f"{v:.1f}" for v in c.ravel()) + f" {name} 0\n" for c in box_corners(boxes))
+    return "".join(
+        " ".join(f"{v:.1f}" for v in c.ravel()) + f" {name} 0\n" for c in box_corners(boxes)
+    )
 
 
 def cars(length_px: float, n: int = 12) -> NDArray[np.float64]:
-    return np.array([[40 + 70 * (k % 6), 50 + 60 * (k // 6), length_px, 12, 0.0] for k in range(n)], dtype=np.float64)
+    return np.array(
+        [[40 + 70 * (k % 6), 50 + 60 * (k // 6), length_px, 12, 0.0] for k in range(n)],
+        dtype=np.float64,
+    )
 
 
 def paint(path: Path, boxes: NDArray[np.float64]) -> None:
@@ -47,17 +52,27 @@ def write_geotiff(path: Path, crs: str, pixel: float, x: float, y: float) -> Pat
 def write_dota_split(folder: Path) -> Path:
     """A split of DOTA v1.5 as it is downloaded, with all that can be wrong with a file.
 
-    P0000: 20 px cars found, 22 px labelled, at 5.045 m / 20 px; P0001: the scale is 10 % less than found; P0002:
+    P0000: 20 px cars found, 22 px labelled, at 5.045 m / 20 px; P0001: the scale is 10 % less than
+        found; P0002:
     nothing found; P0003: found 30 % too long, no labelled vehicle.
     """
-    images, labels = folder / "images" / "part1" / "images", folder / "labelTxt-v1.5" / "DOTA-v1.5_val"
-    old, upright = folder / "labelTxt-v1.0" / "labelTxt", folder / "labelTxt-v1.5" / "DOTA-v1.5_val_hbb"
+    images, labels = (
+        folder / "images" / "part1" / "images",
+        folder / "labelTxt-v1.5" / "DOTA-v1.5_val",
+    )
+    old, upright = (
+        folder / "labelTxt-v1.0" / "labelTxt",
+        folder / "labelTxt-v1.5" / "DOTA-v1.5_val_hbb",
+    )
     for path in (labels, old, upright):
         path.mkdir(parents=True)
     found, truth = REFERENCE_M / 20, REFERENCE_M / 20
     files: dict[str, tuple[NDArray[np.float64], str]] = {
         "P0000": (cars(20), f"imagesource:GoogleEarth\ngsd:{truth}\n{dota_lines(cars(22))}"),
-        "P0001": (cars(20), f"imagesource:GoogleEarth\ngsd:{found / 0.9}\n{dota_lines(cars(20))}1 2 3 car\n"),
+        "P0001": (
+            cars(20),
+            f"imagesource:GoogleEarth\ngsd:{found / 0.9}\n{dota_lines(cars(20))}1 2 3 car\n",
+        ),
         "P0002": (cars(20, 0), f"imagesource:GoogleEarth\ngsd:{truth}\n{dota_lines(cars(20))}"),
         "P0003": (cars(26), f"imagesource:GF-2\ngsd:{truth}\n{dota_lines(cars(40), 'plane')}"),
         "P0004": (cars(20), f"imagesource:GoogleEarth\ngsd:None\n{dota_lines(cars(20))}"),

@@ -1,7 +1,7 @@
 """Detectors for tests: tiny ONNX graphs that really read their boxes from the picture.
 
-``paint_vehicles`` draws a grey body for each box and, from the box's centre to the right, a beacon of five pixels that
-spells the box out:
+``paint_vehicles`` draws a grey body for each box and, from the box's centre to the right, a beacon
+of five pixels that spells the box out:
 
     pixel 0   (255, 0, 255), the mark; it is the pixel that holds the box's centre
     pixel 1   length in pixels: whole, 256ths; width, whole
@@ -9,9 +9,10 @@ spells the box out:
     pixel 3   score in 255ths; class index; 0
     pixel 4   the centre within the mark's pixel: x and y in 256ths; 0
 
-``write_detector`` writes a graph that finds marks, reads the numbers beside them and puts them out in either layout of
-Ultralytics' exports. What it finds is exact, up to those units. A beacon that is resampled, compressed with loss or cut
-by a tile's edge is not found; of two marks in one cell of ``CELL_PX`` the numbers mix.
+``write_detector`` writes a graph that finds marks, reads the numbers beside them and puts them out
+in either layout of Ultralytics' exports. What it finds is exact, up to those units. A beacon that
+is resampled, compressed with loss or cut by a tile's edge is not found; of two marks in one cell of
+``CELL_PX`` the numbers mix.
 """
 
 from __future__ import annotations
@@ -56,14 +57,15 @@ def paint_vehicles(
 
     Args:
         image: ``[h, w, 3]`` uint8 RGB, changed in place.
-        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``: pixels counted from the image's corner, sides below
-            256, radians. The five pixels from the centre to the right lie inside the image.
+        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``: pixels counted from the image's
+            corner, sides below 256, radians. The five pixels from the centre to the right lie
+            inside the image.
         scores: ``[n]`` in 1/255..1; default 0.9 each.
         classes: ``[n]`` class indices; default 0 each.
 
     Returns:
-        ``[n, 5]`` float64 canonical boxes, rounded as the beacons hold them: what a detector finds, in the same order.
-        The scores it finds are ``round(255 * score) / 255``.
+        ``[n, 5]`` float64 canonical boxes, rounded as the beacons hold them: what a detector finds,
+        in the same order. The scores it finds are ``round(255 * score) / 255``.
     """
     rows = canonical_boxes(np.asarray(boxes, dtype=np.float64))
     levels = [round(255 * score) for score in (scores if scores is not None else [0.9] * len(rows))]
@@ -81,7 +83,10 @@ def paint_vehicles(
         length, width = (int(np.rint(side * 256)) for side in row[2:4])
         assert length < 65536, f"{row} is longer than 255 px"
         angle = int(np.rint(row[4] / np.pi * 65536)) % 65536
-        part_x, part_y = (min(255, int(np.rint((value - whole) * 256))) for value, whole in ((row[0], x), (row[1], y)))
+        part_x, part_y = (
+            min(255, int(np.rint((value - whole) * 256)))
+            for value, whole in ((row[0], x), (row[1], y))
+        )
         image[y, x : x + BEACON_PX] = [
             _MARK,
             (length >> 8, length & 255, width >> 8),
@@ -89,11 +94,19 @@ def paint_vehicles(
             (level, kind, 0),
             (part_x, part_y, 0),
         ]
-        found[i] = x + part_x / 256, y + part_y / 256, length / 256, width / 256, angle * np.pi / 65536
+        found[i] = (
+            x + part_x / 256,
+            y + part_y / 256,
+            length / 256,
+            width / 256,
+            angle * np.pi / 65536,
+        )
     return found
 
 
-def assert_same_boxes(found: NDArray[np.float64], expected: NDArray[np.float64], within: float = 1e-3) -> None:
+def assert_same_boxes(
+    found: NDArray[np.float64], expected: NDArray[np.float64], within: float = 1e-3
+) -> None:
     """Compare boxes in any order."""
     assert len(found) == len(expected)
     order = np.argmin(np.linalg.norm(found[:, None, :2] - expected[None, :, :2], axis=2), axis=0)
@@ -107,11 +120,18 @@ def fleet(n: int, mean: float = 30.0) -> NDArray[np.float64]:
 
 
 def car_park(
-    lengths: ArrayLike, width_px: int = 480, height_px: int = 360, *, scores: Sequence[float] | None = None
+    lengths: ArrayLike,
+    width_px: int = 480,
+    height_px: int = 360,
+    *,
+    scores: Sequence[float] | None = None,
 ) -> NDArray[np.uint8]:
     """RGB with a vehicle of each length, in rows from the upper left corner."""
     image, columns = blank_image(width_px, height_px), (width_px - 60) // 70
-    rows = [[40 + 70 * (k % columns), 50 + 60 * (k // columns), x, 12, 0.4] for k, x in enumerate(np.asarray(lengths))]
+    rows = [
+        [40 + 70 * (k % columns), 50 + 60 * (k // columns), x, 12, 0.4]
+        for k, x in enumerate(np.asarray(lengths))
+    ]
     paint_vehicles(image, np.reshape(rows, (-1, 5)), scores=scores)
     return image
 
@@ -120,7 +140,9 @@ POOL = (420, 280, 468, 376)
 POOL_RGB = (40, 140, 210)
 
 
-def pool_among_cars(n_vehicles: int = 30, rectangle: tuple[int, int, int, int] = POOL) -> NDArray[np.uint8]:
+def pool_among_cars(
+    n_vehicles: int = 30, rectangle: tuple[int, int, int, int] = POOL
+) -> NDArray[np.uint8]:
     """RGB of 800 x 600 px with a pool below rows of cars."""
     image = car_park(fleet(n_vehicles), 800, 600)
     x1, y1, x2, y2 = rectangle
@@ -144,13 +166,14 @@ def write_detector(
 
     Args:
         path: of the ONNX file.
-        layout: ``raw`` puts out ``[1, 4 + nc + 1, anchors]``; ``end2end`` rows ``[1, cap, 7]``, best first, then zeros.
+        layout: ``raw`` puts out ``[1, 4 + nc + 1, anchors]``; ``end2end`` rows ``[1, cap, 7]``,
+            best first, then zeros.
         names: class names for the metadata; None leaves the entry out.
-        fixed_size: side, or (height, width), of the input in pixels, a multiple of ``CELL_PX``; None leaves batch,
-            height and width symbolic, and the raw layout's output shape too.
+        fixed_size: side, or (height, width), of the input in pixels, a multiple of ``CELL_PX``;
+            None leaves batch, height and width symbolic, and the raw layout's output shape too.
         dtype: of input and output; the arithmetic between is float32.
-        metadata: entries to add or replace; None as a value removes one. Without it the file has what Ultralytics
-            writes: task, stride, imgsz, names.
+        metadata: entries to add or replace; None as a value removes one. Without it the file has
+            what Ultralytics writes: task, stride, imgsz, names.
         cap: rows of the end-to-end layout.
         swap_sides: put out width before length, the angle turned by a quarter: the same boxes.
         angle_offset: added to every angle, for example whole turns.
@@ -180,18 +203,27 @@ def write_detector(
         *((width, length) if swap_sides else (length, width)),
         combined((pixel[3][0], 1 / 255)),
         pixel[3][1],
-        graph.add("Add", [angle, graph.constant([angle_offset + (np.pi / 2 if swap_sides else 0.0)])]),
+        graph.add(
+            "Add", [angle, graph.constant([angle_offset + (np.pi / 2 if swap_sides else 0.0)])]
+        ),
     ]
     # A beacon cut by the edge reads zeros: without a score it is no vehicle.
     visible = graph.add(
-        "Mul", [mark, graph.add("Cast", [graph.add("Greater", [pixel[3][0], graph.constant([0.0])])], to=1)]
+        "Mul",
+        [
+            mark,
+            graph.add("Cast", [graph.add("Greater", [pixel[3][0], graph.constant([0.0])])], to=1),
+        ],
     )
     table = graph.add("Mul", [graph.add("Concat", fields, axis=1), visible])
-    # Only marks are not zero, so the sum over a cell is its mark's value; unlike a maximum it keeps negative angles.
+    # Only marks are not zero, so the sum over a cell is its mark's value; unlike a maximum it keeps
+    # negative angles.
     pooled = graph.add("AveragePool", [table], kernel_shape=[CELL_PX] * 2, strides=[CELL_PX] * 2)
     cells = graph.add("Mul", [pooled, graph.constant([float(CELL_PX**2)])])
     flat = graph.add("Reshape", [cells, graph.constant([0, 7, -1], np.int64)])  # [b, 7, anchors]
-    result = _raw_rows(graph, flat, n_out) if layout == "raw" else _end_to_end_rows(graph, flat, cap)
+    result = (
+        _raw_rows(graph, flat, n_out) if layout == "raw" else _end_to_end_rows(graph, flat, cap)
+    )
     element = TensorProto.FLOAT if dtype == "float32" else TensorProto.FLOAT16
     graph.add("Cast", [result], output="output0", to=element)
 
@@ -210,14 +242,22 @@ def write_detector(
     return save_model(
         path,
         graph.nodes,
-        [helper.make_tensor_value_info("images", element, [batch, 3, *(size or ("height", "width"))])],
+        [
+            helper.make_tensor_value_info(
+                "images", element, [batch, 3, *(size or ("height", "width"))]
+            )
+        ],
         [helper.make_tensor_value_info("output0", element, shape_out)],
         graph.constants,
         entries,
     )
 
 
-BODIES = {"reference_length_m": 4.3, "reference_length_sd_m": 0.3, "region_lengths_m": {"europe": 4.1}}
+BODIES = {
+    "reference_length_m": 4.3,
+    "reference_length_sd_m": 0.3,
+    "region_lengths_m": {"europe": 4.1},
+}
 """Lengths of bodies in the card of ``write_chip_network``."""
 
 
@@ -237,7 +277,8 @@ def write_chip_network(
         detector: file of the detector, which its metadata names by the stem.
         without: name of an output that is missing.
         gain: logit of a white chip; a black one has 0.
-        edges: of each body, in candidate lengths; a red square of 8 px on black moves them to its place.
+        edges: of each body, in candidate lengths; a red square of 8 px on black moves them to its
+            place.
         length_m: of each car by its looks.
         brightness: addition to the log of this length for a white chip.
         metadata: entries to add or replace; None as a value removes one.
@@ -245,24 +286,44 @@ def write_chip_network(
     Returns:
         The path.
     """
-    sizes = {"logit": 1, "kinds": 10, "edges": 4, "edge_log_sd": 4, "turn": 1, "log_metres": 2, "metres_log_sd": 2}
+    sizes = {
+        "logit": 1,
+        "kinds": 10,
+        "edges": 4,
+        "edge_log_sd": 4,
+        "turn": 1,
+        "log_metres": 2,
+        "metres_log_sd": 2,
+    }
     first = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
-    rows, columns = ((np.arange(side) + 0.5 - side / 2) / CHIP_LENGTH_PX / 8**2 for side in (CHIP_ROWS, CHIP_COLUMNS))
-    weight, offset = np.zeros((3, CHIP_ROWS, CHIP_COLUMNS, sum(sizes.values()))), np.zeros(sum(sizes.values()))
+    rows, columns = (
+        (np.arange(side) + 0.5 - side / 2) / CHIP_LENGTH_PX / 8**2
+        for side in (CHIP_ROWS, CHIP_COLUMNS)
+    )
+    weight, offset = (
+        np.zeros((3, CHIP_ROWS, CHIP_COLUMNS, sum(sizes.values()))),
+        np.zeros(sum(sizes.values())),
+    )
     weight[..., 0] = gain / weight[..., 0].size
     weight[0, :, :, first["edges"] : first["edges"] + 2] = columns[None, :, None]
     weight[0, :, :, first["edges"] + 2 : first["edges"] + 4] = rows[:, None, None]
     weight[..., first["log_metres"] : first["log_metres"] + 2] = brightness / weight[..., 0].size
     offset[first["edges"] : first["edges"] + 4] = edges
     offset[first["edge_log_sd"] : first["edge_log_sd"] + 4] = np.log(0.02)
-    offset[first["log_metres"] : first["log_metres"] + 2] = np.log([length_m, length_m * (edges[3] - edges[2])])
+    offset[first["log_metres"] : first["log_metres"] + 2] = np.log(
+        [length_m, length_m * (edges[3] - edges[2])]
+    )
     offset[first["metres_log_sd"] :] = np.log(0.07)
     graph = Graph()
     flat = graph.add("Flatten", ["chips"])
-    joined = graph.add("Gemm", [flat, graph.constant(weight.reshape(-1, len(offset))), graph.constant(offset)])
+    joined = graph.add(
+        "Gemm", [flat, graph.constant(weight.reshape(-1, len(offset))), graph.constant(offset)]
+    )
     parts = [f"{name}_part" for name in sizes]
     graph.nodes.append(
-        helper.make_node("Split", [joined, graph.constant(list(sizes.values()), np.int64)], parts, axis=1)
+        helper.make_node(
+            "Split", [joined, graph.constant(list(sizes.values()), np.int64)], parts, axis=1
+        )
     )
     for (name, size), part in zip(sizes.items(), parts, strict=True):
         if size == 1:
@@ -272,9 +333,15 @@ def write_chip_network(
     return save_model(
         detector.with_name(f"{detector.stem}.chips.onnx"),
         graph.nodes,
-        [helper.make_tensor_value_info("chips", TensorProto.FLOAT, ["n", 3, CHIP_ROWS, CHIP_COLUMNS])],
         [
-            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n"] if size == 1 else ["n", size])
+            helper.make_tensor_value_info(
+                "chips", TensorProto.FLOAT, ["n", 3, CHIP_ROWS, CHIP_COLUMNS]
+            )
+        ],
+        [
+            helper.make_tensor_value_info(
+                name, TensorProto.FLOAT, ["n"] if size == 1 else ["n", size]
+            )
             for name, size in sizes.items()
             if name != without
         ],
@@ -309,7 +376,9 @@ class Graph:
         self.nodes: list[onnx.NodeProto] = []
         self.constants: list[onnx.TensorProto] = []
 
-    def add(self, operator: str, inputs: Sequence[str], *, output: str | None = None, **attributes: Any) -> str:
+    def add(
+        self, operator: str, inputs: Sequence[str], *, output: str | None = None, **attributes: Any
+    ) -> str:
         name = output or f"v{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, list(inputs), [name], **attributes))
         return name
@@ -329,22 +398,32 @@ class Graph:
 def _shifted_left(graph: Graph, name: str, k: int) -> str:
     """At each pixel the value ``k`` pixels to its right, zero beyond the edge."""
     padded = graph.add("Pad", [name, graph.constant([0, 0, 0, 0, 0, 0, 0, k], np.int64)])
-    start, end, axis = (graph.constant([value], np.int64) for value in (k, np.iinfo(np.int64).max, 3))
+    start, end, axis = (
+        graph.constant([value], np.int64) for value in (k, np.iinfo(np.int64).max, 3)
+    )
     return graph.add("Slice", [padded, start, end, axis])
 
 
 def _mark_mask(graph: Graph, channels: Sequence[str]) -> str:
     hits = [
-        graph.add("Equal", [name, graph.constant([float(level)])]) for name, level in zip(channels, _MARK, strict=True)
+        graph.add("Equal", [name, graph.constant([float(level)])])
+        for name, level in zip(channels, _MARK, strict=True)
     ]
-    return graph.add("Cast", [graph.add("And", [graph.add("And", hits[:2]), hits[2]])], to=TensorProto.FLOAT)
+    return graph.add(
+        "Cast", [graph.add("And", [graph.add("And", hits[:2]), hits[2]])], to=TensorProto.FLOAT
+    )
 
 
 def _pixel_indices(graph: Graph, like: str) -> tuple[str, str]:
     """Column and row of every pixel."""
-    ones = graph.add("Add", [graph.add("Mul", [like, graph.constant([0.0])]), graph.constant([1.0])])
+    ones = graph.add(
+        "Add", [graph.add("Mul", [like, graph.constant([0.0])]), graph.constant([1.0])]
+    )
     return tuple(  # type: ignore[return-value]
-        graph.add("Sub", [graph.add("CumSum", [ones, graph.constant(axis, np.int64)]), graph.constant([1.0])])
+        graph.add(
+            "Sub",
+            [graph.add("CumSum", [ones, graph.constant(axis, np.int64)]), graph.constant([1.0])],
+        )
         for axis in (3, 2)
     )
 
@@ -354,20 +433,30 @@ def _raw_rows(graph: Graph, flat: str, n_classes: int) -> str:
     cx, cy, w, h, score, kind, angle = graph.split(flat, 7, axis=1)
     scores = []
     for index in range(n_classes):
-        of_class = graph.add("Cast", [graph.add("Equal", [kind, graph.constant([float(index)])])], to=TensorProto.FLOAT)
+        of_class = graph.add(
+            "Cast",
+            [graph.add("Equal", [kind, graph.constant([float(index)])])],
+            to=TensorProto.FLOAT,
+        )
         scores.append(graph.add("Mul", [score, of_class]))
     return graph.add("Concat", [cx, cy, w, h, *scores, angle], axis=1)
 
 
 def _end_to_end_rows(graph: Graph, flat: str, cap: int) -> str:
     """``[b, 7, anchors]`` to the ``cap`` best rows."""
-    padded = graph.add("Pad", [flat, graph.constant([0, 0, 0, 0, 0, cap], np.int64)])  # never fewer anchors than rows
+    # never fewer anchors than rows
+    padded = graph.add("Pad", [flat, graph.constant([0, 0, 0, 0, 0, cap], np.int64)])
     start, end, axis = (graph.constant([value], np.int64) for value in (4, 5, 1))
     score = graph.add("Slice", [padded, start, end, axis])
     values, indices = f"top{len(graph.nodes)}", f"at{len(graph.nodes)}"
     graph.nodes.append(
         helper.make_node(
-            "TopK", [score, graph.constant([cap], np.int64)], [values, indices], axis=2, largest=1, sorted=1
+            "TopK",
+            [score, graph.constant([cap], np.int64)],
+            [values, indices],
+            axis=2,
+            largest=1,
+            sorted=1,
         )
     )
     wide = graph.add("Tile", [indices, graph.constant([1, 7, 1], np.int64)])
@@ -387,7 +476,9 @@ def save_model(
     graph = helper.make_graph(list(nodes), "test", list(inputs), list(outputs), list(constants))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)])
     model.ir_version = _IR_VERSION
-    helper.set_model_props(model, {key: value for key, value in metadata.items() if value is not None})
+    helper.set_model_props(
+        model, {key: value for key, value in metadata.items() if value is not None}
+    )
     onnx.checker.check_model(model, full_check=True)
     onnx.save(model, str(path))
     return path

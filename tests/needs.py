@@ -18,8 +18,8 @@ import pytest
 def needed_program(name: str, advice: str, *, candidates: Iterable[str | None] = ()) -> str:
     """The path of a program.
 
-    Where there is none, the test is skipped; but it fails where ``CI`` is set, as ``.ci/run`` does, unless
-    ``VEHANCHOR_CI_WITHOUT`` names the program (several are divided by blanks).
+    Where there is none, the test is skipped; but it fails where ``CI`` is set, as ``.ci/run`` does,
+    unless ``VEHANCHOR_CI_WITHOUT`` names the program (several are divided by blanks).
 
     Args:
         name: what the program is called, on the PATH and in ``VEHANCHOR_CI_WITHOUT``.
@@ -45,7 +45,9 @@ def needed_module(name: str, advice: str) -> Any:
 def _missing(name: str, advice: str) -> BaseException:
     if not os.environ.get("CI") or name in os.environ.get("VEHANCHOR_CI_WITHOUT", "").split():
         return pytest.skip.Exception(f"no {name} here; {advice}")
-    return pytest.fail.Exception(f"CI runs this, and there is no {name}: {advice}, or say VEHANCHOR_CI_WITHOUT={name}")
+    return pytest.fail.Exception(
+        f"CI runs this, and there is no {name}: {advice}, or say VEHANCHOR_CI_WITHOUT={name}"
+    )
 
 
 _FOLDER = Path(__file__).parent.parent / ".venv-environments"

@@ -1,6 +1,7 @@
 """Records of the bundled models on the scenes of ``examples/``, kept to see what a change of the code does to them.
 
-``python -m tests.records`` writes them anew: after new weights, or after a change that is meant to move them.
+``python -m tests.records`` writes them anew: after new weights, or after a change that is meant to
+move them.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ from vehanchor import estimate_gsd, measure_area
 _ROOT = Path(__file__).parent.parent
 KEPT = Path(__file__).with_suffix(".json")
 SCENES = sorted((_ROOT / "examples").glob("**/*.jpg"))
-CASES = [pytest.param(each, marks=[] if each.name == "safe.jpg" else pytest.mark.slow, id=each.name) for each in SCENES]
+CASES = [
+    pytest.param(each, marks=[] if each.name == "safe.jpg" else pytest.mark.slow, id=each.name)
+    for each in SCENES
+]
 """The scenes as a test takes them: one of them quick."""
 
 
@@ -27,7 +31,9 @@ def records_of(scene: Path) -> dict[str, Any]:
     box = (0.3 * width, 0.3 * height, 0.6 * width, 0.62 * height)
     records = {
         "estimate": estimate,
-        "paper": estimate_gsd(scene, threads=2, search_scales=False, aggregation="kde", reference_length_m=5.045),
+        "paper": estimate_gsd(
+            scene, threads=2, search_scales=False, aggregation="kde", reference_length_m=5.045
+        ),
         "area": measure_area(scene, box=box, threads=2),
     }
     return {name: _kept(record.model_dump(mode="json")) for name, record in records.items()}
@@ -37,7 +43,9 @@ def _kept(value: Any) -> Any:
     """All but checksums, and the outline, whose corners may change with one pixel."""
     if isinstance(value, dict):
         return {
-            key: _kept(each) for key, each in value.items() if not key.endswith(("sha256", "_id")) and key != "outline"
+            key: _kept(each)
+            for key, each in value.items()
+            if not key.endswith(("sha256", "_id")) and key != "outline"
         }
     return [_kept(each) for each in value] if isinstance(value, list) else value
 

@@ -1,15 +1,17 @@
 """Promptable segmenters for tests: a tiny ONNX graph of each contract that computes a mask from picture and prompt.
 
-Encoders average the picture over the cells of the mask's grid. Decoders put out, for every cell, the least of
+Encoders average the picture over the cells of the mask's grid. Decoders put out, for every cell,
+the least of
 
-* how far the cell's centre is inside the box, in pixels of the model's input (a linear function: interpolation between
-  cells finds the box's sides again exactly); beside points the box is a cell wider on every side;
-* how like its colour is to that at the positive points, or at the box's centre: a cell's side or, for another colour,
-  minus as much;
+* how far the cell's centre is inside the box, in pixels of the model's input (a linear function:
+  interpolation between cells finds the box's sides again exactly); beside points the box is a cell
+  wider on every side;
+* how like its colour is to that at the positive points, or at the box's centre: a cell's side or,
+  for another colour, minus as much;
 * minus the same for the negative points.
 
-Coordinates, half pixels, scaling, padding, normalisation and labels follow the real exports, so that a mask is only
-right where the caller keeps to all of them. Objects whose sides lie between
+Coordinates, half pixels, scaling, padding, normalisation and labels follow the real exports, so
+that a mask is only right where the caller keeps to all of them. Objects whose sides lie between
 cells, and half a cell inside the box, are found exactly.
 """
 
@@ -61,7 +63,8 @@ def write_sam(
         preprocess: take ``[h, w, 3]`` 0..255, else ``[1, 3, s, s]`` normalised and padded.
         masks: what each output mask holds.
         scores: predicted IoU of each.
-        low_res: put out ``low_res_masks``; then ``masks`` is nonsense of the right shape, as in exports that froze it.
+        low_res: put out ``low_res_masks``; then ``masks`` is nonsense of the right shape, as in
+            exports that froze it.
         embedding_stride: 16 as in SAM, or 4.
         fixed: with ``preprocess``, take ``[s, s, 3]`` only: the caller pads.
         metadata: of the encoder's file.
@@ -70,10 +73,16 @@ def write_sam(
     if preprocess:
         centred = graph.add("Sub", ["input_image", graph.constant(_MEAN)])
         normal = graph.add("Div", [centred, graph.constant(_SD)])
-        planes = graph.add("Unsqueeze", [graph.add("Transpose", [normal], perm=[2, 0, 1]), _ints(graph, [0])])
-        size = graph.add("Slice", [graph.add("Shape", [planes]), _ints(graph, [2]), _ints(graph, [4])])
+        planes = graph.add(
+            "Unsqueeze", [graph.add("Transpose", [normal], perm=[2, 0, 1]), _ints(graph, [0])]
+        )
+        size = graph.add(
+            "Slice", [graph.add("Shape", [planes]), _ints(graph, [2]), _ints(graph, [4])]
+        )
         missing = graph.add("Sub", [_ints(graph, [input_px, input_px]), size])
-        image = graph.add("Pad", [planes, graph.add("Concat", [_ints(graph, [0] * 6), missing], axis=0)])
+        image = graph.add(
+            "Pad", [planes, graph.add("Concat", [_ints(graph, [0] * 6), missing], axis=0)]
+        )
         shape: list[Any] = [input_px, input_px, 3] if fixed else ["image_height", "image_width", 3]
     else:
         image, shape = "input_image", [1, 3, input_px, input_px]
@@ -89,9 +98,17 @@ def write_sam(
     )
 
     graph = Graph()
-    cells = graph.add("DepthToSpace", ["image_embeddings"], blocksize=block) if block > 1 else "image_embeddings"
+    cells = (
+        graph.add("DepthToSpace", ["image_embeddings"], blocksize=block)
+        if block > 1
+        else "image_embeddings"
+    )
     coords = graph.add("Add", ["point_coords", graph.constant([0.5])])
-    logits = _stacked(graph, _logits(graph, _colours(graph, cells, _MEAN, _SD), coords, "point_labels", CELL_PX), masks)
+    logits = _stacked(
+        graph,
+        _logits(graph, _colours(graph, cells, _MEAN, _SD), coords, "point_labels", CELL_PX),
+        masks,
+    )
     outputs: dict[str, Any] = {
         "masks": (_FLOAT, [1, len(masks), "height", "width"]),
         "iou_predictions": (_FLOAT, [1, len(masks)]),
@@ -99,11 +116,18 @@ def write_sam(
     if low_res:
         graph.add("Identity", [logits], output="low_res_masks")
         graph.add("Neg", [logits], output="masks")
-        outputs["low_res_masks"] = (_FLOAT, [1, len(masks), input_px // CELL_PX, input_px // CELL_PX])
+        outputs["low_res_masks"] = (
+            _FLOAT,
+            [1, len(masks), input_px // CELL_PX, input_px // CELL_PX],
+        )
     else:
         longest = graph.add("ReduceMax", ["orig_im_size"], axes=[0], keepdims=1)
-        scaled = graph.add("Div", [graph.add("Mul", ["orig_im_size", graph.constant([float(input_px)])]), longest])
-        kept = _as_int(graph, graph.add("Floor", [graph.add("Add", [scaled, graph.constant([0.5])])]))
+        scaled = graph.add(
+            "Div", [graph.add("Mul", ["orig_im_size", graph.constant([float(input_px)])]), longest]
+        )
+        kept = _as_int(
+            graph, graph.add("Floor", [graph.add("Add", [scaled, graph.constant([0.5])])])
+        )
         whole = _resized(graph, logits, _ints(graph, [input_px, input_px]), len(masks))
         picture = graph.add("Slice", [whole, _ints(graph, [0, 0]), kept, _ints(graph, [2, 3])])
         _resized(graph, picture, _as_int(graph, "orig_im_size"), len(masks), output="masks")
@@ -113,7 +137,10 @@ def write_sam(
         folder / "decoder.onnx",
         graph,
         {
-            "image_embeddings": (_FLOAT, [1, 3 * block**2, input_px // embedding_stride, input_px // embedding_stride]),
+            "image_embeddings": (
+                _FLOAT,
+                [1, 3 * block**2, input_px // embedding_stride, input_px // embedding_stride],
+            ),
             "point_coords": (_FLOAT, [1, "num_points", 2]),
             "point_labels": (_FLOAT, [1, "num_points"]),
             "mask_input": (_FLOAT, [1, 1, side, side]),
@@ -134,17 +161,31 @@ def write_sam2(
 ) -> SamFiles:
     """SAM 2 and 2.1 as samexporter writes them: a stretched square, three levels of features, the graph pads."""
     graph = Graph()
-    levels = {"high_res_feats_0": CELL_PX, "high_res_feats_1": 2 * CELL_PX, "image_embed": 4 * CELL_PX}
+    levels = {
+        "high_res_feats_0": CELL_PX,
+        "high_res_feats_1": 2 * CELL_PX,
+        "image_embed": 4 * CELL_PX,
+    }
     for name, kernel in levels.items():
         _embedded(graph, "image", kernel, 1, name)
-    features = {name: (_FLOAT, [1, 3, input_px // kernel, input_px // kernel]) for name, kernel in levels.items()}
-    encoder = _write(folder / "sam2.encoder.onnx", graph, {"image": (_FLOAT, [1, 3, input_px, input_px])}, features)
+    features = {
+        name: (_FLOAT, [1, 3, input_px // kernel, input_px // kernel])
+        for name, kernel in levels.items()
+    }
+    encoder = _write(
+        folder / "sam2.encoder.onnx",
+        graph,
+        {"image": (_FLOAT, [1, 3, input_px, input_px])},
+        features,
+    )
 
     graph = Graph()
     coords = graph.add("Add", ["point_coords", graph.constant([0.5])])
     padded = graph.add("Concat", [coords, graph.constant([[[0.0, 0.0]]])], axis=1)
     labels = graph.add("Concat", ["point_labels", graph.constant([[-1.0]])], axis=1)
-    logits = _logits(graph, _colours(graph, "high_res_feats_0", _MEAN, _SD), padded, labels, CELL_PX)
+    logits = _logits(
+        graph, _colours(graph, "high_res_feats_0", _MEAN, _SD), padded, labels, CELL_PX
+    )
     _stacked(graph, logits, masks, output="masks")
     _scores(graph, scores, [1, len(masks)], "iou_predictions")
     side = input_px // CELL_PX
@@ -160,7 +201,10 @@ def write_sam2(
             "mask_input": (_FLOAT, ["num_labels", 1, side, side]),
             "has_mask_input": (_FLOAT, ["num_labels"]),
         },
-        {"masks": (_FLOAT, [1, len(masks), side, side]), "iou_predictions": (_FLOAT, [1, len(masks)])},
+        {
+            "masks": (_FLOAT, [1, len(masks), side, side]),
+            "iou_predictions": (_FLOAT, [1, len(masks)]),
+        },
     )
     return encoder, decoder
 
@@ -192,11 +236,17 @@ def write_transformers(
     graph = Graph()
     corners = graph.add("Reshape", ["input_boxes", _ints(graph, [1, -1, 2])])
     points = graph.add("Reshape", ["input_points", _ints(graph, [1, -1, 2])])
-    coords = graph.add("Add", [graph.add("Concat", [points, corners], axis=1), graph.constant([0.5])])
-    n_boxes = graph.add("Slice", [graph.add("Shape", ["input_boxes"]), _ints(graph, [1]), _ints(graph, [2])])
+    coords = graph.add(
+        "Add", [graph.add("Concat", [points, corners], axis=1), graph.constant([0.5])]
+    )
+    n_boxes = graph.add(
+        "Slice", [graph.add("Shape", ["input_boxes"]), _ints(graph, [1]), _ints(graph, [2])]
+    )
     repeats = graph.add("Concat", [_ints(graph, [1]), n_boxes], axis=0)
     of_boxes = graph.add("Tile", [graph.constant([[2.0, 3.0]]), repeats])
-    of_points = graph.add("Cast", [graph.add("Reshape", ["input_labels", _ints(graph, [1, -1])])], to=_FLOAT)
+    of_points = graph.add(
+        "Cast", [graph.add("Reshape", ["input_labels", _ints(graph, [1, -1])])], to=_FLOAT
+    )
     labels = graph.add("Concat", [of_points, of_boxes], axis=1)
     logits = _logits(graph, _colours(graph, "image_embeddings.0", mean, sd), coords, labels, cell)
     stacked = _stacked(graph, logits, masks)
@@ -231,7 +281,13 @@ def write_efficient_sam(
     """EfficientSAM: it stretches and scales coordinates in the graph, and puts out masks of the image's size."""
     graph = Graph()
     square = _resized(graph, "batched_images", _ints(graph, [input_px, input_px]), 3)
-    _embedded(graph, graph.add("Mul", [square, graph.constant([255.0])]), CELL_PX, CELL_PX, "image_embeddings")
+    _embedded(
+        graph,
+        graph.add("Mul", [square, graph.constant([255.0])]),
+        CELL_PX,
+        CELL_PX,
+        "image_embeddings",
+    )
     side = input_px // CELL_PX // CELL_PX
     embedding = (_FLOAT, ["batch", 3 * CELL_PX**2, side, side])
     encoder = _write(
@@ -245,7 +301,9 @@ def write_efficient_sam(
     cells = graph.add("DepthToSpace", ["image_embeddings"], blocksize=CELL_PX)
     size = graph.add("Cast", ["orig_im_size"], to=_FLOAT)
     height, width = graph.split(size, 2, axis=0)
-    factor = graph.add("Div", [graph.constant([float(input_px)]), graph.add("Concat", [width, height], axis=0)])
+    factor = graph.add(
+        "Div", [graph.constant([float(input_px)]), graph.add("Concat", [width, height], axis=0)]
+    )
     points = graph.add("Reshape", ["batched_point_coords", _ints(graph, [1, -1, 2])])
     coords = graph.add("Add", [graph.add("Mul", [points, factor]), graph.constant([0.5])])
     labels = graph.add("Reshape", ["batched_point_labels", _ints(graph, [1, -1])])
@@ -253,7 +311,8 @@ def write_efficient_sam(
     full = _resized(graph, stacked, "orig_im_size", len(masks))
     graph.add("Unsqueeze", [full, _ints(graph, [1])], output="output_masks")
     _scores(graph, scores, [1, 1, len(masks)], "iou_predictions")
-    graph.add("Identity", [stacked], output="4242")  # the low-resolution masks have no name in its export
+    # the low-resolution masks have no name in its export
+    graph.add("Identity", [stacked], output="4242")
     decoder = _write(
         folder / "efficient_decoder.onnx",
         graph,
@@ -277,14 +336,17 @@ def keep_weights_beside(path: Path, suffix: str = "_data") -> Path:
     model = onnx.load(str(path))
     beside = path.with_name(path.name + suffix)
     for tensor in model.graph.initializer:
-        if len(tensor.dims) == 4 and tensor.data_type == _FLOAT:  # the shapes of tensors have to stay in the file
+        # the shapes of tensors have to stay in the file
+        if len(tensor.dims) == 4 and tensor.data_type == _FLOAT:
             set_external_data(tensor, location=beside.name)
     onnx.save(model, str(path))
     assert beside.is_file()
     return beside
 
 
-# --- Parts -----------------------------------------------------------------------------------------------------------
+# --- Parts
+#
+# -----------------------------------------------------------------------------------------------------------
 
 
 def _ints(graph: Graph, values: Sequence[int]) -> str:
@@ -312,7 +374,9 @@ def _colours(graph: Graph, cells: str, mean: Sequence[float], sd: Sequence[float
 
 def _logits(graph: Graph, colours: str, coords: str, labels: str, cell_px: int) -> str:
     """``[1, 1, rows, columns]`` from ``[1, 3, rows, columns]`` colours, ``[1, n, 2]`` coordinates and ``[1, n]``."""
-    ones = graph.add("Add", [_times(graph, graph.split(colours, 3, axis=1)[0], 0.0), graph.constant([1.0])])
+    ones = graph.add(
+        "Add", [_times(graph, graph.split(colours, 3, axis=1)[0], 0.0), graph.constant([1.0])]
+    )
     column, row = (
         _times(graph, graph.add("Sub", [graph.add("CumSum", [ones, graph.constant(axis, np.int64)]),
                                         graph.constant([0.5])]), cell_px)
@@ -351,9 +415,13 @@ def _logits(graph: Graph, colours: str, coords: str, labels: str, cell_px: int) 
     def likeness(weight: str) -> str:
         total = graph.add("Max", [summed(weight, 2, 3), graph.constant([1e-6])])
         target = graph.add("Div", [summed(graph.add("Mul", [colours, weight]), 2, 3), total])
-        difference = graph.add("ReduceMax", [graph.add("Abs", [less(colours, target)])], axes=[1], keepdims=1)
+        difference = graph.add(
+            "ReduceMax", [graph.add("Abs", [less(colours, target)])], axes=[1], keepdims=1
+        )
         steep = _times(graph, less(graph.constant([_ALIKE]), difference), cell_px / 10)
-        return graph.add("Clip", [steep, graph.constant(-float(cell_px)), graph.constant(float(cell_px))])
+        return graph.add(
+            "Clip", [steep, graph.constant(-float(cell_px)), graph.constant(float(cell_px))]
+        )
 
     def unless(missing: str, name: str) -> str:
         """``name`` where there is such a prompt, else no bound at all."""
@@ -362,9 +430,13 @@ def _logits(graph: Graph, colours: str, coords: str, labels: str, cell_px: int) 
         return graph.add("Add", [present, absent])
 
     points = hit(x, y)
-    middle = hit(_times(graph, graph.add("Add", [x1, x2]), 0.5), _times(graph, graph.add("Add", [y1, y2]), 0.5))
+    middle = hit(
+        _times(graph, graph.add("Add", [x1, x2]), 0.5),
+        _times(graph, graph.add("Add", [y1, y2]), 0.5),
+    )
     positive = graph.add(
-        "Add", [summed(graph.add("Mul", [points, labelled(1)]), 0), graph.add("Mul", [middle, has_box])]
+        "Add",
+        [summed(graph.add("Mul", [points, labelled(1)]), 0), graph.add("Mul", [middle, has_box])],
     )
     negative = summed(graph.add("Mul", [points, labelled(0)]), 0)
     has_negative = graph.add("Min", [summed(negative, 2, 3), graph.constant([1.0])])
@@ -382,7 +454,9 @@ def _times(graph: Graph, name: str, factor: float) -> str:
     return graph.add("Mul", [name, graph.constant([float(factor)])])
 
 
-def _stacked(graph: Graph, logits: str, masks: Sequence[Content], *, output: str | None = None) -> str:
+def _stacked(
+    graph: Graph, logits: str, masks: Sequence[Content], *, output: str | None = None
+) -> str:
     """The candidates ``[1, m, rows, columns]``."""
     level = {"empty": -1.0, "full": 1.0}
     parts = [
@@ -394,11 +468,17 @@ def _stacked(graph: Graph, logits: str, masks: Sequence[Content], *, output: str
     return graph.add("Concat", parts, axis=1, output=output)
 
 
-def _resized(graph: Graph, name: str, size: str, channels: int, *, output: str | None = None) -> str:
+def _resized(
+    graph: Graph, name: str, size: str, channels: int, *, output: str | None = None
+) -> str:
     """Bilinear, as PyTorch's ``interpolate`` exports it."""
     sizes = graph.add("Concat", [_ints(graph, [1, channels]), size], axis=0)
     return graph.add(
-        "Resize", [name, "", "", sizes], mode="linear", coordinate_transformation_mode="half_pixel", output=output
+        "Resize",
+        [name, "", "", sizes],
+        mode="linear",
+        coordinate_transformation_mode="half_pixel",
+        output=output,
     )
 
 
@@ -414,6 +494,11 @@ def _write(
     metadata: Mapping[str, str] | None = None,
 ) -> Path:
     def described(items: Mapping[str, tuple[int, Sequence[Any]]]) -> list[onnx.ValueInfoProto]:
-        return [helper.make_tensor_value_info(name, element, shape) for name, (element, shape) in items.items()]
+        return [
+            helper.make_tensor_value_info(name, element, shape)
+            for name, (element, shape) in items.items()
+        ]
 
-    return save_model(path, graph.nodes, described(inputs), described(outputs), graph.constants, metadata or {})
+    return save_model(
+        path, graph.nodes, described(inputs), described(outputs), graph.constants, metadata or {}
+    )

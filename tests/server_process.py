@@ -15,7 +15,11 @@ import numpy as np
 from research.scenes import render_scene
 from tests.packaging.container import free_port, wait_until_ready
 
-SERVE = [sys.executable, "-c", "import typer; from vehanchor_server.command import serve; typer.run(serve)"]
+SERVE = [
+    sys.executable,
+    "-c",
+    "import typer; from vehanchor_server.command import serve; typer.run(serve)",
+]
 
 
 class HttpServer(NamedTuple):
@@ -38,7 +42,11 @@ class HttpServer(NamedTuple):
 def write_images(directory: Path) -> list[Path]:
     """Scenes of several sizes and scales, one of them without vehicles."""
     paths = []
-    for name, gsd, side, seed in (("parking", 0.15, 1024, 5), ("town", 0.12, 768, 6), ("coarse", 0.28, 512, 7)):
+    for name, gsd, side, seed in (
+        ("parking", 0.15, 1024, 5),
+        ("town", 0.12, 768, 6),
+        ("coarse", 0.28, 512, 7),
+    ):
         path = directory / f"{name}.png"
         _write(path, render_scene(gsd, width_px=side, height_px=side, seed=seed).image)
         paths.append(path)
@@ -67,7 +75,9 @@ def _write(path: Path, image: np.ndarray) -> None:
 def http_server(*flags: str) -> Iterator[HttpServer]:
     """A server on a free port, ready."""
     port = free_port()
-    process = subprocess.Popen([*SERVE, "--http", "--port", str(port), *flags], stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        [*SERVE, "--http", "--port", str(port), *flags], stderr=subprocess.DEVNULL
+    )
     try:
         wait_until_ready(port, process)
         yield HttpServer(f"http://127.0.0.1:{port}/mcp", process)

@@ -13,12 +13,16 @@ from tests.conftest import ROOT
 from tests.needs import needed_module, needed_program
 
 CLOCKS = {"monotonic", "perf_counter", "process_time", "time", "thread_time"}
-_OPTIONS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+_OPTIONS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"][
+    "ini_options"
+]
 LONGER = set(re.findall(r"not (\w+)", _OPTIONS["addopts"]))
 
 
 def _marks(nodes: list[ast.expr]) -> set[str]:
-    return {each.attr for node in nodes for each in ast.walk(node) if isinstance(each, ast.Attribute)}
+    return {
+        each.attr for node in nodes for each in ast.walk(node) if isinstance(each, ast.Attribute)
+    }
 
 
 def _quick_tests(tree: ast.Module) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
@@ -27,10 +31,13 @@ def _quick_tests(tree: ast.Module) -> list[ast.FunctionDef | ast.AsyncFunctionDe
     of_all = [
         node.value
         for node in tree.body
-        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "pytestmark" for t in node.targets)
+        if isinstance(node, ast.Assign)
+        and any(isinstance(t, ast.Name) and t.id == "pytestmark" for t in node.targets)
     ]
     return [
-        test for test in tests if test.name.startswith("test_") and not _marks([*of_all, *test.decorator_list]) & LONGER
+        test
+        for test in tests
+        if test.name.startswith("test_") and not _marks([*of_all, *test.decorator_list]) & LONGER
     ]
 
 
@@ -54,7 +61,10 @@ def _timed(source: str) -> list[str]:
 
 
 def test_no_quick_test_asserts_how_long_something_took() -> None:
-    timed = {str(path.relative_to(ROOT)): _timed(path.read_text(encoding="utf-8")) for path in _test_files()}
+    timed = {
+        str(path.relative_to(ROOT)): _timed(path.read_text(encoding="utf-8"))
+        for path in _test_files()
+    }
     assert not {path: names for path, names in timed.items() if names}
 
 
@@ -75,7 +85,10 @@ PROGRAM = "a-program-that-nobody-has"
     ],
 )
 def test_a_missing_program_skips_here_and_fails_in_ci_unless_it_is_excused(
-    monkeypatch: pytest.MonkeyPatch, ci: str | None, without: str | None, outcome: type[BaseException]
+    monkeypatch: pytest.MonkeyPatch,
+    ci: str | None,
+    without: str | None,
+    outcome: type[BaseException],
 ) -> None:
     for name, value in (("CI", ci), ("VEHANCHOR_CI_WITHOUT", without)):
         if value is None:

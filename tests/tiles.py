@@ -51,12 +51,16 @@ class Tiles:
         with self._change:
             self.n_begun += 1
             self._change.notify_all()
-            assert self._change.wait_for(lambda: not self._held, _PATIENCE_S), "the test held a tile for too long"
+            assert self._change.wait_for(lambda: not self._held, _PATIENCE_S), (
+                "the test held a tile for too long"
+            )
         time.sleep(self.least_s)
 
     def _wait(self, n: int) -> None:
         with self._change:
-            assert self._change.wait_for(lambda: self.n_begun >= n, _PATIENCE_S), f"{n} tiles never began"
+            assert self._change.wait_for(lambda: self.n_begun >= n, _PATIENCE_S), (
+                f"{n} tiles never began"
+            )
 
 
 @contextmanager

@@ -31,14 +31,22 @@ _GROUND: dict[str, tuple[Rgb, Material]] = {
     "boats": ((62, 92, 104), Material.WATER),
     "roof units": ((150, 146, 140), Material.GRAVEL),
 }
-_PAINTS: tuple[Rgb, ...] = ((226, 228, 228), (150, 60, 50), (52, 88, 130), (196, 140, 60), (120, 124, 128))
+_PAINTS: tuple[Rgb, ...] = (
+    (226, 228, 228),
+    (150, 60, 50),
+    (52, 88, 130),
+    (196, 140, 60),
+    (120, 124, 128),
+)
 
 
 def _outline(yard: Yard, frame: Frame, length: float, width: float) -> NDArray[np.float64]:
     half, side = length / 2, width / 2
     if yard == "boats":  # a pointed bow
         bow = [(half, 0.0), (0.55 * half, 0.75 * side), (0.15 * half, side)]
-        return frame.points([*bow, (-half, 0.85 * side), (-half, -0.85 * side), *((x, -y) for x, y in bow[:0:-1])])
+        return frame.points(
+            [*bow, (-half, 0.85 * side), (-half, -0.85 * side), *((x, -y) for x, y in bow[:0:-1])]
+        )
     return frame.points([(half, side), (-half, side), (-half, -side), (half, -side)])
 
 
@@ -60,7 +68,9 @@ def paint_yard(
     extent = side_px * gsd_m_per_px
     length, width = EQUAL_CARS if yard == "equal cars" else YARDS[yard]
     rgb, material = _GROUND.get(yard, ((98, 98, 100), Material.ASPHALT))
-    around = np.array([(-9, -9), (extent + 9, -9), (extent + 9, extent + 9), (-9, extent + 9)], dtype=np.float64)
+    around = np.array(
+        [(-9, -9), (extent + 9, -9), (extent + 9, extent + 9), (-9, extent + 9)], dtype=np.float64
+    )
     world = World(surfaces=[Surface(around, rgb, material)])
     turn = float(rng.uniform(0.1, 0.5))
     fleet = Fleet(4.6, rng)
@@ -71,7 +81,11 @@ def paint_yard(
             if rng.random() < 0.15:
                 continue
             middle = Frame(extent / 2, extent / 2, turn)
-            frame = middle.at(x + rng.uniform(-0.1, 0.1), y + rng.uniform(-0.3, 0.3), math.pi / 2 + rng.normal(0, 0.02))
+            frame = middle.at(
+                x + rng.uniform(-0.1, 0.1),
+                y + rng.uniform(-0.3, 0.3),
+                math.pi / 2 + rng.normal(0, 0.02),
+            )
             if yard == "equal cars":
                 model = VehicleModel("small-vehicle", "sedan", length, width, (226, 228, 228))
                 world.vehicles.append(PlacedVehicle(model, frame.x, frame.y, frame.angle))
@@ -83,8 +97,11 @@ def paint_yard(
                 paint = _PAINTS[rng.integers(len(_PAINTS))] if yard == "containers" else _PAINTS[0]
                 height = 2.6 if yard == "containers" else 1.0
                 world.boxes.append(Box(_outline(yard, frame, length, width), height, paint))
-                if yard != "containers":  # a cockpit, a fan: something dark in the middle, as windows are
-                    inner = _outline("containers", frame.at(-0.08 * length, 0), 0.4 * length, 0.6 * width)
+                # a cockpit, a fan: something dark in the middle, as windows are
+                if yard != "containers":
+                    inner = _outline(
+                        "containers", frame.at(-0.08 * length, 0), 0.4 * length, 0.6 * width
+                    )
                     world.boxes.append(Box(inner, height + 0.05, (70, 74, 80)))
     over = 2
     painter = Painter(world, Sun(1.0, math.radians(48)), rng, over / gsd_m_per_px)

@@ -1,7 +1,7 @@
 """A LangGraph agent of LangChain with VehAnchor's tools.
 
-Run python langchain_agent.py IMAGE QUESTION with OPENAI_API_KEY and OPENAI_MODEL set. The server is `vehanchor` on the
-PATH, or a running `vehanchor serve --http` at VEHANCHOR_URL.
+Run python langchain_agent.py IMAGE QUESTION with OPENAI_API_KEY and OPENAI_MODEL set. The server is
+`vehanchor` on the PATH, or a running `vehanchor serve --http` at VEHANCHOR_URL.
 """
 
 import asyncio
@@ -14,9 +14,15 @@ try:
     from langchain_mcp_adapters.client import MultiServerMCPClient
     from langchain_openai import ChatOpenAI
 except ModuleNotFoundError as missing:
-    sys.exit(f"this example needs the package {missing.name!r}: pip install -r langchain_agent.requirements.txt")
+    sys.exit(
+        f"this example needs the package {missing.name!r}: pip install -r "
+        "langchain_agent.requirements.txt"
+    )
 
-SYSTEM = "Every distance and area comes from a tool. If a tool's status is not ok, say that the image allows no answer."
+SYSTEM = (
+    "Every distance and area comes from a tool. If a tool's status is not ok, say that the "
+    "image allows no answer."
+)
 
 
 async def main(image: Path, question: str) -> None:
@@ -24,11 +30,17 @@ async def main(image: Path, question: str) -> None:
     if url := os.environ.get("VEHANCHOR_URL"):
         connection = {"transport": "streamable_http", "url": url}
     else:
-        connection = {"transport": "stdio", "command": "vehanchor", "args": ["serve", "--root", str(image.parent)]}
+        connection = {
+            "transport": "stdio",
+            "command": "vehanchor",
+            "args": ["serve", "--root", str(image.parent)],
+        }
     tools = await MultiServerMCPClient({"vehanchor": connection}).get_tools()
     model = ChatOpenAI(model=os.environ["OPENAI_MODEL"], use_responses_api=True)
     agent = create_agent(model, tools, system_prompt=SYSTEM)
-    state = await agent.ainvoke({"messages": [("user", f"{question}\nThe image is the file {image}.")]})
+    state = await agent.ainvoke(
+        {"messages": [("user", f"{question}\nThe image is the file {image}.")]}
+    )
     print(state["messages"][-1].text)
 
 

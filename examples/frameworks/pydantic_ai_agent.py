@@ -1,6 +1,7 @@
 """A Pydantic AI agent with VehAnchor's tools.
 
-Run python pydantic_ai_agent.py IMAGE QUESTION with OPENAI_API_KEY and OPENAI_MODEL set and `vehanchor` on the PATH.
+Run python pydantic_ai_agent.py IMAGE QUESTION with OPENAI_API_KEY and OPENAI_MODEL set and
+`vehanchor` on the PATH.
 """
 
 import asyncio
@@ -13,15 +14,25 @@ try:
     from pydantic_ai import Agent
     from pydantic_ai.mcp import MCPToolset
 except ModuleNotFoundError as missing:
-    sys.exit(f"this example needs the package {missing.name!r}: pip install -r pydantic_ai_agent.requirements.txt")
+    sys.exit(
+        f"this example needs the package {missing.name!r}: pip install -r "
+        "pydantic_ai_agent.requirements.txt"
+    )
 
-SYSTEM = "Every distance and area comes from a tool. If a tool's status is not ok, say that the image allows no answer."
+SYSTEM = (
+    "Every distance and area comes from a tool. If a tool's status is not ok, say that the "
+    "image allows no answer."
+)
 
 
 async def main(image: Path, question: str) -> None:
     """Ask the agent a question about an image."""
-    tools = MCPToolset(StdioTransport("vehanchor", ["serve", "--root", str(image.parent)]), init_timeout=60)
-    agent = Agent(f"openai-responses:{os.environ['OPENAI_MODEL']}", instructions=SYSTEM, toolsets=[tools])
+    tools = MCPToolset(
+        StdioTransport("vehanchor", ["serve", "--root", str(image.parent)]), init_timeout=60
+    )
+    agent = Agent(
+        f"openai-responses:{os.environ['OPENAI_MODEL']}", instructions=SYSTEM, toolsets=[tools]
+    )
     async with agent:
         result = await agent.run(f"{question}\nThe image is the file {image}.")
     print(result.output)

@@ -1,7 +1,8 @@
 """Compare Ray with local workers: ``python -m research.benchmarks.batch``. Prints Markdown; ``--record`` keeps it.
 
-Ray runs on simulated nodes of one CPU each (its own cluster utility: all of them processes of this machine), beside as
-many local workers, by the rows from the first to the last; rows lost and doubled are counted.
+Ray runs on simulated nodes of one CPU each (its own cluster utility: all of them processes of this
+machine), beside as many local workers, by the rows from the first to the last; rows lost and
+doubled are counted.
 """
 
 from __future__ import annotations
@@ -57,7 +58,9 @@ def simulated_cluster(n_nodes: int) -> Iterator[None]:
     import ray
     from ray.cluster_utils import Cluster
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    cluster = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False}
+    )
     for _ in range(n_nodes):
         cluster.add_node(num_cpus=1)
     cluster.wait_for_nodes()
@@ -78,25 +81,32 @@ def run_rows(folder: Path, engine: str, workers: int) -> Run:
 
     with tempfile.TemporaryDirectory() as output:
         table = Path(output) / "table.jsonl"
-        run_batch([str(folder)], table, engine=engine, workers=workers, runtime=Runtime(progress=tell))
+        run_batch(
+            [str(folder)], table, engine=engine, workers=workers, runtime=Runtime(progress=tell)
+        )
         rows = Counter(json.loads(line)["file"] for line in table.read_text().splitlines())
     images = {str(path) for path in folder.glob("*.jpg")}
     came = seen[1:]  # the first call tells that there is none yet
-    warm = came[workers - 1 :]  # from the first row on, those that come with it would count as if they took no time
+    # from the first row on, those that come with it would count as if they took no time
+    warm = came[workers - 1 :]
     rate = (len(warm) - 1) / (warm[-1] - warm[0])
     return Run(rate, len(images - rows.keys()), max(len(came), rows.total()) - len(images))
 
 
 def compare_nodes(folder: Path, sizes: list[int]) -> None:
     """Print the table of clusters."""
-    print("| nodes | local, as many workers | Ray | Ray / local | lost, doubled |\n|---|---|---|---|---|")
+    print(
+        "| nodes | local, as many workers | Ray | Ray / local | lost, doubled "
+        "|\n|---|---|---|---|---|"
+    )
     for n_nodes in sizes:
         local = run_rows(folder, "local", n_nodes)
         with simulated_cluster(n_nodes):
             ray = run_rows(folder, "ray", n_nodes)
         share = ray.rate / local.rate
         print(
-            f"| {n_nodes} | {local.rate:.2f}/s | {ray.rate:.2f}/s | {share:.2f} | {ray.n_lost}, {ray.n_doubled} |",
+            f"| {n_nodes} | {local.rate:.2f}/s | {ray.rate:.2f}/s | {share:.2f} | {ray.n_lost}, "
+            f"{ray.n_doubled} |",
             flush=True,
         )
 
@@ -106,7 +116,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--images", type=int, default=80)
     parser.add_argument("--side", type=int, default=SIDE_PX, help="of the images, pixels")
-    parser.add_argument("--nodes", type=int, nargs="+", default=[1, 2, 4], help="nodes of each simulated cluster")
+    parser.add_argument(
+        "--nodes", type=int, nargs="+", default=[1, 2, 4], help="nodes of each simulated cluster"
+    )
     options = add_record_option(parser).parse_args()
     with tempfile.TemporaryDirectory() as folder, recording("speed", ["ray"], options.record):
         write_images(Path(folder), options.images, options.side)

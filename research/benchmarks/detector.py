@@ -2,8 +2,8 @@
 
 ``python -m research.benchmarks.detector [--split val] [--detector FILE]``.
 
-Prints Markdown; ``--record`` keeps it. "Labelled" images have at least five labelled cars; no estimate counts as
-an error of 100 %.
+Prints Markdown; ``--record`` keeps it. "Labelled" images have at least five labelled cars; no
+estimate counts as an error of 100 %.
 """
 
 from __future__ import annotations
@@ -35,7 +35,12 @@ if TYPE_CHECKING:
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _LABELLED = 5
-_REGION_OF_SET = {"cannes": "europe", "saopaulo": "south_america", "ucm": "north_america", "empty": "north_america"}
+_REGION_OF_SET = {
+    "cannes": "europe",
+    "saopaulo": "south_america",
+    "ucm": "north_america",
+    "empty": "north_america",
+}
 
 
 def _labelled(trial: ScaleTrial) -> bool:
@@ -56,19 +61,25 @@ def _with_region(trial: ScaleTrial, card: DetectorCard, options: ScaleOptions) -
     facts = ImageFacts(estimate.image_width_px, estimate.image_height_px)
     regional = _in_region(options, trial.image, card)
     return ScaleTrial(
-        trial.image, analyse_view(View(facts, before.detections, card, regional, lambda *_: before.resolved))
+        trial.image,
+        analyse_view(View(facts, before.detections, card, regional, lambda *_: before.resolved)),
     )
 
 
 def _in_region(options: ScaleOptions, image: KnownScaleImage, card: DetectorCard) -> ScaleOptions:
     region = _REGION_OF_SET[image.set]
-    return replace(options, reference=Reference(region=region if region in card.region_lengths_m else None))
+    return replace(
+        options, reference=Reference(region=region if region in card.region_lengths_m else None)
+    )
 
 
 def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
     """The tables as Markdown lines."""
     sets = sorted({t.image.set for t in trials})
-    lines = ["| images | n | estimate | median | mean | < 10 % | < 20 % | bias |", "|---|---|---|---|---|---|---|---|"]
+    lines = [
+        "| images | n | estimate | median | mean | < 10 % | < 20 % | bias |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
     chosen = [t for t in trials if _labelled(t)]
     lines.append(_row("labelled, all sets", chosen))
     lines.append(_row("labelled, region given", [t for t in regional if _labelled(t)]))
@@ -76,18 +87,28 @@ def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
         (f"labelled, {name}", lambda t, name=name: _labelled(t) and t.image.set == name)  # type: ignore[misc]
         for name in sets
     ]
-    selections.append(("1 to 4 labelled cars", lambda t: 0 < (t.image.labelled_vehicles or 0) < _LABELLED))
+    selections.append(
+        ("1 to 4 labelled cars", lambda t: 0 < (t.image.labelled_vehicles or 0) < _LABELLED)
+    )
     for name, wanted in selections:
         some = [t for t in trials if wanted(t)]
         if some:
             lines.append(_row(name, some))
 
     known, known_regional = (
-        [t for t in some if t.analysis.estimate.gsd_m_per_px is not None and t.image.labelled_vehicles]
+        [
+            t
+            for t in some
+            if t.analysis.estimate.gsd_m_per_px is not None and t.image.labelled_vehicles
+        ]
         for some in (trials, regional)
     )
-    rho = spearmanr([t.analysis.estimate.confidence for t in known], [t.error for t in known]).statistic
-    held, held_regional = (100 * float(np.mean([bool(t.covered) for t in some])) for some in (known, known_regional))
+    rho = spearmanr(
+        [t.analysis.estimate.confidence for t in known], [t.error for t in known]
+    ).statistic
+    held, held_regional = (
+        100 * float(np.mean([bool(t.covered) for t in some])) for some in (known, known_regional)
+    )
     values: dict[str, float] = {
         "Spearman's rho of confidence and error": float(rho),
         "truth inside the 95 % interval, %, images with cars": held,
@@ -105,9 +126,16 @@ def main() -> None:
     parser.add_argument("--detector")
     options = add_record_option(parser).parse_args()
     detector = Detector(resolve_model(options.detector))
-    images = [image for image in survey_table(DATA / "gsd" / "table.csv").images if image.split == options.split]
+    images = [
+        image
+        for image in survey_table(DATA / "gsd" / "table.csv").images
+        if image.split == options.split
+    ]
     scale = ScaleOptions()
-    print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`, split {options.split}:\n")
+    print(
+        f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`, split "
+        f"{options.split}:\n"
+    )
     model = {detector.card.name: detector.card.sha256}
     trials = list(run_trials(images, detector, scale))
     regional = [_with_region(trial, detector.card, scale) for trial in trials]

@@ -2,9 +2,9 @@
 
 ``python -m research.benchmarks.flights {pooled,matched} DATA``.
 
-``pooled`` turns, dims, blurs and JPEG-codes tiles of one scale into flights of 24 photographs and compares the scale by
-all of them with the truth, with the region unknown and given. ``matched`` cuts overlapping photographs of mixed scales
-out of mosaics; two thirds of them lose their vehicles.
+``pooled`` turns, dims, blurs and JPEG-codes tiles of one scale into flights of 24 photographs and
+compares the scale by all of them with the truth, with the region unknown and given. ``matched``
+cuts overlapping photographs of mixed scales out of mosaics; two thirds of them lose their vehicles.
 """
 
 from __future__ import annotations
@@ -37,7 +37,12 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
 
-_REGIONS = {"cannes": "europe", "estonia": "northern_europe", "ucm": "north_america", "saopaulo": "south_america"}
+_REGIONS = {
+    "cannes": "europe",
+    "estonia": "northern_europe",
+    "ucm": "north_america",
+    "saopaulo": "south_america",
+}
 _FLIGHTS, _PHOTOGRAPHS = 4, 24
 
 
@@ -46,7 +51,9 @@ def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
     rows = []
     for table in ("table.csv", "upright.csv"):
         with (data / "gsd" / table).open() as file:
-            rows += [row for row in csv.DictReader(file) if row["set"] == name and row["split"] == split]
+            rows += [
+                row for row in csv.DictReader(file) if row["set"] == name and row["split"] == split
+            ]
     return [((data / "gsd" / row["file"]).resolve(), float(row["gsd_m_per_px"])) for row in rows]
 
 
@@ -72,7 +79,9 @@ def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uin
     inner = int(side / math.sqrt(2))
     move = cv2.getRotationMatrix2D((side / 2, side / 2), float(rng.uniform(0, 360)), 1.0)
     move[:, 2] += (inner - side) / 2
-    return np.asarray(cv2.warpAffine(image, move, (inner, inner), flags=cv2.INTER_CUBIC), dtype=np.uint8)
+    return np.asarray(
+        cv2.warpAffine(image, move, (inner, inner), flags=cv2.INTER_CUBIC), dtype=np.uint8
+    )
 
 
 def searched_photographs(
@@ -95,7 +104,10 @@ def pooled_flight(photographs: Sequence[Photograph], detector: Detector) -> Flig
 def pooled(data: Path, split: str, flights: int) -> None:
     """Print a table."""
     detector = Engine(runtime=Runtime(threads=1)).detector
-    print("| set | region | error of each flight of 24 | median | inside the interval | high over low |")
+    print(
+        "| set | region | error of each flight of 24 | median | inside the interval | high over "
+        "low |"
+    )
     print("|---|---|---|---|---|---|")
     every: dict[str, list[float]] = {"unknown": [], "given": []}
     for name in _REGIONS:
@@ -104,7 +116,10 @@ def pooled(data: Path, split: str, flights: int) -> None:
         for seed in range(flights):
             rng = np.random.default_rng([seed, 20261121])
             chosen = rng.choice(len(files), min(_PHOTOGRAPHS, len(files)), replace=False)
-            taken = [InputPhotograph(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1]) for k in chosen]
+            taken = [
+                InputPhotograph(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1])
+                for k in chosen
+            ]
             photographs = searched_photographs(taken, detector)
             rows["unknown"].append(pooled_flight(photographs, detector))
             if _REGIONS[name] in detector.card.region_lengths_m:
@@ -121,17 +136,26 @@ def pooled(data: Path, split: str, flights: int) -> None:
                 rows["given"].append(pooled_flight(again, detector))
         for region, found in rows.items():
             truth = files[0][1]
-            errors = [each.gsd_m_per_px / truth - 1 if each.gsd_m_per_px else math.nan for each in found]
+            errors = [
+                each.gsd_m_per_px / truth - 1 if each.gsd_m_per_px else math.nan for each in found
+            ]
             if not errors:
                 continue
             every[region] += [abs(error) for error in errors]
             inside = sum(
-                (each.gsd_ci95_low_m_per_px or 9) <= truth <= (each.gsd_ci95_high_m_per_px or 0) for each in found
+                (each.gsd_ci95_low_m_per_px or 9) <= truth <= (each.gsd_ci95_high_m_per_px or 0)
+                for each in found
             )
-            wide = np.median([(e.gsd_ci95_high_m_per_px or 9) / (e.gsd_ci95_low_m_per_px or 1) for e in found])
+            wide = np.median(
+                [(e.gsd_ci95_high_m_per_px or 9) / (e.gsd_ci95_low_m_per_px or 1) for e in found]
+            )
             words = ", ".join(f"{100 * error:+.1f}" for error in errors)
             median = f"{100 * np.median(np.abs(errors)):.1f} %"
-            print(f"| {name} | {region} | {words} | {median} | {inside} of {len(found)} | {wide:.2f} |", flush=True)
+            print(
+                f"| {name} | {region} | {words} | {median} | {inside} of {len(found)} | "
+                f"{wide:.2f} |",
+                flush=True,
+            )
     for region, values in every.items():
         print(f"| all | {region} | | {100 * np.median(values):.1f} % | | |")
 
@@ -164,7 +188,10 @@ def cut_flight(
         reach_y = scale * (abs(width * np.sin(turn)) + abs(height * np.cos(turn))) / 2
         if 2 * reach_x >= world.shape[1] or 2 * reach_y >= world.shape[0]:
             continue
-        x, y = rng.uniform(reach_x, world.shape[1] - reach_x), rng.uniform(reach_y, world.shape[0] - reach_y)
+        x, y = (
+            rng.uniform(reach_x, world.shape[1] - reach_x),
+            rng.uniform(reach_y, world.shape[0] - reach_y),
+        )
         move = cv2.getRotationMatrix2D((x, y), float(np.degrees(turn)), 1 / scale)
         move[:, 2] += np.array([width / 2 - x, height / 2 - y])
         seen = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world
@@ -182,16 +209,25 @@ def matched(data: Path, flights: int) -> None:
     every: list[float] = []
     inside = total = 0
     mosaics = list(worlds(data).items())
-    for number, seed, (name, world) in ((k, seed, each) for k, each in enumerate(mosaics) for seed in range(flights)):
+    for number, seed, (name, world) in (
+        (k, seed, each) for k, each in enumerate(mosaics) for seed in range(flights)
+    ):
         rng = np.random.default_rng([number, seed, 20261121] if seed else [number, 20261121])
         images, factors = cut_flight(world, rng, _PHOTOGRAPHS)
         taken = [InputPhotograph(str(place), image) for place, image in enumerate(images)]
         photographs = searched_photographs(taken, detector, featured=True)
-        photographs = [each if place % 3 == 0 else without_vehicles(each) for place, each in enumerate(photographs)]
+        photographs = [
+            each if place % 3 == 0 else without_vehicles(each)
+            for place, each in enumerate(photographs)
+        ]
         record = conclude(photographs, detector.card, same_scale=False)
         errors, held = [], 0
         for each in record.photographs:
-            if each.gsd_m_per_px is None or each.gsd_ci95_low_m_per_px is None or each.gsd_ci95_high_m_per_px is None:
+            if (
+                each.gsd_m_per_px is None
+                or each.gsd_ci95_low_m_per_px is None
+                or each.gsd_ci95_high_m_per_px is None
+            ):
                 continue
             truth = 0.2 * factors[int(each.photograph)]
             errors.append(abs(each.gsd_m_per_px / truth - 1))
@@ -201,12 +237,14 @@ def matched(data: Path, flights: int) -> None:
         sizes = ", ".join(str(component.n_photographs) for component in record.components)
         dropped = sum(link.dropped is not None for link in record.links)
         print(
-            f"| {name} | {sizes} | {100 * np.median(errors):.1f} % | {100 * np.percentile(errors, 95):.1f} % | "
+            f"| {name} | {sizes} | {100 * np.median(errors):.1f} % | "
+            f"{100 * np.percentile(errors, 95):.1f} % | "
             f"{held} of {len(errors)} | {dropped} of {len(record.links)} |",
             flush=True,
         )
     print(
-        f"| all | | {100 * np.median(every):.1f} % | {100 * np.percentile(every, 95):.1f} % | {inside} of {total} | |"
+        f"| all | | {100 * np.median(every):.1f} % | {100 * np.percentile(every, 95):.1f} % | "
+        f"{inside} of {total} | |"
     )
 
 
@@ -220,8 +258,12 @@ def without_vehicles(photograph: Photograph) -> Photograph:
         scales=None if seen.scales is None else seen.scales[:0],
         looks=None if seen.looks is None else seen.looks.take(np.zeros(len(seen.looks), bool)),
     )
-    again = StoredPhotograph(photograph.view.image, bare, 1.0, of_photographs(photograph.analysis.witnesses))
-    return Photograph.of(photograph.name, again, photograph.view.card, photograph.view.options, photograph.features)
+    again = StoredPhotograph(
+        photograph.view.image, bare, 1.0, of_photographs(photograph.analysis.witnesses)
+    )
+    return Photograph.of(
+        photograph.name, again, photograph.view.card, photograph.view.options, photograph.features
+    )
 
 
 def main() -> None:
@@ -230,7 +272,9 @@ def main() -> None:
     parser.add_argument("what", choices=("pooled", "matched"))
     parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
     parser.add_argument("--split", default="val")
-    parser.add_argument("--flights", type=int, help="a set (pooled: 4), over each world (matched, 1)")
+    parser.add_argument(
+        "--flights", type=int, help="a set (pooled: 4), over each world (matched, 1)"
+    )
     arguments = add_record_option(parser).parse_args()
     with recording("flights", [arguments.what], arguments.record):
         if arguments.what == "pooled":

@@ -1,8 +1,9 @@
 """Compare today's answers with the frozen ones: ``python -m research.benchmarks.frozen [--write]``.
 
-``frozen.csv`` has the answer on each example photograph and on 200 photographs of ``shared/data``, and the run's CPU
-seconds. The photographs are taken from its folders in turn, in the order of their paths' SHA-256. A file that is absent
-is skipped. The exit status is 1 if an answer has changed; ``--write`` freezes today's answers.
+``frozen.csv`` has the answer on each example photograph and on 200 photographs of ``shared/data``,
+and the run's CPU seconds. The photographs are taken from its folders in turn, in the order of their
+paths' SHA-256. A file that is absent is skipped. The exit status is 1 if an answer has changed;
+``--write`` freezes today's answers.
 """
 
 from __future__ import annotations
@@ -23,7 +24,16 @@ from vehanchor.models.runtime import Runtime
 
 TABLE = Path(__file__).with_suffix(".csv")
 ROOT = Path(__file__).parents[2]
-_FOLDERS = ("chia", "fleets", "flights", "segments/images", "tilt", "unlabelled", "upright", "vehicles")
+_FOLDERS = (
+    "chia",
+    "fleets",
+    "flights",
+    "segments/images",
+    "tilt",
+    "unlabelled",
+    "upright",
+    "vehicles",
+)
 _PHOTOGRAPHS = 200  # a choice: some three minutes
 _EQUAL = 2e-3  # relative: two units of the table's last digit
 
@@ -49,7 +59,9 @@ def photographs(data: Path) -> dict[str, Path]:
     folders = []
     for folder in _FOLDERS:
         images = {
-            path.relative_to(data) for kind in ("jpg", "png", "tif") for path in (data / folder).rglob(f"*.{kind}")
+            path.relative_to(data)
+            for kind in ("jpg", "png", "tif")
+            for path in (data / folder).rglob(f"*.{kind}")
         }
         folders.append(sorted(images, key=_order))
     turns = [path for turn in itertools.zip_longest(*folders) for path in turn if path is not None]
@@ -78,7 +90,9 @@ def equal(a: str, b: str) -> bool:
 
 def main() -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared/data")
     parser.add_argument("--write", action="store_true", help="freeze today's answers")
     chosen = parser.parse_args()
@@ -99,8 +113,14 @@ def main() -> int:
         before = frozen.get(now.file)
         if before is None or not all(map(equal, before, now)):
             changed += 1
-            print(f"{now.file}: {', '.join(before[1:]) if before else 'not frozen'} -> {', '.join(now[1:])}")
-    print(f"{changed} of {len(answers)} answers changed; CPU seconds {frozen['CPU seconds'].status} -> {seconds}")
+            print(
+                f"{now.file}: {', '.join(before[1:]) if before else 'not frozen'} -> "
+                f"{', '.join(now[1:])}"
+            )
+    print(
+        f"{changed} of {len(answers)} answers changed; CPU seconds "
+        f"{frozen['CPU seconds'].status} -> {seconds}"
+    )
     return 1 if changed else 0
 
 

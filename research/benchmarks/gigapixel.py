@@ -2,8 +2,9 @@
 
 ``python -m research.benchmarks.gigapixel make|search``. Prints Markdown; ``--record`` keeps it.
 
-A mosaic is laid out of images of known scale, towns with fields between them, every pixel of a town at exactly 0.2 m.
-``search`` runs one mosaic with one effort in this process and tells tiles, seconds, memory and the scale.
+A mosaic is laid out of images of known scale, towns with fields between them, every pixel of a town
+at exactly 0.2 m. ``search`` runs one mosaic with one effort in this process and tells tiles,
+seconds, memory and the scale.
 """
 
 from __future__ import annotations
@@ -58,13 +59,17 @@ def _resized(image: NDArray[np.uint8], ratio: float, how: int) -> NDArray[np.uin
 
 def layout(cells: int, share: float, rng: np.random.Generator) -> NDArray[Any]:
     """Draw where towns are: ``[cells, cells]`` bool."""
-    noise = cv2.GaussianBlur(rng.normal(size=(cells, cells)).astype(np.float32), (0, 0), _TOWN_CELLS)
+    noise = cv2.GaussianBlur(
+        rng.normal(size=(cells, cells)).astype(np.float32), (0, 0), _TOWN_CELLS
+    )
     return np.asarray(noise > np.quantile(noise, 1 - share))
 
 
 def _cell(pictures: list[NDArray[Any]], rng: np.random.Generator) -> NDArray[Any]:
     image = pictures[rng.integers(len(pictures))]
-    image = np.pad(image, [(0, max(0, CELL_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric")
+    image = np.pad(
+        image, [(0, max(0, CELL_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric"
+    )
     top, left = (int(rng.integers(side - CELL_PX + 1)) for side in image.shape[:2])
     image = image[top : top + CELL_PX, left : left + CELL_PX]
     image = np.rot90(image, int(rng.integers(4)))
@@ -83,7 +88,10 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int) -
         for row in range(side // CELL_PX):
             for column in range(side // CELL_PX):
                 cell = _cell(towns if where[row, column] else fields, rng)
-                window = ((row * CELL_PX, (row + 1) * CELL_PX), (column * CELL_PX, (column + 1) * CELL_PX))
+                window = (
+                    (row * CELL_PX, (row + 1) * CELL_PX),
+                    (column * CELL_PX, (column + 1) * CELL_PX),
+                )
                 file.write(np.ascontiguousarray(cell[:, :, ::-1].transpose(2, 0, 1)), window=window)
 
 
@@ -98,9 +106,12 @@ def search(image: Path, effort: str, threads: int | None) -> str:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     details = found.details
     return (
-        f"| {effort} | {image.stem} | {details.tiles_searched} | {details.tiles_total} | {details.stopped_because} | "
-        f"{seconds:.0f} | {cpu:.0f} | {found.gsd_m_per_px or 0:.4f} | {found.gsd_ci95_low_m_per_px or 0:.3f} to "
-        f"{found.gsd_ci95_high_m_per_px or 0:.3f} | {found.status} | {found.n_vehicles} | {peak:.0f} |"
+        f"| {effort} | {image.stem} | {details.tiles_searched} | {details.tiles_total} | "
+        f"{details.stopped_because} | "
+        f"{seconds:.0f} | {cpu:.0f} | {found.gsd_m_per_px or 0:.4f} | "
+        f"{found.gsd_ci95_low_m_per_px or 0:.3f} to "
+        f"{found.gsd_ci95_high_m_per_px or 0:.3f} | {found.status} | {found.n_vehicles} | "
+        f"{peak:.0f} |"
     )
 
 
@@ -117,7 +128,9 @@ def main() -> None:
     making.add_argument("--seed", type=int, default=0)
     searching = commands.add_parser("search")
     searching.add_argument("images", type=Path, nargs="+")
-    searching.add_argument("--effort", choices=["full", "auto", "fast"], nargs="+", default=["auto"])
+    searching.add_argument(
+        "--effort", choices=["full", "auto", "fast"], nargs="+", default=["auto"]
+    )
     searching.add_argument("--threads", type=int)
     add_record_option(searching)
     chosen = parser.parse_args()
@@ -125,7 +138,18 @@ def main() -> None:
         make(chosen.data, chosen.out, chosen.side, chosen.towns, chosen.town, chosen.seed)
         return
     with recording("speed", ["large"], chosen.record):
-        columns = ("effort", "image", "tiles", "of", "ended", "wall s", "CPU s", "GSD", "interval", "status")
+        columns = (
+            "effort",
+            "image",
+            "tiles",
+            "of",
+            "ended",
+            "wall s",
+            "CPU s",
+            "GSD",
+            "interval",
+            "status",
+        )
         print(header(*columns, "vehicles", "peak MiB"))
         for image in chosen.images:
             for effort in chosen.effort:

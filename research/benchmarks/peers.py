@@ -2,10 +2,11 @@
 
 ``python -m research.benchmarks.peers``. Prints Markdown; ``--record`` keeps it.
 
-Bare ONNX Runtime, ultralytics, SAHI, supervision and this library search the same 4096 x 4096 px images with the same
-oriented-box file, tile by tile. The images show few, many and very many vehicles. The others run in an environment of
-their own, which the first call makes (``--environment``, 6 GB): ultralytics is under the AGPL and no part of this
-project; what runs there is ``peers_inside.py``. Every pass is a fresh process, the tools in turns, each divided by the
+Bare ONNX Runtime, ultralytics, SAHI, supervision and this library search the same 4096 x 4096 px
+images with the same oriented-box file, tile by tile. The images show few, many and very many
+vehicles. The others run in an environment of their own, which the first call makes
+(``--environment``, 6 GB): ultralytics is under the AGPL and no part of this project; what runs
+there is ``peers_inside.py``. Every pass is a fresh process, the tools in turns, each divided by the
 mean of the bare passes before and after its round.
 """
 
@@ -38,7 +39,14 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 
 ENVIRONMENT = Path("~/.cache/vehanchor/peers").expanduser()
-_PACKAGES = ("ultralytics==8.4.190", "sahi==0.12.8", "supervision==0.31.2", "onnx", "torch", "torchvision")
+_PACKAGES = (
+    "ultralytics==8.4.190",
+    "sahi==0.12.8",
+    "supervision==0.31.2",
+    "onnx",
+    "torch",
+    "torchvision",
+)
 _OURS = "vehanchor"
 _PEERS = ("ultralytics, tile by tile, no merge", "SAHI", "supervision")
 _BARE = "ONNX Runtime alone"
@@ -83,15 +91,23 @@ def make_environment(folder: Path) -> Path:
 def write_work(folder: Path) -> tuple[Path, list[Path], Path]:
     """Write the detector alone, the images and the corners of their tiles.
 
-    Each image is a rendered car park of 1024 x 1024 px, repeated: what matters is the number of vehicles.
+    Each image is a rendered car park of 1024 x 1024 px, repeated: what matters is the number of
+    vehicles.
     """
     model, tiles, written = folder / "vehicles.onnx", folder / "tiles.json", list[Path]()
     shutil.copyfile(resolve_model(), model)  # without the networks beside it
-    tiles.write_text(json.dumps([(tile.x_px, tile.y_px) for tile in tile_grid(_SIDE_PX, _SIDE_PX, tile_px=_TILE_PX)]))
+    tiles.write_text(
+        json.dumps(
+            [(tile.x_px, tile.y_px) for tile in tile_grid(_SIDE_PX, _SIDE_PX, tile_px=_TILE_PX)]
+        )
+    )
     for number, (gsd, n_vehicles) in enumerate(_SCENES.values()):
         scene = render_scene(gsd, seed=5, layout="parking", n_vehicles=n_vehicles)
         written.append(folder / f"scene{number}.png")
-        cv2.imwrite(str(written[-1]), np.tile(scene.image[:, :, ::-1], (_SIDE_PX // _TILE_PX, _SIDE_PX // _TILE_PX, 1)))
+        cv2.imwrite(
+            str(written[-1]),
+            np.tile(scene.image[:, :, ::-1], (_SIDE_PX // _TILE_PX, _SIDE_PX // _TILE_PX, 1)),
+        )
     return model, written, tiles
 
 
@@ -114,14 +130,23 @@ def search_here(model: Path, image: Path) -> Pass:
 
 def run_pass(command: list[str], tool: str) -> list[Pass]:
     """Search the images by one tool in a process of its own, which prints a line for each."""
-    quiet = {**os.environ, "YOLO_VERBOSE": "False", "YOLO_AUTOINSTALL": "False", "YOLO_OFFLINE": "True"}
+    quiet = {
+        **os.environ,
+        "YOLO_VERBOSE": "False",
+        "YOLO_AUTOINSTALL": "False",
+        "YOLO_OFFLINE": "True",
+    }
     done = subprocess.run(command, capture_output=True, text=True, env=quiet, check=False)
     if done.returncode:
         raise SystemExit(f"{tool} failed:\n{done.stderr}")
-    return [Pass(tool, **json.loads(line)) for line in done.stdout.splitlines() if line.startswith("{")]
+    return [
+        Pass(tool, **json.loads(line)) for line in done.stdout.splitlines() if line.startswith("{")
+    ]
 
 
-def passes(python: Path, model: Path, images: list[Path], tiles: Path, rounds: int) -> dict[str, list[list[Pass]]]:
+def passes(
+    python: Path, model: Path, images: list[Path], tiles: Path, rounds: int
+) -> dict[str, list[list[Pass]]]:
     """Search the images by all tools in turns; bare ONNX Runtime comes first and last.
 
     Returns:
@@ -138,7 +163,18 @@ def passes(python: Path, model: Path, images: list[Path], tiles: Path, rounds: i
 
 def table(found: dict[str, list[list[Pass]]]) -> list[str]:
     """Write the passes as lines of Markdown; medians of the rounds."""
-    lines = [header("vehicles", "tool", "tiles", "boxes", "wall / bare", "CPU time / bare", "CPU s", "peak MiB")]
+    lines = [
+        header(
+            "vehicles",
+            "tool",
+            "tiles",
+            "boxes",
+            "wall / bare",
+            "CPU time / bare",
+            "CPU s",
+            "peak MiB",
+        )
+    ]
     for k, vehicles in enumerate(_SCENES):
         for tool, rounds in found.items():
             mine = [each[k] for each in rounds]
@@ -150,7 +186,8 @@ def table(found: dict[str, list[list[Pass]]]) -> list[str]:
                 for part in ("wall_s", "cpu_s")
             )
             lines.append(
-                f"| {vehicles} | {tool} | {mine[0].n_tiles} | {mine[0].n_boxes} | {wall:.2f} | {cpu:.2f} "
+                f"| {vehicles} | {tool} | {mine[0].n_tiles} | {mine[0].n_boxes} | {wall:.2f} | "
+                f"{cpu:.2f} "
                 f"| {statistics.median(each.cpu_s for each in mine):.2f} "
                 f"| {statistics.median(each.peak_mib for each in mine):.0f} |"
             )
@@ -160,22 +197,31 @@ def table(found: dict[str, list[list[Pass]]]) -> list[str]:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--environment", type=Path, default=ENVIRONMENT, help="folder of the peers' environment")
+    parser.add_argument(
+        "--environment", type=Path, default=ENVIRONMENT, help="folder of the peers' environment"
+    )
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--here", nargs="+", type=Path, metavar="MODEL IMAGE", help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--here", nargs="+", type=Path, metavar="MODEL IMAGE", help=argparse.SUPPRESS
+    )
     options = add_record_option(parser).parse_args()
     if options.here:
         model, *images = options.here
         for image in images:
             found = search_here(model, image)._asdict()
-            print(json.dumps({name: value for name, value in found.items() if name != "tool"}), flush=True)
+            print(
+                json.dumps({name: value for name, value in found.items() if name != "tool"}),
+                flush=True,
+            )
         return
     python = make_environment(options.environment)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         model, images, tiles = write_work(folder)
         with recording("speed", ["peers"], options.record, packages=list(_PACKAGES)):
-            print(*table(passes(python, model, images, tiles, options.rounds)), sep="\n", flush=True)
+            print(
+                *table(passes(python, model, images, tiles, options.rounds)), sep="\n", flush=True
+            )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Run one tool inside the peers' own environment, for ``peers.py``: ``python peers_inside.py TOOL MODEL TILES IMAGE``.
 
-IMAGE may be several files. Nothing of this project is imported here, and nothing here by this project: ultralytics is
-under the AGPL. Each line printed is JSON of an image: seconds, CPU seconds, peak memory, boxes, tiles.
+IMAGE may be several files. Nothing of this project is imported here, and nothing here by this
+project: ultralytics is under the AGPL. Each line printed is JSON of an image: seconds, CPU seconds,
+peak memory, boxes, tiles.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ def _bare(model: str, image: Any, tiles: list[tuple[int, int]]) -> Callable[[], 
 
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
     inputs = [
-        np.ascontiguousarray(image[y : y + TILE_PX, x : x + TILE_PX, ::-1].transpose(2, 0, 1)[None], np.float32) / 255
+        np.ascontiguousarray(
+            image[y : y + TILE_PX, x : x + TILE_PX, ::-1].transpose(2, 0, 1)[None], np.float32
+        )
+        / 255
         for x, y in tiles
     ]
     session.run(None, {"images": inputs[0]})
@@ -71,7 +75,11 @@ def _sahi(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
     from sahi.slicing import get_slice_bboxes
 
     network = AutoDetectionModel.from_pretrained(
-        "ultralytics", model_path=model, confidence_threshold=LEAST_SCORE, device="cpu", image_size=TILE_PX
+        "ultralytics",
+        model_path=model,
+        confidence_threshold=LEAST_SCORE,
+        device="cpu",
+        image_size=TILE_PX,
     )
     share = OVERLAP_PX / TILE_PX
     height, width = image.shape[:2]
@@ -104,7 +112,10 @@ def _supervision(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
         return supervision.Detections.from_ultralytics(predict(tile))
 
     slicer = supervision.InferenceSlicer(
-        callback, slice_wh=(TILE_PX, TILE_PX), overlap_wh=(OVERLAP_PX, OVERLAP_PX), iou_threshold=NMS_IOU
+        callback,
+        slice_wh=(TILE_PX, TILE_PX),
+        overlap_wh=(OVERLAP_PX, OVERLAP_PX),
+        iou_threshold=NMS_IOU,
     )
     slicer(image[:TILE_PX, :TILE_PX])
 
@@ -134,7 +145,12 @@ def main() -> None:
         spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
         status = Path("/proc/self/status").read_text().splitlines()
         peak_kib = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
-        print(json.dumps({**spent, "peak_mib": peak_kib / 1024, "n_boxes": n_boxes, "n_tiles": n_tiles}), flush=True)
+        print(
+            json.dumps(
+                {**spent, "peak_mib": peak_kib / 1024, "n_boxes": n_boxes, "n_tiles": n_tiles}
+            ),
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -2,16 +2,18 @@
 
 Prints Markdown; ``--record`` keeps it. ``--part`` chooses:
 
-* ``people``: precision and recall on upright boxes drawn by people. A hit has its centre inside the label grown by a
-  tenth and a length between 0.6 of the label's longer side and 1.25 of its diagonal; each label is hit once, and a
-  second hit is a false box. Boxes on labelled lorries count as false, too. "Corrected by eye" adds cars that nobody had
-  labelled and leaves doubtful things out (``training/chips/looked_at.csv``);
+* ``people``: precision and recall on upright boxes drawn by people. A hit has its centre inside the
+  label grown by a tenth and a length between 0.6 of the label's longer side and 1.25 of its
+  diagonal; each label is hit once, and a second hit is a false box. Boxes on labelled lorries count
+  as false, too. "Corrected by eye" adds cars that nobody had labelled and leaves doubtful things
+  out (``training/chips/looked_at.csv``);
 * ``clutter``: false boxes a megapixel where there are no cars, or where the cars are known;
-* ``mistakes``: confidence of 0.5 and more on an image of known scale with an error above 20 %, or without cars.
+* ``mistakes``: confidence of 0.5 and more on an image of known scale with an error above 20 %, or
+  without cars.
 
-``--held-out`` measures ``people`` on the held-out tenth of *train* instead of *val*: thresholds are chosen there.
-``--thresholds`` prints a row for each of several scores instead of the model's own alone. A detector without its
-verifier and its chip network is a copy of its file in another folder.
+``--held-out`` measures ``people`` on the held-out tenth of *train* instead of *val*: thresholds are
+chosen there. ``--thresholds`` prints a row for each of several scores instead of the model's own
+alone. A detector without its verifier and its chip network is a copy of its file in another folder.
 """
 
 from __future__ import annotations
@@ -60,7 +62,8 @@ class Sighted(NamedTuple):
         scores: ``[n]``.
         megapixels: of the image.
         labels: ``[m, 4, 2]`` corners of the people's boxes of cars; none where nobody drew any.
-        spared: ``[k, 2]`` where a car stands that no box says; boxes within ``spared_px`` of it are not false.
+        spared: ``[k, 2]`` where a car stands that no box says; boxes within ``spared_px`` of it are
+            not false.
         spared_px: distance.
     """
 
@@ -105,7 +108,12 @@ def precision_recall(images: Iterable[Sighted]) -> tuple[float, float, int, int]
         n_hits += int((hit_labels(image.boxes, image.labels) >= 0).sum())
         n_boxes += len(image.boxes)
         n_labels += len(image.labels)
-    return (n_hits / n_boxes if n_boxes else 1.0), (n_hits / n_labels if n_labels else 1.0), n_boxes, n_labels
+    return (
+        (n_hits / n_boxes if n_boxes else 1.0),
+        (n_hits / n_labels if n_labels else 1.0),
+        n_boxes,
+        n_labels,
+    )
 
 
 def false_boxes(image: Sighted) -> int:
@@ -117,14 +125,17 @@ def false_boxes(image: Sighted) -> int:
     return int(wrong.sum())
 
 
-# --- Where the images come from --------------------------------------------------------------------------------------
+# --- Where the images come from
+# --------------------------------------------------------------------------------------
 
 
 def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
     """Search an image with the default options, at a low threshold."""
     ground = load_scene_scale()
     with open_raster(image) as raster:
-        found = ImageSearch(raster, detector, Search(min_score=_LEAST_SCORE), prior=ground.predict(raster)).searched()
+        found = ImageSearch(
+            raster, detector, Search(min_score=_LEAST_SCORE), prior=ground.predict(raster)
+        ).searched()
         return Sighted(found.boxes, found.scores, raster.width_px * raster.height_px / 1e6)
 
 
@@ -144,17 +155,27 @@ def people_images(data: Path, held_out: bool) -> Iterator[tuple[str, Path, Path]
 
 def with_known_cars(place: Place, detector: Detector) -> Sighted:
     """Search an unlabelled place; cars known from contact sheets are excused."""
-    cars = [(x, y) for x, y, kind in looked_at().get(place.path.name, []) if kind in ("car", "ignore")]
+    cars = [
+        (x, y) for x, y, kind in looked_at().get(place.path.name, []) if kind in ("car", "ignore")
+    ]
     reach = _NEARCAR_LENGTH_M / place.gsd_m_per_px
-    return sighted(place.path, detector)._replace(spared=np.array(cars).reshape(-1, 2), spared_px=reach)
+    return sighted(place.path, detector)._replace(
+        spared=np.array(cars).reshape(-1, 2), spared_px=reach
+    )
 
 
 def clutter_sets(data: Path, detector: Detector) -> Iterator[tuple[str, list[Sighted]]]:
     """The sets without cars, or with known ones."""
     all_places = places(data)
     apart = [place for place in all_places if is_held_out(place)]
-    yield "quays (held-out tenth)", [with_known_cars(p, detector) for p in apart if p.set == "estonia_port"]
-    yield "harbours (held-out tenth)", [with_known_cars(p, detector) for p in apart if p.kind == "harbor"]
+    yield (
+        "quays (held-out tenth)",
+        [with_known_cars(p, detector) for p in apart if p.set == "estonia_port"],
+    )
+    yield (
+        "harbours (held-out tenth)",
+        [with_known_cars(p, detector) for p in apart if p.kind == "harbor"],
+    )
     empty = [
         item.path
         for item in survey_table(data / "gsd" / "table.csv").images
@@ -162,7 +183,11 @@ def clutter_sets(data: Path, detector: Detector) -> Iterator[tuple[str, list[Sig
     ]
     yield "empty, val", [sighted(path, detector) for path in empty]
     trained = {place.path for place in all_places}
-    fields = [p for p in sorted((data / "flights" / "seneca").iterdir()) if p.suffix == ".jpg" and p not in trained]
+    fields = [
+        p
+        for p in sorted((data / "flights" / "seneca").iterdir())
+        if p.suffix == ".jpg" and p not in trained
+    ]
     yield "fields (seneca, photographs not in train)", [sighted(path, detector) for path in fields]
 
 
@@ -177,20 +202,28 @@ def corrected(found: Sighted, file: str) -> Sighted:
     corner = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     squares = cars[:, None, :2] + corner * cars[:, None, 2:]
     gap = np.linalg.norm(found.boxes[:, None, :2] - doubtful[None, :, :2], axis=2)
-    known = (hit_labels(found.boxes, found.labels) >= 0) | ~(gap < _SAME_PLACE * doubtful[:, 2]).any(axis=1)
+    known = (hit_labels(found.boxes, found.labels) >= 0) | ~(
+        gap < _SAME_PLACE * doubtful[:, 2]
+    ).any(axis=1)
     return found._replace(
-        boxes=found.boxes[known], scores=found.scores[known], labels=np.concatenate([found.labels, squares])
+        boxes=found.boxes[known],
+        scores=found.scores[known],
+        labels=np.concatenate([found.labels, squares]),
     )
 
 
-# --- The tables ------------------------------------------------------------------------------------------------------
+# --- The tables
+#
+# ------------------------------------------------------------------------------------------------------
 
 
 def people_sets(data: Path, detector: Detector, held_out: bool) -> dict[str, list[Sighted]]:
     """Images with people's boxes, by set."""
     by_set: dict[str, list[Sighted]] = {}
     for name, path, labels in people_images(data, held_out):
-        found = sighted(path, detector)._replace(labels=read_labels(labels).of_class("small-vehicle"))
+        found = sighted(path, detector)._replace(
+            labels=read_labels(labels).of_class("small-vehicle")
+        )
         by_set.setdefault(name, []).append(found)
         if name == "estonia, val":
             by_set.setdefault(f"{name}, corrected by eye", []).append(corrected(found, path.name))
@@ -205,21 +238,30 @@ def people_report(by_set: Mapping[str, list[Sighted]], thresholds: list[float]) 
     ]
     for name, images in by_set.items():
         for score in thresholds:
-            precision, recall, n_boxes, n_labels = precision_recall(image.above(score) for image in images)
+            precision, recall, n_boxes, n_labels = precision_recall(
+                image.above(score) for image in images
+            )
             lines.append(
-                f"| {name} | {score:g} | {len(images)} | {n_labels} | {n_boxes} | {precision:.3f} | {recall:.3f} |"
+                f"| {name} | {score:g} | {len(images)} | {n_labels} | {n_boxes} | "
+                f"{precision:.3f} | {recall:.3f} |"
             )
     return lines
 
 
 def clutter_report(data: Path, detector: Detector, thresholds: list[float]) -> list[str]:
     """False boxes a megapixel by set and threshold."""
-    lines = ["| ground | score | images | megapixels | false boxes | a megapixel |", "|---|---|---|---|---|---|"]
+    lines = [
+        "| ground | score | images | megapixels | false boxes | a megapixel |",
+        "|---|---|---|---|---|---|",
+    ]
     for name, images in clutter_sets(data, detector):
         area = sum(image.megapixels for image in images)
         for score in thresholds:
             count = sum(false_boxes(image.above(score)) for image in images)
-            lines.append(f"| {name} | {score:g} | {len(images)} | {area:.2f} | {count} | {count / area:.3f} |")
+            lines.append(
+                f"| {name} | {score:g} | {len(images)} | {area:.2f} | {count} | "
+                f"{count / area:.3f} |"
+            )
     return lines
 
 
@@ -247,7 +289,8 @@ def mistakes_report(data: Path, detector: Detector) -> list[str]:
     lines = ["| images | n | ok | of these mistaken |", "|---|---|---|---|"]
     total = np.sum(list(counts.values()), axis=0)
     return lines + [
-        f"| {name} | {n} | {sure} | {wrong} |" for name, (n, sure, wrong) in (*counts.items(), ("all", total))
+        f"| {name} | {n} | {sure} | {wrong} |"
+        for name, (n, sure, wrong) in (*counts.items(), ("all", total))
     ]
 
 
@@ -264,12 +307,17 @@ def main() -> None:
     print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`\n")
     for part in options.part or _PARTS:
         if part == "people":
-            key, lines = "places", people_report(people_sets(DATA, detector, options.held_out), thresholds)
+            key, lines = (
+                "places",
+                people_report(people_sets(DATA, detector, options.held_out), thresholds),
+            )
         elif part == "clutter":
             key, lines = "clutter", clutter_report(DATA, detector, thresholds)
         else:
             key, lines = "mistakes", mistakes_report(DATA, detector)
-        with recording("detection", [key], options.record, model={detector.card.name: detector.card.sha256}):
+        with recording(
+            "detection", [key], options.record, model={detector.card.name: detector.card.sha256}
+        ):
             print("\n".join(lines) + "\n", flush=True)
 
 

@@ -1,10 +1,11 @@
 """Measure the fusion of rulers.
 
-``python -m research.benchmarks.rulers [--images N] [--scenes N]``. Prints Markdown; ``--record`` keeps it.
+``python -m research.benchmarks.rulers [--images N] [--scenes N]``. Prints Markdown; ``--record``
+keeps it.
 
-The bundled models measure vehicles and scene-scale prior on val images of known scale and on rendered scenes of 3 to 10
-cars. The witnesses camera, given height and known length are drawn with the spreads that those rulers state. A wrong
-ruler is off by a factor of 1.5 to 5 either way.
+The bundled models measure vehicles and scene-scale prior on val images of known scale and on
+rendered scenes of 3 to 10 cars. The witnesses camera, given height and known length are drawn with
+the spreads that those rulers state. A wrong ruler is off by a factor of 1.5 to 5 either way.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from vehanchor_evaluation.table import survey_table
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared/data"
 DRAWS = 3  # for each image
-_STATED = {"camera": (0.13, 0.05), "height": (0.064, 0.05), "known_length": (0.015, 0.05)}  # log spread, chance wrong
+# log spread, chance wrong
+_STATED = {"camera": (0.13, 0.05), "height": (0.064, 0.05), "known_length": (0.015, 0.05)}
 _LIE = (math.log(1.5), math.log(5.0))
 _LEAST_CARS = 5
 _PROBABLY = 0.5
@@ -79,7 +81,9 @@ def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
     rng = np.random.default_rng(3)
     for seed in range(n_scenes):
         gsd = float(np.exp(rng.uniform(math.log(0.06), math.log(0.22))))
-        scene = render_scene(gsd, width_px=768, height_px=768, seed=900 + seed, n_vehicles=int(rng.integers(3, 11)))
+        scene = render_scene(
+            gsd, width_px=768, height_px=768, seed=900 + seed, n_vehicles=int(rng.integers(3, 11))
+        )
         analysis = analyse_scale(scene.image, options, detector=detector)
         usable = analysis.estimate.status == "ok"
         seen.append(_seen(analysis.witnesses, gsd, usable))
@@ -119,7 +123,11 @@ CASES = (
     Case("cars, line", ("vehicles", "known_length")),
     Case("cars, camera, line", ("vehicles", "camera", "known_length")),
     Case("cars, height, each but cars wrong in 5 %", ("vehicles", "height"), wrong_at_times=True),
-    Case("cars, camera, line, each but cars wrong in 5 %", ("vehicles", "camera", "known_length"), wrong_at_times=True),
+    Case(
+        "cars, camera, line, each but cars wrong in 5 %",
+        ("vehicles", "camera", "known_length"),
+        wrong_at_times=True,
+    ),
     *(
         Case(f"{', '.join(kinds)}: {liar} wrong", kinds, liar, lambda seen: seen.usable)
         for kinds, liar in ((_THREE, "camera"), (_THREE, "known_length"), (_THREE, "vehicles"))
@@ -140,13 +148,17 @@ def row(case: Case, seen: Sequence[Seen]) -> str:
             held.append(found.interval.low <= truth <= found.interval.high)
             chances.append(found.chance)
             heard = [each for each in told if each.found]
-            doubted = {each.kind for each, p in zip(heard, found.p_right, strict=True) if p < _PROBABLY}
+            doubted = {
+                each.kind for each, p in zip(heard, found.p_right, strict=True) if p < _PROBABLY
+            }
             flagged.append(case.liar in doubted)
     off = np.array(errors)
     named = f"{100 * np.mean(flagged):.1f} %" if case.liar else ""
     return (
-        f"| {case.name} | {len(off)} | {100 * np.median(off):.1f} % | {100 * np.quantile(off, 0.9):.1f} % | "
-        f"{100 * np.mean(off < 0.1):.1f} % | {100 * np.mean(off < 0.2):.1f} % | {100 * np.mean(chances):.1f} % | "
+        f"| {case.name} | {len(off)} | {100 * np.median(off):.1f} % | "
+        f"{100 * np.quantile(off, 0.9):.1f} % | "
+        f"{100 * np.mean(off < 0.1):.1f} % | {100 * np.mean(off < 0.2):.1f} % | "
+        f"{100 * np.mean(chances):.1f} % | "
         f"{100 * np.mean(held):.1f} % | {named} |"
     )
 
@@ -160,7 +172,10 @@ def main() -> None:
     options = add_record_option(parser).parse_args()
     seen = see(options.data, options.images, options.scenes)
     with recording("rulers", ["fused"], options.record):
-        print("| rulers | n | median | 90 % are below | within 10 % | within 20 % | said | cover | wrong ruler named |")
+        print(
+            "| rulers | n | median | 90 % are below | within 10 % | within 20 % | said | cover "
+            "| wrong ruler named |"
+        )
         print("|---|---|---|---|---|---|---|---|---|")
         for case in CASES:
             print(row(case, seen), flush=True)

@@ -2,10 +2,10 @@
 
 ``python -m research.benchmarks.scene_scale``.
 
-The photographs are of the sets kept for evaluation. Their scale is a car's usual length in that country over the median
-length of the cars that people drew, right within a tenth or so; the question is whether the prior is right within a
-factor of 1.5. ``--network FILE`` takes another network than the bundled
-one. Prints Markdown; ``--record`` keeps it.
+The photographs are of the sets kept for evaluation. Their scale is a car's usual length in that
+country over the median length of the cars that people drew, right within a tenth or so; the
+question is whether the prior is right within a factor of 1.5. ``--network FILE`` takes another
+network than the bundled one. Prints Markdown; ``--record`` keeps it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
-_CAR_M = {"jekhor": 4.3, "drashti": 3.9, "dota": 4.6, "crossings": 4.8}  # ucas has too few labels, some displaced
+# ucas has too few labels, some displaced
+_CAR_M = {"jekhor": 4.3, "drashti": 3.9, "dota": 4.6, "crossings": 4.8}
 _LEAST_CARS = 2  # of an oriented set
 _LEVEL_RATIO = 1.9  # of an upright box's sides, from which on its car stands level in it
 _BORDER_PX = 3
@@ -57,9 +58,13 @@ class Told(NamedTuple):
 def oriented_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
     """Set, photograph and median length of its cars in pixels, where people's boxes are turned."""
     with (folder / "index.csv").open(newline="") as handle:
-        rows = [row for row in csv.DictReader(handle) if row["split"] == "val" and row["set"] in _CAR_M]
+        rows = [
+            row for row in csv.DictReader(handle) if row["split"] == "val" and row["set"] in _CAR_M
+        ]
     for row in rows:
-        cars = read_labels(folder / "labels" / f"{Path(row['file']).stem}.txt").of_class("small-vehicle")
+        cars = read_labels(folder / "labels" / f"{Path(row['file']).stem}.txt").of_class(
+            "small-vehicle"
+        )
         if len(cars) >= _LEAST_CARS:
             yield row["set"], folder / row["file"], float(np.median(boxes_from_corners(cars)[:, 2]))
 
@@ -72,7 +77,9 @@ def upright_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
         path = folder / row["file"]
         with open_raster(path) as raster:
             ends = np.array([raster.width_px, raster.height_px])
-        lengths = level_lengths(read_labels(folder / "labels" / f"{path.stem}.txt").of_class("small-vehicle"), ends)
+        lengths = level_lengths(
+            read_labels(folder / "labels" / f"{path.stem}.txt").of_class("small-vehicle"), ends
+        )
         if len(lengths):
             yield row["set"], path, float(np.median(lengths))
 
@@ -90,7 +97,8 @@ def row(name: str, told: list[Told]) -> str:
     errors = np.array([each.log_error for each in told])
     scales = [each.gsd_m_per_px for each in told]
     return (
-        f"| {name} | {len(told)} | {min(scales):.3f} to {max(scales):.3f} | {np.median(errors):.2f} "
+        f"| {name} | {len(told)} | {min(scales):.3f} to {max(scales):.3f} | "
+        f"{np.median(errors):.2f} "
         f"| {np.mean(errors < _NEAR):.0%} | {np.mean([each.held for each in told]):.0%} "
         f"| {np.median([each.spread for each in told]):.1f} |"
     )
@@ -108,13 +116,19 @@ def main() -> None:
             gsd = _CAR_M[name] / length_px
             with open_raster(path) as raster:
                 density = ground.predict(raster).density
-            middle, (low, high) = credible_interval(density, probability=0.0).low, credible_interval(density)
+            middle, (low, high) = (
+                credible_interval(density, probability=0.0).low,
+                credible_interval(density),
+            )
             told = Told(gsd, abs(float(np.log(middle / gsd))), low < gsd < high, high / low)
             by_set.setdefault(name, []).append(told)
     every = [each for told in by_set.values() for each in told]
     by_set["all"] = every
     with recording("scale", ["unseen_ground"], options.record):
-        print("| set | images | m/px by cars | median log error | within 1.5 | 95 % interval holds | its high to low |")
+        print(
+            "| set | images | m/px by cars | median log error | within 1.5 | 95 % interval "
+            "holds | its high to low |"
+        )
         print("|---|---|---|---|---|---|---|")
         print("\n".join(row(name, told) for name, told in by_set.items()))
 

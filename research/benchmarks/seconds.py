@@ -1,8 +1,9 @@
 """Measure the figures of speed in one run, beside other tools: ``python -m research.benchmarks.seconds``.
 
-Prints Markdown; ``--record`` keeps it. It takes seven minutes on two quiet cores and needs no network access, if
-``peers.py`` has made its environment (``--environment``). The speed of the bare network is measured before and after
-all others, so that a machine which changed its speed is noticed.
+Prints Markdown; ``--record`` keeps it. It takes seven minutes on two quiet cores and needs no
+network access, if ``peers.py`` has made its environment (``--environment``). The speed of the bare
+network is measured before and after all others, so that a machine which changed its speed is
+noticed.
 """
 
 from __future__ import annotations
@@ -38,7 +39,12 @@ if TYPE_CHECKING:
     from research.scenes import Layout
 
 _SIZE_PX = (4000, 3000)
-_SCENES: tuple[tuple[Layout, float], ...] = (("urban", 0.04), ("urban", 0.15), ("countryside", 0.1), ("sports", 0.08))
+_SCENES: tuple[tuple[Layout, float], ...] = (
+    ("urban", 0.04),
+    ("urban", 0.15),
+    ("countryside", 0.1),
+    ("sports", 0.08),
+)
 _N_BATCH = 8
 _OURS = "vehanchor"
 _TOOLS = (_OURS, "ultralytics, tile by tile, no merge", "SAHI", "supervision")
@@ -56,7 +62,9 @@ def tile_ms() -> float:
     """Milliseconds of the bare network for a tile, all cores; median of 15."""
     session = onnxruntime.InferenceSession(str(resolve_model()), providers=["CPUExecutionProvider"])
     tile = np.random.default_rng(0).random((1, 3, 1024, 1024), np.float32)
-    return 1000 * statistics.median(bare_seconds(session, [tile], time.perf_counter) for _ in range(15))
+    return 1000 * statistics.median(
+        bare_seconds(session, [tile], time.perf_counter) for _ in range(15)
+    )
 
 
 def search(environment: Path, rounds: int) -> list[Row]:
@@ -65,7 +73,9 @@ def search(environment: Path, rounds: int) -> list[Row]:
     rows: list[Row] = []
     for vehicles in ("200", "2,000", "15,000"):
         for column in ("wall / bare", "CPU time / bare"):
-            values = [table.value(f"{int(vehicles.replace(',', ''))} / {tool}", column) for tool in _TOOLS]
+            values = [
+                table.value(f"{int(vehicles.replace(',', ''))} / {tool}", column) for tool in _TOOLS
+            ]
             rows.append((f"search with {vehicles} vehicles: {column}", "1.03", values))
     values = [f"{table.value(f'2000 / {tool}', 'peak MiB')} MiB" for tool in _TOOLS]
     return [*rows, ("peak memory with 2,000 vehicles", "", values)]
@@ -79,7 +89,12 @@ def photographs(folder: Path) -> list[Row]:
         path = folder / f"{layout}-{gsd}.jpg"
         width, height = _SIZE_PX
         scene = render_scene(
-            gsd, width_px=width, height_px=height, seed=1000 + number, layout=layout, fleet_kind="mixed"
+            gsd,
+            width_px=width,
+            height_px=height,
+            seed=1000 + number,
+            layout=layout,
+            fleet_kind="mixed",
         )
         cv2.imwrite(str(path), scene.image[:, :, ::-1])
         started = time.process_time()
@@ -113,7 +128,9 @@ def car_park() -> list[Row]:
     image, engine = large_scene(), Engine(runtime=Runtime(threads=1))
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
-    session = onnxruntime.InferenceSession(str(engine.detector.path), options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        str(engine.detector.path), options, providers=["CPUExecutionProvider"]
+    )
     tiles = input_tiles(image, engine.detector.card)
     engine.estimate(image[:1024, :1024])  # loads the models
     bare = bare_seconds(session, tiles, time.process_time)
@@ -121,14 +138,19 @@ def car_park() -> list[Row]:
     estimate = engine.estimate(image)
     ratio = (time.process_time() - started) / bare
     search = estimate.details
-    name = f"car park of 4096 x 4096 px, {search.tiles_searched} of {search.tiles_total} tiles: CPU time / bare"
+    name = (
+        f"car park of 4096 x 4096 px, {search.tiles_searched} of {search.tiles_total} tiles: "
+        "CPU time / bare"
+    )
     return [(name, "1.3", [round(ratio, 2)])]
 
 
 def start(folder: Path) -> list[Row]:
     """Starts, warm calls and memory."""
     small = folder / "small.png"
-    cv2.imwrite(str(small), render_scene(0.15, width_px=256, height_px=256, seed=5).image[:, :, ::-1])
+    cv2.imwrite(
+        str(small), render_scene(0.15, width_px=256, height_px=256, seed=5).image[:, :, ::-1]
+    )
     overhead, first = printed("server_overhead", "--calls", "15", "--starts", "5")
     picture = command_time("-m", "vehanchor", "estimate", str(small))
     listing = first.value("first `tools/list` after the start, median, s", "value")
@@ -143,11 +165,16 @@ def start(folder: Path) -> list[Row]:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--environment", type=Path, default=ENVIRONMENT, help="of the other tools: see peers.py")
+    parser.add_argument(
+        "--environment", type=Path, default=ENVIRONMENT, help="of the other tools: see peers.py"
+    )
     parser.add_argument("--rounds", type=int, default=2, help="of the other tools")
     options = add_record_option(parser).parse_args()
     title = "The figures of speed in one run, beside other tools"
-    with recording("speed", ["seconds"], options.record, title=title), tempfile.TemporaryDirectory() as name:
+    with (
+        recording("speed", ["seconds"], options.record, title=title),
+        tempfile.TemporaryDirectory() as name,
+    ):
         before = tile_ms()
         rows = [
             *search(options.environment, options.rounds),

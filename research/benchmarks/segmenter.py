@@ -1,7 +1,7 @@
 """Measure a segmenter on real masks: ``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
 
-Every object of at least 15 px a side is prompted by its bounding box, each side moved by up to 5 % of the box (fixed
-seed). Beside it, on the same prompts: GrabCut. Prints Markdown; ``--record``
+Every object of at least 15 px a side is prompted by its bounding box, each side moved by up to 5 %
+of the box (fixed seed). Beside it, on the same prompts: GrabCut. Prints Markdown; ``--record``
 keeps it.
 """
 
@@ -70,7 +70,8 @@ def grabcut(target: Target) -> tuple[NDArray[np.bool_], float]:
     labels = np.full(crop.shape[:2], cv2.GC_BGD, np.uint8)
     labels[y1 - top : y2 - top, x1 - left : x2 - left] = cv2.GC_PR_FGD
     whole = np.zeros(target.mask.shape, bool)
-    if not (labels == cv2.GC_BGD).any():  # a box that fills the image leaves nothing to learn the background from
+    # a box that fills the image leaves nothing to learn the background from
+    if not (labels == cv2.GC_BGD).any():
         return filled_box(target)
     cv2.setRNGSeed(0)
     models = np.zeros((1, 65)), np.zeros((1, 65))
@@ -95,9 +96,15 @@ def main() -> None:
     for target in read_targets(DATA / "segments", options.split):
         for name, method in methods.items():
             by_method[name].append(run_trial(target, method))
-    print(f"Segmenter `{segmenter.card.name}`, sha256 `{segmenter.card.sha256}`, split {options.split}:\n")
+    print(
+        f"Segmenter `{segmenter.card.name}`, sha256 `{segmenter.card.sha256}`, split "
+        f"{options.split}:\n"
+    )
     with recording(
-        "areas", ["segmenter", "segmenter_scores"], options.record, model={segmenter.card.name: segmenter.card.sha256}
+        "areas",
+        ["segmenter", "segmenter_scores"],
+        options.record,
+        model={segmenter.card.name: segmenter.card.sha256},
     ):
         print("\n".join(report(by_method)))
 

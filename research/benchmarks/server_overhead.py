@@ -64,7 +64,9 @@ async def overhead(n_calls: int, threads: int) -> None:
                     result = await client.call_tool(tool, arguments)
                     ended = time.perf_counter()
                     assert not result.is_error, result
-                    assert (result.structured_content or {})[measured] == getattr(expected, measured)
+                    assert (result.structured_content or {})[measured] == getattr(
+                        expected, measured
+                    )
                     if i >= 3:  # warm
                         library.append(1000 * (middle - started))
                         called.append(1000 * (ended - middle))
@@ -82,7 +84,10 @@ async def first_list(n_starts: int) -> None:
         async with Client(StdioServerParameters(command=SERVE[0], args=SERVE[1:])) as client:
             await client.list_tools()
             times.append(time.perf_counter() - started)
-    values = {"first `tools/list` after the start, median, s": statistics.median(times), "starts": n_starts}
+    values = {
+        "first `tools/list` after the start, median, s": statistics.median(times),
+        "starts": n_starts,
+    }
     print("", *values_table(values), sep="\n")
 
 
@@ -94,7 +99,15 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=7)
     options = add_record_option(parser).parse_args()
     with recording("server", ["overhead_stdio", "first_list"], options.record):
-        print(header("call, 1024 x 1024 px", "calls", "library, ms", "over stdio, ms", "overhead, median, ms"))
+        print(
+            header(
+                "call, 1024 x 1024 px",
+                "calls",
+                "library, ms",
+                "over stdio, ms",
+                "overhead, median, ms",
+            )
+        )
         anyio.run(overhead, options.calls, options.threads)
         anyio.run(first_list, options.starts)
 

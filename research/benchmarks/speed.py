@@ -1,7 +1,8 @@
 """Measure speed and memory: ``python -m research.benchmarks.speed``. Prints Markdown; ``--record`` keeps it.
 
-The whole pipeline on a 4096 x 4096 scene is timed against bare ONNX Runtime on the same tiles, in turns, and against
-all of its own networks; ``--detector`` names other files that take turns with it.
+The whole pipeline on a 4096 x 4096 scene is timed against bare ONNX Runtime on the same tiles, in
+turns, and against all of its own networks; ``--detector`` names other files that take turns with
+it.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
 
-_EVERY_TILE = ScaleOptions(search=Search(effort="full"))  # an image of that size is not searched wholly by default
+# an image of that size is not searched wholly by default
+_EVERY_TILE = ScaleOptions(search=Search(effort="full"))
 
 
 @contextmanager
@@ -46,8 +48,8 @@ def networks_seconds(clock: Callable[[], float]) -> Iterator[dict[str, float]]:
     """Count the seconds in ONNX Runtime, by the names of the networks' inputs and outputs.
 
     Args:
-        clock: ``time.perf_counter``; or ``time.thread_time`` for CPU time, which is all of a network's where it runs in
-            one thread.
+        clock: ``time.perf_counter``; or ``time.thread_time`` for CPU time, which is all of a
+            network's where it runs in one thread.
 
     Yields:
         Seconds, growing.
@@ -80,7 +82,10 @@ def input_tiles(image: NDArray[np.uint8], card: DetectorCard) -> list[NDArray[np
     tiles = []
     with open_raster(image) as raster:
         for level in search_levels(
-            raster.width_px, raster.height_px, card.length_range_px, search_scales=card.search_scales
+            raster.width_px,
+            raster.height_px,
+            card.length_range_px,
+            search_scales=card.search_scales,
         ):
             for window in tile_grid(level.width_px, level.height_px):
                 pixels = read_reduced_window(raster, window, level.factor)
@@ -89,7 +94,9 @@ def input_tiles(image: NDArray[np.uint8], card: DetectorCard) -> list[NDArray[np
 
 
 def bare_seconds(
-    session: onnxruntime.InferenceSession, tiles: list[NDArray[np.float32]], clock: Callable[[], float]
+    session: onnxruntime.InferenceSession,
+    tiles: list[NDArray[np.float32]],
+    clock: Callable[[], float],
 ) -> float:
     """Seconds of a network alone."""
     started = clock()
@@ -103,7 +110,10 @@ def pipeline(rounds: int, others: list[str]) -> list[str]:
     image = large_scene()
     detectors = [Detector(resolve_model(name)) for name in (None, *others)]
     tiles = input_tiles(image, detectors[0].card)
-    sessions = [onnxruntime.InferenceSession(str(each.path), providers=["CPUExecutionProvider"]) for each in detectors]
+    sessions = [
+        onnxruntime.InferenceSession(str(each.path), providers=["CPUExecutionProvider"])
+        for each in detectors
+    ]
     bare: list[list[float]] = [[] for _ in detectors]
     whole: list[list[float]] = [[] for _ in detectors]
     added: list[list[float]] = [[] for _ in detectors]
@@ -125,7 +135,8 @@ def pipeline(rounds: int, others: list[str]) -> list[str]:
         lines += [
             f"| {name}: pipeline, 4096 x 4096, s | {statistics.median(whole[k]):.2f} |",
             f"| {name}: vehicles found | {n_boxes} |",
-            f"| {name}: bare ONNX Runtime, the same {len(tiles)} tiles, s | {statistics.median(bare[k]):.2f} |",
+            f"| {name}: bare ONNX Runtime, the same {len(tiles)} tiles, s | "
+            f"{statistics.median(bare[k]):.2f} |",
             f"| {name}: pipeline / bare | {ratio:.3f} |",
             f"| {name}: pipeline / all its networks | {statistics.median(added[k]):.3f} |",
         ]
@@ -144,9 +155,14 @@ def peak_memory() -> str:
         # VmHWM and not getrusage: a child inherits its parent's ru_maxrss.
         code = (
             f"import vehanchor; vehanchor.estimate_gsd({str(path)!r}); "
-            "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
+            "print(next(line.split()[1] for line in open('/proc/self/status') if "
+            "line.startswith('VmHWM')))"
         )
-        kib = int(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout)
+        kib = int(
+            subprocess.run(
+                [sys.executable, "-c", code], check=True, capture_output=True, text=True
+            ).stdout
+        )
     return f"| peak memory, 4096 x 4096 PNG, MiB | {kib / 1024:.0f} |"
 
 
@@ -164,7 +180,9 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--detector", action="append", default=[], help="file or name; may be repeated")
+    parser.add_argument(
+        "--detector", action="append", default=[], help="file or name; may be repeated"
+    )
     options = add_record_option(parser).parse_args()
     with recording("speed", ["pipeline_all"], options.record, rounds=options.rounds):
         print("| quantity | value |\n|---|---|")

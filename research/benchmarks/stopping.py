@@ -2,9 +2,10 @@
 
 ``python -m research.benchmarks.stopping --data FOLDER``. Prints Markdown; ``--record`` keeps it.
 
-Each val image is searched once; mosaics of 0.2 m/px are then laid out of what was found in them, towns with fields
-between, and searched by the real order and rule. Fleets differ from mosaic to mosaic as much as the reference length
-says they do. So many mosaics take minutes: no pixel of them is looked at (``gigapixel.py`` does that for a few).
+Each val image is searched once; mosaics of 0.2 m/px are then laid out of what was found in them,
+towns with fields between, and searched by the real order and rule. Fleets differ from mosaic to
+mosaic as much as the reference length says they do. So many mosaics take minutes: no pixel of them
+is looked at (``gigapixel.py`` does that for a few).
 """
 
 from __future__ import annotations
@@ -68,14 +69,19 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
     """Search the upper left 512 px of each image at full resolution."""
     cells = []
     for image in images:
-        image = np.pad(image, [(0, max(0, CELL_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric")
+        image = np.pad(
+            image, [(0, max(0, CELL_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric"
+        )
         image = np.ascontiguousarray(image[:CELL_PX, :CELL_PX, ::-1])
         with open_raster(image) as raster:
             found = ImageSearch(raster, detector, Search(search_scales=False)).searched()
         n, looks = len(found.boxes), Looks(*(np.zeros(0) for _ in Looks._fields))
         if n and found.looks is not None:
-            looks = found.looks.take(np.arange(n) % len(found.looks))  # beyond the first, those of others in the cell
-        coarse = np.asarray(cv2.resize(image, (CELL_PX // 8,) * 2, interpolation=cv2.INTER_AREA), np.uint8)
+            # beyond the first, those of others in the cell
+            looks = found.looks.take(np.arange(n) % len(found.looks))
+        coarse = np.asarray(
+            cv2.resize(image, (CELL_PX // 8,) * 2, interpolation=cv2.INTER_AREA), np.uint8
+        )
         cells.append(Cell(found.boxes, found.scores, looks, car_prior(coarse).item()))
     return cells
 
@@ -93,12 +99,22 @@ class Mosaic:
     """
 
     def __init__(
-        self, side: int, towns: list[Cell], fields: list[Cell], share: float, factor: float, rng: np.random.Generator
+        self,
+        side: int,
+        towns: list[Cell],
+        fields: list[Cell],
+        share: float,
+        factor: float,
+        rng: np.random.Generator,
     ) -> None:
         n = side // CELL_PX
         where = layout(n, share, rng)
         chosen = [
-            [among[rng.integers(len(among))] for among in (towns if town else fields for town in row)] for row in where
+            [
+                among[rng.integers(len(among))]
+                for among in (towns if town else fields for town in row)
+            ]
+            for row in where
         ]
         self.tile_prior = np.array([[cell.tile_prior for cell in row] for row in chosen])
         self.boxes = np.concatenate(
@@ -118,7 +134,9 @@ class Mosaic:
         kept = np.flatnonzero(found)
         kept = kept[np.argsort(-self.scores[kept], kind="stable")]
         looks = self.looks.take(kept[:_LOOKED_AT])
-        return Detections(self.boxes[kept], self.scores[kept], scales=np.ones(len(kept)), looks=looks)
+        return Detections(
+            self.boxes[kept], self.scores[kept], scales=np.ones(len(kept)), looks=looks
+        )
 
 
 class Outcome(NamedTuple):
@@ -134,20 +152,37 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
     """Search a mosaic by the real order and rule."""
     card, side = detector.card, mosaic.side
     levels = search_levels(side, side, card.length_range_px, search_scales=True)
-    places = [(level.factor, tile) for level in levels for tile in tile_grid(level.width_px, level.height_px)]
-    ranges = {each.factor: (max(card.length_range_px[0], each.shortest_px), each.longest_px) for each in levels}
+    places = [
+        (level.factor, tile)
+        for level in levels
+        for tile in tile_grid(level.width_px, level.height_px)
+    ]
+    ranges = {
+        each.factor: (max(card.length_range_px[0], each.shortest_px), each.longest_px)
+        for each in levels
+    }
     promises = np.array([tile_prior_of(mosaic.tile_prior, tile, factor) for factor, tile in places])
     order = TileScheduler(places, promises, level_shares(ranges, lognormal(GSD_M, _SCENE_LOG_SD)))
     n_pixels = max(side * side, LARGE_PIXELS)
     rule = stop_rule(options.search.effort, n_pixels)
-    view = partial(View, ImageFacts(side, side), card=card, options=options, resolved_share=lambda *_: 1.0)
-    found, visited, due, checks = np.zeros(len(mosaic.boxes), bool), 0, first_pause(options.search, n_pixels), []
+    view = partial(
+        View, ImageFacts(side, side), card=card, options=options, resolved_share=lambda *_: 1.0
+    )
+    found, visited, due, checks = (
+        np.zeros(len(mosaic.boxes), bool),
+        0,
+        first_pause(options.search, n_pixels),
+        [],
+    )
     most, done = most_tiles(options.search, n_pixels, len(places)), False
     while visited < most and not done:
         for k in order.next_tiles(min(4, most - visited)):
             (factor, tile), n_new = places[k], 0
             if factor == 1:
-                inside = np.abs(mosaic.boxes[:, :2] - [tile.x_px + 512, tile.y_px + 512]).max(axis=1) < 505
+                inside = (
+                    np.abs(mosaic.boxes[:, :2] - [tile.x_px + 512, tile.y_px + 512]).max(axis=1)
+                    < 505
+                )
                 n_new = int(inside.sum())
                 found |= inside
             order.report(k, n_new)
@@ -172,18 +207,29 @@ def main() -> None:
     parser.add_argument("--side", type=int, default=8192)
     chosen = add_record_option(parser).parse_args()
     detector = load_detector(resolve_model(None))
-    towns = {name: searched(pictures(chosen.data, name, table), detector) for name, table in SETS.items()}
+    towns = {
+        name: searched(pictures(chosen.data, name, table), detector) for name, table in SETS.items()
+    }
     fields = searched(pictures(chosen.data, "empty", "table.csv"), detector)
     found: dict[str, list[Outcome]] = {"full": [], "auto": [], "fast": []}
     for seed in range(chosen.mosaics):
         rng = np.random.default_rng(seed)
         name = sorted(towns)[seed % len(towns)]
-        factor = math.exp(rng.normal(0, LOOKS_LOG_SD))  # of this place's cars, which their looks do not tell
-        mosaic = Mosaic(chosen.side, towns[name], fields, float(rng.uniform(0.05, 0.4)), factor, rng)
+        # of this place's cars, which their looks do not tell
+        factor = math.exp(rng.normal(0, LOOKS_LOG_SD))
+        mosaic = Mosaic(
+            chosen.side, towns[name], fields, float(rng.uniform(0.05, 0.4)), factor, rng
+        )
         for effort, outcomes in found.items():
             outcomes.append(outcome(mosaic, detector, ScaleOptions.of({"effort": effort})))
     full = np.array([each.gsd for each in found["full"]])
-    columns = ["effort", "cover of the 95 % interval", "tiles, median", "ended early", "difference to `full`: median"]
+    columns = [
+        "effort",
+        "cover of the 95 % interval",
+        "tiles, median",
+        "ended early",
+        "difference to `full`: median",
+    ]
     columns += ["95th percentile"]
     with recording("speed", ["stopping"], chosen.record):
         print(header(*columns))

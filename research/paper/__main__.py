@@ -10,7 +10,8 @@ from research.paper.transcript import transcript
 from research.paper.vlm_command import vlm
 
 app = typer.Typer(
-    help="The paper's baselines: areas and answers of language models, with and without VehAnchor's tools.",
+    help="The paper's baselines: areas and answers of language models, with and without "
+    "VehAnchor's tools.",
     no_args_is_help=True,
 )
 app.command("rs-gsd")(rs_gsd)

@@ -1,8 +1,9 @@
 """Deeds of a language model with the tools: did it act, or abstain, and rightly.
 
-The tasks are those of ``question_set``: forty pictures with what a careful observer recognises in them, traps among
-the facts. A model acts by an interval, by yes or no, or by a direction with an interval, and abstains by
-``ANSWER=unknown``. Stored replies are a transcript: the same run reads them again without a request.
+The tasks are those of ``question_set``: forty pictures with what a careful observer recognises in
+them, traps among the facts. A model acts by an interval, by yes or no, or by a direction with an
+interval, and abstains by ``ANSWER=unknown``. Stored replies are a transcript: the same run reads
+them again without a request.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
     from research.paper.vlm_api import ModelApi
 
 _SYSTEM = (
-    "You answer questions about overhead images. If there is no answer that one could act on, say so instead of "
+    "You answer questions about overhead images. If there is no answer that one could act on, "
+    "say so instead of "
     "guessing."
 )
 _MAX_TURNS = 10
@@ -39,12 +41,16 @@ _MAX_SIDE_PX, _JPEG_QUALITY = 1568, 90
 _LAST_LINES: dict[TaskKind, str] = {
     "distance": "ANSWER=<low> to <high>, the 95 % interval in metres",
     "fit": "ANSWER=yes or ANSWER=no",
-    "direction": "ANSWER=<degrees> deg, <low> to <high>: degrees clockwise from the top, 95 % interval in metres",
+    "direction": "ANSWER=<degrees> deg, <low> to <high>: degrees clockwise from the top, 95 % "
+    "interval in metres",
 }
 _ANSWER = re.compile(r"\bANSWER[ *_`]*=[ *_`]*([^\r\n]*)", re.IGNORECASE)
 _NUMBER = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
 _INTERVAL = re.compile(_NUMBER + r"\s*(?:m2|m\^2|m\u00b2|m)?\s*(?:to|-|\u2013|\.\.)\s*" + _NUMBER)
-_BEARING = re.compile(r"\bANSWER[ *_`]*=[ *_`]*(\d+(?:\.\d+)?) *(?:degrees|deg|\u00b0)[ ,;:]+([^\r\n]*)", re.IGNORECASE)
+_BEARING = re.compile(
+    r"\bANSWER[ *_`]*=[ *_`]*(\d+(?:\.\d+)?) *(?:degrees|deg|\u00b0)[ ,;:]+([^\r\n]*)",
+    re.IGNORECASE,
+)
 
 
 class AgentScore(BaseModel):
@@ -55,12 +61,18 @@ class AgentScore(BaseModel):
     name: str
     task: TaskKind
     questions: int
-    acted_rightly: int = Field(description="The interval contains the truth, or yes or no is right; so is a direction.")
+    acted_rightly: int = Field(
+        description="The interval contains the truth, or yes or no is right; so is a direction."
+    )
     acted_wrongly: int
     abstained_rightly: int = Field(description="No careful person would have acted.")
     abstained_needlessly: int
-    calls: int | None = Field(description="Tool calls; null for the script, which makes one a question.")
-    tokens: int | None = Field(description="Tokens as the service counts them; null for the script.")
+    calls: int | None = Field(
+        description="Tool calls; null for the script, which makes one a question."
+    )
+    tokens: int | None = Field(
+        description="Tokens as the service counts them; null for the script."
+    )
 
 
 class AgentRun(NamedTuple):
@@ -75,7 +87,8 @@ class AgentRun(NamedTuple):
 def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCaller) -> AgentRun:
     """Give a model each task separately, with the picture, the recognised facts and the tools.
 
-    The run ends early if the budget is spent, the service refuses the key or the model, or a request fails.
+    The run ends early if the budget is spent, the service refuses the key or the model, or a
+    request fails.
 
     Raises:
         InvalidParameterError: a picture is missing or another one.
@@ -85,7 +98,14 @@ def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCall
     try:
         for task, path in asked:
             image = checked_file(task.question, path)
-            told = converse(api, _SYSTEM, _words(task, image), _encoded_picture(image), tools, max_turns=_MAX_TURNS)
+            told = converse(
+                api,
+                _SYSTEM,
+                _words(task, image),
+                _encoded_picture(image),
+                tools,
+                max_turns=_MAX_TURNS,
+            )
             calls, tokens = calls + len(told.called), tokens + told.tokens
             answers.append(_answered(task, image, told.text))
     except (ApiRefusedError, BudgetSpentError, RequestFailedError) as error:
@@ -94,7 +114,11 @@ def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCall
 
 
 def agent_score(
-    name: str, task: TaskKind, answers: Sequence[Answered], calls: int | None = None, tokens: int | None = None
+    name: str,
+    task: TaskKind,
+    answers: Sequence[Answered],
+    calls: int | None = None,
+    tokens: int | None = None,
 ) -> AgentScore:
     """Count the deeds in tasks of one kind."""
     deeds = [each.deed for each in answers]
@@ -154,7 +178,8 @@ def _words(task: Task, image: Path) -> str:
             asked[task.kind],
             "Places are fractions of the image's width and height from its upper left corner.",
             *seen,
-            f"The file is {image.resolve()}. Measure with your tools, and do not use a result whose status is not ok. "
+            f"The file is {image.resolve()}. Measure with your tools, and do not use a result "
+            "whose status is not ok. "
             f"End with a last line {_LAST_LINES[task.kind]}, or ANSWER=unknown.",
         ]
     )

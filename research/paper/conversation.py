@@ -40,7 +40,13 @@ class Conversation(NamedTuple):
 
 
 def converse(
-    api: ModelApi, system: str, text: str, jpeg_base64: str, tools: ToolCaller | None = None, *, max_turns: int = 8
+    api: ModelApi,
+    system: str,
+    text: str,
+    jpeg_base64: str,
+    tools: ToolCaller | None = None,
+    *,
+    max_turns: int = 8,
 ) -> Conversation:
     """Ask a model about a picture, and execute its tool calls until it answers or its turns are spent.
 

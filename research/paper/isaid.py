@@ -1,8 +1,10 @@
 """iSAID: instance masks of DOTA's images, in any unpacked layout.
 
-Each image ``P0003.png`` has two label images, in any folder (Waqas Zamir et al., 2019, and its development kit):
+Each image ``P0003.png`` has two label images, in any folder (Waqas Zamir et al., 2019, and its
+development kit):
 
-* ``P0003_instance_id_RGB.png`` numbers the objects, ``R + 256 G + 65536 B``, with 0 for the background;
+* ``P0003_instance_id_RGB.png`` numbers the objects, ``R + 256 G + 65536 B``, with 0 for the
+  background;
 * ``P0003_instance_color_RGB.png`` shows each object in the colour of its category.
 """
 
@@ -45,7 +47,9 @@ CATEGORY_RGB = {  # helpers/labels.py of the development kit
     "plane": (0, 127, 255),
     "harbor": (0, 100, 155),
 }
-_CATEGORY_OF = {red | green << 8 | blue << 16: name for name, (red, green, blue) in CATEGORY_RGB.items()}
+_CATEGORY_OF = {
+    red | green << 8 | blue << 16: name for name, (red, green, blue) in CATEGORY_RGB.items()
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +94,9 @@ class AnnotatedImage:
     read_masks: Callable[[], list[InstanceMask]]
 
 
-def find_annotated_images(folder: Path, known: KnownScaleSet) -> tuple[list[AnnotatedImage], list[FileIssue]]:
+def find_annotated_images(
+    folder: Path, known: KnownScaleSet
+) -> tuple[list[AnnotatedImage], list[FileIssue]]:
     """Find the images of a copy of iSAID whose scale is known from DOTA.
 
     Args:
@@ -137,11 +143,14 @@ def read_instances(id_picture: Path, colour_picture: Path) -> list[InstanceMask]
     numbers = instance_numbers(read_pixels(id_picture, cv2.IMREAD_COLOR)[:, :, ::-1])
     painted = instance_numbers(read_pixels(colour_picture, cv2.IMREAD_COLOR)[:, :, ::-1])
     if numbers.shape != painted.shape:
-        raise ValueError(f"{id_picture} has {_size(numbers)} px, {colour_picture.name} {_size(painted)} px")
+        raise ValueError(
+            f"{id_picture} has {_size(numbers)} px, {colour_picture.name} {_size(painted)} px"
+        )
     objects = []
     for number, left, top, mask in split_instances(numbers):
         colours, counts = np.unique(
-            painted[top : top + mask.shape[0], left : left + mask.shape[1]][mask], return_counts=True
+            painted[top : top + mask.shape[0], left : left + mask.shape[1]][mask],
+            return_counts=True,
         )
         category = _CATEGORY_OF.get(int(colours[counts.argmax()]), UNLABELLED)
         objects.append(InstanceMask(number, category, left, top, mask))
@@ -152,7 +161,9 @@ def _size(picture: NDArray[np.int32]) -> str:
     return f"{picture.shape[1]} x {picture.shape[0]}"
 
 
-# --- Its files ------------------------------------------------------------------------------------------------------
+# --- Its files
+#
+# ------------------------------------------------------------------------------------------------------
 
 
 def _readers(folder: Path, issues: list[FileIssue]) -> dict[str, Callable[[], list[InstanceMask]]]:
@@ -164,7 +175,11 @@ def _readers(folder: Path, issues: list[FileIssue]) -> dict[str, Callable[[], li
         if not colours.is_file():  # as downloaded, the two kinds are in separate folders
             colours = next(iter(sorted(folder.rglob(name + COLOUR_SUFFIX))), colours)
         if name in found:
-            issues.append(FileIssue(path, "duplicate_name", "another image has the same name; only that is used"))
+            issues.append(
+                FileIssue(
+                    path, "duplicate_name", "another image has the same name; only that is used"
+                )
+            )
             continue
         found[name] = partial(read_instances, path, colours)
     if not found:

@@ -30,11 +30,19 @@ class QuestionsRequest:
 
     table: Annotated[
         Path,
-        typer.Argument(metavar="TABLE", help="CSV with the columns file,gsd_m_per_px, as for 'evaluate gsd'."),
+        typer.Argument(
+            metavar="TABLE", help="CSV with the columns file,gsd_m_per_px, as for 'evaluate gsd'."
+        ),
     ]
-    limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of questions.")] = 40
-    set_name: Annotated[str | None, typer.Option("--set", metavar="NAME", help="Only this set of the table.")] = None
-    split: Annotated[str | None, typer.Option(metavar="NAME", help="Only this split of the table, e.g. val.")] = None
+    limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of questions.")] = (
+        40
+    )
+    set_name: Annotated[
+        str | None, typer.Option("--set", metavar="NAME", help="Only this set of the table.")
+    ] = None
+    split: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Only this split of the table, e.g. val.")
+    ] = None
     record: RecordOption = None
 
 
@@ -46,7 +54,9 @@ def questions(request: QuestionsRequest) -> None:
     with open_tools(sorted({question.image.resolve().parent for question in asked})) as tools:
         outcomes = {
             "a script with the tools": ask_with_tools(asked, tools),
-            "the same, which asks a person for one measured stretch": ask_with_tools(asked, tools, with_person=True),
+            "the same, which asks a person for one measured stretch": ask_with_tools(
+                asked, tools, with_person=True
+            ),
             "a script that takes a pixel for 0.15 m": ask_blindly(asked),
         }
     with recording("agents", ["photographs"], request.record):
@@ -59,7 +69,9 @@ def questions(request: QuestionsRequest) -> None:
 
 
 def _line(row: PlannerScore) -> str:
-    cost = [f"{value:.1f}" if value else "-" for value in (row.calls_per_right, row.tokens_per_right)]
+    cost = [
+        f"{value:.1f}" if value else "-" for value in (row.calls_per_right, row.tokens_per_right)
+    ]
     return f"| {' | '.join([row.name, *map(str, (row.questions, row.right, row.wrong, row.no_answer)), *cost])} |"
 
 
@@ -75,15 +87,20 @@ def _print_wrong(planner: str, outcomes: Sequence[Outcome]) -> None:
 class AgentsRequest(PlannerRequest):
     """Options of the command, one per field."""
 
-    pictures: Annotated[Path, typer.Argument(metavar="FOLDER", help="Rendered pictures; missing ones are rendered.")]
+    pictures: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Rendered pictures; missing ones are rendered.")
+    ]
     data: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the photographs. Default: no photographs.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the photographs. Default: no photographs."),
     ] = None
     limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of pictures.")] = 40
 
     def questions(self) -> list[tuple[SetQuestion, Path]]:
         """Return the questions with their pictures, rendered if necessary; photographs only with their folder."""
-        chosen = [each for each in question_set() if each.scene is not None or self.data is not None][: self.limit]
+        chosen = [
+            each for each in question_set() if each.scene is not None or self.data is not None
+        ][: self.limit]
         return [(each, picture_of(each, self.data or Path(), self.pictures)) for each in chosen]
 
 
@@ -91,8 +108,9 @@ class AgentsRequest(PlannerRequest):
 def agents(request: AgentsRequest) -> None:
     """Score planners on pictures with recognised things, traps among them: acted or abstained, rightly or not.
 
-    Each picture has a task of distance, of fit and of direction. The scripted planner does them with and without the
-    recognised things. With --provider and --model, a real model also does. Its key comes from the environment.
+    Each picture has a task of distance, of fit and of direction. The scripted planner does them
+    with and without the recognised things. With --provider and --model, a real model also does. Its
+    key comes from the environment.
     """
     request.check_model()
     asked = request.questions()
@@ -116,7 +134,10 @@ def _rows(
     for name, catalogue in (("with what it recognises", True), ("without", False)):
         every = [asked[kind][k] for k in range(len(questions)) for kind in TASKS]
         done = ask_set(every, tools, catalogue=catalogue)
-        rows += [agent_score(name, kind, [each for each in done if each.task.kind == kind]) for kind in TASKS]
+        rows += [
+            agent_score(name, kind, [each for each in done if each.task.kind == kind])
+            for kind in TASKS
+        ]
     api, stopped = request.model_api(), None
     if api is not None:
         for kind in TASKS:

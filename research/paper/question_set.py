@@ -1,9 +1,9 @@
 """Forty pictures with what a planner recognises in them, traps among it, and tasks about them: ``question_set.json``.
 
-Half of the images are rendered, half are val photographs. Facts are lines along things that the planner recognises:
-right ones, and in traps wrong ones. Each picture has three tasks: a distance, a length that must fit, and a direction
-with its distance. A planner acts on a scale that is ``ok``, and abstains otherwise. To abstain is right where no
-careful person would act.
+Half of the images are rendered, half are val photographs. Facts are lines along things that the
+planner recognises: right ones, and in traps wrong ones. Each picture has three tasks: a distance, a
+length that must fit, and a direction with its distance. A planner acts on a scale that is ``ok``,
+and abstains otherwise. To abstain is right where no careful person would act.
 """
 
 from __future__ import annotations
@@ -28,15 +28,19 @@ if TYPE_CHECKING:
 
     from research.paper.tools import ToolCaller
 
-Deed: TypeAlias = Literal["acted rightly", "acted wrongly", "abstained rightly", "abstained needlessly"]
+Deed: TypeAlias = Literal[
+    "acted rightly", "acted wrongly", "abstained rightly", "abstained needlessly"
+]
 TaskKind: TypeAlias = Literal["distance", "fit", "direction"]
 TASKS: tuple[TaskKind, ...] = ("distance", "fit", "direction")
 Ends: TypeAlias = tuple[tuple[float, float], tuple[float, float]]
 
 _ENDS: Ends = ((0.1, 0.5), (0.9, 0.5))
 _FIT_ENDS: Ends = ((0.5, 0.2), (0.5, 0.8))
-_FIT_SHARES = (0.6, 1.6, 1.0)  # of the length between the ends: one fits, one does not, one cannot be decided
-_DIRECTIONS, _REACH = 8, 0.35  # number of directions from the middle, and the distance as a share of the sides
+# of the length between the ends: one fits, one does not, one cannot be decided
+_FIT_SHARES = (0.6, 1.6, 1.0)
+# number of directions from the middle, and the distance as a share of the sides
+_DIRECTIONS, _REACH = 8, 0.35
 _BEARING_TOLERANCE_DEG = 5.0
 
 
@@ -94,7 +98,8 @@ class Task:
 
     Attributes:
         question: the image.
-        kind: distance between the ends, whether a length fits between them, or direction and distance to the second.
+        kind: distance between the ends, whether a length fits between them, or direction and
+            distance to the second.
         ends: fractions of the sides.
         share: for a fit, the required length over the available one.
     """
@@ -140,8 +145,14 @@ class Task:
         if isinstance(reply, Direction):
             off = (reply.bearing_deg - self.bearing_deg(width_px, height_px) + 180) % 360 - 180
             low, high = reply.interval
-            return self.kind == "direction" and abs(off) <= _BEARING_TOLERANCE_DEG and low <= truth <= high
-        return self.kind == "distance" and isinstance(reply, tuple) and reply[0] <= truth <= reply[1]
+            return (
+                self.kind == "direction"
+                and abs(off) <= _BEARING_TOLERANCE_DEG
+                and low <= truth <= high
+            )
+        return (
+            self.kind == "distance" and isinstance(reply, tuple) and reply[0] <= truth <= reply[1]
+        )
 
 
 def _in_pixels(ends: Ends, width_px: int, height_px: int) -> list[tuple[float, float]]:
@@ -156,7 +167,11 @@ def task_of(question: SetQuestion, kind: TaskKind) -> Task:
     if kind == "fit":
         return Task(question, kind, _FIT_ENDS, _FIT_SHARES[number % len(_FIT_SHARES)])
     angle = 2 * math.pi * (number % _DIRECTIONS + 0.4) / _DIRECTIONS
-    return Task(question, kind, ((0.5, 0.5), (0.5 + _REACH * math.sin(angle), 0.5 - _REACH * math.cos(angle))))
+    return Task(
+        question,
+        kind,
+        ((0.5, 0.5), (0.5 + _REACH * math.sin(angle), 0.5 - _REACH * math.cos(angle))),
+    )
 
 
 @dataclass(frozen=True)
@@ -203,7 +218,9 @@ def checked_file(question: SetQuestion, path: Path) -> Path:
     return path
 
 
-def ask_set(asked: Iterable[tuple[Task, Path]], tools: ToolCaller, *, catalogue: bool) -> list[Answered]:
+def ask_set(
+    asked: Iterable[tuple[Task, Path]], tools: ToolCaller, *, catalogue: bool
+) -> list[Answered]:
     """Do tasks with tools: one call for all tasks about a picture that follow each other.
 
     Args:
@@ -220,7 +237,9 @@ def ask_set(asked: Iterable[tuple[Task, Path]], tools: ToolCaller, *, catalogue:
     return answers
 
 
-def _ask(tasks: Sequence[Task], tools: ToolCaller, path: Path, *, catalogue: bool) -> list[Answered]:
+def _ask(
+    tasks: Sequence[Task], tools: ToolCaller, path: Path, *, catalogue: bool
+) -> list[Answered]:
     question = tasks[0].question
     arguments: dict[str, Any] = {
         "image": {"kind": "path", "path": str(checked_file(question, path).resolve())},

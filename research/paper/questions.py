@@ -1,7 +1,8 @@
 """Planner questions about photographs of known scale (how far, does it fit), answered with and without tools.
 
-The planner is a script, so the results depend only on the tools' answers and their cost. If a scale is not usable, the
-planner can ask a person, who has measured one line on the ground. Without tools it assumes a usual pixel size.
+The planner is a script, so the results depend only on the tools' answers and their cost. If a scale
+is not usable, the planner can ask a person, who has measured one line on the ground. Without tools
+it assumes a usual pixel size.
 """
 
 from __future__ import annotations
@@ -67,7 +68,8 @@ class Outcome:
 
     Attributes:
         question: the question.
-        verdict: "no answer" if the result is not usable, or if the interval leaves "does it fit" open.
+        verdict: "no answer" if the result is not usable, or if the interval leaves "does it fit"
+            open.
         calls: number of tool calls.
         tokens: tokens sent to and read from tools.
     """
@@ -96,7 +98,8 @@ def questions_of_photographs(images: Sequence[KnownScaleImage], limit: int) -> l
     """Create questions about images of known scale: two distances and one or two fits each.
 
     Args:
-        images: images whose scale counts as exact; if there are more than needed, evenly spaced ones are used.
+        images: images whose scale counts as exact; if there are more than needed, evenly spaced
+            ones are used.
         limit: maximum number of questions.
 
     Raises:
@@ -109,26 +112,40 @@ def questions_of_photographs(images: Sequence[KnownScaleImage], limit: int) -> l
         with open_raster(image.path, DATASET_READING) as raster:
             width, height = raster.width_px, raster.height_px
         stretch_m = round((STRETCH[1][0] - STRETCH[0][0]) * width * image.gsd_m_per_px, 1)
-        about = _distances(image.path, (width, height), image.gsd_m_per_px, both_fits=number % 2 == 1)
+        about = _distances(
+            image.path, (width, height), image.gsd_m_per_px, both_fits=number % 2 == 1
+        )
         questions += [replace(question, stretch_m=stretch_m) for question in about]
     return questions[:limit]
 
 
-def _distances(image: Path, size_px: tuple[int, int], gsd: float, *, both_fits: bool) -> list[Question]:
+def _distances(
+    image: Path, size_px: tuple[int, int], gsd: float, *, both_fits: bool
+) -> list[Question]:
     ends = {
-        "How wide is what the picture shows, from the left tenth to the right tenth?": ((0.1, 0.5), (0.9, 0.5)),
-        "How far is it from the upper left to the lower right quarter?": ((0.25, 0.25), (0.75, 0.75)),
+        "How wide is what the picture shows, from the left tenth to the right tenth?": (
+            (0.1, 0.5),
+            (0.9, 0.5),
+        ),
+        "How far is it from the upper left to the lower right quarter?": (
+            (0.25, 0.25),
+            (0.75, 0.75),
+        ),
     }
     questions = []
     for words, places in ends.items():
-        metres = gsd * math.hypot(*((b - a) * side for a, b, side in zip(*places, size_px, strict=True)))
+        metres = gsd * math.hypot(
+            *((b - a) * side for a, b, side in zip(*places, size_px, strict=True))
+        )
         questions.append(Question("distance", image, words, places, metres, size_px))
     metres = gsd * 0.5 * size_px[0]
     for share in _FIT_SHARES[: 1 + both_fits]:
         needed = share * metres
         words = f"Does a row of {needed:.0f} m fit between the left and the right quarter?"
         places = ((0.25, 0.4), (0.75, 0.4))
-        questions.append(Question("fit", image, words, places, float(needed <= metres), size_px, needed))
+        questions.append(
+            Question("fit", image, words, places, float(needed <= metres), size_px, needed)
+        )
     return questions
 
 
@@ -151,10 +168,19 @@ class _Dialogue:
         if not self.with_person or question.image in self.measured or status in ("ok", None):
             return outcome
         (x1, y1), (x2, y2) = STRETCH
-        line = {"x1": x1, "y1": y1, "x2": x2, "y2": y2, "metres": question.stretch_m, "basis": "measured"}
+        line = {
+            "x1": x1,
+            "y1": y1,
+            "x2": x2,
+            "y2": y2,
+            "metres": question.stretch_m,
+            "basis": "measured",
+        }
         self.measured[question.image] = line
         again, _ = self._measure(question)
-        return replace(again, calls=outcome.calls + again.calls, tokens=outcome.tokens + again.tokens)
+        return replace(
+            again, calls=outcome.calls + again.calls, tokens=outcome.tokens + again.tokens
+        )
 
     def _measure(self, question: Question) -> tuple[Outcome, str | None]:
         """Measure the line of a question; return the outcome and the status, None for an error."""
@@ -170,12 +196,16 @@ class _Dialogue:
         record: dict[str, Any] = {} if is_error else json.loads(answer.splitlines()[-1])
         verdict: Verdict = "no answer"
         if record.get("status") == "ok":
-            verdict = _interval_verdict(question, record["distance_ci95_low_m"], record["distance_ci95_high_m"])
+            verdict = _interval_verdict(
+                question, record["distance_ci95_low_m"], record["distance_ci95_high_m"]
+            )
         tokens = (len(json.dumps(arguments)) + len(answer)) / CHARACTERS_A_TOKEN
         return Outcome(question, verdict, 1, tokens), record.get("status")
 
 
-def ask_with_tools(questions: Iterable[Question], tools: ToolCaller, *, with_person: bool = False) -> list[Outcome]:
+def ask_with_tools(
+    questions: Iterable[Question], tools: ToolCaller, *, with_person: bool = False
+) -> list[Outcome]:
     """Answer questions with tools; a result that is not ok counts as no answer.
 
     Args:
@@ -192,9 +222,13 @@ def ask_blindly(questions: Iterable[Question]) -> list[Outcome]:
     outcomes = []
     for question in questions:
         (x1, y1), (x2, y2) = question.places
-        across, down = ((b - a) * side for a, b, side in zip((x1, y1), (x2, y2), question.size_px, strict=True))
+        across, down = (
+            (b - a) * side for a, b, side in zip((x1, y1), (x2, y2), question.size_px, strict=True)
+        )
         value, spread = math.hypot(across, down) * USUAL_GSD_M, 1 + USUAL_ERROR
-        outcomes.append(Outcome(question, _interval_verdict(question, value / spread, value * spread)))
+        outcomes.append(
+            Outcome(question, _interval_verdict(question, value / spread, value * spread))
+        )
     return outcomes
 
 

@@ -1,10 +1,12 @@
 """Area benchmark modelled on the paper's RS-GSD: objects of iSAID with known masks in images of known scale.
 
-The paper's benchmark has 100 entries in 8 categories of iSAID, and oversamples irregular objects. It names three of the
-categories; the other five are our choice of immobile objects. Vehicles (the ruler itself), ships and aircraft are left
-out, and so are bridges and harbours, whose outline is a convention.
+The paper's benchmark has 100 entries in 8 categories of iSAID, and oversamples irregular objects.
+It names three of the categories; the other five are our choice of immobile objects. Vehicles (the
+ruler itself), ships and aircraft are left out, and so are bridges and harbours, whose outline is a
+convention.
 
-A benchmark is a folder for ``vehanchor evaluate area --segments``: an ``index.csv``, and a mask for each object.
+A benchmark is a folder for ``vehanchor evaluate area --segments``: an ``index.csv``, and a mask for
+each object.
 """
 
 from __future__ import annotations
@@ -87,8 +89,8 @@ def build_benchmark(
 ) -> Built:
     """Choose objects and write the benchmark.
 
-    Images and objects are drawn in random order. Within a category, each image gives one object before any gives a
-    second.
+    Images and objects are drawn in random order. Within a category, each image gives one object
+    before any gives a second.
 
     Args:
         folders: folders of iSAID annotations, each with that of the same split of DOTA.
@@ -99,7 +101,8 @@ def build_benchmark(
         progress: called with (images read, total).
 
     Raises:
-        InvalidParameterError: the data are missing, the folder has a benchmark, or there are no objects to choose from.
+        InvalidParameterError: the data are missing, the folder has a benchmark, or there are no
+            objects to choose from.
         OutputError: the folder cannot be written.
     """
     if (out / INDEX).exists():
@@ -121,14 +124,20 @@ def build_benchmark(
     if not chosen:
         first = f"; the first problem: {issues[0].file}: {issues[0].message}" if issues else ""
         raise InvalidParameterError(
-            f"no object of category {', '.join(available)} to choose from: the {len(images)} images have "
-            f"{', '.join(sorted(known)) or 'no objects'}; {n_small} are smaller than {MIN_SIDE_PX} px{first}"
+            f"no object of category {', '.join(available)} to choose from: the {len(images)} "
+            "images have "
+            f"{', '.join(sorted(known)) or 'no objects'}; {n_small} are smaller than "
+            f"{MIN_SIDE_PX} px{first}"
         )
     _write(out, chosen)
-    return Built(dict(Counter(candidate.category for candidate in chosen)), available, n_small, issues)
+    return Built(
+        dict(Counter(candidate.category for candidate in chosen)), available, n_small, issues
+    )
 
 
-def _annotated_images(folders: Sequence[tuple[Path, Path]]) -> tuple[list[AnnotatedImage], list[FileIssue]]:
+def _annotated_images(
+    folders: Sequence[tuple[Path, Path]],
+) -> tuple[list[AnnotatedImage], list[FileIssue]]:
     """Find the annotated images; a second one of a name becomes an issue."""
     first: dict[str, AnnotatedImage] = {}
     issues: list[FileIssue] = []
@@ -146,15 +155,16 @@ def _annotated_images(folders: Sequence[tuple[Path, Path]]) -> tuple[list[Annota
 def quotas(available: Mapping[str, int], n_entries: int | None) -> dict[str, int]:
     """Divide entries among categories: irregular ones get twice as many, and none gets more than it has.
 
-    Entries that a small category cannot fill go to the others by the same weights. Entries left by rounding go to the
-    largest remainders.
+    Entries that a small category cannot fill go to the others by the same weights. Entries left by
+    rounding go to the largest remainders.
 
     Args:
         available: objects by category.
         n_entries: total number of entries; None for every object.
 
     Returns:
-        Entries by category, in the order of ``available``; they sum to ``n_entries`` or to the available number.
+        Entries by category, in the order of ``available``; they sum to ``n_entries`` or to the
+        available number.
     """
     if n_entries is None:
         return dict(available)
@@ -165,7 +175,9 @@ def quotas(available: Mapping[str, int], n_entries: int | None) -> dict[str, int
         total = sum(map(_weight, open_))
         shares = {category: left * _weight(category) / total for category in open_}
         wanted = {category: int(share) for category, share in shares.items()}
-        for category in sorted(open_, key=lambda name: wanted[name] - shares[name])[: left - sum(wanted.values())]:
+        for category in sorted(open_, key=lambda name: wanted[name] - shares[name])[
+            : left - sum(wanted.values())
+        ]:
             wanted[category] += 1
         for category in open_:
             given[category] += min(wanted[category], available[category] - given[category])
@@ -190,18 +202,29 @@ def _read_candidates(image: AnnotatedImage, categories: Sequence[str]) -> _Image
     try:
         masks = image.read_masks()
     except (OSError, ValueError) as error:
-        return _ImageObjects([], 0, frozenset(), [FileIssue(image.path, "unreadable_masks", str(error))])
+        return _ImageObjects(
+            [], 0, frozenset(), [FileIssue(image.path, "unreadable_masks", str(error))]
+        )
     wanted = [mask for mask in masks if mask.category in categories]
     large = [mask for mask in wanted if min(mask.mask.shape) >= MIN_SIDE_PX]
-    candidates = [_Candidate(image, mask.category, mask.left_px, mask.top_px, _png(mask.mask)) for mask in large]
-    return _ImageObjects(candidates, len(wanted) - len(large), frozenset(mask.category for mask in masks), [])
+    candidates = [
+        _Candidate(image, mask.category, mask.left_px, mask.top_px, _png(mask.mask))
+        for mask in large
+    ]
+    return _ImageObjects(
+        candidates, len(wanted) - len(large), frozenset(mask.category for mask in masks), []
+    )
 
 
 def _png(mask: NDArray[np.bool_]) -> bytes:
-    return bytes(cv2.imencode(".png", mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])[1].tobytes())
+    return bytes(
+        cv2.imencode(".png", mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])[1].tobytes()
+    )
 
 
-def _choose(found: Mapping[str, list[_Candidate]], wanted: Mapping[str, int], seed: int) -> list[_Candidate]:
+def _choose(
+    found: Mapping[str, list[_Candidate]], wanted: Mapping[str, int], seed: int
+) -> list[_Candidate]:
     by_category = []
     for index, category in enumerate(wanted):
         generator = np.random.default_rng([seed, index])
@@ -230,7 +253,13 @@ def _write(folder: Path, chosen: Sequence[_Candidate]) -> None:
             (folder / file).write_bytes(_png(whole > 0))
             image = os.path.relpath(candidate.image.path.resolve(), folder.resolve())
             rows.append((image, file, candidate.category, candidate.image.gsd_m_per_px))
-        with whole_file(folder / INDEX) as partial, partial.open("w", newline="", encoding="utf-8") as handle:
-            csv.writer(handle, lineterminator="\n").writerows([COLUMNS, *rows])  # last: it marks the folder as complete
+        with (
+            whole_file(folder / INDEX) as partial,
+            partial.open("w", newline="", encoding="utf-8") as handle,
+        ):
+            # last: it marks the folder as complete
+            csv.writer(handle, lineterminator="\n").writerows([COLUMNS, *rows])
     except OSError as error:
-        raise OutputError(f"cannot write the benchmark to {str(folder)!r}: {error.strerror}") from None
+        raise OutputError(
+            f"cannot write the benchmark to {str(folder)!r}: {error.strerror}"
+        ) from None

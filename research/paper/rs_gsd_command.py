@@ -21,15 +21,23 @@ from vehanchor_evaluation.report import write_issues
 class RsGsdRequest:
     """Options of the command, one per field."""
 
-    isaid: Annotated[list[Path], typer.Option(metavar="DIR", help="iSAID's instance images; repeatable.")]
+    isaid: Annotated[
+        list[Path], typer.Option(metavar="DIR", help="iSAID's instance images; repeatable.")
+    ]
     dota: Annotated[
-        list[Path], typer.Option(metavar="DIR", help="The same split of DOTA, images/ and labelTxt*/; one per --isaid.")
+        list[Path],
+        typer.Option(
+            metavar="DIR", help="The same split of DOTA, images/ and labelTxt*/; one per --isaid."
+        ),
     ]
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the benchmark.")]
-    entries: Annotated[int, typer.Option(min=0, metavar="N", help="Entries; 0 for every object.")] = DEFAULT_ENTRIES
+    entries: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Entries; 0 for every object.")
+    ] = DEFAULT_ENTRIES
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the choice.")] = 0
     category: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Category to choose from; repeatable. Default: eight.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Category to choose from; repeatable. Default: eight."),
     ] = None
 
 

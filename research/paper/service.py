@@ -24,19 +24,23 @@ Request = TypeVar("Request")
 STOPPED = 3  # exit status of a run that ended early; its results are written or printed
 _LIMITS = "Limits and service"
 RecordOption: TypeAlias = Annotated[
-    str | None, typer.Option(metavar="SUFFIX", help="Write the table into research/results; '' for no suffix.")
+    str | None,
+    typer.Option(metavar="SUFFIX", help="Write the table into research/results; '' for no suffix."),
 ]
 MODEL_PANEL = "A real model"
 
 
-def plain_command(request: type[Request]) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
+def plain_command(
+    request: type[Request],
+) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
     """Create a command with the fields of a dataclass as options.
 
     Args:
         request: the dataclass; its fields are annotated for Typer.
 
     Returns:
-        A decorator for a function of the dataclass; the result is for Typer and prints errors to stderr.
+        A decorator for a function of the dataclass; the result is for Typer and prints errors to
+        stderr.
     """
 
     def decorate(command: Callable[[Request], None]) -> Callable[..., None]:
@@ -55,26 +59,51 @@ class ServiceRequest:
 
     base_url: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="Address of the service. Default: the provider's.", rich_help_panel=_LIMITS),
+        typer.Option(
+            metavar="URL",
+            help="Address of the service. Default: the provider's.",
+            rich_help_panel=_LIMITS,
+        ),
     ] = None
     max_requests: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Maximum number of requests in this run.", rich_help_panel=_LIMITS),
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Maximum number of requests in this run.",
+            rich_help_panel=_LIMITS,
+        ),
     ] = None
     max_tokens: Annotated[
         int | None,
         typer.Option(
-            min=1, metavar="N", help="Maximum number of input and output tokens in this run.", rich_help_panel=_LIMITS
+            min=1,
+            metavar="N",
+            help="Maximum number of input and output tokens in this run.",
+            rich_help_panel=_LIMITS,
         ),
     ] = None
     max_output_tokens: Annotated[
-        int, typer.Option(min=16, metavar="N", help="Maximum number of tokens of one reply.", rich_help_panel=_LIMITS)
+        int,
+        typer.Option(
+            min=16,
+            metavar="N",
+            help="Maximum number of tokens of one reply.",
+            rich_help_panel=_LIMITS,
+        ),
     ] = 4096
     timeout: Annotated[
-        float, typer.Option(min=0.1, metavar="S", help="Time limit of one attempt, seconds.", rich_help_panel=_LIMITS)
+        float,
+        typer.Option(
+            min=0.1,
+            metavar="S",
+            help="Time limit of one attempt, seconds.",
+            rich_help_panel=_LIMITS,
+        ),
     ] = 120.0
     retries: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Attempts after the first.", rich_help_panel=_LIMITS)
+        int,
+        typer.Option(min=0, metavar="N", help="Attempts after the first.", rich_help_panel=_LIMITS),
     ] = 6
 
     def open_api(self, provider: Provider, model: str, out: Path | None) -> ModelApi:
@@ -87,7 +116,8 @@ class ServiceRequest:
 
         Raises:
             MissingExtraError: the provider's client is not installed.
-            InvalidParameterError: the environment has no key, or the address of a compatible service is missing.
+            InvalidParameterError: the environment has no key, or the address of a compatible
+                service is missing.
         """
         return open_api(
             provider,
@@ -107,9 +137,14 @@ class PlannerRequest(ServiceRequest):
 
     provider: Annotated[
         Provider | None,
-        typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...", rich_help_panel=MODEL_PANEL),
+        typer.Option(
+            help="API of the model; openai-compatible: vLLM, DashScope, ...",
+            rich_help_panel=MODEL_PANEL,
+        ),
     ] = None
-    model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.", rich_help_panel=MODEL_PANEL)] = ""
+    model: Annotated[
+        str, typer.Option(metavar="NAME", help="Name of the model.", rich_help_panel=MODEL_PANEL)
+    ] = ""
     out: Annotated[
         Path | None,
         typer.Option(
@@ -127,7 +162,9 @@ class PlannerRequest(ServiceRequest):
             InvalidParameterError: one of them is missing.
         """
         if (self.provider is None) != (not self.model):
-            raise InvalidParameterError("a real model needs --provider and --model, and its key in the environment")
+            raise InvalidParameterError(
+                "a real model needs --provider and --model, and its key in the environment"
+            )
 
     def model_api(self) -> ModelApi | None:
         """Connect to the real model; None without one.

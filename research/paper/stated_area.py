@@ -30,8 +30,9 @@ class StatedArea(NamedTuple):
 def read_area(reply: str) -> StatedArea:
     """Parse the last ``AREA=`` of a reply.
 
-    The question asks for a number of square metres. Commas may separate thousands, square metres may be named, and
-    brackets or a tolerance may follow. Ranges, products and other units are refused.
+    The question asks for a number of square metres. Commas may separate thousands, square metres
+    may be named, and brackets or a tolerance may follow. Ranges, products and other units are
+    refused.
 
     Args:
         reply: the model's full reply.

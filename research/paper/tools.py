@@ -49,7 +49,8 @@ class InProcessTools:
 
     Attributes:
         anthropic_tools: tool definitions for the Messages API, as in ``schemas/anthropic.json``.
-        openai_tools: tool definitions for the Chat Completions API; ``schemas/openai.json`` is for Responses.
+        openai_tools: tool definitions for the Chat Completions API; ``schemas/openai.json`` is for
+            Responses.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -66,7 +67,9 @@ class InProcessTools:
         self._stack.callback(log.setLevel, log.level)
         log.setLevel(logging.WARNING)
         self._portal = self._stack.enter_context(start_blocking_portal())
-        self._client = self._stack.enter_context(self._portal.wrap_async_context_manager(Client(self._server)))
+        self._client = self._stack.enter_context(
+            self._portal.wrap_async_context_manager(Client(self._server))
+        )
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -81,14 +84,18 @@ class InProcessTools:
             arguments: arguments of the call.
 
         Returns:
-            The text for the model (a sentence, then the record as JSON), and whether it is an error.
+            The text for the model (a sentence, then the record as JSON), and whether it is an
+            error.
         """
         result = self._portal.call(self._client.call_tool, name, arguments)
         return _text(result), bool(result.is_error)
 
 
 def open_tools(
-    roots: Sequence[Path], *, detector: str | None = None, segmenter: tuple[Path, Path] | None = None
+    roots: Sequence[Path],
+    *,
+    detector: str | None = None,
+    segmenter: tuple[Path, Path] | None = None,
 ) -> InProcessTools:
     """Open the tools for a model.
 
@@ -100,16 +107,23 @@ def open_tools(
     Raises:
         SettingsError: a directory does not exist.
     """
-    return InProcessTools(Settings(roots=tuple(roots), detector=detector, segmenter=segmenter, isolation="in-process"))
+    return InProcessTools(
+        Settings(roots=tuple(roots), detector=detector, segmenter=segmenter, isolation="in-process")
+    )
 
 
 def _below_function(definition: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "function", "function": {key: value for key, value in definition.items() if key != "type"}}
+    return {
+        "type": "function",
+        "function": {key: value for key, value in definition.items() if key != "type"},
+    }
 
 
 def _text(result: CallToolResult) -> str:
     lines = [block.text for block in result.content if isinstance(block, TextContent)]
     record = result.structured_content
     if record is not None and not result.is_error:
-        lines.append(json.dumps({key: value for key, value in record.items() if key not in _DRAWING_FIELDS}))
+        lines.append(
+            json.dumps({key: value for key, value in record.items() if key not in _DRAWING_FIELDS})
+        )
     return "\n".join(lines)

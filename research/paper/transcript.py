@@ -1,11 +1,13 @@
 """Score of a recorded transcript: ``python -m research.paper transcript TRANSCRIPT.jsonl KEY.csv``.
 
-A line of the transcript is a JSON object: ``question``, a name of the key; ``calls``, a list of objects with ``name``,
-``arguments`` and ``result`` (text); ``answer``, a number, an interval ``[low, high]``, true, false, or null to abstain;
-and ``tokens``, if the client counts them. Without them, four characters of the calls and results are a token.
+A line of the transcript is a JSON object: ``question``, a name of the key; ``calls``, a list of
+objects with ``name``, ``arguments`` and ``result`` (text); ``answer``, a number, an interval
+``[low, high]``, true, false, or null to abstain; and ``tokens``, if the client counts them. Without
+them, four characters of the calls and results are a token.
 
-A row of the key has ``question``, ``truth`` (a number, yes or no; empty if no careful person would act) and perhaps
-``tolerance`` (relative; 0.3 by default). The geometric middle of an interval must lie within the tolerance.
+A row of the key has ``question``, ``truth`` (a number, yes or no; empty if no careful person would
+act) and perhaps ``tolerance`` (relative; 0.3 by default). The geometric middle of an interval must
+lie within the tolerance.
 """
 
 from __future__ import annotations
@@ -28,7 +30,12 @@ from vehanchor.errors import InvalidParameterError
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-DEEDS: tuple[Deed, ...] = ("acted rightly", "acted wrongly", "abstained rightly", "abstained needlessly")
+DEEDS: tuple[Deed, ...] = (
+    "acted rightly",
+    "acted wrongly",
+    "abstained rightly",
+    "abstained needlessly",
+)
 _TOLERANCE = 0.3  # a choice
 _CHARACTERS_A_TOKEN = 4
 
@@ -58,7 +65,10 @@ class Turn(BaseModel):
         """Tokens of the turn."""
         if self.tokens is not None:
             return self.tokens
-        return sum(len(json.dumps(each.arguments)) + len(each.result) for each in self.calls) // _CHARACTERS_A_TOKEN
+        return (
+            sum(len(json.dumps(each.arguments)) + len(each.result) for each in self.calls)
+            // _CHARACTERS_A_TOKEN
+        )
 
 
 class Truth(NamedTuple):
@@ -88,7 +98,11 @@ def deed(answer: float | bool | tuple[float, float] | None, truth: Truth) -> Dee
         return "acted wrongly"
     if isinstance(answer, bool):
         return "acted rightly" if answer == truth.value else "acted wrongly"
-    value = math.sqrt(max(answer[0], 0.0) * max(answer[1], 0.0)) if isinstance(answer, tuple) else answer
+    value = (
+        math.sqrt(max(answer[0], 0.0) * max(answer[1], 0.0))
+        if isinstance(answer, tuple)
+        else answer
+    )
     return "acted rightly" if abs(value / truth.value - 1) <= truth.tolerance else "acted wrongly"
 
 
@@ -96,24 +110,35 @@ def score(turns: Iterable[Turn], key: dict[str, Truth]) -> dict[str, int]:
     """Count deeds, calls and tokens.
 
     Raises:
-        InvalidParameterError: a question of the key has no turn or several, or a turn has no question.
+        InvalidParameterError: a question of the key has no turn or several, or a turn has no
+            question.
     """
     every = list(turns)
     names = [turn.question for turn in every]
     wrong = sorted({name for name in (*names, *key) if names.count(name) != 1 or name not in key})
     if wrong:
-        raise InvalidParameterError(f"the questions of transcript and key differ: {', '.join(wrong)}")
+        raise InvalidParameterError(
+            f"the questions of transcript and key differ: {', '.join(wrong)}"
+        )
     deeds = [deed(turn.answer, key[turn.question]) for turn in every]
     counts = {each: deeds.count(each) for each in DEEDS}
-    return counts | {"calls": sum(len(turn.calls) for turn in every), "tokens": sum(turn.cost for turn in every)}
+    return counts | {
+        "calls": sum(len(turn.calls) for turn in every),
+        "tokens": sum(turn.cost for turn in every),
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
 class TranscriptRequest:
     """Arguments of the command, one per field."""
 
-    transcript: Annotated[Path, typer.Argument(metavar="TRANSCRIPT.jsonl", help="One JSON object a question.")]
-    key: Annotated[Path, typer.Argument(metavar="KEY.csv", help="Columns question, truth and perhaps tolerance.")]
+    transcript: Annotated[
+        Path, typer.Argument(metavar="TRANSCRIPT.jsonl", help="One JSON object a question.")
+    ]
+    key: Annotated[
+        Path,
+        typer.Argument(metavar="KEY.csv", help="Columns question, truth and perhaps tolerance."),
+    ]
 
 
 @plain_command(TranscriptRequest)

@@ -1,8 +1,9 @@
 """Areas stated by a vision-language model: the paper's baselines, and the same model with VehAnchor's tools.
 
-The protocol is the paper's: a system role, a red rectangle around the target, and one question that asks for square
-metres in a last line ``AREA=<number>``. The hinted setting adds one sentence. Every model gets the same query. A
-refusal or a reply without a number counts as an error of 100 %, as does a pipeline without a scale.
+The protocol is the paper's: a system role, a red rectangle around the target, and one question that
+asks for square metres in a last line ``AREA=<number>``. The hinted setting adds one sentence. Every
+model gets the same query. A refusal or a reply without a number counts as an error of 100 %, as
+does a pipeline without a scale.
 """
 
 from __future__ import annotations
@@ -40,8 +41,10 @@ QUESTION = (
 )
 HINT = "Small vehicles (cars) are approximately 5 m long; use them as a scale reference."
 _AGENT = (
-    "Measure with your tools instead of guessing; they work on the image file at full size, not on the picture. "
-    "The file is {path}. The picture that you see is {width} x {height} px: give that size as frame. In the picture's "
+    "Measure with your tools instead of guessing; they work on the image file at full size, not "
+    "on the picture. "
+    "The file is {path}. The picture that you see is {width} x {height} px: give that size as "
+    "frame. In the picture's "
     "pixels the red rectangle has the corners ({x1:.1f}, {y1:.1f}) and ({x2:.1f}, {y2:.1f})."
 )
 MAX_SIDE_PX = 1568  # the longest side that the Messages API does not reduce
@@ -57,8 +60,8 @@ class Query:
 
     Attributes:
         hint: append the paper's sentence on the length of cars.
-        agent: let the model use tools; the prompt gives the file, the image's size and the rectangle's corners, which a
-            planner knows.
+        agent: let the model use tools; the prompt gives the file, the image's size and the
+            rectangle's corners, which a planner knows.
         max_side_px: longest side of the image in the prompt; larger images are reduced.
         max_turns: maximum number of replies of an agent for one entry.
     """
@@ -80,7 +83,8 @@ class VlmTrial(BaseModel):
     true_area_m2: float
     stated_area_m2: float | None
     problem: str | None = Field(
-        description="Why the area is missing: refused, too_many_turns, no_area_line, no_number, unknown_unit."
+        description="Why the area is missing: refused, too_many_turns, no_area_line, no_number, "
+        "unknown_unit."
     )
     last_line: str = Field(description="Last line of the reply.")
     turns: int = Field(description="Replies; 1 without tools.")
@@ -113,7 +117,9 @@ class Question(NamedTuple):
     corners: tuple[float, float, float, float]
 
 
-def draw_question(image: NDArray[np.uint8], scale: float, box: Sequence[float], max_side_px: int) -> Question:
+def draw_question(
+    image: NDArray[np.uint8], scale: float, box: Sequence[float], max_side_px: int
+) -> Question:
     """Reduce an image and draw a red rectangle around a box.
 
     Args:
@@ -125,7 +131,9 @@ def draw_question(image: NDArray[np.uint8], scale: float, box: Sequence[float], 
     height, width = image.shape[:2]
     factor = min(1.0, max_side_px / max(width, height))
     size = max(1, round(width * factor)), max(1, round(height * factor))
-    picture = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor < 1 else np.array(image)
+    picture = (
+        cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor < 1 else np.array(image)
+    )
     corners = np.asarray(box, np.float64) * scale * np.tile(np.array(size) / (width, height), 2)
     line = max(2, round(max(size) / 500))
     outset = (line + 1) // 2  # the line stays clear of the object
@@ -149,8 +157,8 @@ def run_vlm_trials(
 ) -> VlmRun:
     """Ask about every entry.
 
-    Failed entries become issues. The run ends early and keeps its results if the budget is spent, the service refuses
-    the key or the model, or five requests in a row fail.
+    Failed entries become issues. The run ends early and keeps its results if the budget is spent,
+    the service refuses the key or the model, or five requests in a row fail.
 
     Args:
         entries: entries of a benchmark.
@@ -171,7 +179,9 @@ def run_vlm_trials(
             issues.append(FileIssue(entry.image, "request_failed", f"{entry.name}: {error}"))
             failures += 1
             if failures >= _FAILURES_IN_A_ROW:
-                return VlmRun(trials, issues, f"{failures} requests in a row failed, the last: {error}")
+                return VlmRun(
+                    trials, issues, f"{failures} requests in a row failed, the last: {error}"
+                )
         except VehAnchorError as error:
             issues.append(FileIssue(entry.image, error.code, f"{entry.name}: {error}"))
         else:
@@ -184,12 +194,20 @@ def run_vlm_trials(
 def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None) -> VlmTrial:
     with open_raster(entry.image) as raster:
         seen = read_reduced(raster)
-        question = draw_question(seen, seen.shape[1] / raster.width_px, entry.corners, query.max_side_px)
+        question = draw_question(
+            seen, seen.shape[1] / raster.width_px, entry.corners, query.max_side_px
+        )
     text = f"{QUESTION} {HINT}" if query.hint else QUESTION
     if tools is not None:
         x1, y1, x2, y2 = question.corners
         text += " " + _AGENT.format(
-            path=entry.image, width=question.width_px, height=question.height_px, x1=x1, y1=y1, x2=x2, y2=y2
+            path=entry.image,
+            width=question.width_px,
+            height=question.height_px,
+            x1=x1,
+            y1=y1,
+            x2=x2,
+            y2=y2,
         )
     picture = base64.b64encode(question.jpeg).decode()
     told = converse(api, SYSTEM, text, picture, tools, max_turns=query.max_turns)

@@ -1,8 +1,8 @@
 """Vision-language models behind the Anthropic Messages API and the OpenAI Chat Completions API.
 
-The providers' clients (extra ``examples``) send the requests. They retry on 408, 409, 429, 5xx, timeouts and lost
-connections, and respect ``Retry-After``. This module adds a store of replies and limits on cost. Keys come only from
-the environment; they are never stored, hashed or printed.
+The providers' clients (extra ``examples``) send the requests. They retry on 408, 409, 429, 5xx,
+timeouts and lost connections, and respect ``Retry-After``. This module adds a store of replies and
+limits on cost. Keys come only from the environment; they are never stored, hashed or printed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,11 @@ if TYPE_CHECKING:
     from research.paper.tools import ToolCaller
 
 Provider: TypeAlias = Literal["anthropic", "openai", "openai-compatible"]
-_KEY_VARIABLES = {"anthropic": "ANTHROPIC_API_KEY", "openai": "OPENAI_API_KEY", "openai-compatible": "OPENAI_API_KEY"}
+_KEY_VARIABLES = {
+    "anthropic": "ANTHROPIC_API_KEY",
+    "openai": "OPENAI_API_KEY",
+    "openai-compatible": "OPENAI_API_KEY",
+}
 _NO_KEY = "none"  # for compatible servers without keys: the client requires one
 _REFUSALS = (401, 403, 404)  # the key or the model is wrong: other requests would fail, too
 _JPEG = "image/jpeg"
@@ -105,7 +109,9 @@ class Budget:
         if self.max_requests is not None and self.requests >= self.max_requests:
             raise BudgetSpentError(f"{self.requests} requests made, the limit of --max-requests")
         if self.max_tokens is not None and self.tokens >= self.max_tokens:
-            raise BudgetSpentError(f"{self.tokens} tokens used, the limit of --max-tokens is {self.max_tokens}")
+            raise BudgetSpentError(
+                f"{self.tokens} tokens used, the limit of --max-tokens is {self.max_tokens}"
+            )
         self.requests += 1
 
 
@@ -190,18 +196,24 @@ class ModelApi(ABC):
         try:
             return self._read(response)
         except (KeyError, TypeError, IndexError, ValueError) as error:
-            raise RequestFailedError(f"the reply has an unexpected form: {type(error).__name__}: {error}") from None
+            raise RequestFailedError(
+                f"the reply has an unexpected form: {type(error).__name__}: {error}"
+            ) from None
 
     @abstractmethod
     def first_messages(self, system: str, text: str, jpeg_base64: str) -> Messages:
         """Start a conversation with an image and a question."""
 
     @abstractmethod
-    def next_messages(self, messages: Messages, reply: Reply, results: Sequence[ToolResult]) -> Messages:
+    def next_messages(
+        self, messages: Messages, reply: Reply, results: Sequence[ToolResult]
+    ) -> Messages:
         """Continue a conversation with a reply and the results of its tool calls."""
 
     @abstractmethod
-    def _payload(self, system: str, messages: Messages, tools: ToolCaller | None) -> dict[str, Any]: ...
+    def _payload(
+        self, system: str, messages: Messages, tools: ToolCaller | None
+    ) -> dict[str, Any]: ...
 
     @abstractmethod
     def _create(self, payload: dict[str, Any]) -> Any: ...
@@ -221,12 +233,24 @@ class AnthropicApi(ModelApi):
         """See ``ModelApi``; this API has a separate field for the system prompt."""
         del system
         source = {"type": "base64", "media_type": _JPEG, "data": jpeg_base64}
-        return [{"role": "user", "content": [{"type": "image", "source": source}, {"type": "text", "text": text}]}]
+        return [
+            {
+                "role": "user",
+                "content": [{"type": "image", "source": source}, {"type": "text", "text": text}],
+            }
+        ]
 
-    def next_messages(self, messages: Messages, reply: Reply, results: Sequence[ToolResult]) -> Messages:
+    def next_messages(
+        self, messages: Messages, reply: Reply, results: Sequence[ToolResult]
+    ) -> Messages:
         """See ``ModelApi``."""
         content = [
-            {"type": "tool_result", "tool_use_id": call.id, "content": result.text, "is_error": result.is_error}
+            {
+                "type": "tool_result",
+                "tool_use_id": call.id,
+                "content": result.text,
+                "is_error": result.is_error,
+            }
             for call, result in zip(reply.tool_calls, results, strict=True)
         ]
         return [*messages, reply.message, {"role": "user", "content": content}]
@@ -246,7 +270,9 @@ class AnthropicApi(ModelApi):
     def _read(self, response: dict[str, Any]) -> Reply:
         blocks = response["content"]
         usage = response["usage"]
-        cached = usage.get("cache_creation_input_tokens", 0) + usage.get("cache_read_input_tokens", 0)
+        cached = usage.get("cache_creation_input_tokens", 0) + usage.get(
+            "cache_read_input_tokens", 0
+        )
         return Reply(
             text="\n".join(block["text"] for block in blocks if block["type"] == "text"),
             refused=response.get("stop_reason") == "refusal",
@@ -272,13 +298,18 @@ class OpenAiApi(ModelApi):
 
     def first_messages(self, system: str, text: str, jpeg_base64: str) -> Messages:
         """See ``ModelApi``."""
-        picture = {"type": "image_url", "image_url": {"url": f"data:{_JPEG};base64,{jpeg_base64}", "detail": "high"}}
+        picture = {
+            "type": "image_url",
+            "image_url": {"url": f"data:{_JPEG};base64,{jpeg_base64}", "detail": "high"},
+        }
         return [
             {"role": "system", "content": system},
             {"role": "user", "content": [picture, {"type": "text", "text": text}]},
         ]
 
-    def next_messages(self, messages: Messages, reply: Reply, results: Sequence[ToolResult]) -> Messages:
+    def next_messages(
+        self, messages: Messages, reply: Reply, results: Sequence[ToolResult]
+    ) -> Messages:
         """See ``ModelApi``."""
         answers = [
             {"role": "tool", "tool_call_id": call.id, "content": result.text}
@@ -299,12 +330,17 @@ class OpenAiApi(ModelApi):
         message = choice["message"]
         usage = response.get("usage") or {}
         calls = message.get("tool_calls") or []
-        sent = {"role": "assistant", "content": message.get("content") or message.get("refusal") or ""}
+        sent = {
+            "role": "assistant",
+            "content": message.get("content") or message.get("refusal") or "",
+        }
         return Reply(
             text=message.get("content") or message.get("refusal") or "",
             refused=bool(message.get("refusal")) or choice.get("finish_reason") == "content_filter",
             tool_calls=tuple(
-                ToolCall(call["id"], call["function"]["name"], _arguments(call["function"]["arguments"]))
+                ToolCall(
+                    call["id"], call["function"]["name"], _arguments(call["function"]["arguments"])
+                )
                 for call in calls
             ),
             input_tokens=usage.get("prompt_tokens", 0),
@@ -340,30 +376,44 @@ def open_api(
         model: the provider's name of the model.
         replies: stored replies, see ``reply_journal``.
         budget: limits on cost.
-        base_url: address of the service; None for the provider's own, required for a compatible one.
+        base_url: address of the service; None for the provider's own, required for a compatible
+            one.
         max_output_tokens: maximum number of tokens of one reply.
         timeout_s: time limit of one attempt.
         max_retries: attempts after the first.
 
     Raises:
         MissingExtraError: the provider's client is not installed.
-        InvalidParameterError: the environment has no key, or the address of a compatible service is missing.
+        InvalidParameterError: the environment has no key, or the address of a compatible service is
+            missing.
     """
     _check_address(provider, base_url)
     key = _key(provider)
-    options = {"api_key": key, "base_url": base_url, "timeout": timeout_s, "max_retries": max_retries}
+    options = {
+        "api_key": key,
+        "base_url": base_url,
+        "timeout": timeout_s,
+        "max_retries": max_retries,
+    }
     kind: type[AnthropicApi | OpenAiApi] = AnthropicApi if provider == "anthropic" else OpenAiApi
     client, api_error = _client(provider, options)
-    return kind(provider, model, client, api_error, replies, budget, max_output_tokens=max_output_tokens)
+    return kind(
+        provider, model, client, api_error, replies, budget, max_output_tokens=max_output_tokens
+    )
 
 
 def _check_address(provider: Provider, base_url: str | None) -> None:
     if provider == "openai-compatible" and base_url is None:
-        raise InvalidParameterError("a compatible service needs an address: --base-url http://host:8000/v1")
-    address = urlsplit(base_url or "")
-    if base_url is not None and (not address.scheme.startswith("http") or address.username or address.query):
         raise InvalidParameterError(
-            "--base-url must be http(s)://host/path without user, password or key: keys come from the environment"
+            "a compatible service needs an address: --base-url http://host:8000/v1"
+        )
+    address = urlsplit(base_url or "")
+    if base_url is not None and (
+        not address.scheme.startswith("http") or address.username or address.query
+    ):
+        raise InvalidParameterError(
+            "--base-url must be http(s)://host/path without user, password or key: keys come "
+            "from the environment"
         )
 
 
@@ -372,7 +422,9 @@ def _key(provider: Provider) -> str:
     variable = _KEY_VARIABLES[provider]
     key = os.environ.get(variable) or (_NO_KEY if provider == "openai-compatible" else "")
     if not key:
-        raise InvalidParameterError(f"no key in the environment: set {variable} to your key for {provider}")
+        raise InvalidParameterError(
+            f"no key in the environment: set {variable} to your key for {provider}"
+        )
     return key
 
 
@@ -387,4 +439,6 @@ def _client(provider: Provider, options: dict[str, Any]) -> tuple[Any, type[Exce
 
         return openai.OpenAI(**options), openai.APIError
     except ImportError as error:
-        raise MissingExtraError(f"{error.name} is not installed: pip install 'vehanchor[examples]'") from error
+        raise MissingExtraError(
+            f"{error.name} is not installed: pip install 'vehanchor[examples]'"
+        ) from error

@@ -32,32 +32,55 @@ _TOOLS = "Tools of --agent"
 class VlmRequest(ServiceRequest):
     """Options of the command, one per field."""
 
-    segments: Annotated[Path, typer.Option(metavar="DIR", help="A folder as for 'vehanchor evaluate area'.")]
-    provider: Annotated[Provider, typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...")]
+    segments: Annotated[
+        Path, typer.Option(metavar="DIR", help="A folder as for 'vehanchor evaluate area'.")
+    ]
+    provider: Annotated[
+        Provider, typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...")
+    ]
     model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.")]
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of results and replies; a run resumes there.")]
-    hint: Annotated[bool, typer.Option("--hint", help="Give the model the length of cars, as in the paper.")] = False
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Folder of results and replies; a run resumes there."),
+    ]
+    hint: Annotated[
+        bool, typer.Option("--hint", help="Give the model the length of cars, as in the paper.")
+    ] = False
     agent: Annotated[
-        bool, typer.Option("--agent", help="Let the model measure with estimate_gsd and measure_area.")
+        bool,
+        typer.Option("--agent", help="Let the model measure with estimate_gsd and measure_area."),
     ] = False
     limit: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Ask only about the first N entries; categories alternate.")
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="Ask only about the first N entries; categories alternate."
+        ),
     ] = None
-    max_side: Annotated[int, typer.Option(min=64, metavar="PX", help="Longest side of the image in the prompt.")] = 1568
+    max_side: Annotated[
+        int, typer.Option(min=64, metavar="PX", help="Longest side of the image in the prompt.")
+    ] = 1568
     max_turns: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Maximum number of replies of --agent for one entry.")
+        int,
+        typer.Option(
+            min=1, metavar="N", help="Maximum number of replies of --agent for one entry."
+        ),
     ] = 8
     detector: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Default: the bundled one.", rich_help_panel=_TOOLS)
+        str | None,
+        typer.Option(metavar="FILE", help="Default: the bundled one.", rich_help_panel=_TOOLS),
     ] = None
     segmenter: Annotated[
         tuple[str, str] | None,
-        typer.Option(metavar="ENCODER DECODER", help="Default: the bundled one.", rich_help_panel=_TOOLS),
+        typer.Option(
+            metavar="ENCODER DECODER", help="Default: the bundled one.", rich_help_panel=_TOOLS
+        ),
     ] = None
 
     def tools(self, entries: Sequence[AreaEntry]) -> InProcessTools:
         """Open the tools of an agent, which read only the images of the benchmark."""
-        files = None if self.segmenter is None else (Path(self.segmenter[0]), Path(self.segmenter[1]))
+        files = (
+            None if self.segmenter is None else (Path(self.segmenter[0]), Path(self.segmenter[1]))
+        )
         roots = sorted({entry.image.parent for entry in entries})
         return open_tools(roots, detector=self.detector, segmenter=files)
 
@@ -66,12 +89,20 @@ class VlmRequest(ServiceRequest):
 def vlm(request: VlmRequest) -> None:
     """Measure the error of areas that a vision-language model states: the paper's baselines, or --agent with tools.
 
-    Replies are stored and never requested again. Limits end a run cleanly (exit status 3); the same command resumes.
-    Keys come from the environment and are never written.
+    Replies are stored and never requested again. Limits end a run cleanly (exit status 3); the same
+    command resumes. Keys come from the environment and are never written.
     """
     data = read_areas(request.segments)
-    entries, api = data.entries[: request.limit], request.open_api(request.provider, request.model, request.out)
-    query = Query(hint=request.hint, agent=request.agent, max_side_px=request.max_side, max_turns=request.max_turns)
+    entries, api = (
+        data.entries[: request.limit],
+        request.open_api(request.provider, request.model, request.out),
+    )
+    query = Query(
+        hint=request.hint,
+        agent=request.agent,
+        max_side_px=request.max_side,
+        max_turns=request.max_turns,
+    )
     with ExitStack() as stack:
         tools = stack.enter_context(request.tools(entries)) if request.agent else None
         progress = stack.enter_context(work_progress("questions"))

@@ -23,7 +23,9 @@ def report_stem(query: Query) -> str:
     return "_".join(["vlm", *_settings(query)])
 
 
-def vlm_report(data: AreaSet, api: ModelApi, query: Query, run: VlmRun, n_entries: int) -> AreaReport:
+def vlm_report(
+    data: AreaSet, api: ModelApi, query: Query, run: VlmRun, n_entries: int
+) -> AreaReport:
     """Create a report.
 
     Args:
@@ -34,10 +36,12 @@ def vlm_report(data: AreaSet, api: ModelApi, query: Query, run: VlmRun, n_entrie
         n_entries: number of entries that were planned.
     """
     facts = [
-        f"{len(run.trials)} of {n_entries} entries asked, {api.provider} {api.model}; a missing number counts as an "
+        f"{len(run.trials)} of {n_entries} entries asked, {api.provider} {api.model}; a missing "
+        "number counts as an "
         "error of 100 %",
         *_replies(run.trials),
-        f"this run: {api.budget.requests} requests, {api.budget.tokens} tokens; other replies came from disk",
+        f"this run: {api.budget.requests} requests, {api.budget.tokens} tokens; other replies "
+        "came from disk",
     ]
     settings: dict[str, Any] = {
         "provider": api.provider,
@@ -59,7 +63,10 @@ def _replies(trials: Sequence[VlmTrial]) -> list[str]:
     """Describe the model's replies, one sentence each."""
     problems = Counter(trial.problem for trial in trials if trial.problem)
     calls = Counter(call for trial in trials for call in trial.tool_calls.split())
-    read, written = sum(trial.input_tokens for trial in trials), sum(trial.output_tokens for trial in trials)
+    read, written = (
+        sum(trial.input_tokens for trial in trials),
+        sum(trial.output_tokens for trial in trials),
+    )
     return [
         f"without an area: {_counts(problems)}",
         f"tokens of all replies: {read} in, {written} out",

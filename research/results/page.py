@@ -1,9 +1,12 @@
 """Generate the page of results from the data files: ``python -m research.results.page [--check]``.
 
-``page.md`` is the template and ``README.md`` the page. ``quotes.json`` lists what other documents quote. Placeholders:
+``page.md`` is the template and ``README.md`` the page. ``quotes.json`` lists what other documents
+quote. Placeholders:
 
-* ``{{scale.val | labelled, all sets | median}}``: a cell by entry, row and column, with its unit; ``| .1f`` rounds it;
-* ``{{table scale.val | n; median = median error | rows labelled}}``: a table with some columns, renamed, and some rows;
+* ``{{scale.val | labelled, all sets | median}}``: a cell by entry, row and column, with its unit;
+  ``| .1f`` rounds it;
+* ``{{table scale.val | n; median = median error | rows labelled}}``: a table with some columns,
+  renamed, and some rows;
 * ``{{index}}``: the data files and their entries.
 """
 
@@ -60,7 +63,9 @@ def _rounding(table: Table, column: str) -> str:
 def _table(name: str, columns: str, rows: str | None) -> str:
     table = _entry(name)
     chosen = [column.strip().partition(" = ") for column in columns.split(";")]
-    formats = [(table.columns.index(c), table.units.get(c, ""), _rounding(table, c)) for c, _, _ in chosen]
+    formats = [
+        (table.columns.index(c), table.units.get(c, ""), _rounding(table, c)) for c, _, _ in chosen
+    ]
     starts = tuple(start.strip() for start in rows.split(";")) if rows else ("",)
     lines = [[shown or column for column, _, shown in chosen], ["---" for _ in chosen]]
     for cells in table.rows:
@@ -87,7 +92,9 @@ def render(template: str) -> str:
 def _value(found: re.Match[str]) -> str:
     name, row, column, rounding = (" ".join((part or "").split()) for part in found.groups())
     table = _entry(name)
-    return _text(table.value(row, column), table.units.get(column, ""), rounding or _rounding(table, column))
+    return _text(
+        table.value(row, column), table.units.get(column, ""), rounding or _rounding(table, column)
+    )
 
 
 def page() -> str:
@@ -112,8 +119,14 @@ def missing_quotes() -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the page, or check that it is current."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit status 1 if the page is not current")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; exit status 1 if the page is not current",
+    )
     check = parser.parse_args(arguments).check
     target = FOLDER / "README.md"
     stale = not target.exists() or target.read_text(encoding="utf-8") != page()

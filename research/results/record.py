@@ -1,15 +1,16 @@
 """Write and read the data files of results.
 
-A benchmark prints Markdown. Inside ``recording`` its tables also go into a data file, so what is printed and what is
-kept cannot differ:
+A benchmark prints Markdown. Inside ``recording`` its tables also go into a data file, so what is
+printed and what is kept cannot differ:
 
     options = add_record_option(parser).parse_args()
     with recording("speed", ["search", "start"], options.record):
         print(table_of_searches, table_of_starts)
 
-``--record`` writes the two tables under ``search`` and ``start`` of ``research/results/speed.json``; ``--record int8``
-under ``search_int8`` and ``start_int8``. Without ``--record`` nothing is written. An entry has a title, the date, the
-command, the machine, and a table of columns, units and rows.
+``--record`` writes the two tables under ``search`` and ``start`` of
+``research/results/speed.json``; ``--record int8`` under ``search_int8`` and ``start_int8``. Without
+``--record`` nothing is written. An entry has a title, the date, the command, the machine, and a
+table of columns, units and rows.
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ class Table(NamedTuple):
         """A cell, by its row (the first cell, or the first ones as ``all / given``) and the name of its column."""
         found = [cells for cells in self.rows if row in names_of(cells)]
         if len(found) != 1:
-            raise KeyError(f"{len(found)} rows are called {row!r}: {[cells[:2] for cells in self.rows]}")
+            raise KeyError(
+                f"{len(found)} rows are called {row!r}: {[cells[:2] for cells in self.rows]}"
+            )
         return found[0][self.columns.index(column)]
 
 
@@ -121,7 +124,9 @@ def _number(text: str) -> float | int:
 
 def add_record_option(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     """Add ``--record [SUFFIX]``, which writes the printed tables into the topic's data file."""
-    parser.add_argument("--record", nargs="?", const="", metavar="SUFFIX", help="write into research/results")
+    parser.add_argument(
+        "--record", nargs="?", const="", metavar="SUFFIX", help="write into research/results"
+    )
     return parser
 
 
@@ -156,7 +161,9 @@ def header(*columns: str) -> str:
     return f"| {' | '.join(columns)} |\n|" + "---|" * len(columns)
 
 
-def values_table(values: Mapping[str, float | str], aims: Mapping[str, float | str] | None = None) -> list[str]:
+def values_table(
+    values: Mapping[str, float | str], aims: Mapping[str, float | str] | None = None
+) -> list[str]:
     """The lines of a table with one quantity a row; three significant digits, or all of a whole number."""
     lines = [header("quantity", "value", "aim") if aims else header("quantity", "value")]
     for name, value in values.items():
@@ -190,9 +197,16 @@ def _machine(load: float) -> str:
     model = platform.processor() or platform.machine()
     with contextlib.suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        model = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    packages = ", ".join(f"{name} {version(name)}" for name in ("onnxruntime", "opencv-python-headless", "numpy"))
-    return f"{os.cpu_count()} cores, {model}, load {load:.1f}; Python {platform.python_version()}, {packages}"
+        model = next(
+            line.partition(":")[2].strip() for line in lines if line.startswith("model name")
+        )
+    packages = ", ".join(
+        f"{name} {version(name)}" for name in ("onnxruntime", "opencv-python-headless", "numpy")
+    )
+    return (
+        f"{os.cpu_count()} cores, {model}, load {load:.1f}; Python "
+        f"{platform.python_version()}, {packages}"
+    )
 
 
 def _command() -> str:
@@ -205,26 +219,37 @@ def _command() -> str:
 def write(topic: str, key: str, table: Table, *, folder: Path = FOLDER, **facts: Any) -> None:
     """Write one entry, dated today; its title and its aim stay, everything else is of this run."""
     entries = load(topic, folder) if (folder / f"{topic}.json").exists() else {}
-    kept = {name: value for name, value in entries.get(key, {"title": key}).items() if name in {"title", "aim"}}
+    kept = {
+        name: value
+        for name, value in entries.get(key, {"title": key}).items()
+        if name in {"title", "aim"}
+    }
     entries[key] = {**kept, "date": datetime.date.today().isoformat(), **facts, **table._asdict()}
     (folder / f"{topic}.json").write_text(f"{_dump(entries, 0)}\n", encoding="utf-8")
 
 
 def load(topic: str, folder: Path = FOLDER) -> dict[str, dict[str, Any]]:
     """The entries of a topic by their keys."""
-    found: dict[str, dict[str, Any]] = json.loads((folder / f"{topic}.json").read_text(encoding="utf-8"))
+    found: dict[str, dict[str, Any]] = json.loads(
+        (folder / f"{topic}.json").read_text(encoding="utf-8")
+    )
     return found
 
 
 def _dump(value: Any, depth: int) -> str:
     """JSON with one row of a table a line."""
     line = json.dumps(value, ensure_ascii=False)
-    if not isinstance(value, (dict, list)) or (depth and len(line) + depth <= _LINE_CHARACTERS) or not value:
+    if (
+        not isinstance(value, (dict, list))
+        or (depth and len(line) + depth <= _LINE_CHARACTERS)
+        or not value
+    ):
         return line
     space = "  " * (depth + 1)
     if isinstance(value, dict):
         parts = [
-            f"{space}{json.dumps(key, ensure_ascii=False)}: {_dump(each, depth + 1)}" for key, each in value.items()
+            f"{space}{json.dumps(key, ensure_ascii=False)}: {_dump(each, depth + 1)}"
+            for key, each in value.items()
         ]
         return "{\n" + ",\n".join(parts) + "\n" + "  " * depth + "}"
     if not any(isinstance(each, (dict, list)) for each in value):

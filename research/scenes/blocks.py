@@ -21,7 +21,9 @@ def park(site: Site, width: float, depth: float) -> None:
     """Build a park: lawn, paths, trees, perhaps courts."""
     rng, palette = site.rng, site.palette
     site.rect(
-        (0, 0, width, depth), jitter(rng, palette.lawn, 6), Material.MEADOW if rng.random() < 0.5 else Material.LAWN
+        (0, 0, width, depth),
+        jitter(rng, palette.lawn, 6),
+        Material.MEADOW if rng.random() < 0.5 else Material.LAWN,
     )
     path = jitter(rng, palette.gravel, 6)
     for _ in range(2):
@@ -43,8 +45,12 @@ def courts(site: Site, width: float, depth: float) -> float:
     """Build tennis and basketball courts side by side; return the used width."""
     rng = site.rng
     x = 0.0
-    surface = jitter(rng, [(72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128)][int(rng.integers(4))], 8)
-    inner = jitter(rng, [(158, 92, 70), (74, 120, 96), (76, 108, 156), surface][int(rng.integers(4))], 6)
+    surface = jitter(
+        rng, [(72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128)][int(rng.integers(4))], 8
+    )
+    inner = jitter(
+        rng, [(158, 92, 70), (74, 120, 96), (76, 108, 156), surface][int(rng.integers(4))], 6
+    )
     for _ in range(int(rng.integers(1, 4))):
         tennis = rng.random() < 0.65
         long, broad = (34.0, 17.0) if tennis else (32.0, 19.0)
@@ -60,7 +66,12 @@ def courts(site: Site, width: float, depth: float) -> float:
         cx0, cy0 = (broad - court_w) / 2, (long - court_l) / 2
         cx1, cy1 = cx0 + court_w, cy0 + court_l
         own.rect((cx0, cy0, cx1, cy1), inner, Material.COURT)
-        for a, b, c, d in ((cx0, cy0, cx1, cy0), (cx0, cy1, cx1, cy1), (cx0, cy0, cx0, cy1), (cx1, cy0, cx1, cy1)):
+        for a, b, c, d in (
+            (cx0, cy0, cx1, cy0),
+            (cx0, cy1, cx1, cy1),
+            (cx0, cy0, cx0, cy1),
+            (cx1, cy0, cx1, cy1),
+        ):
             own.line(a, b, c, d, 0.09)
         middle = (cy0 + cy1) / 2
         if tennis:
@@ -75,7 +86,13 @@ def courts(site: Site, width: float, depth: float) -> float:
             for edge, direction in ((cy0, 1), (cy1, -1)):
                 own.line(broad / 2 - 2.45, edge, broad / 2 - 2.45, edge + direction * 5.8, 0.09)
                 own.line(broad / 2 + 2.45, edge, broad / 2 + 2.45, edge + direction * 5.8, 0.09)
-                own.line(broad / 2 - 2.45, edge + direction * 5.8, broad / 2 + 2.45, edge + direction * 5.8, 0.09)
+                own.line(
+                    broad / 2 - 2.45,
+                    edge + direction * 5.8,
+                    broad / 2 + 2.45,
+                    edge + direction * 5.8,
+                    0.09,
+                )
         x += broad + rng.uniform(0.5, 4)
     return x
 

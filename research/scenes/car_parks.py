@@ -19,12 +19,27 @@ def car_park(site: Site, width: float, depth: float) -> None:
     site.rect((0, 0, width, depth), site.palette.lawn, Material.LAWN)
     lot = (0.6, 0.6, width - 0.6, depth - 0.6)
     site.rect(lot, rgb, Material.ASPHALT)
-    site.target("parking-lot", [(lot[0], lot[1]), (lot[2], lot[1]), (lot[2], lot[3]), (lot[0], lot[3])])
+    site.target(
+        "parking-lot", [(lot[0], lot[1]), (lot[2], lot[1]), (lot[2], lot[3]), (lot[0], lot[3])]
+    )
     for _ in range(int(rng.poisson(width * depth / 500))):
-        site.crack(rng.uniform(0, width), rng.uniform(0, depth), rng.uniform(4, 20), rng.choice([0, math.pi / 2]), 112)
+        site.crack(
+            rng.uniform(0, width),
+            rng.uniform(0, depth),
+            rng.uniform(4, 20),
+            rng.choice([0, math.pi / 2]),
+            112,
+        )
     for _ in range(int(rng.poisson(width * depth / 900))):
-        x, y, w, d = rng.uniform(0, width), rng.uniform(0, depth), rng.uniform(3, 18), rng.uniform(2, 8)
-        site.stain_rect((x, y, min(x + w, width), min(y + d, depth)), int(rng.choice([117, 121, 135, 140])))
+        x, y, w, d = (
+            rng.uniform(0, width),
+            rng.uniform(0, depth),
+            rng.uniform(3, 18),
+            rng.uniform(2, 8),
+        )
+        site.stain_rect(
+            (x, y, min(x + w, width), min(y + d, depth)), int(rng.choice([117, 121, 135, 140]))
+        )
     if width >= depth:
         _rows(site, width, depth)
     else:
@@ -67,12 +82,20 @@ def _rows(site: Site, width: float, depth: float) -> None:
             site.stain_rect((0, stain_y - 0.5, width, stain_y + 0.5), 123)
         if index > 0 and planted:
             for x in np.arange(
-                start - 2.0, stop + 2.5, max((stop - start + 4) / max(round((stop - start) / 30), 1), 10)
+                start - 2.0,
+                stop + 2.5,
+                max((stop - start + 4) / max(round((stop - start) / 30), 1), 10),
             ):
                 if x < start or x > stop:
-                    site.rect((x - 1.3, y - 0.8 * row, x + 1.3, y + 0.8 * row), site.palette.paving, Material.PAVING)
                     site.rect(
-                        (x - 1.1, y - 0.8 * row + 0.2, x + 1.1, y + 0.8 * row - 0.2), site.palette.lawn, Material.LAWN
+                        (x - 1.3, y - 0.8 * row, x + 1.3, y + 0.8 * row),
+                        site.palette.paving,
+                        Material.PAVING,
+                    )
+                    site.rect(
+                        (x - 1.1, y - 0.8 * row + 0.2, x + 1.1, y + 0.8 * row - 0.2),
+                        site.palette.lawn,
+                        Material.LAWN,
                     )
                     for step in (-0.45, 0.45):
                         if rng.random() < 0.8:
@@ -85,7 +108,9 @@ def _rows(site: Site, width: float, depth: float) -> None:
             site.tree(x, 0.3, rng.uniform(1.3, 2.4))
 
 
-def bays(site: Site, x0: float, x1: float, head: float, side: int, slant: float, filled: float, line: Rgb) -> None:
+def bays(
+    site: Site, x0: float, x1: float, head: float, side: int, slant: float, filled: float, line: Rgb
+) -> None:
     """Build a row of bays whose heads lie on y = head and which open towards ``side``."""
     rng, fleet = site.rng, site.fleet
     length, width = fleet.bay_length_m, fleet.bay_width_m
@@ -107,7 +132,9 @@ def bays(site: Site, x0: float, x1: float, head: float, side: int, slant: float,
             angles = np.linspace(0, 2 * np.pi, 9, endpoint=False)
             radius = rng.uniform(0.2, 0.6)
             site.stain(
-                np.stack([spot[0] + radius * np.cos(angles), spot[1] + radius * np.sin(angles)], axis=1),
+                np.stack(
+                    [spot[0] + radius * np.cos(angles), spot[1] + radius * np.sin(angles)], axis=1
+                ),
                 int(rng.integers(98, 120)),
             )
         density = filled * (0.75 + 0.5 * math.sin(index * 0.23 + 6 * clusters) ** 2)
@@ -115,15 +142,24 @@ def bays(site: Site, x0: float, x1: float, head: float, side: int, slant: float,
             continue
         model = fleet.small()
         clearance = 0.25 + model.width_m / 2 * math.tan(slant) + rng.exponential(0.18)
-        protrusion = min(clearance, max(length - model.length_m, 0.25 + model.width_m / 2 * math.tan(slant)))
+        protrusion = min(
+            clearance, max(length - model.length_m, 0.25 + model.width_m / 2 * math.tan(slant))
+        )
         turn = float(np.clip(rng.normal(0, 0.018), -0.05, 0.05))
-        slack = max((width - model.width_m) / 2 - 0.12 - abs(math.sin(turn)) * model.length_m / 2, 0.0)
+        slack = max(
+            (width - model.width_m) / 2 - 0.12 - abs(math.sin(turn)) * model.length_m / 2, 0.0
+        )
         across = float(np.clip(rng.normal(0, 0.10), -slack, slack))
         centre = (
-            middle + direction * (protrusion + model.length_m / 2) + np.array([direction[1], -direction[0]]) * across
+            middle
+            + direction * (protrusion + model.length_m / 2)
+            + np.array([direction[1], -direction[0]]) * across
         )
         site.vehicle(
-            model, float(centre[0]), float(centre[1]), heading + turn + (math.pi if rng.random() < reverse else 0.0)
+            model,
+            float(centre[0]),
+            float(centre[1]),
+            heading + turn + (math.pi if rng.random() < reverse else 0.0),
         )
 
 
@@ -140,7 +176,12 @@ def halls(site: Site, width: float, depth: float) -> None:
         middle = rng.uniform(0.35, 0.65) * width
         parts = (
             building,
-            (middle, 3.0, min(middle + rng.uniform(12, 30), building[2]), 3.0 + along + rng.uniform(3, 7)),
+            (
+                middle,
+                3.0,
+                min(middle + rng.uniform(12, 30), building[2]),
+                3.0 + along + rng.uniform(3, 7),
+            ),
         )
     site.roof(parts, "flat", rng.uniform(6, 10), hall)
     yard = building[3] + 8.5
@@ -159,7 +200,9 @@ def halls(site: Site, width: float, depth: float) -> None:
         elif kind < 0.7:
             rgb = jitter(
                 rng,
-                [(150, 62, 44), (60, 86, 128), (176, 174, 166), (74, 110, 84), (190, 140, 60)][int(rng.integers(5))],
+                [(150, 62, 44), (60, 86, 128), (176, 174, 166), (74, 110, 84), (190, 140, 60)][
+                    int(rng.integers(5))
+                ],
                 12,
             )
             for row in range(int(rng.integers(1, 3))):

@@ -25,7 +25,9 @@ def field(site: Site, width: float, depth: float) -> None:
     site.rect((0, 0, width, depth), palette.meadow, Material.MEADOW)
     plot = (edge, edge, width - edge, depth - edge)
     site.rect(plot, jitter(rng, rgb, 10, 0.07), material)
-    site.target("field", [(plot[0], plot[1]), (plot[2], plot[1]), (plot[2], plot[3]), (plot[0], plot[3])])
+    site.target(
+        "field", [(plot[0], plot[1]), (plot[2], plot[1]), (plot[2], plot[3]), (plot[0], plot[3])]
+    )
     along = width >= depth
     own = site if along else site.at(width, 0, math.pi / 2)
     long, broad = (width, depth) if along else (depth, width)
@@ -51,7 +53,9 @@ def vineyard(site: Site, width: float, depth: float) -> None:
     edge = rng.uniform(2, 4)
     plot = (edge, edge, width - edge, depth - edge)
     site.rect(plot, jitter(rng, palette.soil, 8), Material.SOIL)
-    site.target("field", [(plot[0], plot[1]), (plot[2], plot[1]), (plot[2], plot[3]), (plot[0], plot[3])])
+    site.target(
+        "field", [(plot[0], plot[1]), (plot[2], plot[1]), (plot[2], plot[3]), (plot[0], plot[3])]
+    )
     along = rng.random() < 0.5
     own = site if along else site.at(width, 0, math.pi / 2)
     long, broad = (width, depth) if along else (depth, width)
@@ -77,14 +81,24 @@ def orchard(site: Site, width: float, depth: float) -> None:
     site.rect((0, 0, width, depth), palette.meadow, Material.MEADOW)
     plot = (1.5, 1.5, width - 1.5, depth - 1.5)
     soil = rng.random() < 0.5
-    site.rect(plot, jitter(rng, palette.soil if soil else palette.lawn, 8), Material.SOIL if soil else Material.MEADOW)
-    site.target("field", [(plot[0], plot[1]), (plot[2], plot[1]), (plot[2], plot[3]), (plot[0], plot[3])])
+    site.rect(
+        plot,
+        jitter(rng, palette.soil if soil else palette.lawn, 8),
+        Material.SOIL if soil else Material.MEADOW,
+    )
+    site.target(
+        "field", [(plot[0], plot[1]), (plot[2], plot[1]), (plot[2], plot[3]), (plot[0], plot[3])]
+    )
     spacing = rng.uniform(4.5, 7)
     size = rng.uniform(1.2, 2.2)
     for x in np.arange(4, width - 3, spacing):
         for y in np.arange(4, depth - 3, spacing):
             if rng.random() < 0.94:
-                site.tree(x + rng.normal(0, 0.3), y + rng.normal(0, 0.3), float(size * rng.uniform(0.8, 1.2)))
+                site.tree(
+                    x + rng.normal(0, 0.3),
+                    y + rng.normal(0, 0.3),
+                    float(size * rng.uniform(0.8, 1.2)),
+                )
 
 
 def meadow(site: Site, width: float, depth: float) -> None:
@@ -95,7 +109,9 @@ def meadow(site: Site, width: float, depth: float) -> None:
         blot = [palette.soil, palette.lawn, palette.meadow][int(rng.integers(3))]
         x, y = rng.uniform(3, width - 3), rng.uniform(3, depth - 3)
         size = min(rng.uniform(1.5, 9), x, y, width - x, depth - y) * 0.8
-        site.blob(x, y, size, size * rng.uniform(0.5, 1), jitter(rng, blot, 8, 0.06), Material.MEADOW, 0.3)
+        site.blob(
+            x, y, size, size * rng.uniform(0.5, 1), jitter(rng, blot, 8, 0.06), Material.MEADOW, 0.3
+        )
     _track(site, width, depth)
     site.grove((1, 1, width - 1, depth - 1), 0.0025 * palette.greenery)
     for _ in range(int(rng.poisson(width * depth / 220))):
@@ -140,9 +156,21 @@ def farm(site: Site, width: float, depth: float) -> None:
     x0 = rng.uniform(8, width - yard_w - 10)
     own = site.at(x0, 4)
     own.rect((yard_w / 2 - 2, -4.5, yard_w / 2 + 2, 2), palette.gravel, Material.GRAVEL)
-    own.blob(yard_w / 2, yard_d / 2, yard_w / 2 + 3, yard_d / 2 + 2, palette.gravel, Material.GRAVEL, 0.05)
+    own.blob(
+        yard_w / 2,
+        yard_d / 2,
+        yard_w / 2 + 3,
+        yard_d / 2 + 2,
+        palette.gravel,
+        Material.GRAVEL,
+        0.05,
+    )
     barn = jitter(
-        rng, palette.roofs[int(rng.integers(len(palette.roofs)))] if rng.random() < 0.6 else (168, 168, 164), 8
+        rng,
+        palette.roofs[int(rng.integers(len(palette.roofs)))]
+        if rng.random() < 0.6
+        else (168, 168, 164),
+        8,
     )
     own.roof(((0, yard_d - 2, rng.uniform(20, 30), yard_d + 10),), "gable", 5.0, barn)
     house(own.at(-6, 3), rng.uniform(9, 11), rng.uniform(10, 14))
@@ -151,7 +179,12 @@ def farm(site: Site, width: float, depth: float) -> None:
         if rng.random() < 0.55:
             kind = rng.random()
             model = site.fleet.small() if kind < 0.75 else site.fleet.large("caravan", "truck")
-            own.vehicle(model, x, 10 + rng.uniform(0, 2.0), math.pi / 2 + float(np.clip(rng.normal(0, 0.1), -0.2, 0.2)))
+            own.vehicle(
+                model,
+                x,
+                10 + rng.uniform(0, 2.0),
+                math.pi / 2 + float(np.clip(rng.normal(0, 0.1), -0.2, 0.2)),
+            )
         elif rng.random() < 0.3:
             own.box((x - 1.2, 8, x + 1.2, 14), 2.6, jitter(rng, (120, 84, 62), 14))
         x += 4.6

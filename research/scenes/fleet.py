@@ -8,7 +8,8 @@ import numpy as np
 
 from research.scenes.truth import FleetKind, VehicleKind
 
-# (mean length in m, standard deviation, share, bodies) before scaling to the requested mean. Mixture: mean 4.544 m,
+# (mean length in m, standard deviation, share, bodies) before scaling to the requested mean.
+# Mixture: mean 4.544 m,
 # standard deviation 8.7 % of it, mode 1.010 x the mean.
 _CLASSES: tuple[tuple[float, float, float, tuple[str, ...]], ...] = (
     (3.72, 0.13, 0.07, ("city",)),
@@ -37,7 +38,8 @@ _WIDTH_PER_LENGTH = 0.40
 _WIDTH_FOLLOWS_LENGTH = 0.55  # short cars are narrower, but less than in proportion
 _WIDTH_SD = 0.02
 
-# Shares of paint as seen on European car parks: white, silver, grey, black, blue, red, green, beige, yellow/orange.
+# Shares of paint as seen on European car parks: white, silver, grey, black, blue, red, green,
+# beige, yellow/orange.
 _PAINTS: tuple[tuple[float, tuple[int, int, int]], ...] = (
     (0.25, (232, 233, 232)),
     (0.17, (178, 181, 184)),
@@ -74,7 +76,9 @@ class VehicleModel:
 class Fleet:
     """Random source of vehicles; small ones have the given mean length."""
 
-    def __init__(self, mean_length_m: float, rng: np.random.Generator, kind: FleetKind = "passenger") -> None:
+    def __init__(
+        self, mean_length_m: float, rng: np.random.Generator, kind: FleetKind = "passenger"
+    ) -> None:
         self.mean_length_m, self.kind = mean_length_m, kind
         self._classes = _FLEETS[kind]
         shares = np.array([entry[2] for entry in self._classes])
@@ -90,7 +94,10 @@ class Fleet:
     @property
     def max_width_m(self) -> float:
         """Width of the widest small vehicle."""
-        typical = _WIDTH_FOLLOWS_LENGTH * self.max_length_m + (1 - _WIDTH_FOLLOWS_LENGTH) * self.mean_length_m
+        typical = (
+            _WIDTH_FOLLOWS_LENGTH * self.max_length_m
+            + (1 - _WIDTH_FOLLOWS_LENGTH) * self.mean_length_m
+        )
         return _WIDTH_PER_LENGTH * typical * (1 + _WIDTH_SD * _MAX_DEVIATION)
 
     @property
@@ -112,7 +119,9 @@ class Fleet:
         typical = _WIDTH_FOLLOWS_LENGTH * length + (1 - _WIDTH_FOLLOWS_LENGTH) * self.mean_length_m
         spread = 1 + _WIDTH_SD * _bounded(rng)
         body = bodies[rng.integers(len(bodies))]
-        return VehicleModel("small-vehicle", body, length, _WIDTH_PER_LENGTH * typical * spread, self._paint(body))
+        return VehicleModel(
+            "small-vehicle", body, length, _WIDTH_PER_LENGTH * typical * spread, self._paint(body)
+        )
 
     def large(self, *bodies: str) -> VehicleModel:
         """Draw a truck, bus, articulated lorry or caravan, or one of the named bodies."""
@@ -132,7 +141,10 @@ class Fleet:
         if body == "bus" and rng.random() < 0.6:
             index = int(rng.choice([0, 4, 5, 6]))
         gain, tint = rng.normal(1, 0.08), rng.normal(0, 3, 3).tolist()
-        red, green, blue = (int(min(max(c * gain + t, 14), 246)) for c, t in zip(_PAINTS[index][1], tint, strict=True))
+        red, green, blue = (
+            int(min(max(c * gain + t, 14), 246))
+            for c, t in zip(_PAINTS[index][1], tint, strict=True)
+        )
         return red, green, blue
 
 

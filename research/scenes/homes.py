@@ -51,7 +51,9 @@ def garden(site: Site, width: float, depth: float) -> None:
         Material.PAVING,
     )
     site.rect(
-        (x0 + house_w / 2 - 0.6, 0, x0 + house_w / 2 + 0.6, setback), jitter(rng, palette.paving, 8), Material.PAVING
+        (x0 + house_w / 2 - 0.6, 0, x0 + house_w / 2 + 0.6, setback),
+        jitter(rng, palette.paving, 8),
+        Material.PAVING,
     )
     house(site.at(x0, setback), house_w, house_d)
     _drive_cars(site, drive_x, drive, drive_end)
@@ -85,7 +87,12 @@ def _garden_ground(site: Site, width: float, depth: float) -> None:
         blot = jitter(rng, palette.soil if rng.random() < 0.5 else palette.meadow, 8)
         x, y = rng.uniform(2, width - 2), rng.uniform(2, depth - 2)
         site.blob(
-            x, y, min(rng.uniform(1, 4), x, width - x), min(rng.uniform(1, 4), y, depth - y), blot, Material.MEADOW
+            x,
+            y,
+            min(rng.uniform(1, 4), x, width - x),
+            min(rng.uniform(1, 4), y, depth - y),
+            blot,
+            Material.MEADOW,
         )
 
 
@@ -151,7 +158,9 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
     space = depth - behind
     if space > 8.5 and width > 13 and rng.random() < palette.pools:
         site.pool(
-            width / 2 + rng.uniform(-1, 1) * max(width / 2 - 7.5, 0), behind + space / 2 + 0.8, rng.normal(0, 0.06)
+            width / 2 + rng.uniform(-1, 1) * max(width / 2 - 7.5, 0),
+            behind + space / 2 + 0.8,
+            rng.normal(0, 0.06),
         )
         for _ in range(int(rng.integers(0, 4))):  # loungers
             x, y = rng.uniform(2, width - 3), behind + rng.uniform(0.8, 1.6)
@@ -161,19 +170,27 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
             y = behind + 2 + row * 0.9
             if y < depth - 1:
                 site.rect(
-                    (2, y, min(2 + width * 0.35, width - 1), y + 0.55), jitter(rng, (92, 84, 58), 12), Material.CROP
+                    (2, y, min(2 + width * 0.35, width - 1), y + 0.55),
+                    jitter(rng, (92, 84, 58), 12),
+                    Material.CROP,
                 )
     if space > 5 and rng.random() < 0.55:
         sx, sy = rng.uniform(1.8, 4.6), rng.uniform(1.6, 2.6)
         x = float(rng.choice([1.0, width - sx - 1.0]))
         grey = jitter(
             rng,
-            [(128, 112, 96), (150, 150, 148), (104, 106, 110), (172, 120, 96), (198, 196, 190)][int(rng.integers(5))],
+            [(128, 112, 96), (150, 150, 148), (104, 106, 110), (172, 120, 96), (198, 196, 190)][
+                int(rng.integers(5))
+            ],
             14,
         )
         site.box((x, depth - sy - 0.8, x + sx, depth - 0.8), rng.uniform(2.0, 2.8), grey)
     if rng.random() < 0.2 and space > 6:
-        x, y, radius = rng.uniform(3, width - 3), rng.uniform(behind + 3, depth - 2.5), rng.uniform(1.4, 2.0)
+        x, y, radius = (
+            rng.uniform(3, width - 3),
+            rng.uniform(behind + 3, depth - 2.5),
+            rng.uniform(1.4, 2.0),
+        )
         site.disc(x, y, radius, 0.7, (62, 92, 128) if rng.random() < 0.5 else (70, 96, 70))
         site.disc(x, y, radius * 0.83, 0.7, (44, 46, 48))
     if rng.random() < 0.4:
@@ -217,14 +234,23 @@ def flats(site: Site, width: float, depth: float) -> None:
                     if pitched
                     else flat_roof_rgb(site.rng)
                 )
-                site.rect((x - 1, y - 1, x + long + 1, y + deep + 1), palette.paving, Material.PAVING)
+                site.rect(
+                    (x - 1, y - 1, x + long + 1, y + deep + 1), palette.paving, Material.PAVING
+                )
                 parts: tuple[Rect, ...] = ((x, y, x + long, y + deep),)
                 if rng.random() < 0.3 and y + deep + 12 < depth:
                     parts = (*parts, (x, y, x + 12, y + deep + 10))
                 site.roof(
-                    parts, ("hip" if rng.random() < 0.6 else "gable") if pitched else "flat", rng.uniform(8, 16), rgb
+                    parts,
+                    ("hip" if rng.random() < 0.6 else "gable") if pitched else "flat",
+                    rng.uniform(8, 16),
+                    rgb,
                 )
-                site.rect((x + long / 2 - 0.9, parking + 2, x + long / 2 + 0.9, y), palette.paving, Material.PAVING)
+                site.rect(
+                    (x + long / 2 - 0.9, parking + 2, x + long / 2 + 0.9, y),
+                    palette.paving,
+                    Material.PAVING,
+                )
             x += long + rng.uniform(7, 14)
         y += deep + rng.uniform(12, 20)
     y = parking + 4
@@ -262,11 +288,21 @@ def town(site: Site, width: float, depth: float) -> None:
             x += long
     yard = (1.0, deep + 3.0, width - 1.0, depth - deep - 3.0)
     for _ in range(int(rng.poisson(max(width * (depth - 2 * deep) / 260, 0)))):
-        x, y = rng.uniform(yard[0], yard[2] - 5), rng.uniform(yard[1], max(yard[3] - 4, yard[1] + 0.1))
+        x, y = (
+            rng.uniform(yard[0], yard[2] - 5),
+            rng.uniform(yard[1], max(yard[3] - 4, yard[1] + 0.1)),
+        )
         if y + 3 < yard[3]:
             site.blob(x, y, rng.uniform(2, 6), rng.uniform(1.5, 3), palette.lawn, Material.LAWN)
             site.tree(x, y)
     for _ in range(int(rng.poisson(2))):
-        x, y = rng.uniform(yard[0], yard[2] - 6), rng.uniform(yard[1], max(yard[3] - 4, yard[1] + 0.1))
+        x, y = (
+            rng.uniform(yard[0], yard[2] - 6),
+            rng.uniform(yard[1], max(yard[3] - 4, yard[1] + 0.1)),
+        )
         if y + 3.5 < yard[3]:
-            site.box((x, y, x + rng.uniform(3, 6), y + rng.uniform(2.5, 3.4)), 2.6, jitter(rng, (140, 136, 130), 12))
+            site.box(
+                (x, y, x + rng.uniform(3, 6), y + rng.uniform(2.5, 3.4)),
+                2.6,
+                jitter(rng, (140, 136, 130), 12),
+            )

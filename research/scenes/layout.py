@@ -32,7 +32,15 @@ _PLANS: dict[Layout, _Plan] = {
     ),
     "countryside": _Plan(
         StreetPlan((110, 200), (6.8, 5.6, 4.2), 0.0, 0.0, 1.3, False),
-        {"field": 0.26, "vineyard": 0.14, "orchard": 0.08, "meadow": 0.14, "wood": 0.10, "farm": 0.20, "houses": 0.08},
+        {
+            "field": 0.26,
+            "vineyard": 0.14,
+            "orchard": 0.08,
+            "meadow": 0.14,
+            "wood": 0.10,
+            "farm": 0.20,
+            "houses": 0.08,
+        },
     ),
     "sports": _Plan(
         StreetPlan((70, 130), (13.5, 8.0, 7.0), 2.2, 0.5, 2.0, True),
@@ -43,7 +51,9 @@ _MARGIN_M = 45.0  # around the view: objects there can cast shadows into it
 _MIN_EXTENT_M = 150.0
 
 
-def lay_out(rng: np.random.Generator, layout: Layout, width_m: float, height_m: float, fleet: Fleet) -> World:
+def lay_out(
+    rng: np.random.Generator, layout: Layout, width_m: float, height_m: float, fleet: Fleet
+) -> World:
     """Build a world that covers a view of this size and a margin around it.
 
     Small views are centred on a vehicle, if there is one.
@@ -93,7 +103,9 @@ def _fill(site: Site, block: Block, name: str) -> None:
         (height, left, site.at(x0, y1, -math.pi / 2), height, width),
         (height, right, site.at(x1, y0, math.pi / 2), height, width),
     ]
-    _, _, own, along, deep = max(sides, key=lambda side: side[0] * (1 if side[1] is not None else 0.1))
+    _, _, own, along, deep = max(
+        sides, key=lambda side: side[0] * (1 if side[1] is not None else 0.1)
+    )
     if min(along, deep) < 12:
         name = "park"
     FILLERS[name](own, along, deep)

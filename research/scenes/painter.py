@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from research.scenes.fleet import VehicleModel
 from research.scenes.raster import noise_texture, sample_noise
 from research.scenes.roofs import paint_roof
-from research.scenes.shadows import roof_shadows, swept, tree_reach, vehicle_corners, vehicle_outline, vehicle_reach
+from research.scenes.shadows import (
+    roof_shadows,
+    swept,
+    tree_reach,
+    vehicle_corners,
+    vehicle_outline,
+    vehicle_reach,
+)
 from research.scenes.sprites import CROWN_SPAN, VEHICLE_PAD, Sun, crown_sprite, vehicle_sprite
 from research.scenes.tile import SUBPIXEL_BITS, Tile
 from research.scenes.world import Box, Material, PlacedVehicle, Roof, Stain, Surface, Tree, World
@@ -28,7 +35,8 @@ VEHICLE_SHADOW_HEIGHT_M = {
     "kei truck": 1.4, "single cab": 1.3, "crew cab": 1.4, "flatbed": 1.6,
 }  # fmt: skip
 
-# Amplitudes of fine, middle and coarse noise, and the coarse noise's contribution to red, green and blue.
+# Amplitudes of fine, middle and coarse noise, and the coarse noise's contribution to red, green and
+# blue.
 _TEXTURES: dict[Material, tuple[float, float, float, float, float, float]] = {
     Material.PLAIN: (0.02, 0.02, 0.02, 0, 0, 0),
     Material.ASPHALT: (0.05, 0.030, 0.055, 2, 1, -1),
@@ -65,12 +73,17 @@ class Painter:
         largest = max((tree.radius for tree in self.world.trees), default=1.0)
         size = int(np.clip(2 ** math.ceil(math.log2(2 * largest * self.px_per_m)), 16, 512))
         looks = range(_LOOKS) if self.world.trees else ()
-        self._crowns = [_pyramid(crown_sprite(rng, size, self.sun, conical=look >= _LOOKS - 2)) for look in looks]
+        self._crowns = [
+            _pyramid(crown_sprite(rng, size, self.sun, conical=look >= _LOOKS - 2))
+            for look in looks
+        ]
         reach = np.array(self.sun.shadow(1.0))
         self._boxes = {
             "surfaces": _bounds([s.points for s in self.world.surfaces]),
             "stains": _bounds([s.points for s in self.world.stains]),
-            "boxes": _bounds([np.vstack([b.points, b.points + b.height * reach]) for b in self.world.boxes]),
+            "boxes": _bounds(
+                [np.vstack([b.points, b.points + b.height * reach]) for b in self.world.boxes]
+            ),
             "roofs": _bounds([np.vstack(roof_shadows(r, self.sun)) for r in self.world.roofs]),
             "trees": _bounds([tree_reach(t, reach) for t in self.world.trees]),
             "vehicles": _bounds([vehicle_reach(v, reach) for v in self.world.vehicles]),
@@ -85,10 +98,16 @@ class Painter:
             sample_noise(self._coarse, 2.2, x, y, step, width, height),
         )
         rgb = np.zeros((height, width, 3), dtype=np.uint8)
-        tile = Tile(x, y, step, width, height, rgb, np.zeros((height, width), dtype=np.uint8), noise)
+        tile = Tile(
+            x, y, step, width, height, rgb, np.zeros((height, width), dtype=np.uint8), noise
+        )
         near = {name: self._near(name, tile) for name in self._boxes}
         world = self.world
-        self._ground(tile, [world.surfaces[i] for i in near["surfaces"]], [world.stains[i] for i in near["stains"]])
+        self._ground(
+            tile,
+            [world.surfaces[i] for i in near["surfaces"]],
+            [world.stains[i] for i in near["stains"]],
+        )
         boxes = [world.boxes[i] for i in near["boxes"]]
         vehicles = [world.vehicles[i] for i in near["vehicles"]]
         roofs = [world.roofs[i] for i in near["roofs"]]
@@ -132,15 +151,21 @@ class Painter:
         gain = cv2.LUT(stain, np.arange(256, dtype=np.float32) / 128)
         texture: _F = np.ones_like(tile.noise[0])
         for index, field_ in enumerate(tile.noise):
-            cv2.accumulateProduct(cast("_F", cv2.LUT(material, table[:, index].copy())), field_, texture)
+            cv2.accumulateProduct(
+                cast("_F", cv2.LUT(material, table[:, index].copy())), field_, texture
+            )
         gain = cv2.multiply(gain, texture)
         for channel in range(3):
             value = cv2.multiply(tile.rgb[:, :, channel], gain, dtype=cv2.CV_32F)
-            cv2.accumulateProduct(cast("_F", cv2.LUT(material, table[:, 3 + channel].copy())), tile.noise[2], value)
+            cv2.accumulateProduct(
+                cast("_F", cv2.LUT(material, table[:, 3 + channel].copy())), tile.noise[2], value
+            )
             np.clip(value, 0, 255, out=value)
             tile.rgb[:, :, channel] = value
 
-    def _low_shadows(self, tile: Tile, boxes: Sequence[Box], vehicles: Sequence[PlacedVehicle]) -> None:
+    def _low_shadows(
+        self, tile: Tile, boxes: Sequence[Box], vehicles: Sequence[PlacedVehicle]
+    ) -> None:
         shadow = np.zeros((tile.height, tile.width), dtype=np.uint8)
         for box in boxes:
             tile.fill(shadow, swept(box.points, self.sun.shadow(box.height)), 255)
@@ -194,17 +219,44 @@ class Painter:
         x0, y0, x1, y1 = window
         cos, sin = math.cos(vehicle.angle), math.sin(vehicle.angle)
         # Canvas pixel -> metres along and across from the vehicle's centre -> sprite pixel.
-        per_length = columns / (sprite_length * (1 + 2 * VEHICLE_PAD)) * sprite_length / model.length_m * tile.step
-        per_width = rows / (sprite_width + 2 * VEHICLE_PAD * sprite_length) * sprite_width / model.width_m * tile.step
-        cx, cy = (vehicle.x - tile.x) / tile.step - x0 - 0.5, (vehicle.y - tile.y) / tile.step - y0 - 0.5
+        per_length = (
+            columns
+            / (sprite_length * (1 + 2 * VEHICLE_PAD))
+            * sprite_length
+            / model.length_m
+            * tile.step
+        )
+        per_width = (
+            rows
+            / (sprite_width + 2 * VEHICLE_PAD * sprite_length)
+            * sprite_width
+            / model.width_m
+            * tile.step
+        )
+        cx, cy = (
+            (vehicle.x - tile.x) / tile.step - x0 - 0.5,
+            (vehicle.y - tile.y) / tile.step - y0 - 0.5,
+        )
         matrix = np.array(
             [
-                [per_length * cos, per_length * sin, columns / 2 - 0.5 - per_length * (cos * cx + sin * cy)],
-                [-per_width * sin, per_width * cos, rows / 2 - 0.5 - per_width * (-sin * cx + cos * cy)],
+                [
+                    per_length * cos,
+                    per_length * sin,
+                    columns / 2 - 0.5 - per_length * (cos * cx + sin * cy),
+                ],
+                [
+                    -per_width * sin,
+                    per_width * cos,
+                    rows / 2 - 0.5 - per_width * (-sin * cx + cos * cy),
+                ],
             ]
         )
         patch = cv2.warpAffine(
-            sprite, matrix, (x1 - x0, y1 - y0), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderValue=(0, 0, 0, 0)
+            sprite,
+            matrix,
+            (x1 - x0, y1 - y0),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderValue=(0, 0, 0, 0),
         )
         cover, paint, grey, red = (patch[:, :, channel, None] for channel in range(4))
         colour = np.array(model.paint, dtype=np.float32)
@@ -225,18 +277,27 @@ class Painter:
             self._sprites[key] = (drawn, model.length_m, model.width_m)
         return self._sprites[key]
 
-    def _crown_patch(self, tile: Tile, tree: Tree, x: float, y: float) -> tuple[tuple[int, int, int, int], _F] | None:
+    def _crown_patch(
+        self, tile: Tile, tree: Tree, x: float, y: float
+    ) -> tuple[tuple[int, int, int, int], _F] | None:
         radius = tree.radius / tile.step * CROWN_SPAN
         cx, cy = (x - tile.x) / tile.step, (y - tile.y) / tile.step
-        window = tile.window(np.array([cx - radius, cy - radius]), np.array([cx + radius, cy + radius]))
+        window = tile.window(
+            np.array([cx - radius, cy - radius]), np.array([cx + radius, cy + radius])
+        )
         if window is None:
             return None
         x0, y0, x1, y1 = window
         levels = self._crowns[tree.look % _LOOKS]
-        level = next((sprite for sprite in reversed(levels) if sprite.shape[0] >= 1.4 * radius), levels[0])
+        level = next(
+            (sprite for sprite in reversed(levels) if sprite.shape[0] >= 1.4 * radius), levels[0]
+        )
         scale = level.shape[0] / (2 * radius)
         matrix = np.array(
-            [[scale, 0, scale * (x0 + 0.5 - cx + radius) - 0.5], [0, scale, scale * (y0 + 0.5 - cy + radius) - 0.5]]
+            [
+                [scale, 0, scale * (x0 + 0.5 - cx + radius) - 0.5],
+                [0, scale, scale * (y0 + 0.5 - cy + radius) - 0.5],
+            ]
         )
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         sprite = cv2.warpAffine(level, matrix, (x1 - x0, y1 - y0), flags=flags, borderValue=(0, 0))
@@ -249,9 +310,13 @@ class Painter:
         (x0, y0, x1, y1), sprite = patch
         cover, light = sprite[:, :, 0], sprite[:, :, 1]
         if self.px_per_m > 25:
-            light = light * (1 + 0.12 * tile.noise[0][y0:y1, x0:x1] + 0.08 * tile.noise[1][y0:y1, x0:x1])
+            light = light * (
+                1 + 0.12 * tile.noise[0][y0:y1, x0:x1] + 0.08 * tile.noise[1][y0:y1, x0:x1]
+            )
         target = tile.rgb[y0:y1, x0:x1]
-        blend = target * (1 - cover[:, :, None]) + light[:, :, None] * np.array(tree.rgb, dtype=np.float32)
+        blend = target * (1 - cover[:, :, None]) + light[:, :, None] * np.array(
+            tree.rgb, dtype=np.float32
+        )
         target[:] = np.clip(blend + 0.5, 0, 255).astype(np.uint8)
         hidden = tile.crowns[y0:y1, x0:x1]
         np.maximum(hidden, (cover * 255).astype(np.uint8), out=hidden)
@@ -261,7 +326,9 @@ def _pyramid(sprite: _F) -> list[_F]:
     levels = [sprite]
     while levels[-1].shape[0] > 8:
         size = levels[-1].shape[0] // 2
-        levels.append(cast("_F", cv2.resize(levels[-1], (size, size), interpolation=cv2.INTER_AREA)))
+        levels.append(
+            cast("_F", cv2.resize(levels[-1], (size, size), interpolation=cv2.INTER_AREA))
+        )
     return levels
 
 

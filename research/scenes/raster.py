@@ -21,8 +21,8 @@ def polygon_area(points: NDArray[np.float64]) -> float:
 def polygon_mask(points: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_]:
     """Rasterise a polygon: pixels whose centre lies inside (even-odd rule).
 
-    The number of pixels is an unbiased estimate of the area. ``cv2.fillPoly`` also fills every pixel that an edge
-    touches, half a pixel too much on each side.
+    The number of pixels is an unbiased estimate of the area. ``cv2.fillPoly`` also fills every
+    pixel that an edge touches, half a pixel too much on each side.
 
     Args:
         points: [N,2] in pixels; pixel (i, j) covers [j, j+1] x [i, i+1].
@@ -45,10 +45,14 @@ def polygon_mask(points: NDArray[np.float64], width: int, height: int) -> NDArra
         crossings = x0 + (rows + 0.5 - y0) * ((x1 - x0) / (y1 - y0))
         columns = np.clip(np.ceil(crossings - 0.5), 0, width).astype(np.intp)
         toggles[rows, columns] ^= 1
-    return cast("NDArray[np.bool_]", np.bitwise_xor.accumulate(toggles, axis=1)[:, :width].astype(bool))
+    return cast(
+        "NDArray[np.bool_]", np.bitwise_xor.accumulate(toggles, axis=1)[:, :width].astype(bool)
+    )
 
 
-def clip_polygon(points: NDArray[np.float64], x0: float, y0: float, x1: float, y1: float) -> NDArray[np.float64]:
+def clip_polygon(
+    points: NDArray[np.float64], x0: float, y0: float, x1: float, y1: float
+) -> NDArray[np.float64]:
     """Clip a polygon to a rectangle (Sutherland-Hodgman); the result may be empty [0,2]."""
     current = points
     for axis, bound, sign in ((0, x0, 1.0), (0, x1, -1.0), (1, y0, 1.0), (1, y1, -1.0)):
@@ -79,7 +83,13 @@ def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> NDArr
 
 
 def sample_noise(
-    texture: NDArray[np.float32], texel: float, x: float, y: float, step: float, width: int, height: int
+    texture: NDArray[np.float32],
+    texel: float,
+    x: float,
+    y: float,
+    step: float,
+    width: int,
+    height: int,
 ) -> NDArray[np.float32]:
     """Sample a periodic texture, laid over the world, at the pixels of a window.
 
@@ -101,14 +111,18 @@ def sample_noise(
     while step / (texel * factor) > 4 and factor * 8 <= size:
         factor *= 2
     if factor > 1:
-        texture = cast("NDArray[np.float32]", cv2.resize(texture, (size // factor,) * 2, interpolation=cv2.INTER_AREA))
+        texture = cast(
+            "NDArray[np.float32]",
+            cv2.resize(texture, (size // factor,) * 2, interpolation=cv2.INTER_AREA),
+        )
         texel, size = texel * factor, size // factor
     scale = step / texel
     if scale * max(width, height) > 30_000:
         return np.zeros((height, width), dtype=np.float32)
     left, top = (x / texel + scale / 2 - 0.5) % size, (y / texel + scale / 2 - 0.5) % size
     flags, border = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_WRAP
-    if scale < _SMOOTH_BELOW:  # many pixels per texel: cubic interpolation, which OpenCV does not wrap
+    # many pixels per texel: cubic interpolation, which OpenCV does not wrap
+    if scale < _SMOOTH_BELOW:
         columns = np.arange(-2, math.ceil(left % 1 + scale * width) + 3) + math.floor(left)
         rows = np.arange(-2, math.ceil(top % 1 + scale * height) + 3) + math.floor(top)
         texture = np.ascontiguousarray(texture[np.ix_(rows % size, columns % size)])

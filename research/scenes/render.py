@@ -14,7 +14,16 @@ from research.scenes.layout import lay_out
 from research.scenes.painter import Painter
 from research.scenes.raster import polygon_mask
 from research.scenes.sprites import Sun
-from research.scenes.truth import CATEGORIES, Category, FleetKind, Layout, Scene, SceneCourt, SceneObject, SceneVehicle
+from research.scenes.truth import (
+    CATEGORIES,
+    Category,
+    FleetKind,
+    Layout,
+    Scene,
+    SceneCourt,
+    SceneObject,
+    SceneVehicle,
+)
 from research.scenes.world import PlacedCourt, PlacedVehicle, Target, World
 from vehanchor.errors import InvalidParameterError
 
@@ -38,18 +47,20 @@ def render_scene(
 ) -> Scene:
     """Render an aerial scene of exactly known ground sampling distance.
 
-    The fleet mixes five classes from city cars to vans. Their lengths have the given mean, a standard deviation of
-    8.7 % of it, and a mode of 1.010 times it. The arguments determine every byte of the result.
+    The fleet mixes five classes from city cars to vans. Their lengths have the given mean, a
+    standard deviation of 8.7 % of it, and a mode of 1.010 times it. The arguments determine every
+    byte of the result.
 
-    Views of less than 60 m are moved so that a small vehicle is near their centre, if the scene has any.
+    Views of less than 60 m are moved so that a small vehicle is near their centre, if the scene has
+    any.
 
     Args:
         gsd_m_per_px: size of a pixel on the ground, 0.005 to 2.
         width_px: image width, 16 to 16384.
         height_px: image height, 16 to 16384.
         seed: at least 0; determines the place, its colours, the sun and the camera.
-        n_vehicles: maximum number of small vehicles; large ones are thinned by the same share. 0 removes all vehicles,
-            None keeps them all.
+        n_vehicles: maximum number of small vehicles; large ones are thinned by the same share. 0
+            removes all vehicles, None keeps them all.
         mean_vehicle_length_m: mean length of the fleet, 2 to 8.
         layout: ``urban``, ``parking``, ``countryside``, ``sports``; None: one of the first three.
         fleet_kind: ``passenger``, or ``mixed``: also kei cars, minivans and work vehicles.
@@ -60,7 +71,16 @@ def render_scene(
     Raises:
         InvalidParameterError: a parameter is out of range or NaN, or the layout is unknown.
     """
-    _check_all(gsd_m_per_px, width_px, height_px, seed, n_vehicles, mean_vehicle_length_m, layout, fleet_kind)
+    _check_all(
+        gsd_m_per_px,
+        width_px,
+        height_px,
+        seed,
+        n_vehicles,
+        mean_vehicle_length_m,
+        layout,
+        fleet_kind,
+    )
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
     chosen = cast("Layout", get_args(Layout)[int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))])
     sun = Sun(float(place_rng.uniform(0, 2 * math.pi)), math.radians(place_rng.uniform(33, 64)))
@@ -76,15 +96,25 @@ def render_scene(
 
     hidden = crowns > 127
     masks, objects = _masks(world.targets, x0, y0, gsd_m_per_px, hidden)
-    vehicles = tuple(each for v in world.vehicles if (each := _record(v, x0, y0, gsd_m_per_px, hidden)) is not None)
-    courts = tuple(court for each in world.courts if (court := _court(each, x0, y0, gsd_m_per_px, hidden)) is not None)
+    vehicles = tuple(
+        each
+        for v in world.vehicles
+        if (each := _record(v, x0, y0, gsd_m_per_px, hidden)) is not None
+    )
+    courts = tuple(
+        court
+        for each in world.courts
+        if (court := _court(each, x0, y0, gsd_m_per_px, hidden)) is not None
+    )
     parameters: dict[str, float | int | str | None] = {
         "layout": layout or chosen,
         "n_vehicles": n_vehicles,
         "mean_vehicle_length_m": mean_vehicle_length_m,
         **_drawn(sun, fleet_kind),
     }
-    return Scene(image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters, courts)
+    return Scene(
+        image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters, courts
+    )
 
 
 def _drawn(sun: Sun, fleet_kind: FleetKind) -> dict[str, float | str]:
@@ -114,9 +144,13 @@ def _check_all(
     if n_vehicles is not None:
         _check("n_vehicles", n_vehicles, 0, math.inf)
     if layout is not None and layout not in get_args(Layout):
-        raise InvalidParameterError(f"layout must be one of {', '.join(get_args(Layout))}, or None, not {layout!r}")
+        raise InvalidParameterError(
+            f"layout must be one of {', '.join(get_args(Layout))}, or None, not {layout!r}"
+        )
     if fleet_kind not in get_args(FleetKind):
-        raise InvalidParameterError(f"fleet_kind must be one of {', '.join(get_args(FleetKind))}, not {fleet_kind!r}")
+        raise InvalidParameterError(
+            f"fleet_kind must be one of {', '.join(get_args(FleetKind))}, not {fleet_kind!r}"
+        )
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:
@@ -141,7 +175,9 @@ def _paint(
     for top in range(0, height_px, tile_px):
         for left in range(0, width_px, tile_px):
             rows, columns = min(tile_px, height_px - top), min(tile_px, width_px - left)
-            tile = painter.paint(x0 + left * gsd_m_per_px, y0 + top * gsd_m_per_px, columns * over, rows * over)
+            tile = painter.paint(
+                x0 + left * gsd_m_per_px, y0 + top * gsd_m_per_px, columns * over, rows * over
+            )
             area = (columns, rows)
             cell = (slice(top, top + rows), slice(left, left + columns))
             image[cell] = cv2.resize(tile.rgb, area, interpolation=cv2.INTER_AREA)
@@ -149,26 +185,45 @@ def _paint(
     return image, crowns
 
 
-def _view_corner(world: World, width: float, height: float, rng: np.random.Generator) -> tuple[float, float]:
+def _view_corner(
+    world: World, width: float, height: float, rng: np.random.Generator
+) -> tuple[float, float]:
     """Choose the view's top left corner; small views move to the vehicle nearest to their centre."""
     jitter = rng.uniform(-0.2, 0.2, 2)
     if max(width, height) >= _SMALL_VIEW_M or not world.vehicles:
         return 0.0, 0.0
-    spots = np.array([(vehicle.x, vehicle.y) for vehicle in world.vehicles if vehicle.model.kind == "small-vehicle"])
+    spots = np.array(
+        [
+            (vehicle.x, vehicle.y)
+            for vehicle in world.vehicles
+            if vehicle.model.kind == "small-vehicle"
+        ]
+    )
     if len(spots) == 0:
         return 0.0, 0.0
     nearest = spots[int(np.argmin(np.hypot(spots[:, 0] - width / 2, spots[:, 1] - height / 2)))]
-    return float(nearest[0] - width * (0.5 + jitter[0])), float(nearest[1] - height * (0.5 + jitter[1]))
+    return float(nearest[0] - width * (0.5 + jitter[0])), float(
+        nearest[1] - height * (0.5 + jitter[1])
+    )
 
 
-def _thin(world: World, view: tuple[float, float, float, float], limit: int | None, rng: np.random.Generator) -> None:
+def _thin(
+    world: World,
+    view: tuple[float, float, float, float],
+    limit: int | None,
+    rng: np.random.Generator,
+) -> None:
     """Remove vehicles: keep at most ``limit`` small ones in view, and the same share of all others."""
     if limit is None:
         return
     left, top, right, bottom = view
 
     def counts(vehicle: PlacedVehicle) -> bool:
-        return vehicle.model.kind == "small-vehicle" and left <= vehicle.x < right and top <= vehicle.y < bottom
+        return (
+            vehicle.model.kind == "small-vehicle"
+            and left <= vehicle.x < right
+            and top <= vehicle.y < bottom
+        )
 
     inside = [vehicle for vehicle in world.vehicles if counts(vehicle)]
     others = [vehicle for vehicle in world.vehicles if not counts(vehicle)]
@@ -181,7 +236,9 @@ def _thin(world: World, view: tuple[float, float, float, float], limit: int | No
 def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Apply lens, haze, sensor and compression."""
     sigma = float(rng.uniform(0.45, 0.85))
-    image = cast("NDArray[np.uint8]", cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
+    image = cast(
+        "NDArray[np.uint8]", cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+    )
     if rng.random() < 0.35:  # sharpened in post-processing
         soft = cv2.GaussianBlur(image, (0, 0), 1.2, borderType=cv2.BORDER_REFLECT)
         amount = float(rng.uniform(0.3, 0.9))
@@ -191,7 +248,9 @@ def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     saturation = float(rng.uniform(0.75, 1.1))
     noise_sd, colour_sd = float(rng.uniform(0.8, 3.6)), float(rng.uniform(0.2, 1.2))
     levels = np.arange(256) / 255
-    tables = [haze + (levels**gamma) * 255 * gain * factor * (1 - haze / 300) for factor in cast_rgb]
+    tables = [
+        haze + (levels**gamma) * 255 * gain * factor * (1 - haze / 300) for factor in cast_rgb
+    ]
     table = np.clip(np.stack(tables, axis=1), 0, 255).astype(np.uint8)[None]
     out = np.empty_like(image)
     strip = 256
@@ -199,7 +258,9 @@ def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
         part = cv2.LUT(image[top : top + strip], table).astype(np.float32)
         grey = part.mean(axis=2, keepdims=True)
         part = grey + (part - grey) * np.float32(saturation)
-        part += rng.standard_normal(part.shape[:2], dtype=np.float32)[:, :, None] * np.float32(noise_sd)
+        part += rng.standard_normal(part.shape[:2], dtype=np.float32)[:, :, None] * np.float32(
+            noise_sd
+        )
         part += rng.standard_normal(part.shape, dtype=np.float32) * np.float32(colour_sd)
         out[top : top + strip] = np.clip(part + 0.5, 0, 255).astype(np.uint8)
     if rng.random() < 0.6:
@@ -213,7 +274,9 @@ def _masks(
     targets: list[Target], x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]
 ) -> tuple[dict[Category, NDArray[np.uint16]], tuple[SceneObject, ...]]:
     height, width = hidden.shape
-    masks: dict[Category, NDArray[np.uint16]] = {c: np.zeros((height, width), dtype=np.uint16) for c in CATEGORIES}
+    masks: dict[Category, NDArray[np.uint16]] = {
+        c: np.zeros((height, width), dtype=np.uint16) for c in CATEGORIES
+    }
     full: dict[Category, list[float]] = {category: [] for category in CATEGORIES}
     for target in targets:
         outlines = [(polygon - (x0, y0)) / gsd for polygon in target.polygons]
@@ -235,11 +298,15 @@ def _masks(
     for category, mask in masks.items():
         pixels = np.bincount(mask.ravel(), minlength=len(full[category]) + 1)
         for index, area in enumerate(full[category]):
-            objects.append(SceneObject(category, index + 1, float(pixels[index + 1]) * gsd**2, area))
+            objects.append(
+                SceneObject(category, index + 1, float(pixels[index + 1]) * gsd**2, area)
+            )
     return masks, tuple(objects)
 
 
-def _record(placed: PlacedVehicle, x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]) -> SceneVehicle | None:
+def _record(
+    placed: PlacedVehicle, x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]
+) -> SceneVehicle | None:
     height, width = hidden.shape
     x, y = (placed.x - x0) / gsd, (placed.y - y0) / gsd
     if not (0 <= x < width and 0 <= y < height):
@@ -257,10 +324,15 @@ def _record(placed: PlacedVehicle, x0: float, y0: float, gsd: float, hidden: NDA
     return SceneVehicle(placed.model.kind, x, y, *size, angle, cut or covered, placed.model.body)
 
 
-def _court(placed: PlacedCourt, x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]) -> SceneCourt | None:
+def _court(
+    placed: PlacedCourt, x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]
+) -> SceneCourt | None:
     height, width = hidden.shape
     corners = (placed.corners - (x0, y0)) / gsd
-    if not (np.zeros(2) <= corners.mean(axis=0)).all() or not (corners.mean(axis=0) < (width, height)).all():
+    if (
+        not (np.zeros(2) <= corners.mean(axis=0)).all()
+        or not (corners.mean(axis=0) < (width, height)).all()
+    ):
         return None
     cut = bool((corners < 0).any() or (corners > (width, height)).any())
     low = np.clip(np.floor(corners.min(axis=0)), 0, (width - 1, height - 1)).astype(int)

@@ -26,8 +26,12 @@ def paint_roof(tile: Tile, roof: Roof, sun: Sun) -> None:
     x0, y0, x1, y1 = window
     step = tile.step
     cos, sin = math.cos(roof.frame.angle), math.sin(roof.frame.angle)
-    px = (np.arange(x0, x1, dtype=np.float32) + 0.5)[None, :] * step + np.float32(tile.x - roof.frame.x)
-    py = (np.arange(y0, y1, dtype=np.float32) + 0.5)[:, None] * step + np.float32(tile.y - roof.frame.y)
+    px = (np.arange(x0, x1, dtype=np.float32) + 0.5)[None, :] * step + np.float32(
+        tile.x - roof.frame.x
+    )
+    py = (np.arange(y0, y1, dtype=np.float32) + 0.5)[:, None] * step + np.float32(
+        tile.y - roof.frame.y
+    )
     u, v = px * np.float32(cos) + py * np.float32(sin), py * np.float32(cos) - px * np.float32(sin)
     light = sun.light(roof.frame.angle)
     noise = tuple(field[y0:y1, x0:x1] for field in tile.noise)
@@ -53,13 +57,20 @@ def paint_roof(tile: Tile, roof: Roof, sun: Sun) -> None:
     target[:] = np.clip(blend + 0.5, 0, 255).astype(np.uint8)
 
 
-def _part(roof: Roof, part: Rect, u: _F, v: _F, light: tuple[float, float, float], step: float) -> tuple[_F, _F, _F]:
+def _part(
+    roof: Roof, part: Rect, u: _F, v: _F, light: tuple[float, float, float], step: float
+) -> tuple[_F, _F, _F]:
     """Compute distance inside the outline, height and shading of one rectangle's roof."""
     left, top, right, bottom = part
-    distances = [u - np.float32(left), np.float32(right) - u, v - np.float32(top), np.float32(bottom) - v]
-    inset = np.minimum(np.minimum(distances[0], distances[1]), np.minimum(distances[2], distances[3])).astype(
-        np.float32
-    )
+    distances = [
+        u - np.float32(left),
+        np.float32(right) - u,
+        v - np.float32(top),
+        np.float32(bottom) - v,
+    ]
+    inset = np.minimum(
+        np.minimum(distances[0], distances[1]), np.minimum(distances[2], distances[3])
+    ).astype(np.float32)
     if roof.style == "flat":
         shade = np.ones_like(inset)
         # The parapet is bright; on the sides towards the sun its shadow falls inside.
@@ -73,7 +84,11 @@ def _part(roof: Roof, part: Rect, u: _F, v: _F, light: tuple[float, float, float
                 shade *= 1 - 0.5 * np.clip((depth - distances[index]) / max(step, 0.05) + 0.5, 0, 1)
         rim = np.clip((0.3 - inset) / step + 0.5, 0, 1)
         shade += (1.12 - shade) * rim
-        return inset, np.where(inset >= -step, 1.0, -1e6).astype(np.float32), shade.astype(np.float32)
+        return (
+            inset,
+            np.where(inset >= -step, 1.0, -1e6).astype(np.float32),
+            shade.astype(np.float32),
+        )
     along_x = right - left >= bottom - top
     normals = [(-1, 0), (1, 0), (0, -1), (0, 1)]
     sides = [0, 1, 2, 3] if roof.style == "hip" else [2, 3] if along_x else [0, 1]
@@ -101,7 +116,9 @@ def _part(roof: Roof, part: Rect, u: _F, v: _F, light: tuple[float, float, float
     return inset, level.astype(np.float32), shade.astype(np.float32)
 
 
-def _rectangle(picture: _F, u: _F, v: _F, box: Rect, rgb: Rgb, step: float, opacity: float = 1.0) -> None:
+def _rectangle(
+    picture: _F, u: _F, v: _F, box: Rect, rgb: Rgb, step: float, opacity: float = 1.0
+) -> None:
     """Blend in an axis-aligned rectangle of the roof's frame, given by its centre and size."""
     x, y, w, h = box
     inset = np.minimum(w / 2 - np.abs(u - np.float32(x)), h / 2 - np.abs(v - np.float32(y)))
@@ -109,7 +126,9 @@ def _rectangle(picture: _F, u: _F, v: _F, box: Rect, rgb: Rgb, step: float, opac
     picture += (np.array(rgb, dtype=np.float32) - picture) * cover
 
 
-def _raised(picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, box: Rect, height: float, rgb: Rgb, step: float) -> None:
+def _raised(
+    picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, box: Rect, height: float, rgb: Rgb, step: float
+) -> None:
     """Draw a block on the roof, with its shadow."""
     x, y, w, h = box
     dx, dy = sun.shadow(height)
@@ -122,10 +141,19 @@ def _raised(picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, box: Rect, height: 
         shadow = np.maximum(shadow, np.clip(inset / step + 0.5, 0, 1))
     picture *= 1 - 0.52 * shadow[:, :, None] * min(1.0, w / step, h / step)
     _rectangle(picture, u, v, box, rgb, step)
-    _rectangle(picture, u, v, (x, y, 0.6 * w, 0.6 * h), cast("Rgb", tuple(int(0.88 * c) for c in rgb)), step)
+    _rectangle(
+        picture,
+        u,
+        v,
+        (x, y, 0.6 * w, 0.6 * h),
+        cast("Rgb", tuple(int(0.88 * c) for c in rgb)),
+        step,
+    )
 
 
-def _pitched_fittings(picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, rng: np.random.Generator, step: float) -> None:
+def _pitched_fittings(
+    picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, rng: np.random.Generator, step: float
+) -> None:
     x0, y0, x1, y1 = roof.parts[0]
     w, h = x1 - x0, y1 - y0
     along_x = w >= h
@@ -134,7 +162,11 @@ def _pitched_fittings(picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, rng: np.r
     def place(along: float, across: float) -> tuple[float, float]:
         """Convert shares of the half extents along and across the ridge to a position."""
         cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
-        return (cx + along * w / 2, cy + across * h / 2) if along_x else (cx + across * w / 2, cy + along * h / 2)
+        return (
+            (cx + along * w / 2, cy + across * h / 2)
+            if along_x
+            else (cx + across * w / 2, cy + along * h / 2)
+        )
 
     for _ in range(int(rng.integers(0, 3))):
         x, y = place(rng.uniform(-0.6, 0.6), rng.uniform(-0.35, 0.35))
@@ -144,7 +176,14 @@ def _pitched_fittings(picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, rng: np.r
             x, y = place(rng.uniform(-0.6, 0.6), side * rng.uniform(0.4, 0.6))
             size = (0.85, 1.2) if along_x else (1.2, 0.85)
             _rectangle(picture, u, v, (x, y, size[0] + 0.2, size[1] + 0.2), (90, 84, 80), step)
-            _rectangle(picture, u, v, (x, y, *size), (120, 140, 158) if rng.random() < 0.5 else (48, 56, 64), step)
+            _rectangle(
+                picture,
+                u,
+                v,
+                (x, y, *size),
+                (120, 140, 158) if rng.random() < 0.5 else (48, 56, 64),
+                step,
+            )
     if rng.random() < 0.3:
         columns, rows = int(rng.integers(2, 6)), int(rng.integers(1, 3))
         panel = (1.0, 1.65 * 0.9)
@@ -152,13 +191,26 @@ def _pitched_fittings(picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, rng: np.r
         for column in range(columns):
             for row in range(rows):
                 x, y = place(along, side * 0.5)
-                du, dv = (column - columns / 2 + 0.5) * (panel[0] + 0.04), (row - rows / 2 + 0.5) * (panel[1] + 0.04)
+                du, dv = (
+                    (column - columns / 2 + 0.5) * (panel[0] + 0.04),
+                    (row - rows / 2 + 0.5) * (panel[1] + 0.04),
+                )
                 if not along_x:
                     du, dv = dv, du
                 size = panel if along_x else panel[::-1]
-                if abs(x + du - (x0 + x1) / 2) < w / 2 - 0.8 and abs(y + dv - (y0 + y1) / 2) < h / 2 - 0.8:
+                if (
+                    abs(x + du - (x0 + x1) / 2) < w / 2 - 0.8
+                    and abs(y + dv - (y0 + y1) / 2) < h / 2 - 0.8
+                ):
                     _rectangle(picture, u, v, (x + du, y + dv, *size), (112, 118, 128), step)
-                    _rectangle(picture, u, v, (x + du, y + dv, size[0] - 0.12, size[1] - 0.12), (34, 42, 66), step)
+                    _rectangle(
+                        picture,
+                        u,
+                        v,
+                        (x + du, y + dv, size[0] - 0.12, size[1] - 0.12),
+                        (34, 42, 66),
+                        step,
+                    )
 
 
 def _spot(part: Rect, rng: np.random.Generator, size: tuple[float, float]) -> Rect:
@@ -172,7 +224,14 @@ def _spot(part: Rect, rng: np.random.Generator, size: tuple[float, float]) -> Re
 
 
 def _flat_fittings(
-    picture: _F, roof: Roof, part: Rect, u: _F, v: _F, sun: Sun, rng: np.random.Generator, step: float
+    picture: _F,
+    roof: Roof,
+    part: Rect,
+    u: _F,
+    v: _F,
+    sun: Sun,
+    rng: np.random.Generator,
+    step: float,
 ) -> None:
     x0, y0, x1, y1 = part
     w, h = x1 - x0, y1 - y0
@@ -182,7 +241,13 @@ def _flat_fittings(
     for _ in range(int(rng.poisson(min(area / 500, 4)))):  # newer or older sheets
         box = _spot(part, rng, (rng.uniform(3, 10), rng.uniform(3, 10)))
         _rectangle(
-            picture, u, v, box, cast("Rgb", tuple(int(c * rng.uniform(0.88, 1.08)) for c in roof.rgb)), step, 0.6
+            picture,
+            u,
+            v,
+            box,
+            cast("Rgb", tuple(int(c * rng.uniform(0.88, 1.08)) for c in roof.rgb)),
+            step,
+            0.6,
         )
     seam = 1.2
     fade = float(np.clip(0.12 / step - 0.5, 0, 1))
@@ -200,7 +265,17 @@ def _flat_fittings(
     for _ in range(int(rng.poisson(min(1 + area / 350, 8)))):
         size = (rng.uniform(0.9, 3.2), rng.uniform(0.9, 2.2))
         grey = int(rng.uniform(130, 215))
-        _raised(picture, roof, u, v, sun, _spot(part, rng, size), rng.uniform(0.5, 1.4), (grey, grey, grey), step)
+        _raised(
+            picture,
+            roof,
+            u,
+            v,
+            sun,
+            _spot(part, rng, size),
+            rng.uniform(0.5, 1.4),
+            (grey, grey, grey),
+            step,
+        )
     for _ in range(int(rng.poisson(min(area / 150, 10)))):
         _raised(picture, roof, u, v, sun, _spot(part, rng, (0.5, 0.5)), 0.5, (150, 150, 150), step)
     if area > 120 and rng.random() < 0.4:  # staircase or lift

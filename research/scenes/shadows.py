@@ -34,7 +34,9 @@ def roof_shadows(roof: Roof, sun: Sun) -> list[NDArray[np.float64]]:
             else:
                 ridge = [((x0 + x1) / 2, y0 + inset), ((x0 + x1) / 2, y1 - inset)]
             outline.append(roof.frame.points(ridge) + sun.shadow(roof.eaves + roof.pitch * half))
-        hull = cv2.convexHull(np.vstack(outline).astype(np.float32)).reshape(-1, 2).astype(np.float64)
+        hull = (
+            cv2.convexHull(np.vstack(outline).astype(np.float32)).reshape(-1, 2).astype(np.float64)
+        )
         hulls.append(cast("NDArray[np.float64]", hull))
     return hulls
 
@@ -56,7 +58,14 @@ def vehicle_corners(vehicle: PlacedVehicle, grow: float = 1.0) -> NDArray[np.flo
     centre = np.array([vehicle.x, vehicle.y])
     return cast(
         "NDArray[np.float64]",
-        np.array([centre + along - across, centre + along + across, centre - along + across, centre - along - across]),
+        np.array(
+            [
+                centre + along - across,
+                centre + along + across,
+                centre - along + across,
+                centre - along - across,
+            ]
+        ),
     )
 
 

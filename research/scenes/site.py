@@ -34,7 +34,9 @@ def jitter(rng: np.random.Generator, rgb: Rgb, spread: float = 6.0, gain: float 
     """Vary a colour at random."""
     brightness, red, green, blue = rng.standard_normal(4).tolist()
     scale, shift, hue = 1 + brightness * gain, brightness * spread / 3, spread / 6
-    values = (c * scale + shift + hue * tint for c, tint in zip(rgb, (red, green, blue), strict=True))
+    values = (
+        c * scale + shift + hue * tint for c, tint in zip(rgb, (red, green, blue), strict=True)
+    )
     return cast("Rgb", tuple(int(min(max(value, 5), 245)) for value in values))
 
 
@@ -73,10 +75,22 @@ class Palette:
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Palette:
         """Draw one of several kinds of region, with variation."""
-        greens: tuple[Rgb, ...] = ((96, 110, 78), (84, 102, 72), (108, 116, 80), (76, 92, 70), (104, 110, 88))
+        greens: tuple[Rgb, ...] = (
+            (96, 110, 78),
+            (84, 102, 72),
+            (108, 116, 80),
+            (76, 92, 70),
+            (104, 110, 88),
+        )
         if rng.random() < 0.35:  # cooler and darker, towards conifers
             greens = ((76, 92, 72), (68, 84, 66), (88, 102, 76), (96, 106, 82))
-        red: tuple[Rgb, ...] = ((172, 116, 90), (158, 104, 82), (182, 134, 106), (150, 112, 92), (176, 140, 116))
+        red: tuple[Rgb, ...] = (
+            (172, 116, 90),
+            (158, 104, 82),
+            (182, 134, 106),
+            (150, 112, 92),
+            (176, 140, 116),
+        )
         brown: tuple[Rgb, ...] = ((124, 108, 98), (142, 124, 110), (110, 100, 94), (164, 150, 136))
         slate: tuple[Rgb, ...] = ((112, 114, 120), (96, 98, 104), (134, 132, 130), (128, 112, 104))
         pale: tuple[Rgb, ...] = ((205, 200, 190), (182, 174, 164), (214, 212, 206), (160, 140, 124))
@@ -125,16 +139,29 @@ class Site:
         """Add a rectangular surface x0, y0, x1, y1."""
         self.polygon(_corners(rect), rgb, material)
 
-    def blob(self, x: float, y: float, rx: float, ry: float, rgb: Rgb, material: Material, rough: float = 0.12) -> None:
+    def blob(
+        self,
+        x: float,
+        y: float,
+        rx: float,
+        ry: float,
+        rgb: Rgb,
+        material: Material,
+        rough: float = 0.12,
+    ) -> None:
         """Add an irregular round surface."""
         self.polygon(_blob(self.rng, x, y, rx, ry, rough), rgb, material)
 
-    def line(self, x0: float, y0: float, x1: float, y1: float, width: float = 0.12, rgb: Rgb = WHITE) -> None:
+    def line(
+        self, x0: float, y0: float, x1: float, y1: float, width: float = 0.12, rgb: Rgb = WHITE
+    ) -> None:
         """Add a painted line."""
         length = math.hypot(x1 - x0, y1 - y0)
         nx, ny = -(y1 - y0) / length * width / 2, (x1 - x0) / length * width / 2
         self.polygon(
-            [(x0 + nx, y0 + ny), (x1 + nx, y1 + ny), (x1 - nx, y1 - ny), (x0 - nx, y0 - ny)], rgb, Material.PAINT
+            [(x0 + nx, y0 + ny), (x1 + nx, y1 + ny), (x1 - nx, y1 - ny), (x0 - nx, y0 - ny)],
+            rgb,
+            Material.PAINT,
         )
 
     def stain(self, points: ArrayLike, level: int) -> None:
@@ -145,7 +172,9 @@ class Site:
         """Add a rectangular stain."""
         self.stain(_corners(rect), level)
 
-    def crack(self, x: float, y: float, length: float, angle: float, level: int = 104, width: float = 0.12) -> None:
+    def crack(
+        self, x: float, y: float, length: float, angle: float, level: int = 104, width: float = 0.12
+    ) -> None:
         """Add a crack: an irregular dark line."""
         steps = max(int(length / 1.5), 2)
         turns = angle + np.cumsum(self.rng.normal(0, 0.25, steps))
@@ -157,7 +186,9 @@ class Site:
     def target(self, category: Category, *polygons: ArrayLike, area: float | None = None) -> None:
         """Add an object to be masked: polygons whose union has that area (default: the area of the only polygon)."""
         placed = tuple(self.frame.points(polygon) for polygon in polygons)
-        self.world.targets.append(Target(category, placed, polygon_area(placed[0]) if area is None else area))
+        self.world.targets.append(
+            Target(category, placed, polygon_area(placed[0]) if area is None else area)
+        )
 
     # Upright objects
 
@@ -191,14 +222,20 @@ class Site:
             outline = site.frame.points(np.vstack([upper, lower]))
             self.world.boxes.append(Box(outline, height, green, leafy=True))
         else:
-            site.box((0, -0.13, length, 0.13), self.rng.uniform(1.0, 1.8), jitter(self.rng, (196, 190, 180), 8))
+            site.box(
+                (0, -0.13, length, 0.13),
+                self.rng.uniform(1.0, 1.8),
+                jitter(self.rng, (196, 190, 180), 8),
+            )
 
     def _green(self) -> Rgb:
         leaves = self.palette.leaves
         red, green, blue = leaves[int(self.rng.integers(len(leaves)))]
         return int(red * 0.88), int(green * 0.88), int(blue * 0.88)
 
-    def tree(self, x: float, y: float, radius: float | None = None, *, conical: bool = False) -> None:
+    def tree(
+        self, x: float, y: float, radius: float | None = None, *, conical: bool = False
+    ) -> None:
         """Add a tree with its trunk at (x, y), unless that place is kept free."""
         rng = self.rng
         (place,) = self.frame.points([(x, y)])
@@ -211,7 +248,9 @@ class Site:
             rgb = jitter(rng, (128, 84, 104), 10)
         look = int(rng.integers(7, 9)) if conical else int(rng.integers(0, 7))
         height = radius * (rng.uniform(3.2, 4.6) if conical else rng.uniform(1.5, 2.3)) + 0.8
-        self.world.trees.append(Tree(float(place[0]), float(place[1]), radius, float(height), rgb, look))
+        self.world.trees.append(
+            Tree(float(place[0]), float(place[1]), radius, float(height), rgb, look)
+        )
 
     def bush(self, x: float, y: float) -> None:
         """Add a shrub."""
@@ -226,8 +265,12 @@ class Site:
     def roof(self, parts: tuple[Rect, ...], style: str, eaves: float, rgb: Rgb) -> None:
         """Add a building over one or two rectangles of its frame."""
         pitch = float(self.rng.uniform(0.32, 0.62))
-        self.world.roofs.append(Roof(self.frame, parts, style, pitch, eaves, rgb, int(self.rng.integers(2**31))))
-        self.kept_free.extend((self.frame, (x0 - 0.4, y0 - 0.4, x1 + 0.4, y1 + 0.4)) for x0, y0, x1, y1 in parts)
+        self.world.roofs.append(
+            Roof(self.frame, parts, style, pitch, eaves, rgb, int(self.rng.integers(2**31)))
+        )
+        self.kept_free.extend(
+            (self.frame, (x0 - 0.4, y0 - 0.4, x1 + 0.4, y1 + 0.4)) for x0, y0, x1, y1 in parts
+        )
         area = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in parts)
         if len(parts) == 2:
             (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1) = parts
@@ -244,17 +287,25 @@ class Site:
         terrace = rng.uniform(0.8, 2.5)
         if rng.random() < 0.6:
             site.rect(
-                (-length / 2 - terrace, -width / 2 - 1, length / 2 + 1, width / 2 + terrace), rim, Material.PAVING
+                (-length / 2 - terrace, -width / 2 - 1, length / 2 + 1, width / 2 + terrace),
+                rim,
+                Material.PAVING,
             )
         kind = rng.random()
         if kind < 0.7:
             outline = np.array(_corners((-length / 2, -width / 2, length / 2, width / 2)))
         else:
             angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-            waist = 1 - (0.22 if kind > 0.85 else 0.0) * np.exp(-(((angles - np.pi / 2) / 0.6) ** 2))
+            waist = 1 - (0.22 if kind > 0.85 else 0.0) * np.exp(
+                -(((angles - np.pi / 2) / 0.6) ** 2)
+            )
             power = 2.6 if kind > 0.85 else 2.0
-            radial = (np.abs(np.cos(angles)) ** power + np.abs(np.sin(angles)) ** power) ** (-1 / power) * waist
-            outline = np.stack([length / 2 * radial * np.cos(angles), width / 2 * radial * np.sin(angles)], axis=1)
+            radial = (np.abs(np.cos(angles)) ** power + np.abs(np.sin(angles)) ** power) ** (
+                -1 / power
+            ) * waist
+            outline = np.stack(
+                [length / 2 * radial * np.cos(angles), width / 2 * radial * np.sin(angles)], axis=1
+            )
         grown = outline * (1 + 0.9 / np.array([length, width]))
         site.polygon(grown, (226, 222, 212), Material.PAVING)
         site.polygon(outline, water, Material.WATER)
@@ -263,16 +314,22 @@ class Site:
         site.polygon(inner, deep, Material.WATER)
         site.stain_rect((length * 0.1, -width * 0.4, length * 0.42, width * 0.4), 116)
         if kind < 0.7:
-            site.rect((-length / 2 + 0.1, -0.6, -length / 2 + 0.9, 0.6), (176, 214, 222), Material.WATER)
+            site.rect(
+                (-length / 2 + 0.1, -0.6, -length / 2 + 0.9, 0.6), (176, 214, 222), Material.WATER
+            )
         site.target("swimming-pool", outline)
-        self.kept_free.append((site.frame, (-length / 2 - 0.8, -width / 2 - 0.8, length / 2 + 0.8, width / 2 + 0.8)))
+        self.kept_free.append(
+            (site.frame, (-length / 2 - 0.8, -width / 2 - 0.8, length / 2 + 0.8, width / 2 + 0.8))
+        )
 
     # Vehicles
 
     def vehicle(self, model: VehicleModel, x: float, y: float, angle: float) -> None:
         """Add a vehicle that points towards ``angle``."""
         (place,) = self.frame.points([(x, y)])
-        self.world.vehicles.append(PlacedVehicle(model, float(place[0]), float(place[1]), self.frame.angle + angle))
+        self.world.vehicles.append(
+            PlacedVehicle(model, float(place[0]), float(place[1]), self.frame.angle + angle)
+        )
 
 
 def _within(place: NDArray[np.float64], frame: Frame, rect: Rect) -> bool:
@@ -287,9 +344,13 @@ def _corners(rect: Rect) -> list[tuple[float, float]]:
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
-def _blob(rng: np.random.Generator, x: float, y: float, rx: float, ry: float, rough: float) -> NDArray[np.float64]:
+def _blob(
+    rng: np.random.Generator, x: float, y: float, rx: float, ry: float, rough: float
+) -> NDArray[np.float64]:
     angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     radial = np.ones_like(angles)
     for order in range(2, 7):
-        radial += rough * rng.normal() / order**0.7 * np.cos(order * angles + rng.uniform(0, 2 * np.pi))
+        radial += (
+            rough * rng.normal() / order**0.7 * np.cos(order * angles + rng.uniform(0, 2 * np.pi))
+        )
     return np.stack([x + rx * radial * np.cos(angles), y + ry * radial * np.sin(angles)], axis=1)

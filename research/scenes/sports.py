@@ -56,7 +56,9 @@ class Paint:
             return
         pieces = max(int(math.hypot(x1 - x0, y1 - y0)), 1)
         ends = np.linspace(0, 1, pieces + 1)
-        for a, b, gone in zip(ends[:-1], ends[1:], self.site.rng.random(pieces) < self.wear, strict=True):
+        for a, b, gone in zip(
+            ends[:-1], ends[1:], self.site.rng.random(pieces) < self.wear, strict=True
+        ):
             if not gone:
                 dx, dy = x1 - x0, y1 - y0
                 self.site.line(x0 + a * dx, y0 + a * dy, x0 + b * dx, y0 + b * dy, width, self.rgb)
@@ -81,7 +83,11 @@ def sports_ground(site: Site, width: float, depth: float) -> None:
     while y + 36 < depth:
         x = rng.uniform(3, 10)
         surface = jitter(rng, _SURFACES[int(rng.integers(len(_SURFACES)))], 8)
-        inner = jitter(rng, _SURFACES[int(rng.integers(len(_SURFACES)))], 6) if rng.random() < 0.6 else surface
+        inner = (
+            jitter(rng, _SURFACES[int(rng.integers(len(_SURFACES)))], 6)
+            if rng.random() < 0.6
+            else surface
+        )
         kind = _KINDS[int(rng.choice(len(_KINDS), p=_KIND_SHARES))]
         broad = rng.uniform(16.5, 19) if kind == "tennis" else rng.uniform(18.5, 21)
         wear = float(rng.choice([0.0, 0.0, 0.05, 0.15, 0.3]))
@@ -100,10 +106,18 @@ def _slab(site: Site, broad: float, surface: Rgb) -> None:
     rng = site.rng
     half_x, half_y = 17.5, broad / 2
     site.rect((-half_x, -half_y, half_x, half_y), surface, Material.COURT)
-    site.target("sports-court", [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)])
+    site.target(
+        "sports-court", [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
+    )
     site.kept_free.append((site.frame, (-half_x, -half_y, half_x, half_y)))
     for _ in range(int(rng.integers(0, 5))):
-        site.crack(rng.uniform(-16, 16), rng.uniform(-half_y, half_y), rng.uniform(4, 16), rng.uniform(0, 6.3), 112)
+        site.crack(
+            rng.uniform(-16, 16),
+            rng.uniform(-half_y, half_y),
+            rng.uniform(4, 16),
+            rng.uniform(0, 6.3),
+            112,
+        )
     if rng.random() < 0.6:  # little more than the fence's foot and shadow is visible
         fence: Rgb = (70, 78, 74)
         for x in (-half_x, half_x):
@@ -119,12 +133,21 @@ def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
     length, width = _TENNIS_M if kind == "tennis" else _BASKETBALL[kind][:2]
     site.rect((-length / 2, -width / 2, length / 2, width / 2), inner, Material.COURT)
     if rng.random() < 0.3:  # damp or worn
-        site.blob(rng.uniform(-10, 10), rng.uniform(-4, 4), rng.uniform(1, 5), rng.uniform(1, 3), inner, Material.COURT)
+        site.blob(
+            rng.uniform(-10, 10),
+            rng.uniform(-4, 4),
+            rng.uniform(1, 5),
+            rng.uniform(1, 3),
+            inner,
+            Material.COURT,
+        )
         site.stain_rect((-2, -3, rng.uniform(0, 8), 3), int(rng.integers(112, 142)))
     if rng.random() < 0.2:
         _other_game(site)
     tone = float(rng.uniform(0.35, 1.0))  # remaining whiteness of the paint
-    rgb = tuple(int(tone * white + (1 - tone) * ground) for white, ground in zip(WHITE, inner, strict=True))
+    rgb = tuple(
+        int(tone * white + (1 - tone) * ground) for white, ground in zip(WHITE, inner, strict=True)
+    )
     paint = Paint(site, (rgb[0], rgb[1], rgb[2]), float(rng.uniform(0.05, 0.1)), wear)
     if kind == "tennis":
         _tennis(paint)
@@ -134,7 +157,12 @@ def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
         x, y = rng.uniform(-length / 2, length / 2), rng.uniform(-width / 2, width / 2)
         site.disc(float(x), float(y), 0.28, 1.7, jitter(rng, (150, 120, 110), 40))
     corners = site.frame.points(
-        [(-length / 2, -width / 2), (length / 2, -width / 2), (length / 2, width / 2), (-length / 2, width / 2)]
+        [
+            (-length / 2, -width / 2),
+            (length / 2, -width / 2),
+            (length / 2, width / 2),
+            (-length / 2, width / 2),
+        ]
     )
     site.world.courts.append(PlacedCourt(kind, corners))
 

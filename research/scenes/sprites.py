@@ -1,8 +1,9 @@
 """Sprites of vehicles and tree crowns, which the painter scales and rotates.
 
-A vehicle's sprite spans exactly its length and width. Its four channels, premultiplied by the first, are coverage,
-visible share of the shaded paint, added grey (glass, tyres, lamps) and added red (rear lamps). A crown's sprite spans
-[-1.25, 1.25] radii and has two channels: coverage and light.
+A vehicle's sprite spans exactly its length and width. Its four channels, premultiplied by the
+first, are coverage, visible share of the shaded paint, added grey (glass, tyres, lamps) and added
+red (rear lamps). A crown's sprite spans [-1.25, 1.25] radii and has two channels: coverage and
+light.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 CROWN_SPAN = 1.25
-VEHICLE_PAD = 0.03  # transparent margin on every side of a vehicle's sprite, as a share of the length
+# transparent margin on every side of a vehicle's sprite, as a share of the length
+VEHICLE_PAD = 0.03
 
 _F = NDArray[np.float32]
 _Reals = NDArray[np.floating[Any]]
@@ -38,7 +40,11 @@ class Sun:
     def light(self, turn: float = 0.0) -> tuple[float, float, float]:
         """Compute the unit vector towards the sun in a frame rotated by ``turn``."""
         flat, angle = -np.cos(self.elevation), self.azimuth - turn
-        return float(flat * np.cos(angle)), float(flat * np.sin(angle)), float(np.sin(self.elevation))
+        return (
+            float(flat * np.cos(angle)),
+            float(flat * np.sin(angle)),
+            float(np.sin(self.elevation)),
+        )
 
 
 @dataclass(frozen=True)
@@ -68,10 +74,18 @@ _CARS = {
     "van": _Car(0.10, 0.235, 0.985, 0.995, 0.84, bonnet=1.1, boot=1.2),
     "pickup": _Car(0.27, 0.395, 0.56, 0.63, 0.73, bonnet=1.0, bed=True),
     "kei": _Car(0.085, 0.25, 0.93, 0.985, 0.82, bonnet=0.95, boot=1.3, cabin_height=1.75),
-    "kei truck": _Car(0.03, 0.15, 0.34, 0.40, 0.84, bonnet=1.1, bed=True, bed_front=0.425, cabin_height=1.75),
-    "single cab": _Car(0.27, 0.385, 0.475, 0.53, 0.74, bonnet=1.05, bed=True, bed_front=0.56, cabin_height=1.75),
-    "crew cab": _Car(0.235, 0.345, 0.60, 0.665, 0.75, bonnet=1.1, bed=True, bed_front=0.69, cabin_height=1.85),
-    "flatbed": _Car(0.15, 0.25, 0.355, 0.40, 0.80, bonnet=1.1, bed=True, bed_front=0.43, cabin_height=1.95),
+    "kei truck": _Car(
+        0.03, 0.15, 0.34, 0.40, 0.84, bonnet=1.1, bed=True, bed_front=0.425, cabin_height=1.75
+    ),
+    "single cab": _Car(
+        0.27, 0.385, 0.475, 0.53, 0.74, bonnet=1.05, bed=True, bed_front=0.56, cabin_height=1.75
+    ),
+    "crew cab": _Car(
+        0.235, 0.345, 0.60, 0.665, 0.75, bonnet=1.1, bed=True, bed_front=0.69, cabin_height=1.85
+    ),
+    "flatbed": _Car(
+        0.15, 0.25, 0.355, 0.40, 0.80, bonnet=1.1, bed=True, bed_front=0.43, cabin_height=1.95
+    ),
     "minivan": _Car(0.16, 0.32, 0.90, 0.97, 0.78, bonnet=1.0, boot=1.0, cabin_height=1.75),
 }
 
@@ -85,7 +99,9 @@ def _band(value: _F, low: float, high: float, width: float) -> _F:
     return cast("_F", _soft(value - low, width) * _soft(high - value, width))
 
 
-def vehicle_sprite(body: str, length: float, width: float, px_per_m: float, light: tuple[float, float, float]) -> _F:
+def vehicle_sprite(
+    body: str, length: float, width: float, px_per_m: float, light: tuple[float, float, float]
+) -> _F:
     """Draw a vehicle that points to +x.
 
     Args:
@@ -102,7 +118,9 @@ def vehicle_sprite(body: str, length: float, width: float, px_per_m: float, ligh
     pad = VEHICLE_PAD * length
     columns = max(8, round((length + 2 * pad) * px_per_m))
     rows = max(6, round((width + 2 * pad) * px_per_m))
-    u = ((np.arange(columns, dtype=np.float32) + 0.5) / columns - 0.5) * np.float32(length + 2 * pad)
+    u = ((np.arange(columns, dtype=np.float32) + 0.5) / columns - 0.5) * np.float32(
+        length + 2 * pad
+    )
     v = ((np.arange(rows, dtype=np.float32) + 0.5) / rows - 0.5) * np.float32(width + 2 * pad)
     grid_u, grid_v = cast("tuple[_F, _F]", np.meshgrid(u, v))
     if body in _CARS:
@@ -116,13 +134,24 @@ def _lit(height: _F, px: float, light: tuple[float, float, float]) -> _F:
     height = cast("_F", cv2.GaussianBlur(height, (0, 0), blur, borderType=cv2.BORDER_REPLICATE))
     slope_v, slope_u = np.gradient(height, px)
     slope_u, slope_v = np.clip(slope_u, -2, 2), np.clip(slope_v, -2, 2)
-    lambert = (light[2] - light[0] * slope_u - light[1] * slope_v) / np.sqrt(1 + slope_u**2 + slope_v**2)
+    lambert = (light[2] - light[0] * slope_u - light[1] * slope_v) / np.sqrt(
+        1 + slope_u**2 + slope_v**2
+    )
     ambient = 0.45
-    return cast("_F", np.clip(ambient + (1 - ambient) * lambert / light[2], 0.38, 1.35).astype(np.float32))
+    return cast(
+        "_F", np.clip(ambient + (1 - ambient) * lambert / light[2], 0.38, 1.35).astype(np.float32)
+    )
 
 
 def _car(
-    car: _Car, body: str, u: _F, v: _F, length: float, width: float, px: float, light: tuple[float, float, float]
+    car: _Car,
+    body: str,
+    u: _F,
+    v: _F,
+    length: float,
+    width: float,
+    px: float,
+    light: tuple[float, float, float],
 ) -> _F:
     half_width = width / 2
     t = (length / 2 - u) / length
@@ -140,7 +169,11 @@ def _car(
     roof_height = 2.1 if body == "van" else 1.65 if body == "suv" else car.cabin_height
     crown = 0.05 * (1 - np.clip(across, 0, 1) ** 2)
     edge = np.clip(inset / 0.22, 0, 1)
-    height = belt * (0.55 + 0.45 * np.sqrt(edge)) + crown + (roof_height - belt) * np.minimum(cabin, lean)
+    height = (
+        belt * (0.55 + 0.45 * np.sqrt(edge))
+        + crown
+        + (roof_height - belt) * np.minimum(cabin, lean)
+    )
     shade = _lit(height.astype(np.float32), px, light)
 
     glass = _car_glass(car, t, across, base_front, length, half_width, px)
@@ -156,11 +189,15 @@ def _car(
         paint *= 1 - 0.85 * bed
         grey += 26 * bed * (1 - glass)
     gloss = (
-        np.exp(-(((v / half_width) - 0.35 * np.sign(-light[1] or 1.0)) ** 2) / 0.05) * np.clip(edge, 0, 1) * (1 - glass)
+        np.exp(-(((v / half_width) - 0.35 * np.sign(-light[1] or 1.0)) ** 2) / 0.05)
+        * np.clip(edge, 0, 1)
+        * (1 - glass)
     )
     grey += 11 * gloss  # along bonnet and roof
     red = _car_trim(car, paint, grey, t, across, length, half_width, px)
-    return cast("_F", np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32))
+    return cast(
+        "_F", np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32)
+    )
 
 
 def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, width: float) -> _F:
@@ -170,30 +207,50 @@ def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, wi
     front = half_length - rounding * np.clip(across, 0, 1.2) ** 3.5
     rear = half_length - 0.5 * rounding * np.clip(across, 0, 1.2) ** 4
     side = half_width * (
-        1 - 0.07 * np.clip((0.16 - t) / 0.16, 0, 1) ** 2 - 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
+        1
+        - 0.07 * np.clip((0.16 - t) / 0.16, 0, 1) ** 2
+        - 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
     )
-    return cast("_F", np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32))
+    return cast(
+        "_F", np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32)
+    )
 
 
-def _car_glass(car: _Car, t: _F, across: _Reals, base_front: _Reals, length: float, half_width: float, px: float) -> _F:
+def _car_glass(
+    car: _Car,
+    t: _F,
+    across: _Reals,
+    base_front: _Reals,
+    length: float,
+    half_width: float,
+    px: float,
+) -> _F:
     """Compute the share of glass: windscreen, rear window, and side windows between their pillars."""
     base_half, roof_half = _BASE_HALF_WIDTH, car.roof_half_width
     in_cabin = _soft(
-        (np.minimum(np.minimum(t - base_front, car.glass_rear - t) * length, (base_half - across) * half_width)).astype(
-            np.float32
-        ),
-        px,
-    )
-    taper = (
-        roof_half + 0.06 * np.clip((car.roof_front - t) / 0.1, 0, 1) + 0.04 * np.clip((t - car.roof_rear) / 0.1, 0, 1)
-    )
-    on_roof = _soft(
-        np.minimum(
-            np.minimum(t - car.roof_front, car.roof_rear - t) * length, (roof_half - across) * half_width
+        (
+            np.minimum(
+                np.minimum(t - base_front, car.glass_rear - t) * length,
+                (base_half - across) * half_width,
+            )
         ).astype(np.float32),
         px,
     )
-    screen = in_cabin * _soft(((taper - across) * half_width).astype(np.float32), px) * (1 - on_roof)
+    taper = (
+        roof_half
+        + 0.06 * np.clip((car.roof_front - t) / 0.1, 0, 1)
+        + 0.04 * np.clip((t - car.roof_rear) / 0.1, 0, 1)
+    )
+    on_roof = _soft(
+        np.minimum(
+            np.minimum(t - car.roof_front, car.roof_rear - t) * length,
+            (roof_half - across) * half_width,
+        ).astype(np.float32),
+        px,
+    )
+    screen = (
+        in_cabin * _soft(((taper - across) * half_width).astype(np.float32), px) * (1 - on_roof)
+    )
     sides = in_cabin * _soft(((across - roof_half - 0.02) * half_width).astype(np.float32), px)
     sides *= _soft(((0.885 - across) * half_width).astype(np.float32), px) * _band(
         t * length, (car.roof_front - 0.07) * length, (min(car.roof_rear + 0.05, 0.97)) * length, px
@@ -204,12 +261,21 @@ def _car_glass(car: _Car, t: _F, across: _Reals, base_front: _Reals, length: flo
 
 
 def _car_trim(
-    car: _Car, paint: _Reals, grey: _Reals, t: _F, across: _Reals, length: float, half_width: float, px: float
+    car: _Car,
+    paint: _Reals,
+    grey: _Reals,
+    t: _F,
+    across: _Reals,
+    length: float,
+    half_width: float,
+    px: float,
 ) -> _Reals:
     """Draw seams, grille and lamps into ``paint`` and ``grey``; return the red of the rear lamps."""
     seam = _band(t * length, car.glass_front * length - 0.10, car.glass_front * length - 0.05, px)
     paint *= 1 - 0.35 * seam * _soft(((0.86 - across) * half_width).astype(np.float32), px)
-    grille = _band(t * length, 0.0, 0.07, px) * _soft(((0.55 - across) * half_width).astype(np.float32), px)
+    grille = _band(t * length, 0.0, 0.07, px) * _soft(
+        ((0.55 - across) * half_width).astype(np.float32), px
+    )
     paint *= 1 - 0.55 * grille
     lamp_side = _soft(((across - 0.60) * half_width).astype(np.float32), px)
     lamps = _band(t * length, 0.06, 0.30, px) * lamp_side * (across < 0.97)
@@ -220,13 +286,23 @@ def _car_trim(
     return 110 * rear_lamps
 
 
-def _heavy(body: str, u: _F, v: _F, length: float, width: float, px: float, light: tuple[float, float, float]) -> _F:
+def _heavy(
+    body: str,
+    u: _F,
+    v: _F,
+    length: float,
+    width: float,
+    px: float,
+    light: tuple[float, float, float],
+) -> _F:
     half_length, half_width = length / 2, width / 2
     rounding = 0.10 if body in ("truck", "semitrailer") else 0.30
     corner_u = np.maximum(np.abs(u) - (half_length - rounding), 0)
     corner_v = np.maximum(np.abs(v) - (half_width - rounding), 0)
     box = np.minimum(half_length - np.abs(u), half_width - np.abs(v))
-    inset = np.where((corner_u > 0) & (corner_v > 0), rounding - np.hypot(corner_u, corner_v), box).astype(np.float32)
+    inset = np.where(
+        (corner_u > 0) & (corner_v > 0), rounding - np.hypot(corner_u, corner_v), box
+    ).astype(np.float32)
     cover = _soft(inset, px)
     from_front = (half_length - u).astype(np.float32)
     height = (3.0 * np.sqrt(np.clip(inset / 0.25, 0, 1))).astype(np.float32)
@@ -261,7 +337,9 @@ def _heavy(body: str, u: _F, v: _F, length: float, width: float, px: float, ligh
     shade = _lit(height, px, light)
     paint = shade * (1 - dark)
     grey = grey + 34 * dark
-    return cast("_F", np.stack([cover, paint * cover, grey * cover, 0 * cover], axis=2).astype(np.float32))
+    return cast(
+        "_F", np.stack([cover, paint * cover, grey * cover, 0 * cover], axis=2).astype(np.float32)
+    )
 
 
 def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool = False) -> _F:
@@ -283,13 +361,17 @@ def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool
     phases = rng.uniform(0, 2 * np.pi, 4)
     for _ in range(count):
         distance, angle = np.sqrt(rng.uniform(0, 1)), rng.uniform(0, 2 * np.pi)
-        reach = 0.90 * (1 + sum(0.09 * lobes[n] * np.cos((n + 2) * angle + phases[n]) for n in range(4)))
+        reach = 0.90 * (
+            1 + sum(0.09 * lobes[n] * np.cos((n + 2) * angle + phases[n]) for n in range(4))
+        )
         radius = rng.uniform(0.10, 0.24) * (0.7 if conical else 1.0)
         x, y = (
             reach * (1 - radius * 0.6) * distance * np.cos(angle),
             reach * (1 - radius * 0.6) * distance * np.sin(angle),
         )
-        level = 1.6 * (1 - distance) if conical else 0.85 * np.sqrt(max(0.0, 1 - 0.85 * distance**2))
+        level = (
+            1.6 * (1 - distance) if conical else 0.85 * np.sqrt(max(0.0, 1 - 0.85 * distance**2))
+        )
         level += rng.normal(0, 0.06)
         columns = slice(*np.searchsorted(axis, (x - radius, x + radius)))
         rows = slice(*np.searchsorted(axis, (y - radius, y + radius)))
@@ -298,23 +380,33 @@ def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool
         height[rows, columns] = np.maximum(height[rows, columns], cluster)
     inside = (height > -1).astype(np.float32)
     leaves = rng.standard_normal((size, size)).astype(np.float32)
-    leaves = cast("_F", cv2.GaussianBlur(leaves, (0, 0), max(0.6, 0.014 * size), borderType=cv2.BORDER_REPLICATE))
+    leaves = cast(
+        "_F",
+        cv2.GaussianBlur(leaves, (0, 0), max(0.6, 0.014 * size), borderType=cv2.BORDER_REPLICATE),
+    )
     leaves /= leaves.std()
     surface = np.where(inside > 0, height, -0.3).astype(np.float32) + 0.018 * leaves
     step = float(axis[1] - axis[0])
     light = sun.light()
     slope_y, slope_x = np.gradient(cv2.GaussianBlur(surface, (0, 0), max(0.5, size / 110)), step)
     slope_x, slope_y = np.clip(slope_x, -2.5, 2.5), np.clip(slope_y, -2.5, 2.5)
-    lambert = (light[2] - light[0] * slope_x - light[1] * slope_y) / np.sqrt(1 + slope_x**2 + slope_y**2)
+    lambert = (light[2] - light[0] * slope_x - light[1] * slope_y) / np.sqrt(
+        1 + slope_x**2 + slope_y**2
+    )
     # Clusters cast shadows on those behind them.
     lit = np.ones_like(surface)
     rise = np.tan(sun.elevation)
     for distance in (0.06, 0.12, 0.2, 0.3, 0.42):
-        dx, dy = light[0] / np.cos(sun.elevation) * distance, light[1] / np.cos(sun.elevation) * distance
+        dx, dy = (
+            light[0] / np.cos(sun.elevation) * distance,
+            light[1] / np.cos(sun.elevation) * distance,
+        )
         blocker = np.roll(surface, (-round(dy / step), -round(dx / step)), axis=(0, 1))
         lit = np.minimum(lit, np.clip(1 - (blocker - surface - distance * rise) / 0.10, 0, 1))
     depth = np.clip((surface + 0.1) / 0.9, 0, 1)
     value = (0.34 + 0.26 * depth) + 0.62 * np.clip(lambert, 0, 1) * lit
     value = value * (1 + 0.09 * leaves)
     cover = cast("_F", cv2.GaussianBlur(inside, (0, 0), max(0.5, size / 160)))
-    return cast("_F", np.stack([cover, np.clip(value, 0.15, 1.5) * cover], axis=2).astype(np.float32))
+    return cast(
+        "_F", np.stack([cover, np.clip(value, 0.15, 1.5) * cover], axis=2).astype(np.float32)
+    )

@@ -57,7 +57,11 @@ class Block:
 
 
 def divide(
-    site: Site, rect: Rect, plan: StreetPlan, sides: tuple[Street | None, ...] = (None,) * 4, depth: int = 0
+    site: Site,
+    rect: Rect,
+    plan: StreetPlan,
+    sides: tuple[Street | None, ...] = (None,) * 4,
+    depth: int = 0,
 ) -> tuple[list[Street], list[Block]]:
     """Split a rectangle into blocks with streets between them."""
     rng = site.rng
@@ -118,10 +122,18 @@ def build_street(site: Site, street: Street, plan: StreetPlan, layer: str) -> No
         if street.pavement > 0:
             own.rect((0, -street.half, length, street.half), site.palette.paving, Material.PAVING)
             kerb = jitter(site.rng, (188, 186, 180), 4)
-            own.rect((-street.pavement, -half - 0.18, length + street.pavement, half + 0.18), kerb, Material.PAVING)
+            own.rect(
+                (-street.pavement, -half - 0.18, length + street.pavement, half + 0.18),
+                kerb,
+                Material.PAVING,
+            )
         else:
             own.rect((0, -half - 1.2, length, half + 1.2), site.palette.meadow, Material.MEADOW)
-            own.rect((-0.4, -half - 0.35, length + 0.4, half + 0.35), site.palette.gravel, Material.GRAVEL)
+            own.rect(
+                (-0.4, -half - 0.35, length + 0.4, half + 0.35),
+                site.palette.gravel,
+                Material.GRAVEL,
+            )
     elif layer == "carriage":
         _carriageway(own, street)
     else:
@@ -143,7 +155,11 @@ def _carriageway(own: Site, street: Street) -> None:
             radius = min(3.0, street.pavement + 2.0)
             arc = np.linspace(0, np.pi / 2, 6)
             curve = [
-                (corner + direction * radius * (1 - math.cos(a)), edge + side * radius * (1 - math.sin(a))) for a in arc
+                (
+                    corner + direction * radius * (1 - math.cos(a)),
+                    edge + side * radius * (1 - math.sin(a)),
+                )
+                for a in arc
             ]
             own.polygon([(corner, edge), *curve], rgb, Material.ASPHALT)
 
@@ -185,7 +201,9 @@ def _markings(own: Site, street: Street, plan: StreetPlan) -> None:
         lane = _lane(own) - 0.2
         for side in (-1, 1):
             for start, stop in _free(street, 8, length - 8, 5, side):
-                own.line(start, side * (half - lane), max(stop, start + 1), side * (half - lane), 0.1)
+                own.line(
+                    start, side * (half - lane), max(stop, start + 1), side * (half - lane), 0.1
+                )
     zebra = rng.random() < 0.55
     for end in (0, 1):
         direction = 1 - 2 * end
@@ -211,12 +229,18 @@ def _wear(own: Site, street: Street) -> None:
     for _ in range(int(rng.poisson(length / 35))):
         x, y = rng.uniform(0, length), rng.uniform(-half, half - 1)
         size = (rng.uniform(1, 14), rng.uniform(0.6, 2.6))
-        own.stain_rect((x, y, x + size[0], min(y + size[1], half)), int(rng.choice([108, 114, 119, 136, 141])))
+        own.stain_rect(
+            (x, y, x + size[0], min(y + size[1], half)), int(rng.choice([108, 114, 119, 136, 141]))
+        )
     for _ in range(int(rng.poisson(length / 14))):
         heading = rng.choice([0.0, 0.0, math.pi / 2]) + rng.normal(0, 0.15)
         span = rng.uniform(2, 6) if abs(math.sin(heading)) > 0.5 else rng.uniform(4, 20)
         own.crack(
-            rng.uniform(0, length), rng.uniform(-half * 0.7, half * 0.7), span, heading, int(rng.integers(96, 116))
+            rng.uniform(0, length),
+            rng.uniform(-half * 0.7, half * 0.7),
+            span,
+            heading,
+            int(rng.integers(96, 116)),
         )
     for _ in range(int(rng.poisson(length / 30))):
         x, y = rng.uniform(0, length), rng.uniform(-half + 0.5, half - 0.5)
@@ -234,7 +258,9 @@ def _furniture(own: Site, street: Street) -> None:
     for side in (-1, 1):
         y = side * (street.half - 0.75)
         for start, stop in _free(street, 6, street.length - 6, 3, side):
-            for x in np.arange(start + rng.uniform(0, 6), stop, rng.uniform(7, 11)) if planted else ():
+            for x in (
+                np.arange(start + rng.uniform(0, 6), stop, rng.uniform(7, 11)) if planted else ()
+            ):
                 if rng.random() < 0.85:
                     own.rect((x - 0.6, y - 0.6, x + 0.6, y + 0.6), own.palette.soil, Material.SOIL)
                     own.tree(float(x), y, float(radius * rng.uniform(0.75, 1.2)))
@@ -266,7 +292,9 @@ def _traffic(own: Site, street: Street, plan: StreetPlan) -> None:
                             + (math.pi if rng.random() < 0.12 else 0)
                             + float(np.clip(rng.normal(0, 0.015), -0.04, 0.04))
                         )
-                        y = side * (half - 0.2 - model.width_m / 2 - min(abs(rng.normal(0, 0.05)), 0.1))
+                        y = side * (
+                            half - 0.2 - model.width_m / 2 - min(abs(rng.normal(0, 0.05)), 0.1)
+                        )
                         own.vehicle(model, position + model.length_m / 2, y, turn)
                     position += model.length_m + 0.5 + rng.exponential(0.45)
     free_half = half - (_lane(own) if street.parking else 0)
@@ -279,7 +307,9 @@ def _traffic(own: Site, street: Street, plan: StreetPlan) -> None:
         lanes = [1.65, 4.95]
     else:
         lanes = [free_half / 2]
-    density = plan.traffic / 100 * (1.6 if street.depth == 0 else 1.0 if street.depth == 1 else 0.45)
+    density = (
+        plan.traffic / 100 * (1.6 if street.depth == 0 else 1.0 if street.depth == 1 else 0.45)
+    )
     for side in (-1, 1) if both_ways else (1,):
         heading = 0.0 if side > 0 else math.pi
         for lane in lanes:
@@ -287,7 +317,9 @@ def _traffic(own: Site, street: Street, plan: StreetPlan) -> None:
             while position + 17 < length - 5:
                 large = free_half > 3.1 and rng.random() < 0.10
                 model = fleet.large("truck", "bus", "semitrailer") if large else fleet.small()
-                y = side * lane + float(np.clip(rng.normal(0, 0.08), -0.15, 0.15)) * (0 if large else 1)
+                y = side * lane + float(np.clip(rng.normal(0, 0.08), -0.15, 0.15)) * (
+                    0 if large else 1
+                )
                 turn = 0.0 if large else float(np.clip(rng.normal(0, 0.008), -0.02, 0.02))
                 own.vehicle(model, position + model.length_m / 2, y, heading + turn)
                 position += 17 + 2.5 + rng.exponential(1 / density)

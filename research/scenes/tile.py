@@ -17,7 +17,8 @@ _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]
 
 SUBPIXEL_BITS = 4
-_FAR_PX = 6000.0  # polygons that extend farther beyond a tile are clipped: OpenCV's coordinates are finite
+# polygons that extend farther beyond a tile are clipped: OpenCV's coordinates are finite
+_FAR_PX = 6000.0
 
 
 @dataclass(eq=False)
@@ -37,7 +38,9 @@ class Tile:
         """Convert metres to the tile's continuous pixel coordinates."""
         return (points - (self.x, self.y)) / self.step
 
-    def window(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[int, int, int, int] | None:
+    def window(
+        self, low: NDArray[np.float64], high: NDArray[np.float64]
+    ) -> tuple[int, int, int, int] | None:
         """Compute the pixels x0, y0, x1, y1 that a box (in pixel coordinates) touches; None for none."""
         x0, y0 = max(math.floor(low[0]), 0), max(math.floor(low[1]), 0)
         x1, y1 = min(math.ceil(high[0]), self.width), min(math.ceil(high[1]), self.height)
@@ -50,7 +53,9 @@ class Tile:
             pixels = clip_polygon(pixels, -16, -16, self.width + 16, self.height + 16)
             if len(pixels) < 3:
                 return None
-        return cast("NDArray[np.int32]", np.rint((pixels - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32))
+        return cast(
+            "NDArray[np.int32]", np.rint((pixels - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
+        )
 
     def fill(self, image: _U8, points: NDArray[np.float64], value: int | Rgb) -> None:
         """Fill an outline, given in metres, in an image of the tile's size."""

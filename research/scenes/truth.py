@@ -29,8 +29,8 @@ _JPEG_QUALITY = 95
 class SceneVehicle:
     """Drawn vehicle, bumper to bumper, without its shadow.
 
-    Pixel coordinates are continuous: the image spans [0, width] x [0, height], and the first pixel's centre is
-    (0.5, 0.5).
+    Pixel coordinates are continuous: the image spans [0, width] x [0, height], and the first
+    pixel's centre is (0.5, 0.5).
     """
 
     kind: VehicleKind
@@ -73,7 +73,8 @@ class SceneCourt:
 
     Attributes:
         kind: game and rules.
-        corners: ``[4, 2]`` corners of its outline, outside the lines, in pixels; the first two bound a long side.
+        corners: ``[4, 2]`` corners of its outline, outside the lines, in pixels; the first two
+            bound a long side.
         hidden_share: 0..1, share of its area in the image below trees.
         cut: whether the image's edge cuts it.
     """
@@ -92,9 +93,9 @@ class Scene:
         image: [H,W,3] RGB.
         gsd_m_per_px: size of a pixel on the ground.
         vehicles: drawn vehicles whose centre is inside the image.
-        masks: category -> [H,W] instance numbers, 0 for the background. Pools are water and buildings are roofs, both
-            without parts below trees. Courts are the whole surfaced enclosure. Fields and parking lots are the whole
-            ground, including objects on it.
+        masks: category -> [H,W] instance numbers, 0 for the background. Pools are water and
+            buildings are roofs, both without parts below trees. Courts are the whole surfaced
+            enclosure. Fields and parking lots are the whole ground, including objects on it.
         objects: objects in the masks, with areas.
         seed: seed of the scene.
         parameters: the other arguments of ``render_scene``, and values drawn from the seed.
@@ -122,11 +123,13 @@ class Scene:
         """Write the image and its ground truth.
 
         Args:
-            path: path of the image, ending in ``.png``, ``.jpg`` or ``.jpeg``, in an existing folder.
+            path: path of the image, ending in ``.png``, ``.jpg`` or ``.jpeg``, in an existing
+                folder.
 
         Returns:
-            The written files: the image, ``<stem>.json`` (scale, size, parameters, areas), ``<stem>.txt`` (vehicles in
-            DOTA format) and one 16-bit ``<stem>_<category>.png`` per category.
+            The written files: the image, ``<stem>.json`` (scale, size, parameters, areas),
+            ``<stem>.txt`` (vehicles in DOTA format) and one 16-bit ``<stem>_<category>.png`` per
+            category.
 
         Raises:
             InvalidParameterError: the path has another suffix.
@@ -134,7 +137,9 @@ class Scene:
         """
         path = Path(path)
         if path.suffix.lower() not in _SUFFIXES:
-            raise InvalidParameterError(f"the path of a scene must end in {', '.join(_SUFFIXES)}, got {path.name!r}")
+            raise InvalidParameterError(
+                f"the path of a scene must end in {', '.join(_SUFFIXES)}, got {path.name!r}"
+            )
         written = [_write_image(path, np.ascontiguousarray(self.image[:, :, ::-1]))]
         record = {
             "gsd_m_per_px": self.gsd_m_per_px,

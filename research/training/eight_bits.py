@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import onnx
-from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
+from onnxruntime.quantization import (
+    CalibrationDataReader,
+    CalibrationMethod,
+    QuantFormat,
+    QuantType,
+    quantize_static,
+)
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
 from research.training.onnx_file import write_metadata
@@ -35,7 +41,8 @@ def write_eight_bits(
 ) -> None:
     """Write a network with activations of eight bits and weights of seven.
 
-    Sums of two products then fit 16 bits, in which x86 processors without dot products of bytes add them.
+    Sums of two products then fit 16 bits, in which x86 processors without dot products of bytes add
+    them.
 
     Args:
         model: the float32 file, of one input.
@@ -60,4 +67,6 @@ def write_eight_bits(
             nodes_to_quantize=list(nodes(graph)),
             calibrate_method=CalibrationMethod.MinMax,
         )
-    write_metadata(out, {**{entry.key: entry.value for entry in onnx.load(model).metadata_props}, **metadata})
+    write_metadata(
+        out, {**{entry.key: entry.value for entry in onnx.load(model).metadata_props}, **metadata}
+    )

@@ -6,10 +6,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 
-def conv_block(inputs: int, outputs: int, kernel: int = 3, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+def conv_block(
+    inputs: int, outputs: int, kernel: int = 3, stride: int = 1, dilation: int = 1
+) -> nn.Sequential:
     """Make a convolution with batch normalisation and ReLU; at stride 1 the size stays."""
     return nn.Sequential(
-        nn.Conv2d(inputs, outputs, kernel, stride, dilation * (kernel // 2), dilation=dilation, bias=False),
+        nn.Conv2d(
+            inputs, outputs, kernel, stride, dilation * (kernel // 2), dilation=dilation, bias=False
+        ),
         nn.BatchNorm2d(outputs),
         nn.ReLU(inplace=True),
     )
@@ -21,7 +25,9 @@ class Residual(nn.Module):
     def __init__(self, channels: int, inner: int, dilation: int = 1) -> None:
         super().__init__()
         self.enter = conv_block(channels, inner, dilation=dilation)
-        self.leave = nn.Sequential(nn.Conv2d(inner, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
+        self.leave = nn.Sequential(
+            nn.Conv2d(inner, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels)
+        )
 
     def forward(self, x: Tensor) -> Tensor:
         """Add what the block computes."""

@@ -13,7 +13,10 @@ _ITERATIONS = 30
 
 
 def logistic(
-    design: NDArray[np.float64], car: NDArray[np.bool_], weight: NDArray[np.float64], ridge: float = 1e-6
+    design: NDArray[np.float64],
+    car: NDArray[np.bool_],
+    weight: NDArray[np.float64],
+    ridge: float = 1e-6,
 ) -> NDArray[np.float64]:
     """Fit log odds ``design @ theta`` by Newton's method.
 

@@ -1,8 +1,9 @@
 """The training loop of all networks here: optimiser, schedule, moving average, checkpoints.
 
-Everything is counted in steps, never in minutes, and the example for step k is a function of the seed and k alone
-(``Examples.__getitem__``). So a run that was interrupted and resumed ends with the same weights as one that was not,
-and the same seed gives the same file on the same machine with the same number of threads.
+Everything is counted in steps, never in minutes, and the example for step k is a function of the
+seed and k alone (``Examples.__getitem__``). So a run that was interrupted and resumed ends with the
+same weights as one that was not, and the same seed gives the same file on the same machine with the
+same number of threads.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class Schedule:
         peak: highest rate.
         warm_up: steps of the rise.
         last: rate at the end, as a share of the peak.
-        held: share of the steps after which the rate begins to fall; a run that must be cut short keeps its plateau.
+        held: share of the steps after which the rate begins to fall; a run that must be cut short
+            keeps its plateau.
     """
 
     steps: int
@@ -87,7 +89,9 @@ class Recipe:
 Losses = Callable[[nn.Module, Any, torch.device], Mapping[str, Tensor]]
 
 
-def train(network: nn.Module, examples: Examples, losses: Losses, recipe: Recipe, run: Path | None) -> nn.Module:
+def train(
+    network: nn.Module, examples: Examples, losses: Losses, recipe: Recipe, run: Path | None
+) -> nn.Module:
     """Train a network, resuming from ``run/checkpoint.pt`` where there is one.
 
     Args:
@@ -133,7 +137,9 @@ def train(network: nn.Module, examples: Examples, losses: Losses, recipe: Recipe
             sums[name] = sums.get(name, 0.0) + part.item()
         if done % recipe.log_every == 0:
             pace = (time.monotonic() - started) / (done - first)
-            means = " ".join(f"{name} {total / recipe.log_every:.4f}" for name, total in sums.items())
+            means = " ".join(
+                f"{name} {total / recipe.log_every:.4f}" for name, total in sums.items()
+            )
             print(f"{done} {means} {pace:.2f} s/step", flush=True)
             sums = {}
         if run and (done % recipe.checkpoint_every == 0 or done == steps):
@@ -173,7 +179,9 @@ def _batches(examples: Examples, recipe: Recipe, first: int) -> Iterator[Any]:
 
 def load_average(network: nn.Module, run: Path) -> None:
     """Put the moving average of a run into ``network``."""
-    network.load_state_dict(torch.load(run / _CHECKPOINT, map_location="cpu", weights_only=True)["averaged"])
+    network.load_state_dict(
+        torch.load(run / _CHECKPOINT, map_location="cpu", weights_only=True)["averaged"]
+    )
 
 
 def save_atomically(state: object, path: Path) -> None:
@@ -185,7 +193,9 @@ def save_atomically(state: object, path: Path) -> None:
 
 @torch.no_grad()
 def _follow(averaged: nn.Module, network: nn.Module, keep: float) -> None:
-    for slow, fast in zip(averaged.state_dict().values(), network.state_dict().values(), strict=True):
+    for slow, fast in zip(
+        averaged.state_dict().values(), network.state_dict().values(), strict=True
+    ):
         if slow.dtype.is_floating_point and keep:
             slow.lerp_(fast, 1 - keep)
         else:

@@ -1,8 +1,8 @@
 """Render labelled scenes to train on: ``python -m research.training.render_scenes detector OUT --count 120``.
 
-``detector``: car parks, streets and yards, a tenth of them without vehicles. ``chips``: mixed fleets with kei cars,
-open beds, loads and roof racks, finer; a quarter shows no vehicle, so that everything found there is a look-alike.
-``courts``: sports grounds, with the corners of the courts.
+``detector``: car parks, streets and yards, a tenth of them without vehicles. ``chips``: mixed
+fleets with kei cars, open beds, loads and roof racks, finer; a quarter shows no vehicle, so that
+everything found there is a look-alike. ``courts``: sports grounds, with the corners of the courts.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ def rendered(kind: str, seed: int) -> Scene:
     choice, rng = _CHOICES[kind], np.random.default_rng(seed)
     gsd = float(np.exp(rng.uniform(*np.log(choice.gsd_m_per_px))))
     if choice.length_m is None:
-        return render_scene(gsd, width_px=choice.side_px, height_px=choice.side_px, seed=seed, layout="sports")
+        return render_scene(
+            gsd, width_px=choice.side_px, height_px=choice.side_px, seed=seed, layout="sports"
+        )
     return render_scene(
         gsd,
         width_px=choice.side_px,
@@ -61,7 +63,9 @@ def write(scene: Scene, kind: str, path: Path) -> None:
     if kind == "courts":
         cv2.imwrite(str(path.with_suffix(".png")), scene.image[:, :, ::-1])
         courts = [{"kind": court.kind, "corners": court.corners.tolist()} for court in scene.courts]
-        path.with_suffix(".json").write_text(json.dumps({"gsd": scene.gsd_m_per_px, "courts": courts}))
+        path.with_suffix(".json").write_text(
+            json.dumps({"gsd": scene.gsd_m_per_px, "courts": courts})
+        )
         return
     scene.write(path)
     if kind == "chips":

@@ -1,8 +1,8 @@
 """Continue from an exported network: its folded weights back into a trainable network.
 
-The ONNX file has every batch normalisation folded into the convolution before it. Here each one gets the statistics of
-real crops, and a scale and shift that undo them, so that the network computes what the file computes and its
-normalisations work again.
+The ONNX file has every batch normalisation folded into the convolution before it. Here each one
+gets the statistics of real crops, and a scale and shift that undo them, so that the network
+computes what the file computes and its normalisations work again.
 """
 
 from __future__ import annotations
@@ -35,8 +35,11 @@ def load_exported(network: nn.Module, path: Path, *inputs: object) -> None:
     for node in graph.node:  # weights that are equal are kept once; half precision is cast
         if node.op_type in ("Identity", "Cast") and node.input[0] in values:
             values[node.output[0]] = values[node.input[0]].float()
-    learnt = [node for node in graph.node if node.op_type in ("Conv", "Gemm") and node.input[1] in values]
-    stored = [[values[name] for name in node.input[1:]] for node in learnt]  # a fixed blur is no initializer
+    learnt = [
+        node for node in graph.node if node.op_type in ("Conv", "Gemm") and node.input[1] in values
+    ]
+    # a fixed blur is no initializer
+    stored = [[values[name] for name in node.input[1:]] for node in learnt]
     order: list[nn.Conv2d | nn.Linear] = []  # as the export traced them
     hooks = [
         module.register_forward_hook(lambda module, _inputs, _output: order.append(module))
@@ -47,8 +50,13 @@ def load_exported(network: nn.Module, path: Path, *inputs: object) -> None:
         network.eval()(*inputs)
     for hook in hooks:
         hook.remove()
-    if [tuple(conv.weight.shape) for conv in order] != [tuple(weight.shape) for weight, _ in stored]:
-        raise ValueError(f"{path}: its convolutions are not those of this network; was it exported from another one?")
+    if [tuple(conv.weight.shape) for conv in order] != [
+        tuple(weight.shape) for weight, _ in stored
+    ]:
+        raise ValueError(
+            f"{path}: its convolutions are not those of this network; was it exported from "
+            "another one?"
+        )
     shift = {}
     for conv, (weight, bias) in zip(order, stored, strict=True):
         conv.weight.data.copy_(weight)

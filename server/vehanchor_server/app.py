@@ -15,7 +15,13 @@ from mcp.server.auth.settings import AuthSettings
 from mcp.server.caching import CacheableMethod, CacheHint
 from mcp.server.context import ServerRequestContext
 from mcp.server.mcpserver import Context
-from mcp.types import CallToolResult, Icon, InputRequiredResult, ListToolsResult, PaginatedRequestParams
+from mcp.types import (
+    CallToolResult,
+    Icon,
+    InputRequiredResult,
+    ListToolsResult,
+    PaginatedRequestParams,
+)
 
 from vehanchor_server.app_page.page import PAGE_ONLY_META, app_extension
 from vehanchor_server.errors import shortened
@@ -30,7 +36,10 @@ _LIST_TTL_MS = 3_600_000  # lists change only with the server's version
 
 
 def create_server(
-    services: Services, *, auth: AuthSettings | None = None, token_verifier: TokenVerifier | None = None
+    services: Services,
+    *,
+    auth: AuthSettings | None = None,
+    token_verifier: TokenVerifier | None = None,
 ) -> MCPServer[object]:
     """Create the MCP server with all its tools.
 
@@ -43,7 +52,8 @@ def create_server(
     return _Server(
         "vehanchor",
         title="VehAnchor",
-        description="Metric scale, distances and areas from aerial images without metadata. Cars are the ruler.",
+        description="Metric scale, distances and areas from aerial images without metadata. "
+        "Cars are the ruler.",
         instructions=_instructions(tools, services.settings),
         version=version("vehanchor"),
         icons=[_icon()],
@@ -86,7 +96,9 @@ class _Server(MCPServer[object]):
         known = {tool.name: tool.meta != PAGE_ONLY_META for tool in self._tool_manager.list_tools()}
         if name not in known:
             names = ", ".join(each for each, is_listed in known.items() if is_listed)
-            raise ReportedError("unknown_tool", f"there is no tool {shortened(name)!r}. Tools: {names}.")
+            raise ReportedError(
+                "unknown_tool", f"there is no tool {shortened(name)!r}. Tools: {names}."
+            )
         return await super().call_tool(name, arguments, context)
 
 

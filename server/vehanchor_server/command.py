@@ -18,16 +18,23 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 _VIEW_SETTINGS = ("detector", "segmenter", "calibration", "threads", "providers", "max_megapixels")
-_PANELS = {"roots": "Image sources", "detector": "Models and limits", "host": "HTTP"}  # each begins at this setting
+# each begins at this setting
+_PANELS = {"roots": "Image sources", "detector": "Models and limits", "host": "HTTP"}
 _VIEW_DEADLINE_S = 600.0  # people see the progress and can leave
 
 
-def _with_settings(names: Collection[str] | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def _with_settings(
+    names: Collection[str] | None = None,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command the options of settings, in place of its ``**options``; None for every setting."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         kinds = typing.get_type_hints(command, include_extras=True)
-        own = [each for each in inspect.signature(command).parameters.values() if each.kind is not each.VAR_KEYWORD]
+        own = [
+            each
+            for each in inspect.signature(command).parameters.values()
+            if each.kind is not each.VAR_KEYWORD
+        ]
         parameters = [each.replace(annotation=kinds[each.name]) for each in own]
         panel = ""
         for each in fields(Settings):
@@ -55,7 +62,9 @@ def _parameter(name: str, default: Any, panel: str) -> inspect.Parameter:
     if Ellipsis in typing.get_args(kind):
         kind = types.GenericAlias(list, typing.get_args(kind)[:1])
     no_value, kind = (False, bool) if kind is bool else (None, kind | None)
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=no_value, annotation=Annotated[kind, option])
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=no_value, annotation=Annotated[kind, option]
+    )
 
 
 @_with_settings()
@@ -66,16 +75,19 @@ def serve(
         typer.Option(
             "--schemas",
             metavar="DIR",
-            help="Write the tools' JSON Schemas and their Anthropic and OpenAI definitions to a directory, then exit.",
+            help="Write the tools' JSON Schemas and their Anthropic and OpenAI definitions to a "
+            "directory, then exit.",
         ),
     ] = None,
-    skill: Annotated[bool, typer.Option("--skill", help="Print the skill file for agents, then exit.")] = False,
+    skill: Annotated[
+        bool, typer.Option("--skill", help="Print the skill file for agents, then exit.")
+    ] = False,
     **options: Any,
 ) -> None:
     """Serve the tools over MCP: on stdio, or over HTTP at /mcp.
 
-    Every option has an environment variable: --deadline-s is VEHANCHOR_DEADLINE_S, --root is VEHANCHOR_ROOTS. The
-    system's path separator separates several paths in one variable.
+    Every option has an environment variable: --deadline-s is VEHANCHOR_DEADLINE_S, --root is
+    VEHANCHOR_ROOTS. The system's path separator separates several paths in one variable.
     """
     if schemas is not None or skill:
         _print_definitions(schemas, skill=skill)
@@ -104,13 +116,21 @@ def _print_definitions(schemas: Path | None, *, skill: bool) -> None:
             (schemas / name).write_text(text, encoding="utf-8")
             typer.echo(schemas / name)
     if skill:
-        typer.echo(files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8"), nl=False)
+        typer.echo(
+            files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8"), nl=False
+        )
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:
     """Return the options that were given; 0 is a value."""
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
-    return {name: value for name, value in given.items() if value is not None and value is not False and value != ()}
+    given = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in options.items()
+    }
+    return {
+        name: value
+        for name, value in given.items()
+        if value is not None and value is not False and value != ()
+    }
 
 
 @_with_settings(_VIEW_SETTINGS)
@@ -123,7 +143,9 @@ def view(
             show_default=False,
         ),
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 for a free one.")] = 0,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 for a free one.")
+    ] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     **options: Any,
 ) -> None:
@@ -141,7 +163,13 @@ def view(
             webbrowser.open(url)
 
     with exit_on_error():
-        selected = photographs.resolve() if photographs is not None and photographs.is_file() else None
-        roots = () if photographs is None else (photographs if selected is None else selected.parent,)
-        settings = Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, isolation="in-process", **_given(options))
+        selected = (
+            photographs.resolve() if photographs is not None and photographs.is_file() else None
+        )
+        roots = (
+            () if photographs is None else (photographs if selected is None else selected.parent,)
+        )
+        settings = Settings(
+            roots=roots, deadline_s=_VIEW_DEADLINE_S, isolation="in-process", **_given(options)
+        )
         serve_viewer(settings, selected, port, opened)

@@ -71,11 +71,19 @@ class Models:
         """List all existing files that loading reads."""
         settings = self._settings
         found: list[Path] = []
-        for resolve in (lambda: (resolve_model(settings.detector),), lambda: resolve_segmenter(settings.segmenter)):
+        for resolve in (
+            lambda: (resolve_model(settings.detector),),
+            lambda: resolve_segmenter(settings.segmenter),
+        ):
             with contextlib.suppress(VehAnchorError):  # loading will report a missing file
                 found += resolve()
-        auxiliary = (auxiliary_model(path, kind) for path in found[:1] for kind in ("verifier", "chips"))
-        found += [*filter(None, auxiliary), *([settings.calibration] if settings.calibration is not None else [])]
+        auxiliary = (
+            auxiliary_model(path, kind) for path in found[:1] for kind in ("verifier", "chips")
+        )
+        found += [
+            *filter(None, auxiliary),
+            *([settings.calibration] if settings.calibration is not None else []),
+        ]
         for path in [path for path in found if path.suffix == ".onnx"]:
             with contextlib.suppress(VehAnchorError):
                 found += read_model(path).weights
@@ -130,7 +138,8 @@ class Models:
         settings = self._settings
         with self._lock:
             if self._made is None:
-                # an explicit number: ONNX Runtime's own default binds threads to processors, which workers may not
+                # an explicit number: ONNX Runtime's own default binds threads to processors, which
+                # workers may not
                 threads = settings.threads or os.cpu_count()
                 runtime = Runtime(threads, settings.providers or DEFAULT_PROVIDERS)
                 self._made = Engine(settings.detector, settings.segmenter, runtime=runtime)
@@ -145,7 +154,8 @@ class Models:
             _logger.error("the %s cannot be loaded: %s: %s", name, error.code, error)
             raise CallError(
                 "model_unavailable",
-                f"this server's {name} cannot be loaded ({error.code}). Its operator must check --{name}.",
+                f"this server's {name} cannot be loaded ({error.code}). Its operator must check "
+                f"--{name}.",
             ) from error
         self._failures[name] = None
         return model

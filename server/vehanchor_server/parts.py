@@ -33,7 +33,10 @@ class Parts:
 
         Workers with accelerators are unconfined, because drivers need devices, sockets and caches.
         """
-        providers = {name.strip().lower().removesuffix("executionprovider") for name in self.settings.providers}
+        providers = {
+            name.strip().lower().removesuffix("executionprovider")
+            for name in self.settings.providers
+        }
         if self.settings.isolation != "confined" or providers - {"cpu"}:
             return None
         return (*self.settings.roots, *self.models.files())

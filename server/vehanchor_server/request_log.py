@@ -57,7 +57,10 @@ class RepeatLimit(logging.Filter):
         began, n = self._seen.get(place, (-math.inf, 0))
         if record.created - began >= self._period_s:
             if n > self._n_lines:
-                record.__dict__["fields"] = {**getattr(record, "fields", {}), "not_shown_before": n - self._n_lines}
+                record.__dict__["fields"] = {
+                    **getattr(record, "fields", {}),
+                    "not_shown_before": n - self._n_lines,
+                }
             began, n = record.created, 0
         self._seen[place] = began, n + 1  # bounded by the number of logging calls in the code
         return n < self._n_lines

@@ -1,10 +1,10 @@
 """Schema files of the tools: JSON Schemas, and definitions for Anthropic and OpenAI.
 
-* ``<tool>.input.json``, ``<tool>.output.json``: JSON Schema 2020-12 of arguments and structured result, of the tools
-  that programs in other languages call
+* ``<tool>.input.json``, ``<tool>.output.json``: JSON Schema 2020-12 of arguments and structured
+  result, of the tools that programs in other languages call
 * ``anthropic.json``: a list for ``tools`` of the Messages API
-* ``openai.json``: a list for ``tools`` of the Responses API, strict; for Chat Completions, put all but ``type`` below
-  ``function``
+* ``openai.json``: a list for ``tools`` of the Responses API, strict; for Chat Completions, put all
+  but ``type`` below ``function``
 """
 
 from __future__ import annotations
@@ -21,7 +21,15 @@ from vehanchor_server.tools.strict_tool import StrictTool
 
 PUBLISHED = ("estimate_gsd", "measure_area")
 _DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-_NOT_IN_STRICT_MODE = ("default", "examples", "pattern", "minLength", "maxLength", "minProperties", "maxProperties")
+_NOT_IN_STRICT_MODE = (
+    "default",
+    "examples",
+    "pattern",
+    "minLength",
+    "maxLength",
+    "minProperties",
+    "maxProperties",
+)
 
 
 def schema_files(tools: Collection[str] = PUBLISHED) -> dict[str, str]:
@@ -33,10 +41,16 @@ def schema_files(tools: Collection[str] = PUBLISHED) -> dict[str, str]:
             continue
         documents[f"{tool.name}.input.json"] = {**_DIALECT, **tool.full_parameters}
         if tool.record is not None:
-            documents[f"{tool.name}.output.json"] = {**_DIALECT, **portable_schema(tool.record.model_json_schema())}
+            documents[f"{tool.name}.output.json"] = {
+                **_DIALECT,
+                **portable_schema(tool.record.model_json_schema()),
+            }
     documents["anthropic.json"] = [anthropic_definition(tool) for tool in contract]
     documents["openai.json"] = [openai_definition(tool) for tool in contract]
-    return {name: json.dumps(document, indent=2, ensure_ascii=False) + "\n" for name, document in documents.items()}
+    return {
+        name: json.dumps(document, indent=2, ensure_ascii=False) + "\n"
+        for name, document in documents.items()
+    }
 
 
 def anthropic_definition(tool: StrictTool) -> dict[str, Any]:
@@ -61,14 +75,16 @@ def _strict(node: Any) -> Any:
         return [_strict(item) for item in node]
     if not isinstance(node, dict):
         return node
-    if node.get("type") == "object" and "properties" not in node:  # any object, which strict mode has not
+    # any object, which strict mode has not
+    if node.get("type") == "object" and "properties" not in node:
         return {"type": "string", "description": "A JSON object."}
     result = {key: _strict(value) for key, value in node.items() if key not in _NOT_IN_STRICT_MODE}
     if "properties" in node:
         required, fields = node.get("required", ()), node["properties"]
         whole = {name: _strict(field) for name, field in fields.items()}
         result["properties"] = {
-            name: field if name in required else {"anyOf": [field, {"type": "null"}]} for name, field in whole.items()
+            name: field if name in required else {"anyOf": [field, {"type": "null"}]}
+            for name, field in whole.items()
         }
         result |= {"required": list(fields), "additionalProperties": False}
     return result

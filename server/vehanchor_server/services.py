@@ -45,7 +45,9 @@ class Services(Parts):
 
     def preload(self, delay_s: float = 0.0) -> threading.Timer:
         """Load the models in the background after a delay, in a worker or here; return the thread."""
-        timer = threading.Timer(delay_s, self.models.load_all if self.workers is None else self.workers.start)
+        timer = threading.Timer(
+            delay_s, self.models.load_all if self.workers is None else self.workers.start
+        )
         timer.name, timer.daemon = "vehanchor-preload", True
         timer.start()
         return timer

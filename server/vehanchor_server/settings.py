@@ -1,7 +1,7 @@
 """Settings of the operator: image sources, models, limits and access.
 
-Callers cannot change settings. Each field is declared once, with its default and help text. The option of
-``vehanchor serve`` and the ``VEHANCHOR_*`` variable follow from its name.
+Callers cannot change settings. Each field is declared once, with its default and help text. The
+option of ``vehanchor serve`` and the ``VEHANCHOR_*`` variable follow from its name.
 """
 
 from __future__ import annotations
@@ -29,9 +29,11 @@ MAX_BODY_BYTES = 32 << 20  # of an HTTP request; examples/deploy/nginx.conf has 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _EVERYWHERE = ("0.0.0.0", "::")
 _MEGAPIXEL = 1_000_000
-_DECODED_BYTES_PER_PIXEL = 11  # memory for decoding 8-bit RGB, with a reserve; 1 GiB for 100 megapixels
+# memory for decoding 8-bit RGB, with a reserve; 1 GiB for 100 megapixels
+_DECODED_BYTES_PER_PIXEL = 11
 _NETWORKS_BYTES = 150 << 20  # memory of the networks during a call (research/results)
-_ISSUER = re.compile(r"(https://[^#\s]+)(?:#max-age=([1-9]\d*))?")  # OpenID Connect: an issuer has no fragment
+# OpenID Connect: an issuer has no fragment
+_ISSUER = re.compile(r"(https://[^#\s]+)(?:#max-age=([1-9]\d*))?")
 _DAY_S = 86400.0
 
 _Count: TypeAlias = Annotated[int, Limits(1, whole=True)]
@@ -53,47 +55,64 @@ class Settings:
     error: ClassVar[type[VehAnchorError]] = SettingsError
 
     roots: Annotated[
-        tuple[Path, ...], Option("Directory of images that callers may read by path; repeatable.", flag="root")
+        tuple[Path, ...],
+        Option("Directory of images that callers may read by path; repeatable.", flag="root"),
     ] = ()
     image_hosts: Annotated[
-        tuple[str, ...], Option("Host from which images may be fetched (https); repeatable.", flag="image-host")
+        tuple[str, ...],
+        Option("Host from which images may be fetched (https); repeatable.", flag="image-host"),
     ] = ()
     detector: Annotated[str | None, models.DETECTOR] = None
     segmenter: Annotated[tuple[Path, Path] | None, models.SEGMENTER] = None
-    calibration: Annotated[Path | None, models.CALIBRATION] = None  # for callers who give no region or reference length
+    # for callers who give no region or reference length
+    calibration: Annotated[Path | None, models.CALIBRATION] = None
     threads: Annotated[_Count | None, models.THREADS] = None
     providers: Annotated[tuple[str, ...], models.PROVIDERS] = ()
     max_megapixels: Annotated[
-        _Positive, Option("Largest image decoded at once, megapixels; the memory of a worker follows from it.")
+        _Positive,
+        Option(
+            "Largest image decoded at once, megapixels; the memory of a worker follows from it."
+        ),
     ] = ImageLimits.max_pixels / _MEGAPIXEL
     max_concurrency: Annotated[
-        _Count | None, Option("Concurrent calls, each in a worker of its own. Default: one per CPU, at least 2.")
+        _Count | None,
+        Option("Concurrent calls, each in a worker of its own. Default: one per CPU, at least 2."),
     ] = None
-    deadline_s: Annotated[_Positive, Option("Seconds after which a call ends.")] = 55.0  # clients give up after 60 s
+    # clients give up after 60 s
+    deadline_s: Annotated[_Positive, Option("Seconds after which a call ends.")] = 55.0
     isolation: Annotated[
         Isolation,
         Option(
-            "Place of decoding and models: 'confined' processes, which can be killed and on Linux have few rights; "
-            "'unconfined' ones with all rights of this user; 'in-process', for your own images only."
+            "Place of decoding and models: 'confined' processes, which can be killed and on "
+            "Linux have few rights; "
+            "'unconfined' ones with all rights of this user; 'in-process', for your own images "
+            "only."
         ),
     ] = "confined"
     never_ask: Annotated[
-        bool, Option("Never ask the user for a region, a height or a known length; for unattended agents.")
+        bool,
+        Option(
+            "Never ask the user for a region, a height or a known length; for unattended agents."
+        ),
     ] = False
     host: Annotated[str, Option("Address to listen on.")] = "127.0.0.1"
     port: Annotated[int, Limits(1, 65535, whole=True), Option("Port to listen on.")] = 8000
     public_urls: Annotated[
         tuple[str, ...],
         Option(
-            "URL of /mcp for callers, whose Host and Origin are accepted besides the loopback names; repeatable.",
+            "URL of /mcp for callers, whose Host and Origin are accepted besides the loopback "
+            "names; repeatable.",
             flag="public-url",
         ),
     ] = ()
-    token_file: Annotated[Path | None, Option("File with one accepted bearer token per line.")] = None
+    token_file: Annotated[Path | None, Option("File with one accepted bearer token per line.")] = (
+        None
+    )
     oidc: Annotated[
         tuple[str, str] | None,
         Option(
-            "Issuer of accepted JWTs, and their required audience. The issuer's keys end a day after their last fetch, "
+            "Issuer of accepted JWTs, and their required audience. The issuer's keys end a day "
+            "after their last fetch, "
             "or after the seconds that follow it, as in https://example.org#max-age=3600.",
             metavar="ISSUER AUDIENCE",
         ),
@@ -108,24 +127,35 @@ class Settings:
         for host in self.image_hosts:
             name, _, port = host.partition(":")
             if not name or set(name) & set("/*@[]") or (":" in host and not port.isdigit()):
-                raise SettingsError(f"image host {host!r}: give a plain host name or name:port, without https:// or *")
+                raise SettingsError(
+                    f"image host {host!r}: give a plain host name or name:port, without "
+                    "https:// or *"
+                )
         self._check_authentication()
 
     def _check_authentication(self) -> None:
         for url in self.public_urls:
             if not _is_web_address(url):
-                raise SettingsError(f"public_url is {url!r}: write all of it, as in https://example.org/mcp")
+                raise SettingsError(
+                    f"public_url is {url!r}: write all of it, as in https://example.org/mcp"
+                )
         if self.oidc is None:
             return
         if not _ISSUER.fullmatch(self.oidc[0]):
             raise SettingsError(
-                f"oidc is {' '.join(self.oidc)!r}: give the issuer's https:// URL and the audience; "
+                f"oidc is {' '.join(self.oidc)!r}: give the issuer's https:// URL and the "
+                "audience; "
                 "#max-age=SECONDS may follow the URL"
             )
         if self.token_file is not None:
-            raise SettingsError("token_file and oidc exclude each other: choose one way to authenticate")
+            raise SettingsError(
+                "token_file and oidc exclude each other: choose one way to authenticate"
+            )
         if not self.public_urls and self.host in _EVERYWHERE:
-            raise SettingsError(f"listening on {self.host} with an issuer: give --public-url, the address for callers")
+            raise SettingsError(
+                f"listening on {self.host} with an issuer: give --public-url, the address for "
+                "callers"
+            )
 
     @property
     def issuer(self) -> tuple[str, float]:
@@ -149,7 +179,9 @@ class Settings:
     def image_limits(self) -> ImageLimits:
         """Limits on accepted images."""
         max_pixels = round(self.max_megapixels * _MEGAPIXEL)
-        return ImageLimits(max_pixels=max_pixels, max_decoded_bytes=_DECODED_BYTES_PER_PIXEL * max_pixels)
+        return ImageLimits(
+            max_pixels=max_pixels, max_decoded_bytes=_DECODED_BYTES_PER_PIXEL * max_pixels
+        )
 
     @property
     def max_worker_bytes(self) -> int:
@@ -162,17 +194,26 @@ class Settings:
         Raises:
             SettingsError: a public address without authentication and without ``insecure``.
         """
-        if self.host not in _LOOPBACK and self.token_file is None and self.oidc is None and not self.insecure:
+        if (
+            self.host not in _LOOPBACK
+            and self.token_file is None
+            and self.oidc is None
+            and not self.insecure
+        ):
             raise SettingsError(
-                f"refusing to listen on {self.host} without authentication: everyone could use the server. "
+                f"refusing to listen on {self.host} without authentication: everyone could use "
+                "the server. "
                 "Give --token-file or --oidc, listen on 127.0.0.1, or pass --insecure"
             )
 
     @classmethod
-    def from_environment(cls, environ: Mapping[str, str] | None = None, /, **given: Any) -> Settings:
+    def from_environment(
+        cls, environ: Mapping[str, str] | None = None, /, **given: Any
+    ) -> Settings:
         """Read settings from ``VEHANCHOR_*`` variables; ``given`` values other than None take precedence.
 
-        The system's path separator separates paths, commas separate other lists. An empty variable counts as unset.
+        The system's path separator separates paths, commas separate other lists. An empty variable
+        counts as unset.
 
         Raises:
             SettingsError: a variable is malformed or invalid.
@@ -209,7 +250,9 @@ def _checked_root(root: Path) -> Path:
     if not resolved.is_dir():
         raise SettingsError(f"root {root} is not a directory; give the directory of the images")
     if resolved == Path(resolved.anchor):
-        raise SettingsError(f"root {root} is the whole file system; give the directory of the images")
+        raise SettingsError(
+            f"root {root} is the whole file system; give the directory of the images"
+        )
     return resolved
 
 

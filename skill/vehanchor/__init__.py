@@ -1,7 +1,7 @@
 """VehAnchor: metric scale for aerial images without metadata.
 
-Cars are everywhere and about 5 m long: found as oriented boxes, the mode of their pixel lengths gives metres per pixel,
-with a confidence that a planner can act on.
+Cars are everywhere and about 5 m long: found as oriented boxes, the mode of their pixel lengths
+gives metres per pixel, with a confidence that a planner can act on.
 
     >>> import vehanchor
     >>> estimate = vehanchor.estimate_gsd("photo.jpg")  # doctest: +SKIP
@@ -63,13 +63,15 @@ _METHODS = {"estimate_gsd": "estimate"}  # the other functions have their method
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return importlib.import_module("importlib.metadata").version("vehanchor")  # alone costs more than all the rest
+        # alone costs more than all the rest
+        return importlib.import_module("importlib.metadata").version("vehanchor")
     if name not in __all__:
         raise AttributeError(f"module 'vehanchor' has no attribute {name!r}")
     for home, names in _HOMES.items():
         if name in names:
             return getattr(importlib.import_module(f"vehanchor.{home}"), name)
-    return getattr(__getattr__("Engine")(), _METHODS.get(name, name))  # a method of an engine with the bundled models
+    # a method of an engine with the bundled models
+    return getattr(__getattr__("Engine")(), _METHODS.get(name, name))
 
 
 def __dir__() -> list[str]:

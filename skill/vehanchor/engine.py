@@ -18,7 +18,12 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, overload
 
-from vehanchor.analysis.pipeline import analyse_image, analyse_raster, checked_detector, estimate_each
+from vehanchor.analysis.pipeline import (
+    analyse_image,
+    analyse_raster,
+    checked_detector,
+    estimate_each,
+)
 from vehanchor.courts.find import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
@@ -55,15 +60,18 @@ SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.
 class Engine:
     """Loaded models with default options and a runtime; safe for several threads.
 
-    Each model is loaded when it is first needed, and kept. All methods take the same keywords for one call: the fields
-    of the option groups in ``vehanchor.options``, those of ``Runtime``, and ``detector`` and ``segmenter``. An unknown
-    keyword is an ``InvalidParameterError`` that lists the options. Records do not depend on the runtime.
+    Each model is loaded when it is first needed, and kept. All methods take the same keywords for
+    one call: the fields of the option groups in ``vehanchor.options``, those of ``Runtime``, and
+    ``detector`` and ``segmenter``. An unknown keyword is an ``InvalidParameterError`` that lists
+    the options. Records do not depend on the runtime.
 
     Args:
-        detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``, which keeps
-            its own threads and providers; None for the bundled one.
-        segmenter: paths of encoder and decoder, or a loaded ``Segmenter``; None for the bundled one.
-        classes: the detector's classes, by name or index, that count as vehicles; None for the model's own.
+        detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded
+            ``Detector``, which keeps its own threads and providers; None for the bundled one.
+        segmenter: paths of encoder and decoder, or a loaded ``Segmenter``; None for the bundled
+            one.
+        classes: the detector's classes, by name or index, that count as vehicles; None for the
+            model's own.
         options: defaults of the method; keywords of a call change single fields.
         runtime: threads and providers of the models; None for the CPU and all cores.
 
@@ -129,18 +137,27 @@ class Engine:
             detector: another detector.
             segmenter: another segmenter.
             options: other defaults.
-            runtime: another runtime. If only progress and cancellation differ, the models are shared.
+            runtime: another runtime. If only progress and cancellation differ, the models are
+                shared.
         """
         ours, our_segmenter, classes = self._sources
         chosen, under = options or self.options, runtime or self.runtime
-        other = Engine(detector or ours, segmenter or our_segmenter, classes=classes, options=chosen, runtime=under)
+        other = Engine(
+            detector or ours,
+            segmenter or our_segmenter,
+            classes=classes,
+            options=chosen,
+            runtime=under,
+        )
         if under == self.runtime:
             other._detector = other._detector if detector else self._detector
             other._segmenter = other._segmenter if segmenter else self._segmenter
         return other
 
     @overload
-    def estimate(self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any) -> GsdEstimate: ...
+    def estimate(
+        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any
+    ) -> GsdEstimate: ...
 
     @overload
     def estimate(
@@ -156,9 +173,9 @@ class Engine:
         """Estimate the ground sampling distance of an aerial image from the cars and the other rulers in it.
 
         Args:
-            image: path, encoded bytes, binary file object, Pillow image, rasterio dataset, or array (H x W x 3 RGB or
-                H x W; uint8, uint16 or float). A list of them gives a list; ``vehanchor.find_images`` makes one of
-                folders and patterns.
+            image: path, encoded bytes, binary file object, Pillow image, rasterio dataset, or array
+                (H x W x 3 RGB or H x W; uint8, uint16 or float). A list of them gives a list;
+                ``vehanchor.find_images`` makes one of folders and patterns.
             options: options of the method in groups; None for the engine's.
             **keywords: single options, fields of the runtime, another detector; see ``Engine``.
 
@@ -167,7 +184,8 @@ class Engine:
 
         Raises:
             ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
-            ImageListError: images of a list cannot be used; ``results`` holds the records of the others.
+            ImageListError: images of a list cannot be used; ``results`` holds the records of the
+                others.
             ModelError: a model cannot be used.
             InvalidParameterError: an option is invalid.
             FrameError: the frame has another aspect ratio than the image.
@@ -180,12 +198,16 @@ class Engine:
             return estimate_each(image, detector, chosen)
         return analyse_image(image, detector, chosen).estimate
 
-    def analyse_scale(self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any) -> ScaleAnalysis:
+    def analyse_scale(
+        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any
+    ) -> ScaleAnalysis:
         """Estimate the scale of one image; return the record with its detections and evidence."""
         engine, chosen = self.for_call(options, keywords)
         return analyse_image(image, checked_detector(engine.detector, chosen), chosen)
 
-    def measure_area(self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any) -> AreaMeasurement:
+    def measure_area(
+        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any
+    ) -> AreaMeasurement:
         """Measure an area as ``analyse_area``, with its keywords; return the record alone."""
         return self.analyse_area(image, options, **keywords).measurement
 
@@ -203,22 +225,27 @@ class Engine:
     ) -> AreaAnalysis:
         """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
 
-        Boxes and points are in pixels of the image, or of the copy that a frame names; the first pixel spans 0 to 1.
-        The option ``coordinates`` chooses other units. Exactly one of ``box`` and ``points`` is needed.
+        Boxes and points are in pixels of the image, or of the copy that a frame names; the first
+        pixel spans 0 to 1. The option ``coordinates`` chooses other units. Exactly one of ``box``
+        and ``points`` is needed.
 
         Args:
             image: as in ``estimate``.
             options: as in ``estimate``.
-            box: x1, y1, x2, y2, a geometry of shapely, or supervision's ``Detections`` of one object.
-            points: x, y and, optionally, whether the point lies on the object (the default) or beside it.
-            gsd_m_per_px: known scale, metres per pixel of the full image; the detector does not run.
-            scale: an earlier estimate of this image, or its ``scale``; the detector does not run, and the estimate's
-                interval and confidence hold.
+            box: x1, y1, x2, y2, a geometry of shapely, or supervision's ``Detections`` of one
+                object.
+            points: x, y and, optionally, whether the point lies on the object (the default) or
+                beside it.
+            gsd_m_per_px: known scale, metres per pixel of the full image; the detector does not
+                run.
+            scale: an earlier estimate of this image, or its ``scale``; the detector does not run,
+                and the estimate's interval and confidence hold.
             object_height_m: height of the object above the ground, as of a roof; None for 0.
             **keywords: see ``Engine``.
 
         Returns:
-            The record with mask, prompt and analysis of the scale; ``area_m2`` is None if there is no scale.
+            The record with mask, prompt and analysis of the scale; ``area_m2`` is None if there is
+            no scale.
 
         Raises:
             PromptError: neither or both prompts are given, or the prompt is not in the image.
@@ -229,11 +256,17 @@ class Engine:
         prompt, segmenter = read_prompt(box, points), engine.segmenter
         known = engine._scale_input(gsd_m_per_px, scale, chosen)
         with open_raster(image, chosen.reading) as raster:
-            (found,) = analyse_objects(raster, [prompt], segmenter, known, chosen, object_height_m=object_height_m)
+            (found,) = analyse_objects(
+                raster, [prompt], segmenter, known, chosen, object_height_m=object_height_m
+            )
         return found.drawn_over(image, raster, chosen.reading)
 
     def measure_distance(
-        self, image: ImageSource, path: Sequence[Place], options: ScaleOptions | None = None, **keywords: Any
+        self,
+        image: ImageSource,
+        path: Sequence[Place],
+        options: ScaleOptions | None = None,
+        **keywords: Any,
     ) -> DistanceMeasurement:
         """Measure a distance as ``analyse_distance``, with its keywords; return the record alone."""
         return self.analyse_distance(image, path, options, **keywords).measurement
@@ -253,8 +286,8 @@ class Engine:
 
         Args:
             image: as in ``estimate``.
-            path: x, y of two or more points in order, joined by straight lines; or a line of shapely. Coordinates as
-                in ``analyse_area``.
+            path: x, y of two or more points in order, joined by straight lines; or a line of
+                shapely. Coordinates as in ``analyse_area``.
             options: as in ``estimate``.
             gsd_m_per_px: as in ``analyse_area``.
             scale: as in ``analyse_area``.
@@ -272,18 +305,28 @@ class Engine:
         engine, chosen = self.for_call(options, keywords)
         places, known = read_path(path), engine._scale_input(gsd_m_per_px, scale, chosen)
         with open_raster(image, chosen.reading) as raster:
-            (found,) = analyse_paths(raster, [places], known, chosen, object_height_m=object_height_m)
+            (found,) = analyse_paths(
+                raster, [places], known, chosen, object_height_m=object_height_m
+            )
         return found.drawn_over(image, raster, chosen.reading)
 
-    def for_call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
+    def for_call(
+        self, options: ScaleOptions | None, keywords: Mapping[str, object]
+    ) -> tuple[Engine, ScaleOptions]:
         """Apply the keywords of a call to the engine and its options.
 
         Raises:
             InvalidParameterError: a keyword is unknown or invalid.
         """
         own: dict[str, Any] = {name: keywords[name] for name in keywords if name in _OWN_KEYWORDS}
-        models: dict[str, Any] = {name: own.pop(name) for name in ("detector", "segmenter") if name in own}
-        engine = self.replace(**models, runtime=self.runtime.with_keywords(own)) if own or models else self
+        models: dict[str, Any] = {
+            name: own.pop(name) for name in ("detector", "segmenter") if name in own
+        }
+        engine = (
+            self.replace(**models, runtime=self.runtime.with_keywords(own))
+            if own or models
+            else self
+        )
         rest = {name: value for name, value in keywords.items() if name not in _OWN_KEYWORDS}
         chosen = (options or self.options).with_keywords(rest)
         check_rulers(chosen.rulers)
@@ -297,7 +340,11 @@ class Engine:
     ) -> ScaleInput:
         """Take the caller's known scale, else the analysis that finds it."""
         given = given_scale(gsd_m_per_px, scale, options)
-        return partial(analyse_raster, checked_detector(self.detector, options)) if given is None else given
+        return (
+            partial(analyse_raster, checked_detector(self.detector, options))
+            if given is None
+            else given
+        )
 
 
 def _once(load: Callable[[], T]) -> Callable[[], T]:
@@ -311,7 +358,9 @@ def _once(load: Callable[[], T]) -> Callable[[], T]:
     return get
 
 
-def open_detector(source: DetectorSource | None, classes: Sequence[str | int] | None, runtime: Runtime) -> Detector:
+def open_detector(
+    source: DetectorSource | None, classes: Sequence[str | int] | None, runtime: Runtime
+) -> Detector:
     """Open a detector.
 
     Raises:
@@ -320,7 +369,11 @@ def open_detector(source: DetectorSource | None, classes: Sequence[str | int] | 
     if isinstance(source, Detector):
         return source
     path = resolve_model(None if source is None else str(source))
-    return Detector(path, classes=classes, runtime=runtime) if classes else load_detector(path, runtime)
+    return (
+        Detector(path, classes=classes, runtime=runtime)
+        if classes
+        else load_detector(path, runtime)
+    )
 
 
 def open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmenter:
@@ -335,6 +388,8 @@ def open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmente
     files = None
     if source is not None:
         if isinstance(source, str) or len(source) != 2:
-            raise InvalidParameterError(f"segmenter is {source!r}: give two paths, of its encoder and its decoder")
+            raise InvalidParameterError(
+                f"segmenter is {source!r}: give two paths, of its encoder and its decoder"
+            )
         files = Path(source[0]), Path(source[1])
     return load_segmenter(*resolve_segmenter(files), runtime)

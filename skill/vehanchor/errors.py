@@ -27,7 +27,8 @@
   x WorkerDiedError                      ``worker_died``
   x OutOfMemoryError (MemoryError)       ``out_of_memory``
 
-``code`` is stable, so programs may match it. The message names the problem, the value and the remedy.
+``code`` is stable, so programs may match it. The message names the problem, the value and the
+remedy.
 """
 
 from __future__ import annotations

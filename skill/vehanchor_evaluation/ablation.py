@@ -53,7 +53,9 @@ class AblationRow(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     choice: str = Field(description="The option that varies.")
-    setting: str = Field(description="Its value; a reference length is a factor of the current one.")
+    setting: str = Field(
+        description="Its value; a reference length is a factor of the current one."
+    )
     boxes: Boxes = Field(description="Source of the vehicles: detector or labels.")
     errors: ErrorRow = Field(description="The errors.")
     paper_median: float | None = Field(description="Median error in the paper.")
@@ -91,8 +93,8 @@ class _Variant(NamedTuple):
 def ablate(benchmark: ScaleBenchmark) -> AblationReport:
     """Repeat the estimates on the benchmark's boxes with one option changed at a time.
 
-    Aggregation, reference length and outlier filter vary for detected and for labelled vehicles. Number of vehicles and
-    true GSD split the estimates from detections.
+    Aggregation, reference length and outlier filter vary for detected and for labelled vehicles.
+    Number of vehicles and true GSD split the estimates from detections.
 
     Args:
         benchmark: detected and labelled vehicles.
@@ -110,7 +112,10 @@ def ablate(benchmark: ScaleBenchmark) -> AblationReport:
         for boxes, trials, options_of in sides:
             again = [_repeat(trial, options_of, variant, benchmark) for trial in trials]
             rows.append(_row(variant.choice, variant.setting, boxes, again))
-    rows += [_row(choice, setting, "detector", some) for choice, setting, some in _splits(benchmark.trials)]
+    rows += [
+        _row(choice, setting, "detector", some)
+        for choice, setting, some in _splits(benchmark.trials)
+    ]
     return AblationReport(
         data=benchmark.data.source,
         detector=benchmark.detector.name,
@@ -127,7 +132,9 @@ def _variants() -> Iterator[_Variant]:
         setting = "1" if factor == 1 else f"{length:g} / {REFERENCE_LENGTH_M:g}"
         yield _Variant("reference length", setting, partial(_with_length, factor=factor))
     for alpha in ABLATION_ALPHAS:
-        yield _Variant("alpha", "none" if alpha is None else f"{alpha:g}", partial(_with, alpha=alpha))
+        yield _Variant(
+            "alpha", "none" if alpha is None else f"{alpha:g}", partial(_with, alpha=alpha)
+        )
 
 
 def _with(_: ScaleAnalysis, options: ScaleOptions, **changes: Any) -> ScaleOptions:
@@ -147,7 +154,9 @@ def _repeat(
 ) -> ScaleTrial:
     """Repeat a trial with one option changed, on the same vehicles; the resolved detail follows the kept vehicles."""
     if trial.searched is None:
-        raise InvalidParameterError(f"the trial of {trial.image.path} lacks its vehicles: use benchmark_scale")
+        raise InvalidParameterError(
+            f"the trial of {trial.image.path} lacks its vehicles: use benchmark_scale"
+        )
     options = variant.changed(trial.analysis, options_of(trial.image))
     options = replace(options, method=Method(preset="paper"))  # the published scale, L_ref / P_mode
     return replace(trial, analysis=trial.searched.analysis(benchmark.detector, options))
@@ -160,7 +169,15 @@ def _splits(trials: Sequence[ScaleTrial]) -> Iterator[tuple[str, str, list[Scale
         (f"N >= {_MANY_VEHICLES}", _MANY_VEHICLES, None),
     ]
     for name, low, high in counts:
-        yield "vehicles", name, [t for t in trials if _within(t.analysis.estimate.details.n_detections or 0, low, high)]
+        yield (
+            "vehicles",
+            name,
+            [
+                t
+                for t in trials
+                if _within(t.analysis.estimate.details.n_detections or 0, low, high)
+            ],
+        )
     names = ("< 0.3 m/px", "0.3 to 0.5 m/px", "0.5 to 0.7 m/px", "> 0.7 m/px")
     for name, low_gsd, high_gsd in zip(names, _GSD_EDGES[:-1], _GSD_EDGES[1:], strict=True):
         yield "true scale", name, [t for t in trials if low_gsd <= t.image.gsd_m_per_px < high_gsd]

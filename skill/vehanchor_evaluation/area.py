@@ -1,10 +1,11 @@
 """Error of measured areas on objects with true masks, split by its two sources.
 
-One search for vehicles (``vehanchor_evaluation.search``) gives the scale of an image for all its objects. Each object's
-box gives its mask. Scale and mask give three areas:
+One search for vehicles (``vehanchor_evaluation.search``) gives the scale of an image for all its
+objects. Each object's box gives its mask. Scale and mask give three areas:
 
 * **end to end**: the model's mask and the estimated scale, ``A = N_px * GSD^2``, as a user gets it;
-* **true scale** (GT-GSD): the model's mask and the true scale, which isolates the segmenter's error;
+* **true scale** (GT-GSD): the model's mask and the true scale, which isolates the segmenter's
+  error;
 * **true mask** (GT-mask): the true mask and the estimated scale, which isolates the scale's error.
 """
 
@@ -43,7 +44,9 @@ class MaskTrial(BaseModel):
 
     entry: str
     mask_area_px: int = Field(description="Pixels of the model's mask; 0 counts as no answer.")
-    mask_score: float = Field(description="The segmenter's estimate of its overlap with the true mask.")
+    mask_score: float = Field(
+        description="The segmenter's estimate of its overlap with the true mask."
+    )
     mask_iou: float = Field(description="True overlap: intersection over union.")
 
 
@@ -134,7 +137,9 @@ def _image(entry: AreaEntry) -> Path:
     return entry.image
 
 
-def _segment_image(segmenter: Segmenter, entries: Sequence[AreaEntry]) -> tuple[list[MaskTrial], list[FileIssue]]:
+def _segment_image(
+    segmenter: Segmenter, entries: Sequence[AreaEntry]
+) -> tuple[list[MaskTrial], list[FileIssue]]:
     """Segment all entries of one image."""
     trials, issues = [], []
     image = entries[0].image
@@ -142,7 +147,9 @@ def _segment_image(segmenter: Segmenter, entries: Sequence[AreaEntry]) -> tuple[
         with open_raster(image, DATASET_READING) as raster:
             for entry in entries:
                 try:
-                    found = segmenter.segment(raster, Prompt(box=entry.corners), limits=DATASET_READING.limits)
+                    found = segmenter.segment(
+                        raster, Prompt(box=entry.corners), limits=DATASET_READING.limits
+                    )
                 except VehAnchorError as error:
                     issues.append(FileIssue(image, error.code, f"{entry.name}: {error}"))
                 else:
@@ -226,6 +233,10 @@ def summarise_area(trials: Sequence[AreaTrial]) -> list[AreaErrors]:
             area_errors(name, ((t.category, t.end_to_end_m2, t.true_area_m2) for t in some))
             for name, some in end_to_end
         ),
-        area_errors("true scale (GT-GSD)", ((t.category, t.true_scale_m2, t.true_area_m2) for t in trials)),
-        area_errors("true mask (GT-mask)", ((t.category, t.true_mask_m2, t.true_area_m2) for t in trials)),
+        area_errors(
+            "true scale (GT-GSD)", ((t.category, t.true_scale_m2, t.true_area_m2) for t in trials)
+        ),
+        area_errors(
+            "true mask (GT-mask)", ((t.category, t.true_mask_m2, t.true_area_m2) for t in trials)
+        ),
     ]

@@ -31,7 +31,9 @@ class AreaErrors(BaseModel):
     name: str
     entries: int = Field(description="Areas requested.")
     answered: int = Field(description="Areas with a number; the others count as an error of 100 %.")
-    median: float | None = Field(description="Median absolute relative error; null without entries.")
+    median: float | None = Field(
+        description="Median absolute relative error; null without entries."
+    )
     mean: float | None = Field(description="Mean absolute relative error.")
     below_10: float | None = Field(description="Share of errors below 10 %.")
     below_25: float | None
@@ -39,7 +41,8 @@ class AreaErrors(BaseModel):
     below_100: float | None
     catastrophic: float | None = Field(description="Share of errors of 100 % or more.")
     polarisation: float | None = Field(
-        description="Worst category's median error divided by the best one's; null with one category or a best of 0."
+        description="Worst category's median error divided by the best one's; null with one "
+        "category or a best of 0."
     )
     categories: dict[str, CategoryErrors]
 

@@ -31,7 +31,9 @@ class AreaReport(BaseModel):
     run: dict[str, Any] = Field(description="Models and options.")
     rows: tuple[AreaErrors, ...]
     facts: tuple[str, ...] = Field(description="Further facts, one sentence each.")
-    left_out: dict[str, int] = Field(description="Files and entries that could not be measured, by reason.")
+    left_out: dict[str, int] = Field(
+        description="Files and entries that could not be measured, by reason."
+    )
 
 
 def area_report(
@@ -71,7 +73,10 @@ def area_markdown(report: AreaReport) -> str:
             row.name,
             str(row.entries),
             str(row.answered),
-            *map(percent, (row.median, row.mean, row.below_10, row.below_25, row.below_50, row.below_100)),
+            *map(
+                percent,
+                (row.median, row.mean, row.below_10, row.below_25, row.below_50, row.below_100),
+            ),
             percent(row.catastrophic),
             "-" if row.polarisation is None else f"{row.polarisation:.1f}x",
         )
@@ -91,7 +96,11 @@ def _median(row: AreaErrors, category: str) -> str:
 
 
 def write_area_report(
-    folder: Path, stem: str, report: AreaReport, records: Sequence[BaseModel], issues: Sequence[FileIssue]
+    folder: Path,
+    stem: str,
+    report: AreaReport,
+    records: Sequence[BaseModel],
+    issues: Sequence[FileIssue],
 ) -> list[Path]:
     """Write the report as JSON and Markdown, the entries as CSV, and the issues as CSV.
 

@@ -66,7 +66,8 @@ def measure_areas(
         classes: detector classes that count as vehicles, as when the detector was opened.
         limit: measure only the first entries; categories alternate.
         workers: images in parallel, each held in memory; None chooses a number.
-        progress: takes the name of the next step and returns a function that is called with (done, total).
+        progress: takes the name of the next step and returns a function that is called with (done,
+            total).
 
     Raises:
         InvalidParameterError: a file is not a log.
@@ -110,14 +111,17 @@ def _scales(
     }
 
 
-def _run_facts(detector: Detector, segmenter: Segmenter, options: ScaleOptions, limit: int | None) -> dict[str, Any]:
+def _run_facts(
+    detector: Detector, segmenter: Segmenter, options: ScaleOptions, limit: int | None
+) -> dict[str, Any]:
     """Describe models and options for the report."""
     return {
         "detector": {"name": detector.card.name, "sha256": detector.card.sha256},
         "segmenter": {"name": segmenter.card.name, "sha256": segmenter.card.sha256},
         "reference_length_m": options.reference.reference_length_m,
         "region": options.reference.region,
-        "calibration": options.reference.calibration and options.reference.calibration.model_dump(mode="json"),
+        "calibration": options.reference.calibration
+        and options.reference.calibration.model_dump(mode="json"),
         **asdict(options.search),
         **asdict(options.lengths),
         "bands": options.reading.bands,
@@ -125,16 +129,21 @@ def _run_facts(detector: Detector, segmenter: Segmenter, options: ScaleOptions, 
     }
 
 
-def _facts(trials: Sequence[AreaTrial], entries: Sequence[AreaEntry], detector: str, segmenter: str) -> list[str]:
+def _facts(
+    trials: Sequence[AreaTrial], entries: Sequence[AreaEntry], detector: str, segmenter: str
+) -> list[str]:
     """Describe the basis of the table, one sentence each."""
     images = count(len({trial.image for trial in trials}), "image")
     facts = [
         f"{len(trials)} of {count(len(entries), 'object')} measured, in {images}",
-        f"detector {detector}, segmenter {segmenter}; a missing scale or mask counts as an error of 100 %",
+        f"detector {detector}, segmenter {segmenter}; a missing scale or mask counts as an "
+        "error of 100 %",
     ]
     if trials:
         iou = np.array([trial.mask_iou for trial in trials])
         n_without = sum(trial.gsd_m_per_px is None for trial in trials)
         facts.append(f"masks: IoU median {np.median(iou):.3f}, mean {iou.mean():.3f}")
-        facts.append(f"scale: none for {count(n_without, 'object')} ({percent(n_without / len(trials), 0)})")
+        facts.append(
+            f"scale: none for {count(n_without, 'object')} ({percent(n_without / len(trials), 0)})"
+        )
     return facts

@@ -1,7 +1,7 @@
 """Objects of known area: a folder with an ``index.csv`` and label images, in which each number is an object.
 
-Columns: ``image`` and ``mask`` (relative to the folder), ``category``, ``gsd_m_per_px``, and optionally ``split``. A
-mask has 8 or 16 bit with 0 as background; an image can have several.
+Columns: ``image`` and ``mask`` (relative to the folder), ``category``, ``gsd_m_per_px``, and
+optionally ``split``. A mask has 8 or 16 bit with 0 as background; an image can have several.
 """
 
 from __future__ import annotations
@@ -18,7 +18,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
-from vehanchor.errors import ImageDecodeError, ImageFormatError, ImageNotFoundError, InvalidParameterError
+from vehanchor.errors import (
+    ImageDecodeError,
+    ImageFormatError,
+    ImageNotFoundError,
+    InvalidParameterError,
+)
 from vehanchor_evaluation.known_scale import FileIssue
 
 if TYPE_CHECKING:
@@ -111,7 +116,8 @@ def read_areas(
         progress: called with (masks read, total).
 
     Raises:
-        InvalidParameterError: the index or a column is missing, the split has no rows, or there is no object.
+        InvalidParameterError: the index or a column is missing, the split has no rows, or there is
+            no object.
     """
     rows, issues = _rows(folder, split)
     entries: list[AreaEntry] = []
@@ -138,20 +144,34 @@ def _rows(folder: Path, split: str | None) -> tuple[list[_Row], list[FileIssue]]
             missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
             lines = list(enumerate(reader, start=2))
     except (OSError, UnicodeDecodeError) as error:
-        raise InvalidParameterError(f"{index}: {error}; give a folder with an index.csv of masks") from None
+        raise InvalidParameterError(
+            f"{index}: {error}; give a folder with an index.csv of masks"
+        ) from None
     if missing:
-        raise InvalidParameterError(f"{index} has no column {', '.join(missing)}: it needs {', '.join(COLUMNS)}")
+        raise InvalidParameterError(
+            f"{index} has no column {', '.join(missing)}: it needs {', '.join(COLUMNS)}"
+        )
     chosen = [(line, row) for line, row in lines if split is None or row.get("split") == split]
     if not chosen:
         known = sorted({row.get("split") or "" for _, row in lines})
-        raise InvalidParameterError(f"{index} has no rows of split {split!r}: it has {', '.join(known) or 'no rows'}")
+        raise InvalidParameterError(
+            f"{index} has no rows of split {split!r}: it has {', '.join(known) or 'no rows'}"
+        )
     rows, issues, seen = [], [], set()
     for line, cells in chosen:
         row = _row(folder, cells)
         if row is None:
-            issues.append(FileIssue(index, "malformed_row", f"line {line}: expected {','.join(COLUMNS)}, gsd > 0"))
+            issues.append(
+                FileIssue(
+                    index, "malformed_row", f"line {line}: expected {','.join(COLUMNS)}, gsd > 0"
+                )
+            )
         elif row.name in seen:
-            issues.append(FileIssue(index, "duplicate_name", f"line {line}: {cells['mask']} is already listed"))
+            issues.append(
+                FileIssue(
+                    index, "duplicate_name", f"line {line}: {cells['mask']} is already listed"
+                )
+            )
         else:
             seen.add(row.name)
             rows.append(row)
@@ -166,7 +186,9 @@ def _row(folder: Path, cells: Mapping[str, str | None]) -> _Row | None:
         return None
     if not (math.isfinite(gsd) and gsd > 0 and image and mask and category):
         return None
-    return _Row((folder / image).resolve(), folder / mask, str(Path(mask).with_suffix("")), category, gsd)
+    return _Row(
+        (folder / image).resolve(), folder / mask, str(Path(mask).with_suffix("")), category, gsd
+    )
 
 
 def _entries(row: _Row) -> list[AreaEntry] | FileIssue:
@@ -178,7 +200,16 @@ def _entries(row: _Row) -> list[AreaEntry] | FileIssue:
     except (OSError, ValueError) as error:
         return FileIssue(row.image, "unreadable_masks", str(error))
     return [
-        AreaEntry(f"{row.name}-{number}", row.image, row.mask, row.category, row.gsd_m_per_px, left, top, mask)
+        AreaEntry(
+            f"{row.name}-{number}",
+            row.image,
+            row.mask,
+            row.category,
+            row.gsd_m_per_px,
+            left,
+            top,
+            mask,
+        )
         for number, left, top, mask in objects
         if min(mask.shape) >= MIN_SIDE_PX
     ]
@@ -194,7 +225,9 @@ def _alternating(entries: Sequence[AreaEntry]) -> list[AreaEntry]:
     return sorted(entries, key=turn)
 
 
-# --- Label images ----------------------------------------------------------------------------------------------------
+# --- Label images
+#
+# ----------------------------------------------------------------------------------------------------
 
 
 def read_masks(path: Path) -> Iterator[tuple[int, int, int, NDArray[np.bool_]]]:
@@ -205,7 +238,9 @@ def read_masks(path: Path) -> Iterator[tuple[int, int, int, NDArray[np.bool_]]]:
     """
     numbers = read_pixels(path)
     if numbers.ndim != 2 or numbers.dtype not in (np.uint8, np.uint16):
-        raise ImageFormatError(f"{path}: masks must have one band of 8 or 16 bit, got {numbers.dtype} {numbers.shape}")
+        raise ImageFormatError(
+            f"{path}: masks must have one band of 8 or 16 bit, got {numbers.dtype} {numbers.shape}"
+        )
     return split_instances(numbers)
 
 
@@ -226,7 +261,9 @@ def read_pixels(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any]:
     return np.asarray(pixels)
 
 
-def split_instances(ids: NDArray[np.integer[Any]]) -> Iterator[tuple[int, int, int, NDArray[np.bool_]]]:
+def split_instances(
+    ids: NDArray[np.integer[Any]],
+) -> Iterator[tuple[int, int, int, NDArray[np.bool_]]]:
     """Split a label image into its objects.
 
     Args:

@@ -1,6 +1,7 @@
 """DOTA data: ``images/``, and text files in ``labelTxt*/`` with lines ``x1 y1 x2 y2 x3 y3 x4 y4 class difficult``.
 
-In versions 1.0 and 1.5 the files start with ``imagesource:`` and ``gsd:`` lines; version 2.0 has these in ``meta/``.
+In versions 1.0 and 1.5 the files start with ``imagesource:`` and ``gsd:`` lines; version 2.0 has
+these in ``meta/``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SMALL_VEHICLE = "small-vehicle"
-_HORIZONTAL = re.compile(r"hbb|task2|reclabel", re.IGNORECASE)  # axis-aligned boxes: useless as lengths
+# axis-aligned boxes: useless as lengths
+_HORIZONTAL = re.compile(r"hbb|task2|reclabel", re.IGNORECASE)
 _SHOWN_PROBLEMS = 3
 
 
@@ -53,7 +55,8 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
 
     Args:
         text: content of the file.
-        problems: collects a message for each malformed line, which is skipped; None raises an error instead.
+        problems: collects a message for each malformed line, which is skipped; None raises an error
+            instead.
 
     Raises:
         ValueError: a line is malformed and ``problems`` is None; the message has its number.
@@ -76,7 +79,10 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
             if not np.isfinite(points).all():
                 raise ValueError
         except (ValueError, IndexError):
-            message = f"line {number}: expected 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult', found {line[:120]!r}"
+            message = (
+                f"line {number}: expected 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult', "
+                f"found {line[:120]!r}"
+            )
             if problems is None:
                 raise ValueError(message) from None
             problems.append(message)
@@ -127,12 +133,13 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
     """Find the images of one split of DOTA and their scales.
 
     Args:
-        folder: folder of a split, with ``images/`` (searched recursively) and ``labelTxt*/``; the latest version with
-            oriented boxes is used.
+        folder: folder of a split, with ``images/`` (searched recursively) and ``labelTxt*/``; the
+            latest version with oriented boxes is used.
         labels: another folder of labels.
 
     Returns:
-        The images with a ``gsd:``; the issues list other images, labels without an image, and malformed lines.
+        The images with a ``gsd:``; the issues list other images, labels without an image, and
+        malformed lines.
 
     Raises:
         InvalidParameterError: a folder is missing.
@@ -166,7 +173,11 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
             issues.append(FileIssue(text, "unreadable_labels", str(error)))
             continue
         if problems:
-            more = f" and {len(problems) - _SHOWN_PROBLEMS} more" if len(problems) > _SHOWN_PROBLEMS else ""
+            more = (
+                f" and {len(problems) - _SHOWN_PROBLEMS} more"
+                if len(problems) > _SHOWN_PROBLEMS
+                else ""
+            )
             message = "; ".join(problems[:_SHOWN_PROBLEMS]) + more
             issues.append(FileIssue(text, "malformed_labels", message, skipped=False))
         if gsd is None:
@@ -175,18 +186,29 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
         n_vehicles = sum(name == SMALL_VEHICLE for name in read.classes)
         images.append(KnownScaleImage(path, gsd, labelled_vehicles=n_vehicles, labels=text))
     issues += [
-        FileIssue(text, "no_image", "labels without an image") for stem, text in texts.items() if stem not in seen
+        FileIssue(text, "no_image", "labels without an image")
+        for stem, text in texts.items()
+        if stem not in seen
     ]
     return KnownScaleSet(str(folder), tuple(images), tuple(issues))
 
 
 def _latest_labels(folder: Path) -> Path:
-    found = [path for path in folder.glob("labelTxt*") if path.is_dir() and not _HORIZONTAL.search(path.name)]
+    found = [
+        path
+        for path in folder.glob("labelTxt*")
+        if path.is_dir() and not _HORIZONTAL.search(path.name)
+    ]
     if found:
-        return max(found, key=lambda path: ([int(part) for part in re.findall(r"\d+", path.name)], path.name))
+        return max(
+            found,
+            key=lambda path: ([int(part) for part in re.findall(r"\d+", path.name)], path.name),
+        )
     if (folder / "labels").is_dir():
         return folder / "labels"
-    raise InvalidParameterError(f"no labelTxt*/ (or labels/) folder in {str(folder)!r}; name one with --labels")
+    raise InvalidParameterError(
+        f"no labelTxt*/ (or labels/) folder in {str(folder)!r}; name one with --labels"
+    )
 
 
 def _is_axis_aligned(path: Path, label_folder: Path) -> bool:

@@ -61,17 +61,41 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
     ends = np.concatenate([truth, estimate, missed, [guard]])
     low, high = float(ends.min()) / 1.25, float(ends.max()) * 1.25
     line = np.array([low, high])
-    axes.fill_between(line, line * (1 - _BAND), line * (1 + _BAND), color=_GREEN, alpha=0.18, lw=0, label="\u00b110 %")
+    axes.fill_between(
+        line,
+        line * (1 - _BAND),
+        line * (1 + _BAND),
+        color=_GREEN,
+        alpha=0.18,
+        lw=0,
+        label="\u00b110 %",
+    )
     axes.plot(line, line, color=_GREEN, lw=1.2)
     axes.axhline(guard, color=_RED, ls="--", lw=1.4, label=f"resolution guard {guard:.2g} m/px")
     usable = np.array([trial.analysis.estimate.status == "ok" for trial in known])
     for sure, colour, name in ((True, _BLUE, "usable"), (False, _ORANGE, "not usable")):
         some = usable == sure
         count = int(some.sum())
-        axes.scatter(truth[some], estimate[some], s=18, color=colour, alpha=0.7, lw=0, label=f"{name} ({count})")
+        axes.scatter(
+            truth[some],
+            estimate[some],
+            s=18,
+            color=colour,
+            alpha=0.7,
+            lw=0,
+            label=f"{name} ({count})",
+        )
     if missed:
         label = f"no estimate ({len(missed)})"
-        axes.scatter(missed, np.full(len(missed), low), marker="|", s=60, color=_INK, clip_on=False, label=label)
+        axes.scatter(
+            missed,
+            np.full(len(missed), low),
+            marker="|",
+            s=60,
+            color=_INK,
+            clip_on=False,
+            label=label,
+        )
     axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal")
     _plain_log(axes)
     axes.set_xlabel("true GSD, m/px")
@@ -83,7 +107,9 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
 def _guard_gsd(trials: Sequence[ScaleTrial]) -> float:
     """Get the predicted GSD above which the resolution guard applies: 0.3 m/px, or less if the detector needs it."""
     vehicles = [trial.analysis.vehicles for trial in trials]
-    limits = [each.reference.length_m / each.guard_length_px for each in vehicles if each is not None]
+    limits = [
+        each.reference.length_m / each.guard_length_px for each in vehicles if each is not None
+    ]
     return float(np.median(limits)) if limits else GUARD_GSD_M_PER_PX
 
 
@@ -121,7 +147,9 @@ def plot_cumulative_error(curves: Mapping[str, Sequence[ScaleTrial]]) -> Figure:
     return figure
 
 
-def interval_coverage(trials: Sequence[ScaleTrial], nominal: NDArray[np.float64]) -> NDArray[np.float64]:
+def interval_coverage(
+    trials: Sequence[ScaleTrial], nominal: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Compute the observed coverage at other levels than 95 % by scaling the lognormal intervals.
 
     Args:
@@ -134,7 +162,12 @@ def interval_coverage(trials: Sequence[ScaleTrial], nominal: NDArray[np.float64]
     from scipy.stats import norm
 
     estimates = [trial.analysis.estimate for trial in trials]
-    reach = np.array([np.log((e.gsd_ci95_high_m_per_px or np.nan) / (e.gsd_m_per_px or np.nan)) for e in estimates])
+    reach = np.array(
+        [
+            np.log((e.gsd_ci95_high_m_per_px or np.nan) / (e.gsd_m_per_px or np.nan))
+            for e in estimates
+        ]
+    )
     error = np.abs(np.log1p([trial.signed_error for trial in trials]))
     needed = error / reach * Z95  # error in standard deviations
     reached = norm.ppf((1 + np.asarray(nominal)) / 2)
@@ -144,7 +177,8 @@ def interval_coverage(trials: Sequence[ScaleTrial], nominal: NDArray[np.float64]
 def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
     """Plot the calibration of interval and confidence.
 
-    Left: observed against nominal coverage of the interval. Right: median error and share of errors above 20 %, by bins
+    Left: observed against nominal coverage of the interval. Right: median error and share of errors
+        above 20 %, by bins
     of confidence.
 
     Args:
@@ -162,7 +196,13 @@ def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
     nominal = np.linspace(0.0, 0.99, 100)
     left.plot([0, 1], [0, 1], color=_GREY, lw=1, ls="--", label="ideal")
     if known:
-        left.plot(nominal, interval_coverage(known, nominal), color=_BLUE, lw=2, label=count(len(known), "image"))
+        left.plot(
+            nominal,
+            interval_coverage(known, nominal),
+            color=_BLUE,
+            lw=2,
+            label=count(len(known), "image"),
+        )
     left.axvline(0.95, color=_GREY, lw=0.8, ls=":")
     left.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
     left.set_xlabel("nominal coverage of the interval")
@@ -184,10 +224,27 @@ def _confidence_bars(axes: Axes, trials: Sequence[ScaleTrial]) -> None:
         first = index == int(bins.min())
         high = 100 * float((some > HIGH_ERROR).mean())
         median = 100 * min(float(np.median(some)), _MAX_ERROR)
-        axes.bar(index - width / 2, median, width, color=_BLUE, label="median error, %" if first else None)
-        axes.bar(index + width / 2, high, width, color=_ORANGE, label="share of errors > 20 %" if first else None)
+        axes.bar(
+            index - width / 2,
+            median,
+            width,
+            color=_BLUE,
+            label="median error, %" if first else None,
+        )
+        axes.bar(
+            index + width / 2,
+            high,
+            width,
+            color=_ORANGE,
+            label="share of errors > 20 %" if first else None,
+        )
         axes.annotate(
-            f"n = {len(some)}", (index, max(high, median)), (0, 3), textcoords="offset points", ha="center", fontsize=8
+            f"n = {len(some)}",
+            (index, max(high, median)),
+            (0, 3),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8,
         )
     names = [f"{a:.1f} to {b:.1f}" for a, b in pairwise(_CONFIDENCE_BINS)]
     axes.set_xticks(range(len(names)), names)
@@ -220,14 +277,26 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     shown = metres[(metres >= low) & (metres <= high)]
     edges = np.linspace(low, high, int(np.clip(np.sqrt(len(shown)) * 2, 12, 80)) + 1)
     axes.hist(
-        shown, bins=list(edges), color="#56B4E9", edgecolor="white", linewidth=0.5, label=count(len(metres), "vehicle")
+        shown,
+        bins=list(edges),
+        color="#56B4E9",
+        edgecolor="white",
+        linewidth=0.5,
+        label=count(len(metres), "vehicle"),
     )
     at = np.linspace(low, high, 800)
-    density = kde_density(at, metres, weights, smoothing=smoothing) * len(metres) * (edges[1] - edges[0])
+    density = (
+        kde_density(at, metres, weights, smoothing=smoothing) * len(metres) * (edges[1] - edges[0])
+    )
     axes.plot(at, density, color=_BLUE, lw=2, label="density (KDE)")
     ends = calibration.reference_length_ci95_low_m, calibration.reference_length_ci95_high_m
     axes.axvspan(
-        *ends, color="0.75", alpha=0.5, lw=0, zorder=0, label=f"95 % interval {ends[0]:.3f} to {ends[1]:.3f} m"
+        *ends,
+        color="0.75",
+        alpha=0.5,
+        lw=0,
+        zorder=0,
+        label=f"95 % interval {ends[0]:.3f} to {ends[1]:.3f} m",
     )
     axes.axvline(mode, color=_INK, lw=1.6, label=f"mode {mode:.3f} m")
     axes.set_xlim(low, high)
@@ -256,7 +325,8 @@ def _plain_log(axes: Axes) -> None:
         axis.set_minor_locator(NullLocator())
 
 
-# --- The sheet of images ---------------------------------------------------------------------------------------------
+# --- The sheet of images
+# ---------------------------------------------------------------------------------------------
 
 
 class SheetCell(NamedTuple):
@@ -271,7 +341,9 @@ class SheetCell(NamedTuple):
     lines: tuple[str, ...]
 
 
-def sheet_trials(trials: Sequence[ScaleTrial], per_row: int = 3) -> dict[str, tuple[ScaleTrial, ...]]:
+def sheet_trials(
+    trials: Sequence[ScaleTrial], per_row: int = 3
+) -> dict[str, tuple[ScaleTrial, ...]]:
     """Select the best, the middle and the worst estimates without repetition."""
     ordered = sorted((trial for trial in trials if trial.estimated), key=lambda trial: trial.error)
     count = min(per_row, len(ordered) // 3)
@@ -338,5 +410,9 @@ def _cell(cell: SheetCell) -> NDArray[np.uint8]:
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
     square = np.full((_CELL_PX, _CELL_PX, 3), 235, np.uint8)
     top, left = (_CELL_PX - size[1]) // 2, (_CELL_PX - size[0]) // 2
-    square[top : top + size[1], left : left + size[0]] = cv2.resize(cell.picture, size, interpolation=method)
-    return np.concatenate([square, caption_panel(_CELL_PX, [[(None, line)] for line in cell.lines])])
+    square[top : top + size[1], left : left + size[0]] = cv2.resize(
+        cell.picture, size, interpolation=method
+    )
+    return np.concatenate(
+        [square, caption_panel(_CELL_PX, [[(None, line)] for line in cell.lines])]
+    )

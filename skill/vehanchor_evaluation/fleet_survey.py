@@ -27,7 +27,9 @@ class FleetSurvey(NamedTuple):
     issues: list[FileIssue]
 
 
-def labelled_vehicles(data: KnownScaleSet, classes: Sequence[str] = (SMALL_VEHICLE,)) -> FleetSurvey:
+def labelled_vehicles(
+    data: KnownScaleSet, classes: Sequence[str] = (SMALL_VEHICLE,)
+) -> FleetSurvey:
     """Collect the labelled vehicles.
 
     Args:
@@ -71,8 +73,13 @@ def found_vehicles(
             continue
         with naming(image.path):
             analysis = found.analysis(card, options)
-        boxes, scores = analysis.detections.boxes[analysis.kept], analysis.detections.scores[analysis.kept]
-        survey.images.append(SurveyedImage(boxes, image.gsd_m_per_px, scores if weighted else None, image.gsd_log_sd))
+        boxes, scores = (
+            analysis.detections.boxes[analysis.kept],
+            analysis.detections.scores[analysis.kept],
+        )
+        survey.images.append(
+            SurveyedImage(boxes, image.gsd_m_per_px, scores if weighted else None, image.gsd_log_sd)
+        )
     return survey
 
 
@@ -81,7 +88,8 @@ def calibrate_labelled(survey: FleetSurvey, card: DetectorCard | None = None) ->
 
     Args:
         survey: labelled vehicles.
-        card: model card of the only detector that may use the calibration; None for any whose boxes match the labels.
+        card: model card of the only detector that may use the calibration; None for any whose boxes
+            match the labels.
 
     Raises:
         CalibrationRefusedError: there are too few vehicles, or the imagery is too coarse.

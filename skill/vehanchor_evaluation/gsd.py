@@ -68,7 +68,11 @@ class ScaleTrial:
         estimate = self.analysis.estimate
         if estimate.gsd_ci95_low_m_per_px is None or estimate.gsd_ci95_high_m_per_px is None:
             return None
-        return estimate.gsd_ci95_low_m_per_px <= self.image.gsd_m_per_px <= estimate.gsd_ci95_high_m_per_px
+        return (
+            estimate.gsd_ci95_low_m_per_px
+            <= self.image.gsd_m_per_px
+            <= estimate.gsd_ci95_high_m_per_px
+        )
 
 
 def run_trials(
@@ -124,7 +128,9 @@ def summarise_errors(signed_errors: ArrayLike) -> ErrorSummary:
     )
 
 
-# --- The benchmark ---------------------------------------------------------------------------------------------------
+# --- The benchmark
+#
+# ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,14 +169,19 @@ def check_options(
         checked_detector(detector, options)
 
 
-def with_regions(options: ScaleOptions, regions: Mapping[str, str]) -> Callable[[KnownScaleImage], ScaleOptions]:
+def with_regions(
+    options: ScaleOptions, regions: Mapping[str, str]
+) -> Callable[[KnownScaleImage], ScaleOptions]:
     """Choose the options of an image by its set.
 
     Args:
         options: options for all images.
         regions: region by set; it replaces the reference length.
     """
-    chosen = {name: replace(options, reference=Reference(region=region)) for name, region in regions.items()}
+    chosen = {
+        name: replace(options, reference=Reference(region=region))
+        for name, region in regions.items()
+    }
     return lambda image: chosen.get(image.set, options)
 
 
@@ -219,8 +230,12 @@ def benchmark_scale(
         facts = ImageFacts(found.image.width_px, found.image.height_px)
         labelled = SearchedImage(Detections(boxes, np.ones(len(boxes))), facts)
         with naming(image.labels):
-            baseline.append(ScaleTrial(image, labelled.analysis(detector, label_options_of(image)), labelled))
-    return ScaleBenchmark(data, detector, tuple(trials), tuple(baseline), tuple(issues), options_of, label_options_of)
+            baseline.append(
+                ScaleTrial(image, labelled.analysis(detector, label_options_of(image)), labelled)
+            )
+    return ScaleBenchmark(
+        data, detector, tuple(trials), tuple(baseline), tuple(issues), options_of, label_options_of
+    )
 
 
 class _Row(BaseModel):
@@ -239,7 +254,9 @@ class ErrorRow(_Row):
     within_10: float | None = Field(description="Share of errors below 10 %.")
     within_20: float | None = Field(description="Share of errors below 20 %.")
     bias: float | None = Field(description="Median of the signed relative error.")
-    interval_coverage: float | None = Field(description="Share of true scales inside the 95 % interval.")
+    interval_coverage: float | None = Field(
+        description="Share of true scales inside the 95 % interval."
+    )
     usable: int = Field(ge=0, description="Images with a usable scale: status ok.")
     usable_share: float | None = Field(description="usable / of_images.")
     usable_wrong: int = Field(ge=0, description="Usable images with an error above 20 %.")
@@ -257,7 +274,9 @@ class ErrorRow(_Row):
             "within_10": summary.within_10,
             "within_20": summary.within_20,
             "bias": summary.bias,
-            "interval_coverage": float(np.mean([bool(trial.covered) for trial in known])) if known else math.nan,
+            "interval_coverage": float(np.mean([bool(trial.covered) for trial in known]))
+            if known
+            else math.nan,
         }
         return cls(
             name=name,
@@ -277,22 +296,34 @@ class ScaleReport(_Row):
     data: str = Field(description="Source of the images.")
     detector: str = Field(description="Name of the detector.")
     detector_sha256: str = Field(description="SHA-256 of its file.")
-    reference_length_m: tuple[float, ...] = Field(description="Distinct L_ref of the estimates, metres, ascending.")
+    reference_length_m: tuple[float, ...] = Field(
+        description="Distinct L_ref of the estimates, metres, ascending."
+    )
     label_reference_length_m: float | None = Field(
         description="KDE mode of the labelled lengths of these images, metres; null without labels."
     )
     rows: tuple[ErrorRow, ...] = Field(description="The table.")
     skipped: dict[str, int] = Field(description="Images left out, by reason.")
     noted: dict[str, int] = Field(description="Images or labels used in part, by reason.")
-    no_vehicle_found: int = Field(description="Images without an estimate: the detector found nothing.")
+    no_vehicle_found: int = Field(
+        description="Images without an estimate: the detector found nothing."
+    )
     no_vehicle_labelled: int = Field(description="Images with labels, none of them a vehicle.")
-    confidence_error_pearson: float | None = Field(description="Correlation of confidence and absolute error.")
-    confidence_error_spearman: float | None = Field(description="Rank correlation of confidence and absolute error.")
+    confidence_error_pearson: float | None = Field(
+        description="Correlation of confidence and absolute error."
+    )
+    confidence_error_spearman: float | None = Field(
+        description="Rank correlation of confidence and absolute error."
+    )
     high_errors: int = Field(description="Estimates with an error above 20 %.")
-    high_errors_guarded: int = Field(description="Of these, estimates that the resolution guard caps.")
+    high_errors_guarded: int = Field(
+        description="Of these, estimates that the resolution guard caps."
+    )
     high_errors_low_confidence: int = Field(description="Of these, estimates that are not usable.")
     low_errors: int = Field(description="Estimates with an error of at most 20 %.")
-    low_errors_guarded: int = Field(description="Of these, estimates that the resolution guard caps.")
+    low_errors_guarded: int = Field(
+        description="Of these, estimates that the resolution guard caps."
+    )
     low_errors_low_confidence: int = Field(description="Of these, estimates that are not usable.")
 
 
@@ -334,21 +365,27 @@ def _rows(benchmark: ScaleBenchmark) -> Iterator[ErrorRow]:
     trials, baseline = benchmark.trials, benchmark.baseline
     yield ErrorRow.of("detector", trials)
     if baseline:
-        both = {t.image.path for t in trials if t.estimated} & {t.image.path for t in baseline if t.estimated}
+        both = {t.image.path for t in trials if t.estimated} & {
+            t.image.path for t in baseline if t.estimated
+        }
         yield ErrorRow.of("labels", baseline)
         yield ErrorRow.of("detector, intersection", [t for t in trials if t.image.path in both])
         yield ErrorRow.of("labels, intersection", [t for t in baseline if t.image.path in both])
     sets = sorted({trial.image.set for trial in trials})
     if len(sets) > 1:
         for name in sets:
-            yield ErrorRow.of(f"detector, {name or 'no set'}", [t for t in trials if t.image.set == name])
+            yield ErrorRow.of(
+                f"detector, {name or 'no set'}", [t for t in trials if t.image.set == name]
+            )
             some = [t for t in baseline if t.image.set == name]
             if some:
                 yield ErrorRow.of(f"labels, {name or 'no set'}", some)
 
 
 def _reasons(issues: Iterable[FileIssue], *, skipped: bool) -> dict[str, int]:
-    return dict(sorted(Counter(issue.reason for issue in issues if issue.skipped == skipped).items()))
+    return dict(
+        sorted(Counter(issue.reason for issue in issues if issue.skipped == skipped).items())
+    )
 
 
 def _reference_lengths(trials: Iterable[ScaleTrial]) -> tuple[float, ...]:

@@ -45,7 +45,8 @@ class FileIssue(NamedTuple):
 
     Attributes:
         file: the file.
-        reason: stable code such as ``no_gsd``; for images the code of the error in ``vehanchor.errors``.
+        reason: stable code such as ``no_gsd``; for images the code of the error in
+            ``vehanchor.errors``.
         message: description of the problem.
         skipped: whether the image is left out; otherwise it is used without the faulty part.
     """
@@ -77,7 +78,8 @@ class KnownScaleSet:
         images = [
             image
             for image in self.images
-            if (set_name is None or image.set == set_name) and (split is None or image.split == split)
+            if (set_name is None or image.set == set_name)
+            and (split is None or image.split == split)
         ]
         return replace(self, images=tuple(images[:limit]))
 
@@ -87,14 +89,22 @@ class KnownScaleSet:
         issues = list(self.issues)
         for image in self.images:
             if image.path in first:
-                issues.append(FileIssue(image.path, "duplicate_name", "listed more than once; only the first is used"))
+                issues.append(
+                    FileIssue(
+                        image.path,
+                        "duplicate_name",
+                        "listed more than once; only the first is used",
+                    )
+                )
             first.setdefault(image.path, image)
         return replace(self, images=tuple(first.values()), issues=tuple(issues))
 
 
 def image_files(folder: Path) -> list[Path]:
     """List all files below a folder with an image suffix, sorted by path."""
-    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    return sorted(
+        path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()
+    )
 
 
 def files_of(paths: Sequence[Path]) -> list[Path]:
@@ -115,7 +125,11 @@ def labels_beside(image: Path) -> Path | None:
     """Find the labels of an image in ``labels/`` or ``labelTxt*/`` next to its folder, or in its folder."""
     name = f"{image.stem}.txt"
     around = image.parent.parent
-    for folder in (around / "labels", *sorted(around.glob("labelTxt*"), reverse=True), image.parent):
+    for folder in (
+        around / "labels",
+        *sorted(around.glob("labelTxt*"), reverse=True),
+        image.parent,
+    ):
         if (folder / name).is_file():
             return folder / name
     return None

@@ -45,16 +45,21 @@ def survey_photographs(
         known_lengths: reads the lines of known length for these files; None for none.
 
     Returns:
-        The photographs with a scale and its uncertainty. The issues list the others, including tilted photographs.
+        The photographs with a scale and its uncertainty. The issues list the others, including
+        tilted photographs.
 
     Raises:
         InvalidParameterError: a path does not exist, or the options exclude all these rulers.
     """
     rulers = tuple(
-        each.kind for each in allowed_rulers(options.rulers) if each.sets_scale and each.pooling_gain is not None
+        each.kind
+        for each in allowed_rulers(options.rulers)
+        if each.sets_scale and each.pooling_gain is not None
     )
     if not rulers:
-        raise InvalidParameterError("photographs need a ruler other than vehicles: drop --rulers and --metadata")
+        raise InvalidParameterError(
+            "photographs need a ruler other than vehicles: drop --rulers and --metadata"
+        )
     without_vehicles = replace(
         options,
         rulers=replace(options.rulers, rulers=rulers),
@@ -66,17 +71,29 @@ def survey_photographs(
     for file in files:
         try:
             with open_raster(file, without_vehicles.reading) as raster:
-                record = analyse_raster(detector, raster, with_lines_of(without_vehicles, lines, file)).estimate
+                record = analyse_raster(
+                    detector, raster, with_lines_of(without_vehicles, lines, file)
+                ).estimate
         except VehAnchorError as error:
             issues.append(FileIssue(file, error.code, str(error)))
             continue
-        gsd, low, high = record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+        gsd, low, high = (
+            record.gsd_m_per_px,
+            record.gsd_ci95_low_m_per_px,
+            record.gsd_ci95_high_m_per_px,
+        )
         if gsd is None or low is None or high is None:
-            why = " ".join(notice.message for notice in record.warnings) or "no ruler other than vehicles gives a scale"
+            why = (
+                " ".join(notice.message for notice in record.warnings)
+                or "no ruler other than vehicles gives a scale"
+            )
             issues.append(FileIssue(file, "no_other_ruler", why))
             continue
         if record.tilt is not None:
-            why = f"the camera is tilted by {record.tilt.tilt_deg:.0f} degrees: vehicles have different scales"
+            why = (
+                f"the camera is tilted by {record.tilt.tilt_deg:.0f} degrees: vehicles have "
+                "different scales"
+            )
             issues.append(FileIssue(file, "camera_tilted", why))
             continue
         log_sd = math.log(high / low) / (2 * Z95)

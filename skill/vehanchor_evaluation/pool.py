@@ -19,7 +19,8 @@ def finished(
 ) -> Generator[tuple[Item, Future[Result]]]:
     """Process all items in threads, which can share a model.
 
-    Closing the generator shuts the pool down and drops items that have not started: use it in ``closing``.
+    Closing the generator shuts the pool down and drops items that have not started: use it in
+    ``closing``.
 
     Args:
         workers: number of threads.

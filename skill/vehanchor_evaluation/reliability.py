@@ -1,6 +1,7 @@
 """Reliability on images of known scale: stated chances against outcomes, usable share, errors by cars and resolution.
 
-An error above 20 % is wrong. Shares have one-sided 95 % upper bounds (Clopper and Pearson): with 0 wrong of n, 3 / n.
+An error above 20 % is wrong. Shares have one-sided 95 % upper bounds (Clopper and Pearson): with 0
+wrong of n, 3 / n.
 """
 
 from __future__ import annotations
@@ -67,11 +68,19 @@ class GroupRow(_Row):
     usable: int = Field(ge=0, description="Images with a usable scale: status ok.")
     usable_share: float | None = Field(description="usable / images.")
     wrong: int = Field(ge=0, description="Usable images with an error above 20 %.")
-    wrong_bound: float | None = Field(description="95 % upper bound of the wrong share of usable images.")
-    median_usable: float | None = Field(description="Median absolute relative error of usable images.")
+    wrong_bound: float | None = Field(
+        description="95 % upper bound of the wrong share of usable images."
+    )
+    median_usable: float | None = Field(
+        description="Median absolute relative error of usable images."
+    )
     median: float | None = Field(description="Median absolute relative error of all estimates.")
-    within_20: float | None = Field(description="Share of estimates with an error below 20 %, usable or not.")
-    interval_usable: float | None = Field(description="Share of usable images whose 95 % interval holds the scale.")
+    within_20: float | None = Field(
+        description="Share of estimates with an error below 20 %, usable or not."
+    )
+    interval_usable: float | None = Field(
+        description="Share of usable images whose 95 % interval holds the scale."
+    )
     interval_others: float | None = Field(description="The same share of the other estimates.")
 
 
@@ -85,7 +94,8 @@ class ReliabilityReport(_Row):
     by_vehicles: tuple[GroupRow, ...] = Field(description="By the number of vehicles found.")
     by_resolution: tuple[GroupRow, ...] = Field(description="By the true metres per pixel.")
     threshold: float | None = Field(
-        description="Least confidence from which on at most 1 % of at least 100 estimates are wrong; null without one."
+        description="Least confidence from which on at most 1 % of at least 100 estimates are "
+        "wrong; null without one."
     )
     threshold_images: int = Field(ge=0, description="Estimates with at least this confidence.")
     threshold_wrong: int = Field(ge=0, description="The wrong ones of these.")
@@ -130,7 +140,8 @@ def report_reliability(data: str, detector: str, trials: Iterable[ScaleTrial]) -
     tried = list(trials)
     known = [trial for trial in tried if trial.estimated]
     found = confidence_threshold(
-        [trial.analysis.estimate.confidence for trial in known], [trial.error > HIGH_ERROR for trial in known]
+        [trial.analysis.estimate.confidence for trial in known],
+        [trial.error > HIGH_ERROR for trial in known],
     )
     return ReliabilityReport(
         data=data,
@@ -138,7 +149,14 @@ def report_reliability(data: str, detector: str, trials: Iterable[ScaleTrial]) -
         chances=tuple(_chance_rows(known)),
         whole=group_row("all", tried),
         by_vehicles=tuple(
-            group_row(name, [trial for trial in tried if low <= (trial.analysis.estimate.n_vehicles or 0) < high])
+            group_row(
+                name,
+                [
+                    trial
+                    for trial in tried
+                    if low <= (trial.analysis.estimate.n_vehicles or 0) < high
+                ],
+            )
             for name, low, high in _ranges(_CARS, "{:g} to {:g}", least=1)
         ),
         by_resolution=tuple(
@@ -170,9 +188,15 @@ def _chance_rows(known: Sequence[ScaleTrial]) -> list[ChanceRow]:
     told = [(trial.analysis.estimate.confidence, trial.error < HIGH_ERROR) for trial in known]
     rows = []
     for low, high in itertools.pairwise(_CHANCES):
-        some = [(chance, right) for chance, right in told if low <= chance and (chance < high or high == 1.0)]
+        some = [
+            (chance, right)
+            for chance, right in told
+            if low <= chance and (chance < high or high == 1.0)
+        ]
         stated, happened = (_mean([pair[k] for pair in some]) for k in (0, 1))
-        rows.append(ChanceRow(low=low, high=high, images=len(some), stated=stated, happened=happened))
+        rows.append(
+            ChanceRow(low=low, high=high, images=len(some), stated=stated, happened=happened)
+        )
     return rows
 
 

@@ -36,7 +36,9 @@ def percent(value: float | None, digits: int = 1, *, signed: bool = False) -> st
     return "-" if value is None else f"{value:{'+' if signed else ''}.{digits}%}".replace("%", " %")
 
 
-def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, aligned: bool = False) -> str:
+def markdown_table(
+    headings: Sequence[str], rows: Iterable[Sequence[str]], *, aligned: bool = False
+) -> str:
     """Format a table in Markdown; ``aligned`` pads the cells for terminals."""
     table = [list(headings), *map(list, rows)]
     widths = [max(map(len, column)) if aligned else 0 for column in zip(*table, strict=True)]
@@ -70,7 +72,9 @@ def write_results(
     ]
 
 
-def write_table(path: Path, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> Path:
+def write_table(
+    path: Path, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()
+) -> Path:
     """Write rows with the same keys as CSV; None becomes an empty cell.
 
     Args:
@@ -82,7 +86,9 @@ def write_table(path: Path, rows: Sequence[Mapping[str, object]], columns: Seque
         OutputError: the file cannot be written.
     """
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]) if rows else columns, lineterminator="\n")
+    writer = csv.DictWriter(
+        text, fieldnames=list(rows[0]) if rows else columns, lineterminator="\n"
+    )
     writer.writeheader()
     writer.writerows({name: in_cell(value) for name, value in row.items()} for row in rows)
     return _write(path, text.getvalue())
@@ -105,7 +111,12 @@ def write_issues(path: Path, issues: Iterable[FileIssue]) -> Path:
         OutputError: the file cannot be written.
     """
     rows = [
-        {"file": str(i.file), "reason": i.reason, "skipped": str(i.skipped).lower(), "message": i.message}
+        {
+            "file": str(i.file),
+            "reason": i.reason,
+            "skipped": str(i.skipped).lower(),
+            "message": i.message,
+        }
         for i in issues
     ]
     return write_table(path, rows, ("file", "reason", "skipped", "message"))
@@ -118,7 +129,9 @@ def write_trials(path: Path, benchmark: ScaleBenchmark) -> Path:
         OutputError: the file cannot be written.
     """
     labelled = {trial.image.path: trial for trial in benchmark.baseline}
-    return write_table(path, [_trial_row(trial, labelled.get(trial.image.path)) for trial in benchmark.trials])
+    return write_table(
+        path, [_trial_row(trial, labelled.get(trial.image.path)) for trial in benchmark.trials]
+    )
 
 
 def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, object]:
@@ -144,7 +157,9 @@ def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, obje
     }
 
 
-# --- Texts -----------------------------------------------------------------------------------------------------------
+# --- Texts
+#
+# -----------------------------------------------------------------------------------------------------------
 
 
 def scale_markdown(report: ScaleReport) -> str:
@@ -165,7 +180,17 @@ def scale_markdown(report: ScaleReport) -> str:
         for row in report.rows
     ]
     headings = (
-        *("boxes", "images", "median", "mean", "< 10 %", "< 20 %", "bias", "estimate on", "95 % interval holds"),
+        *(
+            "boxes",
+            "images",
+            "median",
+            "mean",
+            "< 10 %",
+            "< 20 %",
+            "bias",
+            "estimate on",
+            "95 % interval holds",
+        ),
         "may be used",
     )
     in_use = report.reference_length_m
@@ -184,11 +209,14 @@ def scale_markdown(report: ScaleReport) -> str:
         f"Skipped: {_counts(report.skipped)}; used in part: {_counts(report.noted)}",
         f"Confidence against error: Pearson {_number(report.confidence_error_pearson)}, "
         f"Spearman {_number(report.confidence_error_spearman)}",
-        f"Errors above 20 %: {report.high_errors}; the resolution guard flags {report.high_errors_guarded} of them, "
+        f"Errors above 20 %: {report.high_errors}; the resolution guard flags "
+        f"{report.high_errors_guarded} of them, "
         f"the status flags {report.high_errors_low_confidence}. Other errors: {report.low_errors}, "
         f"flagged {report.low_errors_guarded} and {report.low_errors_low_confidence}",
     ]
-    title = f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
+    title = (
+        f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
+    )
     over = "Errors cover images with an estimate; an error above 20 % is wrong."
     return f"{title}. {over}\n\n{markdown_table(headings, rows)}\n{_bullets(facts)}"
 
@@ -209,8 +237,20 @@ def ablation_markdown(report: AblationReport) -> str:
         )
         for row in report.rows
     ]
-    headings = ("choice", "setting", "boxes", "images", "median", "mean", "< 20 %", "paper: median", "paper: < 20 %")
-    title = f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
+    headings = (
+        "choice",
+        "setting",
+        "boxes",
+        "images",
+        "median",
+        "mean",
+        "< 20 %",
+        "paper: median",
+        "paper: < 20 %",
+    )
+    title = (
+        f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
+    )
     return f"{title}. Errors cover images with an estimate.\n\n{markdown_table(headings, rows)}"
 
 
@@ -258,7 +298,8 @@ def _threshold(report: ReliabilityReport) -> str:
             f"{report.whole.estimates}.\nWith 0 wrong, 300 estimates show a share below 1 %."
         )
     return (
-        f"From a confidence of {report.threshold:.3f} on, at most 1 % are wrong: {report.threshold_wrong} of "
+        f"From a confidence of {report.threshold:.3f} on, at most 1 % are wrong: "
+        f"{report.threshold_wrong} of "
         f"{report.threshold_images}\n(95 % upper bound {percent(report.threshold_bound)})."
     )
 

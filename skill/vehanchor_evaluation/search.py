@@ -53,8 +53,9 @@ class SearchedImage:
     Attributes:
         detections: the vehicles.
         image: size, own scale and notices of the file.
-        resolved: share of the pixels' resolution at which there is detail around the vehicles that the outlier filter
-            keeps, by its factor; vehicles that nobody has looked for, as labels, need none.
+        resolved: share of the pixels' resolution at which there is detail around the vehicles that
+            the outlier filter keeps, by its factor; vehicles that nobody has looked for, as labels,
+            need none.
         prior: the scene-scale prior; None without one.
     """
 
@@ -73,10 +74,20 @@ class SearchedImage:
         options = options.in_pixels(self.image.width_px, self.image.height_px)
         share = self.resolved.get(options.lengths.alpha) if self.resolved else 1.0
         if share is None:
-            raise InvalidParameterError(f"searched without alpha {options.lengths.alpha}: search with these options")
+            raise InvalidParameterError(
+                f"searched without alpha {options.lengths.alpha}: search with these options"
+            )
         tilt = metadata_tilt(self.image, options)
         return analyse_view(
-            View(self.image, self.detections, card, options, lambda *_: share, prior=self.prior, tilt=tilt)
+            View(
+                self.image,
+                self.detections,
+                card,
+                options,
+                lambda *_: share,
+                prior=self.prior,
+                tilt=tilt,
+            )
         )
 
 
@@ -92,7 +103,10 @@ _FORM = 5  # of what is kept of an image: a log of another form is refused
 
 
 def open_detection_log(
-    path: Path | None, detector: Detector, options: ScaleOptions, classes: Sequence[str | int] | None = None
+    path: Path | None,
+    detector: Detector,
+    options: ScaleOptions,
+    classes: Sequence[str | int] | None = None,
 ) -> DetectionLog:
     """Open the log of earlier searches with the same detector and options.
 
@@ -148,8 +162,8 @@ def search_images(
     Args:
         images: distinct files.
         detector: the detector, shared by all workers.
-        options: options of the search. Every tile is searched, so that tables do not depend on an early stop. The
-            resolved detail is also measured for ``options.lengths.alpha``.
+        options: options of the search. Every tile is searched, so that tables do not depend on an
+            early stop. The resolved detail is also measured for ``options.lengths.alpha``.
         log: receives each result at once.
         workers: images searched in parallel, each held in memory.
         progress: called with (images done, total).
@@ -157,7 +171,9 @@ def search_images(
     Yields:
         Each file in order, with its results or with the reason why it could not be searched.
     """
-    options = replace(options, search=replace(options.search, effort="full", max_tiles=None, max_seconds=None))
+    options = replace(
+        options, search=replace(options.search, effort="full", max_tiles=None, max_seconds=None)
+    )
     files = list(images)
     log = open_detection_log(None, detector, options) if log is None else log
     tell = progress or (lambda _done, _total: None)
@@ -173,7 +189,9 @@ def search_images(
             if isinstance(found, FileIssue):
                 issues[file] = found
             elif Source.of(file) != keys[file]:
-                issues[file] = FileIssue(file, "image_changed", "the file was changed or removed during the search")
+                issues[file] = FileIssue(
+                    file, "image_changed", "the file was changed or removed during the search"
+                )
             else:
                 log.add(keys[file], found)
             tell(done, len(files))
@@ -196,7 +214,8 @@ def search_known_scale(
     """Search all images that the cache lacks.
 
     Args:
-        data: images of known scale, which belong to the user; the limits of ``DATASET_READING`` apply.
+        data: images of known scale, which belong to the user; the limits of ``DATASET_READING``
+            apply.
         detector: the detector.
         options: options of the search.
         classes: detector classes that count as vehicles, as when the detector was opened.

@@ -41,11 +41,13 @@ def survey_known_scale(
         The images of known scale, possibly none; the issues give the reasons.
 
     Raises:
-        InvalidParameterError: there is not exactly one source, the source is invalid, or the set and split have no
-            image.
+        InvalidParameterError: there is not exactly one source, the source is invalid, or the set
+            and split have no image.
     """
     if sum((dota is not None, table is not None, bool(geotiff))) != 1:
-        raise InvalidParameterError("give the images with one of --dota DIR, --table FILE and --geotiff FILES")
+        raise InvalidParameterError(
+            "give the images with one of --dota DIR, --table FILE and --geotiff FILES"
+        )
     if dota is not None:
         data = survey_dota(dota, labels)
     elif table is not None:
@@ -54,6 +56,10 @@ def survey_known_scale(
         data = survey_geotiffs(geotiff)
     chosen = data.chosen(set_name=set_name, split=split, limit=limit)
     if data.images and not chosen.images:
-        sets = ", ".join(sorted({f"{image.set or '-'} ({image.split or '-'})" for image in data.images}))
-        raise InvalidParameterError(f"no image of set {set_name!r} and split {split!r}; the table has {sets}")
+        sets = ", ".join(
+            sorted({f"{image.set or '-'} ({image.split or '-'})" for image in data.images})
+        )
+        raise InvalidParameterError(
+            f"no image of set {set_name!r} and split {split!r}; the table has {sets}"
+        )
     return chosen

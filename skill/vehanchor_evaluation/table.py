@@ -7,7 +7,12 @@ import math
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet, labels_beside
+from vehanchor_evaluation.known_scale import (
+    FileIssue,
+    KnownScaleImage,
+    KnownScaleSet,
+    labels_beside,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -17,8 +22,8 @@ if TYPE_CHECKING:
 def survey_table(path: Path) -> KnownScaleSet:
     """Read a table and find the labels of its images; invalid lines become issues.
 
-    The column ``file`` is relative to the table. The columns ``set``, ``split`` and ``labelled_small_vehicles`` are
-    optional.
+    The column ``file`` is relative to the table. The columns ``set``, ``split`` and
+    ``labelled_small_vehicles`` are optional.
 
     Raises:
         InvalidParameterError: the table cannot be read, or lacks the columns.
@@ -33,13 +38,17 @@ def survey_table(path: Path) -> KnownScaleSet:
                 issues.append(FileIssue(path, "malformed_row", str(error)))
                 continue
             if not image.path.is_file():
-                issues.append(FileIssue(image.path, "no_image", f"line {number} of the table: no such file"))
+                issues.append(
+                    FileIssue(image.path, "no_image", f"line {number} of the table: no such file")
+                )
                 continue
             images.append(image._replace(labels=labels_beside(image.path)))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InvalidParameterError(f"cannot read table {str(path)!r}: {error}") from None
     if n_rows and len([issue for issue in issues if issue.reason == "malformed_row"]) == n_rows:
-        raise InvalidParameterError(f"no line of the table can be used; the first problem: {issues[0].message}")
+        raise InvalidParameterError(
+            f"no line of the table can be used; the first problem: {issues[0].message}"
+        )
     return KnownScaleSet(str(path), tuple(images), tuple(issues)).without_duplicates()
 
 
@@ -57,9 +66,15 @@ def _image(path: Path, number: int, row: Mapping[str, str | None]) -> KnownScale
         vehicles = row.get("labelled_small_vehicles")
         count = int(vehicles) if vehicles else None
     except (KeyError, TypeError, ValueError) as error:
-        raise InvalidParameterError(f"{path}, line {number}: expected file,gsd_m_per_px ({error})") from None
+        raise InvalidParameterError(
+            f"{path}, line {number}: expected file,gsd_m_per_px ({error})"
+        ) from None
     if not file:
         raise InvalidParameterError(f"{path}, line {number}: the column file is empty")
     if not (math.isfinite(gsd) and gsd > 0):
-        raise InvalidParameterError(f"{path}, line {number}: gsd_m_per_px is {gsd}, not a positive number")
-    return KnownScaleImage(path.parent / file, gsd, row.get("set") or "", row.get("split") or "", count)
+        raise InvalidParameterError(
+            f"{path}, line {number}: gsd_m_per_px is {gsd}, not a positive number"
+        )
+    return KnownScaleImage(
+        path.parent / file, gsd, row.get("set") or "", row.get("split") or "", count
+    )

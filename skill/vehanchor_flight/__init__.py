@@ -1,7 +1,8 @@
 """Scales from more than one photograph: flights pooled or linked, reconstructions, running cameras.
 
 same scale: photographs -> views -> pooled evidence -> record
-overlaps:   photographs -> features -> pairs -> links -> components -> pooled evidence of each component -> record
+overlaps:   photographs -> features -> pairs -> links -> components -> pooled evidence of each
+component -> record
 """
 
 from __future__ import annotations

@@ -23,9 +23,11 @@ class Component:
         members: ``[n]`` indices of photographs.
         log_scales: ``[n]`` natural logs of their metres per pixel, up to a constant.
         log_sds: ``[n]`` standard deviations of the log ratio of each scale to the reference's.
-        reference: index, among the members, of the photograph in whose pixels the evidence is pooled.
+        reference: index, among the members, of the photograph in whose pixels the evidence is
+            pooled.
         extra: evidence of rulers that only a flight has, in the reference's pixels.
-        maybe_tilted: whether the ratios of its scales may be those of a tilted camera at one height.
+        maybe_tilted: whether the ratios of its scales may be those of a tilted camera at one
+            height.
     """
 
     members: NDArray[np.intp]

@@ -47,14 +47,22 @@ _MOST_DIFFERENT = 3.0  # grey levels on average, a choice: JPEG and resampling c
 _SAME_SHAPE = 0.01  # relative, of copies
 
 
-def conclude(results: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
+def conclude(
+    results: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool
+) -> FlightEstimate:
     """Make the record of searched photographs; without ``same_scale`` they need features."""
     places = [place for place, result in enumerate(results) if isinstance(result, Photograph)]
     members = [result for result in results if isinstance(result, Photograph)]
     if same_scale:
-        return conclude_flight(results, [single_component(places, chief_member(members))], card, same_scale=True)
-    linked, links = link_photographs(members, [each.features for each in members if each.features is not None])
-    components = [replace(component, members=np.asarray(places)[component.members]) for component in linked]
+        return conclude_flight(
+            results, [single_component(places, chief_member(members))], card, same_scale=True
+        )
+    linked, links = link_photographs(
+        members, [each.features for each in members if each.features is not None]
+    )
+    components = [
+        replace(component, members=np.asarray(places)[component.members]) for component in linked
+    ]
     return conclude_flight(results, components, card, same_scale=False, links=links)
 
 
@@ -71,8 +79,8 @@ def search_flight(
 
     Args:
         taken: the photographs, one held at a time.
-        detector: finds the vehicles. The progress of its runtime gets (photographs done, photographs in all); both
-            numbers are the same for a video, whose length is unknown.
+        detector: finds the vehicles. The progress of its runtime gets (photographs done,
+            photographs in all); both numbers are the same for a video, whose length is unknown.
         options: all options of the method.
         featured: whether to find the features that link overlapping photographs.
         journal: earlier results; each new result is added at once.
@@ -93,7 +101,11 @@ def search_flight(
         key = journal_key(each)
         known = journal.get(key) if journal is not None and key is not None else None
         try:
-            own = with_lines_of(options, lines, image) if lines and isinstance(image, str | os.PathLike) else options
+            own = (
+                with_lines_of(options, lines, image)
+                if lines and isinstance(image, str | os.PathLike)
+                else options
+            )
             result, features = _search(each, silent, own, known, featured=featured)
         except VehAnchorError as error:
             found.append(Failure(name, error))
@@ -121,7 +133,8 @@ def _search(
     """Search one photograph and find its features; a known photograph needs its features only."""
     if known is not None and not featured:
         return known, None
-    reading = options.reading if taken.film is None else replace(options.reading, bgr=False)  # a video's frames are RGB
+    # a video's frames are RGB
+    reading = options.reading if taken.film is None else replace(options.reading, bgr=False)
     with open_raster(taken.image, reading) as raster:
         features = find_features(raster) if featured else None
         if known is not None:
@@ -136,13 +149,17 @@ def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
     factor = max(1, max(raster.width_px, raster.height_px) // _READ_PX)
     whole = Window(0, 0, max(1, raster.width_px // factor), max(1, raster.height_px // factor))
     grey = cv2.cvtColor(read_preview(raster, whole, factor), cv2.COLOR_RGB2GRAY)
-    return np.asarray(cv2.resize(grey, (_REDUCED_PX, _REDUCED_PX), interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(
+        cv2.resize(grey, (_REDUCED_PX, _REDUCED_PX), interpolation=cv2.INTER_AREA), np.uint8
+    )
 
 
 def without_copies(found: Sequence[Photograph | Failure]) -> list[Photograph | Failure]:
     """Keep the largest of several sizes of a photograph; the others become failures that name it."""
     kept = list(found)
-    photographs = [(place, each) for place, each in enumerate(found) if isinstance(each, Photograph)]
+    photographs = [
+        (place, each) for place, each in enumerate(found) if isinstance(each, Photograph)
+    ]
     largest: list[Photograph] = []
     for place, each in sorted(photographs, key=lambda one: -one[1].view.image.width_px):
         original = next((other for other in largest if _is_copy(each, other)), None)
@@ -157,7 +174,12 @@ def without_copies(found: Sequence[Photograph | Failure]) -> list[Photograph | F
 def _is_copy(small: Photograph, large: Photograph) -> bool:
     one, other = small.view.image, large.view.image
     shape = one.width_px * other.height_px / (one.height_px * other.width_px)
-    if one.width_px == other.width_px or abs(shape - 1) > _SAME_SHAPE or small.reduced is None or large.reduced is None:
+    if (
+        one.width_px == other.width_px
+        or abs(shape - 1) > _SAME_SHAPE
+        or small.reduced is None
+        or large.reduced is None
+    ):
         return False
     return float(np.abs(small.reduced.astype(float) - large.reduced).mean()) <= _MOST_DIFFERENT
 
@@ -171,7 +193,9 @@ def check_options(options: ScaleOptions) -> None:
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: leave it out for a flight")
     if options.rulers.known_lengths:
-        raise InvalidParameterError("a line of known length belongs to one image: estimate that image by itself")
+        raise InvalidParameterError(
+            "a line of known length belongs to one image: estimate that image by itself"
+        )
     options.by_hand.check_single()
 
 
@@ -216,9 +240,16 @@ def resumed(
     if model_sha256:
         choices["reconstruction"] = model_sha256
     networks = networks_sha256(detector.card)
-    settings = {"vehanchor": version("vehanchor"), "networks_sha256": networks, "flight": 1, **choices}
+    settings = {
+        "vehanchor": version("vehanchor"),
+        "networks_sha256": networks,
+        "flight": 1,
+        **choices,
+    }
     remedy = "move the file away, or name another"
     codec = photograph_codec()
-    with Journal(Path(path), settings, dump=codec.dump, load=codec.load, sole=True, remedy=remedy) as journal:
+    with Journal(
+        Path(path), settings, dump=codec.dump, load=codec.load, sole=True, remedy=remedy
+    ) as journal:
         yield journal
         journal.remove()

@@ -1,13 +1,15 @@
 """Graph of a flight: log scales of photographs from ratios of overlapping ones and from each one's own evidence.
 
-    minimise  sum over links rho((x_i + g_i p_ij - x_j - g_j p_ji - r_ij) / s_ij)  +  sum rho((x_i - u_i) / t_i)
+    minimise  sum over links rho((x_i + g_i p_ij - x_j - g_j p_ji - r_ij) / s_ij)  +  sum rho((x_i -
+    u_i) / t_i)
               +  sum (g_i / t)^2
 
-x_i is the log scale at the centre of a photograph and g_i its gradient. The gradient is needed because a tilt of a few
-degrees changes the scale from edge to edge, and photographs overlap at their edges (at p_ij). rho is the Geman-McClure
-loss, which ignores outliers. Graduated non-convexity goes from the square loss to rho; each step is a sparse
-least-squares problem, so that the result does not depend on a start. The flight's own residuals give the real spread of
-the ratios, with relief and tilt.
+x_i is the log scale at the centre of a photograph and g_i its gradient. The gradient is needed
+because a tilt of a few degrees changes the scale from edge to edge, and photographs overlap at
+their edges (at p_ij). rho is the Geman-McClure loss, which ignores outliers. Graduated
+non-convexity goes from the square loss to rho; each step is a sparse least-squares problem, so that
+the result does not depend on a start. The flight's own residuals give the real spread of the
+ratios, with relief and tilt.
 """
 
 from __future__ import annotations
@@ -33,8 +35,10 @@ _GRADIENT_SD = 0.05  # log of scale from the centre to the edge: a tilt of two t
 _LOOSE_SD = 3.0  # of a photograph without evidence: keeps the problem regular
 _MAD_PER_SD = 0.6745
 _LEAST_TILT_PHOTOGRAPHS, _LEAST_TILT_SHARE = 4, 0.5
-_TILT_GRADIENTS = 0.12, 0.9  # half of the longer side over the focal length, times the tangent of 10 to 52 degrees
-_LEAST_NEARNESS = 0.15  # of a point to the camera's foot, over the centre's: keeps away from the horizon
+# half of the longer side over the focal length, times the tangent of 10 to 52 degrees
+_TILT_GRADIENTS = 0.12, 0.9
+# of a point to the camera's foot, over the centre's: keeps away from the horizon
+_LEAST_NEARNESS = 0.15
 
 
 class Link(NamedTuple):
@@ -45,7 +49,8 @@ class Link(NamedTuple):
         second: index of the other.
         log_ratio: log scale of the first less that of the second.
         log_sd: its standard deviation.
-        first_at: middle of the overlap in the first, x, y from its centre; 1 is half of the longer side.
+        first_at: middle of the overlap in the first, x, y from its centre; 1 is half of the longer
+            side.
         second_at: middle of the overlap in the second.
     """
 
@@ -127,7 +132,9 @@ def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Sol
         if len(looped):
             inflation = float(np.clip(np.median(looped) / _MAD_PER_SD, 1.0, _MOST_INFLATION))
     sds = declared_sds * inflation
-    used = ~((np.abs(problem.residuals) > _DROP_SDS * sds) & (np.abs(problem.residuals) > _DROP_LOG))
+    used = ~(
+        (np.abs(problem.residuals) > _DROP_SDS * sds) & (np.abs(problem.residuals) > _DROP_LOG)
+    )
     residuals = problem.residuals
     kept = [link for link, chosen in zip(links, used, strict=True) if chosen]
     if not used.all():
@@ -177,14 +184,19 @@ class _Problem:
                 break
             mu = max(1.0, mu / _ANNEAL)
 
-    def information(self, members: NDArray[np.intp], link_sds: NDArray[np.float64]) -> NDArray[np.float64]:
+    def information(
+        self, members: NDArray[np.intp], link_sds: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Compute ``[3 m, 3 m]``, the inverse covariance of the members' unknowns."""
         sds = np.concatenate([link_sds, self._own_sds])
         which = np.r_[members, self._n + 2 * members, self._n + 2 * members + 1]
         own = self._matrix.tocsc()[:, which]
         whole = (own.T @ diags(1 / sds**2) @ own).toarray()
         m = len(members)
-        return np.asarray(whole + np.diag(np.r_[np.full(m, 1 / _LOOSE_SD**2), np.full(2 * m, 1 / _GRADIENT_SD**2)]))
+        return np.asarray(
+            whole
+            + np.diag(np.r_[np.full(m, 1 / _LOOSE_SD**2), np.full(2 * m, 1 / _GRADIENT_SD**2)])
+        )
 
     def _off(self, sds: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(np.abs(self._matrix @ self._found - self._target) / sds)
@@ -200,7 +212,10 @@ def _equations(n: int, links: Sequence[Link], known: Sequence[int]) -> Any:
     """Make the sparse design matrix ``[links + known, 3 n]`` of links and own evidence."""
     rows, columns, values = [], [], []
     for row, link in enumerate(links):
-        for sign, place, at in ((1.0, link.first, link.first_at), (-1.0, link.second, link.second_at)):
+        for sign, place, at in (
+            (1.0, link.first, link.first_at),
+            (-1.0, link.second, link.second_at),
+        ):
             rows += [row] * 3
             columns += [place, n + 2 * place, n + 2 * place + 1]
             values += [sign, sign * at[0], sign * at[1]]
@@ -217,7 +232,9 @@ def _at_an_end(n: int, links: Sequence[Link]) -> NDArray[np.bool_]:
     return np.asarray((degree[ends[:, 0]] == 1) | (degree[ends[:, 1]] == 1))
 
 
-def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem: _Problem) -> tuple[Subgraph, ...]:
+def _components(
+    n: int, links: Sequence[Link], sds: NDArray[np.float64], problem: _Problem
+) -> tuple[Subgraph, ...]:
     ends = np.array([(link.first, link.second) for link in links], dtype=np.intp).reshape(-1, 2)
     ties = csr_matrix((sds, (ends[:, 0], ends[:, 1])), shape=(n, n))
     count, labels = connected_components(ties, directed=False)
@@ -225,7 +242,9 @@ def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem
     for label in range(count):
         members = np.flatnonzero(labels == label)
         m = len(members)
-        covariance = np.asarray(np.linalg.inv(problem.information(members, sds))[:m, :m], dtype=np.float64)
+        covariance = np.asarray(
+            np.linalg.inv(problem.information(members, sds))[:m, :m], dtype=np.float64
+        )
         found.append(Subgraph(members, problem.scales[members], covariance))
     return tuple(sorted(found, key=lambda each: (-len(each.members), int(each.members[0]))))
 
@@ -233,24 +252,31 @@ def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem
 def tilt_share(links: Sequence[Link]) -> float:
     """Compute the share of the ratios' squares that one tilt of the camera explains.
 
-    A tilted camera that flies on at one height gives the ratios of a climb. The scale at a point p of the image is then
-    ``(1 - q p) ** -1.5`` of the centre's, with the same q in all photographs: the tangent of the tilt over the focal
-    length.
+    A tilted camera that flies on at one height gives the ratios of a climb. The scale at a point p
+    of the image is then ``(1 - q p) ** -1.5`` of the centre's, with the same q in all photographs:
+    the tangent of the tilt over the focal length.
 
     Args:
         links: of one component, between photographs of unknown tilt.
 
     Returns:
-        0..1; 0 for fewer than four photographs, and if no tilt above ten degrees explains at least half.
+        0..1; 0 for fewer than four photographs, and if no tilt above ten degrees explains at least
+        half.
     """
     n = len({end for link in links for end in (link.first, link.second)})
     if n < _LEAST_TILT_PHOTOGRAPHS:
         return 0.0
     ratios = np.array([link.log_ratio for link in links])
-    ends = [np.array([link.first_at for link in links]), np.array([link.second_at for link in links])]
-    sizes, turns = np.meshgrid(np.geomspace(*_TILT_GRADIENTS, 16), np.arange(0.0, 2 * np.pi, np.pi / 18))
+    ends = [
+        np.array([link.first_at for link in links]),
+        np.array([link.second_at for link in links]),
+    ]
+    sizes, turns = np.meshgrid(
+        np.geomspace(*_TILT_GRADIENTS, 16), np.arange(0.0, 2 * np.pi, np.pi / 18)
+    )
     tilts = np.column_stack([(sizes * np.cos(turns)).ravel(), (sizes * np.sin(turns)).ravel()])
     first, second = (-1.5 * np.log(np.maximum(1 - tilts @ at.T, _LEAST_NEARNESS)) for at in ends)
     left = ((ratios - first + second) ** 2).sum(axis=1).min()
-    share = 1 - float(left / max(np.sum(ratios**2), 1e-9)) * (n - 1) / (n - 3)  # less what two parameters fit by chance
+    # less what two parameters fit by chance
+    share = 1 - float(left / max(np.sum(ratios**2), 1e-9)) * (n - 1) / (n - 3)
     return share if share >= _LEAST_TILT_SHARE else 0.0

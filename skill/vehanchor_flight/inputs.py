@@ -34,11 +34,16 @@ def check_many(images: Any) -> None:
     Raises:
         InvalidParameterError: the images are a path, bytes, an array, or no collection.
     """
-    one = isinstance(images, str | bytes | os.PathLike | InputPhotograph) or hasattr(images, "__array__")
+    one = isinstance(images, str | bytes | os.PathLike | InputPhotograph) or hasattr(
+        images, "__array__"
+    )
     if one or not isinstance(images, Iterable):
-        shown = repr(images) if isinstance(images, str | os.PathLike) else f"a {type(images).__name__}"
+        shown = (
+            repr(images) if isinstance(images, str | os.PathLike) else f"a {type(images).__name__}"
+        )
         raise InvalidParameterError(
-            f"images is {shown}: give a list of photographs; vehanchor.find_images makes one of a folder or a pattern"
+            f"images is {shown}: give a list of photographs; vehanchor.find_images makes one of "
+            "a folder or a pattern"
         )
 
 
@@ -59,10 +64,14 @@ def named(images: Iterable[ImageSource | InputPhotograph]) -> Iterator[InputPhot
         if isinstance(image, InputPhotograph):
             taken = image
         elif isinstance(image, str | os.PathLike):
-            taken = InputPhotograph(os.fspath(image).encode("utf-8", "backslashreplace").decode(), image)
+            taken = InputPhotograph(
+                os.fspath(image).encode("utf-8", "backslashreplace").decode(), image
+            )
         else:
             taken = InputPhotograph(f"#{number}", image)
         if taken.name in seen:
-            raise InvalidParameterError(f"the photograph {taken.name!r} is given twice: give each once")
+            raise InvalidParameterError(
+                f"the photograph {taken.name!r} is given twice: give each once"
+            )
         seen.add(taken.name)
         yield taken

@@ -17,16 +17,18 @@ if TYPE_CHECKING:
 
 _STEPS = 8  # of the reweighted least squares
 _HEADING_REACH = 0.15  # of a unit vector: turns beyond lose weight
-_PLACE_REACH = 0.1  # of a photograph's diagonal: shifts beyond lose weight; walls and roofs cause smaller ones
+# of a photograph's diagonal: shifts beyond lose weight; walls and roofs cause smaller ones
+_PLACE_REACH = 0.1
 
 
 class Layout(NamedTuple):
     """Layout of a component.
 
     Attributes:
-        feet: ``[m]`` points below the cameras in pixels of the reference, x to the right as real and y down as
-            imaginary part; the reference is at 0.
-        off: ``[s]`` distance of each overlap's shift to the shift in the layout, in diagonals of a photograph.
+        feet: ``[m]`` points below the cameras in pixels of the reference, x to the right as real
+            and y down as imaginary part; the reference is at 0.
+        off: ``[s]`` distance of each overlap's shift to the shift in the layout, in diagonals of a
+            photograph.
     """
 
     feet: NDArray[np.complex128]
@@ -68,11 +70,15 @@ def lay_out(
     for _ in range(_STEPS):
         headings = _tied(m, first, second, unit, 0 * ones, trust, reference, 1.0)
         headings /= np.maximum(np.abs(headings), 1e-9)
-        apart = headings[second] * np.exp(offsets[second]) * (factor * own[first] + shift - own[second])
+        apart = (
+            headings[second] * np.exp(offsets[second]) * (factor * own[first] + shift - own[second])
+        )
         laid = _tied(m, first, second, ones, apart, trust, reference, 0.0)
         turned = np.abs(headings[first] - unit * headings[second])
         off = np.abs(laid[first] - laid[second] - apart) / reach
-        trust = weight / ((1 + (turned / _HEADING_REACH) ** 2) * (1 + (off / _PLACE_REACH) ** 2)) ** 2
+        trust = (
+            weight / ((1 + (turned / _HEADING_REACH) ** 2) * (1 + (off / _PLACE_REACH) ** 2)) ** 2
+        )
     return Layout(laid, off)
 
 
@@ -89,9 +95,12 @@ def _tied(
     """Solve ``v[first] - of_second * v[second] = target`` by least squares; the reference is fixed."""
     rows = np.arange(len(first))
     held = 1e6 * float(weight.sum())
-    values = np.concatenate([np.ones(len(first), np.complex128), -of_second.astype(np.complex128), [1.0]])
+    values = np.concatenate(
+        [np.ones(len(first), np.complex128), -of_second.astype(np.complex128), [1.0]]
+    )
     matrix = coo_matrix(
-        (values, (np.r_[rows, rows, len(first)], np.r_[first, second, reference])), shape=(len(first) + 1, m)
+        (values, (np.r_[rows, rows, len(first)], np.r_[first, second, reference])),
+        shape=(len(first) + 1, m),
     ).tocsr()
     weights = diags(np.r_[weight, held])
     adjoint = matrix.conj().T

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from vehanchor_flight.graph import Subgraph
     from vehanchor_flight.photograph import Photograph
 
-_MOST_MISPLACED = 0.3  # of a photograph's diagonal: an overlap whose shift is further off is dropped
+# of a photograph's diagonal: an overlap whose shift is further off is dropped
+_MOST_MISPLACED = 0.3
 _MOST_SOLUTIONS = 4
 _LEAST_UNARY_SD = 0.06  # of a photograph's own evidence, without errors common to the flight
 
@@ -48,22 +49,34 @@ def link_photographs(
         Components with indices of photographs, the largest first, and all overlaps.
     """
     rulers = photographs[0].view.options.rulers
-    places = places_of([each.view.image for each in photographs]) if uses(rulers, Positions.kind) else None
+    places = (
+        places_of([each.view.image for each in photographs])
+        if uses(rulers, Positions.kind)
+        else None
+    )
     found = _matches(photographs, features, places)
     unaries = [_unary(each) for each in photographs]
     misplaced: dict[int, float] = {}
     for _ in range(_MOST_SOLUTIONS):
         kept = [number for number in range(len(found)) if number not in misplaced]
-        solution = solve(len(photographs), [_link(found[number], photographs) for number in kept], unaries)
+        solution = solve(
+            len(photographs), [_link(found[number], photographs) for number in kept], unaries
+        )
         used = [number for number, agrees in zip(kept, solution.used, strict=True) if agrees]
         components: list[Component] = []
         wrong: dict[int, float] = {}
         for subgraph in solution.components:
             inside = set(subgraph.members.tolist())
             numbers = [number for number in used if found[number].first in inside]
-            component, off = _component(subgraph, photographs, [found[number] for number in numbers], places)
+            component, off = _component(
+                subgraph, photographs, [found[number] for number in numbers], places
+            )
             components.append(component)
-            wrong |= {number: far for number, far in zip(numbers, off.tolist(), strict=True) if far > _MOST_MISPLACED}
+            wrong |= {
+                number: far
+                for number, far in zip(numbers, off.tolist(), strict=True)
+                if far > _MOST_MISPLACED
+            }
         if not wrong:
             break
         misplaced |= wrong
@@ -72,10 +85,15 @@ def link_photographs(
     for number, (first, second, matched) in enumerate(found):
         dropped = None
         if number in misplaced:
-            dropped = f"its shift is {misplaced[number]:.1f} photographs off the shift by the other overlaps"
+            dropped = (
+                f"its shift is {misplaced[number]:.1f} photographs off the shift by the "
+                "other overlaps"
+            )
         elif number not in used:
             times = math.exp(abs(off_ratio[number]))
-            dropped = f"the ratio is {times:.2g} times off the ratio by the other overlaps and rulers"
+            dropped = (
+                f"the ratio is {times:.2g} times off the ratio by the other overlaps and rulers"
+            )
         links.append(
             FlightLink(
                 first=photographs[first].name,
@@ -90,12 +108,20 @@ def link_photographs(
 
 
 def _matches(
-    photographs: Sequence[Photograph], features: Sequence[Features], places: NDArray[np.float64] | None
+    photographs: Sequence[Photograph],
+    features: Sequence[Features],
+    places: NDArray[np.float64] | None,
 ) -> list[Overlap]:
     """Match the candidate pairs, on the ground plane of tilted photographs."""
     pairs = candidate_pairs(features, places)
-    above = [_rectified(photograph, own) for photograph, own in zip(photographs, features, strict=True)]
-    return [Overlap(first, second, found) for first, second in pairs if (found := match(above[first], above[second]))]
+    above = [
+        _rectified(photograph, own) for photograph, own in zip(photographs, features, strict=True)
+    ]
+    return [
+        Overlap(first, second, found)
+        for first, second in pairs
+        if (found := match(above[first], above[second]))
+    ]
 
 
 def _rectified(photograph: Photograph, features: Features) -> Features:
@@ -103,7 +129,10 @@ def _rectified(photograph: Photograph, features: Features) -> Features:
     view = photograph.view
     if view.tilt is None or not len(features):
         return features
-    return replace(features, points=view.tilt.plane(view.image).from_above(features.points) + _centre(photograph))
+    return replace(
+        features,
+        points=view.tilt.plane(view.image).from_above(features.points) + _centre(photograph),
+    )
 
 
 def _centre(photograph: Photograph) -> NDArray[np.float64]:
@@ -140,7 +169,9 @@ def _unary(photograph: Photograph) -> Unary | None:
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
     if estimate.gsd_m_per_px is None or not low or not high:
         return None
-    return Unary(math.log(estimate.gsd_m_per_px), max(math.log(high / low) / (2 * Z95), _LEAST_UNARY_SD))
+    return Unary(
+        math.log(estimate.gsd_m_per_px), max(math.log(high / low) / (2 * Z95), _LEAST_UNARY_SD)
+    )
 
 
 def _sds_by_tilt(
@@ -148,7 +179,8 @@ def _sds_by_tilt(
 ) -> NDArray[np.float64]:
     """Compute ``[n]`` standard deviations of offsets that an unknown tilt of the camera explains as well as a climb.
 
-    The evidence of all photographs was carried by these offsets, so that their mean square adds to each.
+    The evidence of all photographs was carried by these offsets, so that their mean square adds to
+    each.
     """
     unknown = np.array([_tilt_unknown(each) for each in photographs])
     share = tilt_share(links) if unknown.any() else 0.0
@@ -162,7 +194,10 @@ def _tilt_unknown(photograph: Photograph) -> bool:
 
 
 def _component(
-    subgraph: Subgraph, photographs: Sequence[Photograph], found: Sequence[Overlap], places: NDArray[np.float64] | None
+    subgraph: Subgraph,
+    photographs: Sequence[Photograph],
+    found: Sequence[Overlap],
+    places: NDArray[np.float64] | None,
 ) -> tuple[Component, NDArray[np.float64]]:
     """Make a component, and the distance of each overlap's shift to its layout."""
     members = subgraph.members
@@ -171,7 +206,9 @@ def _component(
     at = {int(place): local for local, place in enumerate(members)}
     inside = [Overlap(at[first], at[second], matched) for first, second, matched in found]
     feet = np.array([_foot(each) for each in own])
-    diagonals = np.array([math.hypot(each.view.image.width_px, each.view.image.height_px) for each in own])
+    diagonals = np.array(
+        [math.hypot(each.view.image.width_px, each.view.image.height_px) for each in own]
+    )
     offsets = subgraph.log_scales - subgraph.log_scales[reference]
     layout, off = lay_out(feet, diagonals, offsets, reference, inside)
     extra = None

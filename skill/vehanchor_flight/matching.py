@@ -67,7 +67,12 @@ def match(first: Features, second: Features) -> Match | None:
     here, there = first.points[pairs[:, 0]], second.points[pairs[:, 1]]
     tolerance = _TOLERANCE_PX * second.pixel
     found, inside = cv2.estimateAffinePartial2D(
-        here, there, method=cv2.RANSAC, ransacReprojThreshold=tolerance, maxIters=_TRIALS, confidence=_CONFIDENCE
+        here,
+        there,
+        method=cv2.RANSAC,
+        ransacReprojThreshold=tolerance,
+        maxIters=_TRIALS,
+        confidence=_CONFIDENCE,
     )
     if found is None:
         return None
@@ -100,7 +105,9 @@ def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.
     return np.column_stack([chosen, best[chosen]])
 
 
-def _spread(here: NDArray[np.float64], there: NDArray[np.float64], turn: NDArray[np.float64]) -> float:
+def _spread(
+    here: NDArray[np.float64], there: NDArray[np.float64], turn: NDArray[np.float64]
+) -> float:
     """Compute the standard deviation of the log ratio: by scatter of the points, their shape, and relief."""
     off = here @ turn[:, :2].T + turn[:, 2] - there
     radius = math.sqrt(float(((there - there.mean(axis=0)) ** 2).sum(axis=1).mean()))

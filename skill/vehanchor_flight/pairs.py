@@ -1,7 +1,8 @@
 """Candidate pairs of overlapping photographs: their number grows linearly with the number of photographs.
 
-Candidates come from features in the same cells of a hash, from neighbours by position, and from neighbours in the order
-of exposure. Each source gives a bounded number of candidates per photograph.
+Candidates come from features in the same cells of a hash, from neighbours by position, and from
+neighbours in the order of exposure. Each source gives a bounded number of candidates per
+photograph.
 """
 
 from __future__ import annotations
@@ -25,12 +26,15 @@ _LEAST_VOTES = 3
 _SEED = 20261121
 
 
-def candidate_pairs(features: Sequence[Features], places: NDArray[np.float64] | None = None) -> list[tuple[int, int]]:
+def candidate_pairs(
+    features: Sequence[Features], places: NDArray[np.float64] | None = None
+) -> list[tuple[int, int]]:
     """List the pairs of photographs to match.
 
     Args:
         features: of each photograph, in the order in which they were taken.
-        places: ``[n, 2]`` metres east and north, NaN for unknown positions; None if all are unknown.
+        places: ``[n, 2]`` metres east and north, NaN for unknown positions; None if all are
+            unknown.
 
     Returns:
         Sorted pairs of indices, the lower first.
@@ -46,7 +50,9 @@ def candidate_pairs(features: Sequence[Features], places: NDArray[np.float64] | 
 def _by_appearance(features: Sequence[Features]) -> set[tuple[int, int]]:
     """Find the pairs whose features share cells most often."""
     n = len(features)
-    owners = np.concatenate([np.full(min(len(each), _VOTERS), place) for place, each in enumerate(features)])
+    owners = np.concatenate(
+        [np.full(min(len(each), _VOTERS), place) for place, each in enumerate(features)]
+    )
     if n < 2 or len(owners) < 2:
         return set()
     described = np.concatenate([each.descriptors[:_VOTERS] for each in features]).astype(np.float32)
@@ -56,7 +62,9 @@ def _by_appearance(features: Sequence[Features]) -> set[tuple[int, int]]:
     rng = np.random.default_rng(_SEED)
     votes: dict[int, int] = {}
     for _ in range(_TABLES):
-        turn = np.linalg.qr(rng.normal(size=(_DIMENSIONS, _DIMENSIONS)))[0][:, :_BITS].astype(np.float32)
+        turn = np.linalg.qr(rng.normal(size=(_DIMENSIONS, _DIMENSIONS)))[0][:, :_BITS].astype(
+            np.float32
+        )
         cells = (reduced @ turn > 0) @ (1 << np.arange(_BITS))
         keys, counts = np.unique(_sharing(cells, owners, n), return_counts=True)
         for key, count in zip(keys.tolist(), counts.tolist(), strict=True):
@@ -78,7 +86,8 @@ def _sharing(cells: NDArray[np.int64], owners: NDArray[np.intp], n: int) -> NDAr
     """List keys ``first * n + second`` of pairs of photographs, one for each cell that they share."""
     order = np.lexsort((owners, cells))
     cells, owners = cells[order], owners[order]
-    fresh = np.r_[True, (cells[1:] != cells[:-1]) | (owners[1:] != owners[:-1])]  # each photograph once per cell
+    # each photograph once per cell
+    fresh = np.r_[True, (cells[1:] != cells[:-1]) | (owners[1:] != owners[:-1])]
     cells, owners = cells[fresh], owners[fresh]
     starts = np.flatnonzero(np.r_[True, cells[1:] != cells[:-1]])
     sizes = np.diff(np.r_[starts, len(cells)])

@@ -37,7 +37,8 @@ class StoredPhotograph:
         image: facts of the image.
         detections: result of the search, in pixels of the image.
         resolved: share of the pixels' resolution at which there is detail around its vehicles.
-        others: witnesses of the rulers that measure each photograph, with the tilt; None if they have not measured.
+        others: witnesses of the rulers that measure each photograph, with the tilt; None if they
+            have not measured.
         prior: the scene-scale prior; None without one.
         tilt: of the camera; None at nadir.
         reduced: the image in a few grey levels, ``[32, 32]``; None if it was not kept.

@@ -1,7 +1,7 @@
 """Pooling: boxes and densities of many photographs, converted to the pixels of one of them.
 
-If the ratios of the scales are known, the boxes of all photographs vote for one scale. Errors of photographs of one
-flight are correlated, so that n densities of a ruler count as fewer than n.
+If the ratios of the scales are known, the boxes of all photographs vote for one scale. Errors of
+photographs of one flight are correlated, so that n densities of a ruler count as fewer than n.
 """
 
 from __future__ import annotations
@@ -39,7 +39,10 @@ AnyRemark = TypeVar("AnyRemark", bound=Remark)
 
 
 def pool(
-    members: Sequence[Photograph], log_scales: ArrayLike, reference: int, extra: Iterable[Witness] = ()
+    members: Sequence[Photograph],
+    log_scales: ArrayLike,
+    reference: int,
+    extra: Iterable[Witness] = (),
 ) -> ScaleAnalysis:
     """Pool the evidence of photographs with known ratios of scales.
 
@@ -75,7 +78,9 @@ def pool(
     tilt = with_scale(own.tilt, own, pooled.estimate.gsd_m_per_px)
     plane = KnownPlane.model_validate(chief.tilt, from_attributes=True)
     scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": plane})
-    return replace(pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt, "scale": scale}))
+    return replace(
+        pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt, "scale": scale})
+    )
 
 
 def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> Detections:
@@ -91,10 +96,13 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     factors = np.exp(np.asarray(offsets, dtype=np.float64))
     scores = np.concatenate([each.scores for each in detections])
     looked = [0 if each.looks is None else len(each.looks) for each in detections]
-    known = np.concatenate([np.arange(len(each.boxes)) < n for each, n in zip(detections, looked, strict=True)])
+    known = np.concatenate(
+        [np.arange(len(each.boxes)) < n for each, n in zip(detections, looked, strict=True)]
+    )
     order = np.lexsort((-scores, ~known))
     boxes = np.concatenate(
-        [each.boxes * [k, k, k, k, 1.0] for each, k in zip(detections, factors, strict=True)], dtype=np.float64
+        [each.boxes * [k, k, k, k, 1.0] for each, k in zip(detections, factors, strict=True)],
+        dtype=np.float64,
     )
     scaled = any(each.scales is not None for each in detections)
     scales = [
@@ -120,7 +128,11 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
 
 def _pooled_stretch(detections: Sequence[Detections]) -> float | None:
     """Average the photographs' preferences for narrower or wider images by their vehicles; None if none has one."""
-    known = [(each.stretch, len(each.boxes)) for each in detections if each.stretch is not None and len(each.boxes)]
+    known = [
+        (each.stretch, len(each.boxes))
+        for each in detections
+        if each.stretch is not None and len(each.boxes)
+    ]
     if not known:
         return None
     stretches, counts = np.array(known, dtype=np.float64).T
@@ -145,7 +157,9 @@ def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> N
 
 def _resolved(members: Sequence[Photograph]) -> float:
     """Compute the median share of resolution with detail, weighted by the photographs' numbers of vehicles."""
-    counts = np.array([member.analysis.estimate.n_vehicles or 0 for member in members], dtype=np.float64)
+    counts = np.array(
+        [member.analysis.estimate.n_vehicles or 0 for member in members], dtype=np.float64
+    )
     if not counts.any():
         return 1.0
     values = np.array([member.analysis.resolved for member in members])
@@ -162,7 +176,9 @@ def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneS
     ]
     if not priors:
         return None
-    density = combined_density([shifted(prior.density, offset) for prior, offset in priors], SceneScale.pooling_gain)
+    density = combined_density(
+        [shifted(prior.density, offset) for prior, offset in priors], SceneScale.pooling_gain
+    )
     return SceneScalePrior(density, sum(prior.n_tiles for prior, _ in priors))
 
 

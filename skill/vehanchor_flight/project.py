@@ -23,7 +23,8 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
         photograph: a photograph with a record of its own.
 
     Returns:
-        Its own record, with scale, interval, confidence, reason and rulers of its component, in its pixels.
+        Its own record, with scale, interval, confidence, reason and rulers of its component, in its
+        pixels.
 
     Raises:
         ValueError: the photograph could not be read and has no record.

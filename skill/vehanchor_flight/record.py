@@ -39,7 +39,8 @@ if TYPE_CHECKING:
     from vehanchor_flight.records import FlightLink
 
 _MOST_RULERS = 4  # listed per photograph
-_PAUSE = timedelta(minutes=20)  # between two photographs of one camera: longer than a change of battery
+# between two photographs of one camera: longer than a change of battery
+_PAUSE = timedelta(minutes=20)
 _EXIF_TIME = "%Y:%m:%d %H:%M:%S"
 
 
@@ -90,10 +91,14 @@ def conclude_flight(
     }
     pooled_components = []
     for number, component in enumerate(components):
-        members = [found for place in component.members if not isinstance(found := results[place], Failure)]
+        members = [
+            found for place in component.members if not isinstance(found := results[place], Failure)
+        ]
         pooled = pool(members, component.log_scales, component.reference, component.extra)
         estimate = pooled.estimate
-        advice = _component_advice(estimate, unlinked=len(component) == 1 < len(sorties) and not same_scale)
+        advice = _component_advice(
+            estimate, unlinked=len(component) == 1 < len(sorties) and not same_scale
+        )
         of_component = FlightComponent(
             number=number,
             n_photographs=len(component),
@@ -126,7 +131,9 @@ def conclude_flight(
 
 def _sorties(results: Sequence[Photograph | Failure]) -> dict[int, int]:
     """Number the sorties of the usable photographs, by index of the photograph."""
-    usable = [(place, result) for place, result in enumerate(results) if not isinstance(result, Failure)]
+    usable = [
+        (place, result) for place, result in enumerate(results) if not isinstance(result, Failure)
+    ]
     numbers = number_sorties([result.view.image for _, result in usable])
     return {place: number for (place, _), number in zip(usable, numbers, strict=True)}
 
@@ -134,8 +141,8 @@ def _sorties(results: Sequence[Photograph | Failure]) -> dict[int, int]:
 def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
     """Number the sorties of photographs.
 
-    A sortie has one camera and no pause of more than 20 minutes. Photographs without a time belong to the first sortie
-    of their camera.
+    A sortie has one camera and no pause of more than 20 minutes. Photographs without a time belong
+    to the first sortie of their camera.
 
     Args:
         images: their facts.
@@ -160,7 +167,9 @@ def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
 def _taken_at(image: ImageFacts) -> datetime | None:
     """Read the camera's local time of a photograph; None without a valid one."""
     try:
-        return None if image.camera is None else datetime.strptime(image.camera.taken_at, _EXIF_TIME)
+        return (
+            None if image.camera is None else datetime.strptime(image.camera.taken_at, _EXIF_TIME)
+        )
     except ValueError:
         return None
 
@@ -172,7 +181,8 @@ def _several_sorties(numbers: Iterable[int]) -> tuple[Notice, ...]:
         return ()
     counts = " and ".join(str(sizes[number]) for number in sorted(sizes))
     message = (
-        f"By camera and time, these are {len(sizes)} sorties of {counts} photographs. Pool them only if all have the "
+        f"By camera and time, these are {len(sizes)} sorties of {counts} photographs. Pool them "
+        "only if all have the "
         "same scale; otherwise give each sortie alone, or leave out same_scale."
     )
     return (Notice(code=NoticeCode.SEVERAL_SORTIES, message=message),)
@@ -180,7 +190,10 @@ def _several_sorties(numbers: Iterable[int]) -> tuple[Notice, ...]:
 
 def _failed(failure: Failure) -> FlightPhotograph:
     return FlightPhotograph(
-        photograph=failure.name, status="error", error_code=failure.error.code, error=str(failure.error)
+        photograph=failure.name,
+        status="error",
+        error_code=failure.error.code,
+        error=str(failure.error),
     )
 
 
@@ -202,7 +215,10 @@ def _photograph(
         if pooled.gsd_ci95_low_m_per_px and pooled.gsd_ci95_high_m_per_px:
             down = math.log(pooled.gsd_m_per_px / pooled.gsd_ci95_low_m_per_px)
             up = math.log(pooled.gsd_ci95_high_m_per_px / pooled.gsd_m_per_px)
-            low, high = gsd * math.exp(-math.hypot(down, carried)), gsd * math.exp(math.hypot(up, carried))
+            low, high = (
+                gsd * math.exp(-math.hypot(down, carried)),
+                gsd * math.exp(math.hypot(up, carried)),
+            )
             confidence = _carried_chance(confidence, math.log(high / low), up + down)
         if status == "ok" and confidence < USABLE_CHANCE:
             status, reason = "low_confidence", "imprecise"
@@ -218,7 +234,9 @@ def _photograph(
         advice=advice,
         component=record.number,
         supported_by=rulers,
-        scale=known_scale(photograph.view, gsd, None if low is None or high is None else (low, high), confidence),
+        scale=known_scale(
+            photograph.view, gsd, None if low is None or high is None else (low, high), confidence
+        ),
         own=photograph.analysis.estimate,
     )
 
@@ -232,7 +250,9 @@ def _carried_chance(chance: float, width: float, pooled_width: float) -> float:
         pooled_width: of the component's interval.
     """
     tolerance = 2 * Z95 * math.log1p(TOLERANCE)  # within 20 %, in widths of a normal
-    within, pooled_within = (math.erf(tolerance / max(each, 1e-9) / math.sqrt(2)) for each in (width, pooled_width))
+    within, pooled_within = (
+        math.erf(tolerance / max(each, 1e-9) / math.sqrt(2)) for each in (width, pooled_width)
+    )
     return chance * min(1.0, within / pooled_within)
 
 
@@ -250,7 +270,9 @@ def _supporting_rulers(
     measured = _supports(members, component, pooled)
     of_flight = [each for each in component.extra if each.found]
     common = [
-        _Support(each.kind, place, 1.0 - each.chance_wrong) for each in of_flight for place in range(len(members))
+        _Support(each.kind, place, 1.0 - each.chance_wrong)
+        for each in of_flight
+        for place in range(len(members))
     ]
     supports = measured + common
     if not supports:
@@ -262,12 +284,17 @@ def _supporting_rulers(
     for place in range(len(members)):
         own = [each for each in supports if each.member == place]
         others = [each for each in supports if each.member == strongest != place]
-        chosen = [FlightRuler(ruler=each.ruler, photograph=members[each.member].name) for each in own + others]
+        chosen = [
+            FlightRuler(ruler=each.ruler, photograph=members[each.member].name)
+            for each in own + others
+        ]
         named.append(tuple(chosen[:_MOST_RULERS]))
     return named
 
 
-def _supports(members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis) -> list[_Support]:
+def _supports(
+    members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis
+) -> list[_Support]:
     """List the rulers that support the component's scale, with the photograph of each."""
     supports = []
     vehicles = pooled.vehicles
@@ -276,7 +303,9 @@ def _supports(members: Sequence[Photograph], component: Component, pooled: Scale
         detections = member.measured
         own = detections.boxes[:, 2] * math.exp(component.offsets[place])
         among: NDArray[np.bool_] = (
-            (own >= lengths.min()) & (own <= lengths.max()) if len(lengths) else np.zeros(len(own), dtype=bool)
+            (own >= lengths.min()) & (own <= lengths.max())
+            if len(lengths)
+            else np.zeros(len(own), dtype=bool)
         )
         strength = float((detections.scores[among] ** 2).sum())
         if strength > 0:
@@ -301,7 +330,8 @@ def _component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:
         return None
     if unlinked:
         advice = Advice(
-            f"{advice.why}, and no other photograph overlaps it", f"{advice.helps}; or fly with more overlap"
+            f"{advice.why}, and no other photograph overlaps it",
+            f"{advice.helps}; or fly with more overlap",
         )
     return _sentence(advice)
 
@@ -316,7 +346,8 @@ def _carried_advice(*, maybe_tilted: bool) -> str:
         return _sentence(
             Advice(
                 "the overlaps fit a tilted camera as well as one that climbs",
-                "give photographs with the camera's angle in their metadata, or taken straight down",
+                "give photographs with the camera's angle in their metadata, or taken straight "
+                "down",
             )
         )
     return _sentence(

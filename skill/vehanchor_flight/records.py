@@ -27,14 +27,19 @@ class FlightPhotograph(Record):
 
     photograph: str = Field(description="The photograph, as the caller named it.")
     status: Status | Literal["error"] = Field(
-        description="ok: right within 20 % in at least 9 of 10 such photographs. low_confidence: do not act on the "
+        description="ok: right within 20 % in at least 9 of 10 such photographs. "
+        "low_confidence: do not act on the "
         "scale. no_scale: no scale. error: unreadable."
     )
     gsd_m_per_px: float | None = Field(
         default=None, description="Metres per pixel of this photograph, by all evidence."
     )
-    gsd_ci95_low_m_per_px: float | None = Field(default=None, description="Lower end of its 95 % interval.")
-    gsd_ci95_high_m_per_px: float | None = Field(default=None, description="Upper end of its 95 % interval.")
+    gsd_ci95_low_m_per_px: float | None = Field(
+        default=None, description="Lower end of its 95 % interval."
+    )
+    gsd_ci95_high_m_per_px: float | None = Field(
+        default=None, description="Upper end of its 95 % interval."
+    )
     confidence: float | None = Field(
         default=None, ge=0, le=1, description="Confidence in the scale; null if unreadable."
     )
@@ -42,21 +47,33 @@ class FlightPhotograph(Record):
         default=None, description="Why the scale is not usable; null for ok and for an error."
     )
     advice: str | None = Field(
-        default=None, description="The problem and a remedy, one sentence; null for ok and for an error."
+        default=None,
+        description="The problem and a remedy, one sentence; null for ok and for an error.",
     )
     sortie: int | None = Field(
         default=None,
-        description="Number of its sortie: one camera, no pause of more than 20 minutes; null if unreadable.",
+        description="Number of its sortie: one camera, no pause of more than 20 minutes; null "
+        "if unreadable.",
     )
-    component: int | None = Field(default=None, description="Number of its component; null if unreadable.")
+    component: int | None = Field(
+        default=None, description="Number of its component; null if unreadable."
+    )
     supported_by: tuple[FlightRuler, ...] = Field(
-        default=(), description="Rulers behind its scale: its own, then those of the photograph with the strongest."
+        default=(),
+        description="Rulers behind its scale: its own, then those of the photograph with the "
+        "strongest.",
     )
     scale: KnownScale | None = Field(
-        default=None, description="The scale to give back for measurements in this photograph; null without a scale."
+        default=None,
+        description="The scale to give back for measurements in this photograph; null without a "
+        "scale.",
     )
-    own: GsdEstimate | None = Field(default=None, description="The estimate from this photograph alone.")
-    error_code: str | None = Field(default=None, description="Stable code of the error; null without an error.")
+    own: GsdEstimate | None = Field(
+        default=None, description="The estimate from this photograph alone."
+    )
+    error_code: str | None = Field(
+        default=None, description="Stable code of the error; null without an error."
+    )
     error: str | None = Field(default=None, description="The error and its remedy.")
 
 
@@ -66,8 +83,12 @@ class FlightComponent(Record):
     number: int = Field(ge=0, description="Its number, 0 for the largest component.")
     n_photographs: int = Field(ge=1, description="Number of its photographs.")
     reference: str = Field(description="The photograph whose pixels all evidence is converted to.")
-    pooled: GsdEstimate = Field(description="Scale of the reference from all evidence of the component.")
-    advice: str | None = Field(description="If that scale is not usable, the problem and a remedy; null for ok.")
+    pooled: GsdEstimate = Field(
+        description="Scale of the reference from all evidence of the component."
+    )
+    advice: str | None = Field(
+        description="If that scale is not usable, the problem and a remedy; null for ok."
+    )
 
 
 class FlightLink(Record):
@@ -89,17 +110,29 @@ class FlightEstimate(Record):
         "no_scale: none has a scale."
     )
     same_scale: bool = Field(description="Whether the caller stated one scale for all photographs.")
-    gsd_m_per_px: float | None = Field(description="With same_scale the common scale, metres per pixel; else null.")
+    gsd_m_per_px: float | None = Field(
+        description="With same_scale the common scale, metres per pixel; else null."
+    )
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
-    confidence: float = Field(ge=0, le=1, description="Of that scale; else the lowest of all photographs.")
+    confidence: float = Field(
+        ge=0, le=1, description="Of that scale; else the lowest of all photographs."
+    )
     n_vehicles: int = Field(ge=0, description="Number of vehicles behind the scales.")
-    photographs: tuple[FlightPhotograph, ...] = Field(description="The photographs, in the order of the input.")
-    components: tuple[FlightComponent, ...] = Field(description="The largest first; one with same_scale.")
-    links: tuple[FlightLink, ...] = Field(description="Overlapping photographs; none with same_scale.")
+    photographs: tuple[FlightPhotograph, ...] = Field(
+        description="The photographs, in the order of the input."
+    )
+    components: tuple[FlightComponent, ...] = Field(
+        description="The largest first; one with same_scale."
+    )
+    links: tuple[FlightLink, ...] = Field(
+        description="Overlapping photographs; none with same_scale."
+    )
     model: str = Field(description="Name of the detector.")
     model_sha256: str = Field(description="SHA-256 of the detector's file.")
-    warnings: tuple[Notice, ...] = Field(description="Further facts about the flight, each with a stable code.")
+    warnings: tuple[Notice, ...] = Field(
+        description="Further facts about the flight, each with a stable code."
+    )
     schema_version: SchemaVersion = SCHEMA_VERSION
 
 
@@ -109,19 +142,30 @@ class LiveScale(Record):
     frame: str = Field(description="The file of the frame.")
     at_s: float = Field(description="Time of the frame, seconds since the first.")
     status: Status = Field(
-        description="ok: the chance of an error below 20 % is at least 0.9, and the last vehicles agree. "
+        description="ok: the chance of an error below 20 % is at least 0.9, and the last "
+        "vehicles agree. "
         "low_confidence: the scale is a hint. no_scale: no vehicles, or none for too long."
     )
-    gsd_m_per_px: float | None = Field(description="Metres per pixel of this frame; null without a scale.")
+    gsd_m_per_px: float | None = Field(
+        description="Metres per pixel of this frame; null without a scale."
+    )
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
     confidence: float = Field(ge=0, le=1, description="Chance of an error below 20 %.")
-    reason: Reason | None = Field(description="Why the scale is not usable: of the searched window; null for ok.")
-    n_vehicles: int = Field(ge=0, description="Number of vehicles in the searched window of this frame.")
+    reason: Reason | None = Field(
+        description="Why the scale is not usable: of the searched window; null for ok."
+    )
+    n_vehicles: int = Field(
+        ge=0, description="Number of vehicles in the searched window of this frame."
+    )
     seen_s_ago: float | None = Field(description="Seconds since vehicles last confirmed the scale.")
     linked: bool = Field(description="Whether features link this frame to the one before.")
-    n_skipped: int = Field(ge=0, description="Number of frames that newer ones replaced since the last record.")
-    latency_s: float = Field(ge=0, description="Seconds from the arrival of the frame to this record.")
+    n_skipped: int = Field(
+        ge=0, description="Number of frames that newer ones replaced since the last record."
+    )
+    latency_s: float = Field(
+        ge=0, description="Seconds from the arrival of the frame to this record."
+    )
     image_width_px: int = Field(ge=1, description="Width of the frame.")
     image_height_px: int = Field(ge=1, description="Height of the frame.")
     schema_version: SchemaVersion = SCHEMA_VERSION
@@ -135,8 +179,12 @@ class ModelRuler(Record):
     factor: float = Field(gt=0, description="The factor by this ruler alone.")
     factor_ci95_low: float = Field(gt=0, description="Lower end of its 95 % interval.")
     factor_ci95_high: float = Field(gt=0, description="Upper end of its 95 % interval.")
-    n: int = Field(ge=0, description="Number of things measured; a car in several photographs counts once.")
-    p_right: float = Field(ge=0, le=1, description="Chance that it measured what it thinks, given all rulers.")
+    n: int = Field(
+        ge=0, description="Number of things measured; a car in several photographs counts once."
+    )
+    p_right: float = Field(
+        ge=0, le=1, description="Chance that it measured what it thinks, given all rulers."
+    )
 
 
 class ModelPhotograph(Record):
@@ -144,13 +192,23 @@ class ModelPhotograph(Record):
 
     photograph: str = Field(description="Name of the photograph in the model.")
     status: Literal["used", "unclear", "outlier", "nothing", "error"] = Field(
-        description="used: carries the factor. unclear: its own interval spans more than a factor of 2. outlier: its "
-        "own interval and the model's do not meet. nothing: nothing of known size. error: not measured."
+        description="used: carries the factor. unclear: its own interval spans more than a "
+        "factor of 2. outlier: its "
+        "own interval and the model's do not meet. nothing: nothing of known size. error: not "
+        "measured."
     )
-    factor: float | None = Field(default=None, description="The factor by this photograph alone; null without one.")
-    factor_ci95_low: float | None = Field(default=None, description="Lower end of its 95 % interval.")
-    factor_ci95_high: float | None = Field(default=None, description="Upper end of its 95 % interval.")
-    rulers: tuple[str, ...] = Field(default=(), description="Kinds of its rulers that found something.")
+    factor: float | None = Field(
+        default=None, description="The factor by this photograph alone; null without one."
+    )
+    factor_ci95_low: float | None = Field(
+        default=None, description="Lower end of its 95 % interval."
+    )
+    factor_ci95_high: float | None = Field(
+        default=None, description="Upper end of its 95 % interval."
+    )
+    rulers: tuple[str, ...] = Field(
+        default=(), description="Kinds of its rulers that found something."
+    )
     n_vehicles: int = Field(
         default=0, ge=0, description="Cars that this photograph shows, also those that others show."
     )
@@ -160,17 +218,22 @@ class ModelPhotograph(Record):
     tilt_deg: float | None = Field(
         default=None, description="Angle between the camera's axis and straight down, by the model."
     )
-    error_code: str | None = Field(default=None, description="Stable code of the error; null without an error.")
+    error_code: str | None = Field(
+        default=None, description="Stable code of the error; null without an error."
+    )
     error: str | None = Field(default=None, description="The error and its remedy.")
 
 
 class ModelScale(Record):
     """Factor that gives a reconstruction its size in metres."""
 
-    status: Status = Field(description="ok: usable. low_confidence: use another source. no_scale: nothing found.")
+    status: Status = Field(
+        description="ok: usable. low_confidence: use another source. no_scale: nothing found."
+    )
     source: ModelSource = Field(description="Format of the model.")
     factor: float | None = Field(
-        description="Metres per unit of the model: multiply its lengths by it; null if nothing of known size is found."
+        description="Metres per unit of the model: multiply its lengths by it; null if nothing "
+        "of known size is found."
     )
     factor_ci95_low: float | None = Field(description="Lower end of its 95 % interval.")
     factor_ci95_high: float | None = Field(description="Upper end of its 95 % interval.")

@@ -15,7 +15,12 @@ from vehanchor_flight.estimate import check_options, conclude, resumed, search_f
 from vehanchor_flight.inputs import check_many, named
 from vehanchor_flight.live.estimator import LiveEstimator
 from vehanchor_flight.live.frames import open_frames
-from vehanchor_flight.reconstruction.estimate import conclude_model, model_sha256, photograph_files, search_model
+from vehanchor_flight.reconstruction.estimate import (
+    conclude_model,
+    model_sha256,
+    photograph_files,
+    search_model,
+)
 from vehanchor_flight.reconstruction.files import images_of, read_model
 from vehanchor_flight.reconstruction.model import Reconstruction
 
@@ -38,18 +43,23 @@ def estimate_flight(
 ) -> FlightEstimate:
     """Estimate the scales of the photographs of one flight from their common evidence.
 
-    One photograph is held in memory at a time. The record holds the error of a photograph that cannot be read.
+    One photograph is held in memory at a time. The record holds the error of a photograph that
+    cannot be read.
 
     Args:
-        images: the photographs, in the order in which they were taken, each as in ``vehanchor.estimate_gsd``. An
-            ``InputPhotograph`` names one; the default name is its path or its number.
-        options: as in ``vehanchor.estimate_gsd``, without a frame and lines of known length, which belong to one
-            photograph.
+        images: the photographs, in the order in which they were taken, each as in
+            ``vehanchor.estimate_gsd``. An ``InputPhotograph`` names one; the default name is its
+            path or its number.
+        options: as in ``vehanchor.estimate_gsd``, without a frame and lines of known length, which
+            belong to one photograph.
         engine: holds the models; None for the bundled ones.
-        same_scale: all photographs have one scale, as in a survey at one height: pool their evidence.
-        known_lengths_table: CSV of lines of known length in photographs given as paths; see ``lines_in``.
-        journal: file with the result of each photograph, from which the same call resumes after an interruption;
-            removed at the end. It covers photographs given as paths, and frames of ``sample_video``.
+        same_scale: all photographs have one scale, as in a survey at one height: pool their
+            evidence.
+        known_lengths_table: CSV of lines of known length in photographs given as paths; see
+            ``lines_in``.
+        journal: file with the result of each photograph, from which the same call resumes after an
+            interruption; removed at the end. It covers photographs given as paths, and frames of
+            ``sample_video``.
         **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
 
     Returns:
@@ -60,14 +70,20 @@ def estimate_flight(
         VehAnchorError: as ``vehanchor.estimate_gsd``.
     """
     check_many(images)  # before a model is loaded
-    paths = [each for each in images if isinstance(each, str | os.PathLike)] if isinstance(images, Sequence) else []
+    paths = (
+        [each for each in images if isinstance(each, str | os.PathLike)]
+        if isinstance(images, Sequence)
+        else []
+    )
     lines = lines_in(known_lengths_table, paths)
     called, chosen = (engine or Engine()).for_call(options, keywords)
     check_options(chosen)
     detector = checked_detector(called.detector, chosen)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
     with resumed(journal, detector, chosen, lines) as kept:
-        results = search_flight(taken, detector, chosen, featured=not same_scale, journal=kept, lines=lines)
+        results = search_flight(
+            taken, detector, chosen, featured=not same_scale, journal=kept, lines=lines
+        )
         return conclude(results, detector.card, same_scale=same_scale)
 
 
@@ -84,10 +100,10 @@ def rescale(
     """Estimate the factor that gives a reconstruction its size in metres.
 
     Args:
-        model: folder of a project of OpenDroneMap, OpenSfM or COLMAP, a ``reconstruction.json``, or what ``read_model``
-            read.
-        options: as in ``vehanchor.estimate_gsd``. Metadata is not used: positions and heights in it may have made the
-            wrong size.
+        model: folder of a project of OpenDroneMap, OpenSfM or COLMAP, a ``reconstruction.json``, or
+            what ``read_model`` read.
+        options: as in ``vehanchor.estimate_gsd``. Metadata is not used: positions and heights in it
+            may have made the wrong size.
         engine: holds the models; None for the bundled ones.
         images: folder of the photographs; None looks near the model's files.
         known_lengths_table: CSV of lines of known length in the photographs; see ``lines_in``.
@@ -110,7 +126,9 @@ def rescale(
     chosen = replace(chosen, rulers=replace(chosen.rulers, metadata=False))
     lines = lines_in(known_lengths_table, photograph_files(read, folder))
     with resumed(journal, detector, chosen, lines, model_sha256=model_sha256(read)) as kept:
-        return conclude_model(read, search_model(read, folder, detector, chosen, lines, kept), folder)
+        return conclude_model(
+            read, search_model(read, folder, detector, chosen, lines, kept), folder
+        )
 
 
 def live_scales(
@@ -130,12 +148,14 @@ def live_scales(
 
     Args:
         source: folder that fills, video file, or number of a camera.
-        options: as in ``vehanchor.estimate_gsd``. The rulers are vehicles and the scene-scale prior.
+        options: as in ``vehanchor.estimate_gsd``. The rulers are vehicles and the scene-scale
+            prior.
         engine: holds the models; None for the bundled ones.
         every_s: for a video, seconds between frames.
         hold_s: seconds without vehicles after which there is no scale.
         idle_s: seconds without a new frame that end a folder or a camera; None for never.
-        tell: receives a sentence on each frame that cannot be read, and on each loss and return of the camera.
+        tell: receives a sentence on each frame that cannot be read, and on each loss and return of
+            the camera.
         **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
 
     Returns:

@@ -29,7 +29,8 @@ _SHARPNESS_SIDE_PX = 640
 _MOV_ATOMS = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
 _PACKET_BYTES = 188  # of an MPEG transport stream; cameras put four bytes before each
 _HEAD_BYTES = 256
-_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"  # OpenCV reads FFmpeg's options from the environment only
+# OpenCV reads FFmpeg's options from the environment only
+_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 _opening = threading.Lock()
 
 
@@ -38,16 +39,20 @@ def is_video(path: str) -> bool:
     return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
-def sample_video(path: str, every_s: float, limits: ImageLimits | None = None) -> Iterator[InputPhotograph]:
+def sample_video(
+    path: str, every_s: float, limits: ImageLimits | None = None
+) -> Iterator[InputPhotograph]:
     """Sample a video at regular intervals.
 
-    The sharpest of five frames of each interval is kept. One frame is held in memory at a time. FFmpeg may use only
-    the demuxer of the file's signature, and only this file: a playlist that names other files is no video.
+    The sharpest of five frames of each interval is kept. One frame is held in memory at a time.
+    FFmpeg may use only the demuxer of the file's signature, and only this file: a playlist that
+    names other files is no video.
 
     Args:
         path: path of the video.
         every_s: seconds from one photograph to the next.
-        limits: ``max_pixels`` bounds the declared frame; None for the defaults. A later, larger frame is reduced.
+        limits: ``max_pixels`` bounds the declared frame; None for the defaults. A later, larger
+            frame is reduced.
 
     Yields:
         Photographs, named by the video and their time in seconds.
@@ -103,7 +108,8 @@ def opened_video(path: str) -> Iterator[cv2.VideoCapture]:
         before = os.environ.get(_OPTIONS)
         os.environ[_OPTIONS] = f"protocol_whitelist;file|format_whitelist;{demuxer}"
         try:
-            film = cv2.VideoCapture(str(Path(path).absolute()), cv2.CAP_FFMPEG)  # a relative path may name a protocol
+            # a relative path may name a protocol
+            film = cv2.VideoCapture(str(Path(path).absolute()), cv2.CAP_FFMPEG)
         finally:
             del os.environ[_OPTIONS]
             if before is not None:
@@ -134,17 +140,23 @@ def _demuxer(path: Path) -> str | None:
 
 
 def _check_frame(film: cv2.VideoCapture, limits: ImageLimits) -> None:
-    width, height = int(film.get(cv2.CAP_PROP_FRAME_WIDTH)), int(film.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    width, height = (
+        int(film.get(cv2.CAP_PROP_FRAME_WIDTH)),
+        int(film.get(cv2.CAP_PROP_FRAME_HEIGHT)),
+    )
     if width * height > limits.max_pixels:
         raise ImageTooLargeError(
-            f"the video declares frames of {width} x {height} px, the limit is {limits.max_pixels} pixels "
+            f"the video declares frames of {width} x {height} px, the limit is "
+            f"{limits.max_pixels} pixels "
             "(--max-megapixels, ImageLimits.max_pixels)"
         )
     check_side(width, height)
 
 
 def _unreadable(path: str) -> ImageDecodeError:
-    return ImageDecodeError(f"the video {path!r} cannot be read: give MP4, MOV, AVI or MKV, or its frames")
+    return ImageDecodeError(
+        f"the video {path!r} cannot be read: give MP4, MOV, AVI or MKV, or its frames"
+    )
 
 
 def sharpness(frame: NDArray[np.uint8]) -> float:
@@ -163,4 +175,6 @@ def sharpness(frame: NDArray[np.uint8]) -> float:
 def _taken(path: str, best: tuple[float, int, NDArray[np.uint8]], rate: float) -> InputPhotograph:
     _, number, frame = best
     digits = max(2, math.ceil(math.log10(max(rate, 1.0))))  # unique names
-    return InputPhotograph(f"{path} at {number / rate:.{digits}f} s", np.ascontiguousarray(frame[:, :, ::-1]), path)
+    return InputPhotograph(
+        f"{path} at {number / rate:.{digits}f} s", np.ascontiguousarray(frame[:, :, ::-1]), path
+    )

@@ -8,7 +8,12 @@ from pathlib import Path
 
 from tests.conftest import ROOT
 
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
+DOCUMENTS = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "SECURITY.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 
 REASONS = {  # why a block is not run here, told to readers in its title
     "installs",
@@ -44,5 +49,7 @@ def blocks(document: Path) -> list[Block]:
     """All fenced blocks of a document, in order."""
     text = document.read_text(encoding="utf-8")
     found = [Block(*match) for match in ((m[1], m[2], m[3]) for m in _FENCE.finditer(text))]
-    assert text.count("```") == 2 * len(found), f"{document}: a fence that this parser does not understand"
+    assert text.count("```") == 2 * len(found), (
+        f"{document}: a fence that this parser does not understand"
+    )
     return found

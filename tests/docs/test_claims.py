@@ -31,7 +31,9 @@ _IDS = [path.relative_to(ROOT).as_posix() for path in DOCUMENTS]
 
 def test_the_record_table_names_fields_that_exist() -> None:
     named = re.findall(
-        r"^\| (`.*?`) \|", _READING.partition("## The fields\n")[2].partition("\n## ")[0], flags=re.MULTILINE
+        r"^\| (`.*?`) \|",
+        _READING.partition("## The fields\n")[2].partition("\n## ")[0],
+        flags=re.MULTILINE,
     )
     fields = {name for cell in named for name in re.findall(r"`(\w+)`", cell)}
     assert len(fields) >= 10
@@ -55,9 +57,20 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     assert set(re.findall(r"VEHANCHOR_[A-Z_]*[A-Z]", text)) <= fields
     records = set(GsdEstimate.model_fields) | set(AreaMeasurement.model_fields)
     measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
-    choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
-    choices |= {*signature(Engine.analyse_area).parameters, *(each.name for each in fields_of(KnownLength))}
-    choices |= set(json.loads((ROOT / "schemas/measure_area.input.json").read_text(encoding="utf-8"))["properties"])
+    choices = {
+        field.name
+        for group in (Search, Lengths, Reference, Frame, Reading)
+        for field in fields_of(group)
+    }
+    choices |= {
+        *signature(Engine.analyse_area).parameters,
+        *(each.name for each in fields_of(KnownLength)),
+    }
+    choices |= set(
+        json.loads((ROOT / "schemas/measure_area.input.json").read_text(encoding="utf-8"))[
+            "properties"
+        ]
+    )
     assert not set(measured) - records - choices
 
 
@@ -85,9 +98,15 @@ def test_how_much_longer_cars_are_in_north_america_is_said_once_and_as_the_model
     card = Engine().detector.card
     assert card.bodies is not None
     lengths = card.bodies.region_lengths_m
-    america, elsewhere = lengths["north_america"], math.sqrt(lengths["europe"] * lengths["south_america"])
+    america, elsewhere = (
+        lengths["north_america"],
+        math.sqrt(lengths["europe"] * lengths["south_america"]),
+    )
     page = (ROOT / "docs/concepts.md").read_text(encoding="utf-8")
-    assert f"North American cars come out {america / elsewhere - 1:.0%} longer".replace("%", " %") in page
+    assert (
+        f"North American cars come out {america / elsewhere - 1:.0%} longer".replace("%", " %")
+        in page
+    )
     others = [path for path in DOCUMENTS if path.name != "concepts.md"]
     pattern = r"(?:[Cc]ars|[Ff]leets)[^.|]* by about \d+ ?%|[Aa]merican? [^.|]*\d+ ?% longer"
     assert not [path for path in others if re.search(pattern, path.read_text("utf-8"))]
@@ -97,7 +116,9 @@ def test_how_much_longer_cars_are_in_north_america_is_said_once_and_as_the_model
 def test_the_container_reports_nothing_to_others() -> None:
     code = "import os, vehanchor.models.session; print(os.environ['ORT_DISABLE_TELEMETRY'])"
     free = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
-    told = subprocess.run([sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True)
+    told = subprocess.run(
+        [sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True
+    )
     assert told.stdout.strip() == "1"
     assert read_dockerfile(ROOT / "Dockerfile")[-1].environment["ORT_DISABLE_TELEMETRY"] == "1"
 
@@ -107,7 +128,9 @@ MAX_WORDS = 600
 
 
 def test_each_promise_has_a_test_that_names_it_and_no_test_names_another() -> None:
-    promised = re.findall(r"^- \*\*([a-z-]+)\*\*: ", _TEXT.partition("## Promises")[2], flags=re.MULTILINE)
+    promised = re.findall(
+        r"^- \*\*([a-z-]+)\*\*: ", _TEXT.partition("## Promises")[2], flags=re.MULTILINE
+    )
     texts = [file.read_text(encoding="utf-8") for file in (ROOT / "tests").rglob("test_*.py")]
     kept = {name for text in texts for name in re.findall(r"mark\.promise\(\"([a-z-]+)\"\)", text)}
     assert sorted(promised) == sorted(kept)

@@ -21,7 +21,9 @@ from tests.docs.documents import DOCUMENTS, REASONS, blocks
 from tests.flight.reconstruction.flights import Pose, write_opensfm
 from vehanchor.cli.app import app
 
-_WITH_CODE = [document for document in DOCUMENTS if any(block.reason is None for block in blocks(document))]
+_WITH_CODE = [
+    document for document in DOCUMENTS if any(block.reason is None for block in blocks(document))
+]
 
 
 @pytest.fixture
@@ -46,8 +48,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     assert pixels is not None
     height, width, bands = pixels.shape
     shape = {"width": width, "height": height, "count": bands, "dtype": "uint8"}
-    place = Affine(0.12, 0, 500_000, 0, -0.12, 5_300_000)  # the scale that examples/car_park.json tells
-    with rasterio.open(tmp_path / "survey/site.tif", "w", "GTiff", crs="EPSG:32632", transform=place, **shape) as file:
+    # the scale that examples/car_park.json tells
+    place = Affine(0.12, 0, 500_000, 0, -0.12, 5_300_000)
+    with rasterio.open(
+        tmp_path / "survey/site.tif", "w", "GTiff", crs="EPSG:32632", transform=place, **shape
+    ) as file:
         file.write(pixels[:, :, ::-1].transpose(2, 0, 1))
     seen = np.asarray(pixels[:, :, ::-1], dtype=np.uint8)
     pose = Pose(width * 0.06, height * 0.06, 120)  # 0.12 m/px
@@ -65,23 +70,33 @@ def _run(command: str, document: Path) -> None:
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         done = subprocess.run(
             [sys.executable, *arguments],
-            env={**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join([*sys.path, os.fspath(ROOT)])},
+            env={
+                **os.environ,
+                "PATH": path,
+                "PYTHONPATH": os.pathsep.join([*sys.path, os.fspath(ROOT)]),
+            },
             capture_output=True,
             text=True,
             check=False,
         )
         assert done.returncode == 0, f"{command}: {done.stderr}"
     else:
-        assert document.name == "README.md", f"nobody here runs {command!r}: give the block a title that says why"
-        assert command == "pytest" or command.startswith("pip install "), command  # tests/packaging/test_readme.py
+        assert document.name == "README.md", (
+            f"nobody here runs {command!r}: give the block a title that says why"
+        )
+        # tests/packaging/test_readme.py
+        assert command == "pytest" or command.startswith("pip install "), command
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("document", _WITH_CODE, ids=[path.relative_to(ROOT).as_posix() for path in _WITH_CODE])
+@pytest.mark.parametrize(
+    "document", _WITH_CODE, ids=[path.relative_to(ROOT).as_posix() for path in _WITH_CODE]
+)
 def test_it_runs(document: Path, request: pytest.FixtureRequest) -> None:
     request.getfixturevalue("clone" if document.name == "README.md" else "folder")
     for block in blocks(document):
-        if block.reason is not None or block.language in {"text", "toml"}:  # what something printed, and settings
+        # what something printed, and settings
+        if block.reason is not None or block.language in {"text", "toml"}:
             continue
         if block.language == "python":
             exec(compile(block.text, f"{document.name}: {block.text.splitlines()[0]}", "exec"), {})
@@ -92,7 +107,9 @@ def test_it_runs(document: Path, request: pytest.FixtureRequest) -> None:
                 _run(command, document)
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=[path.relative_to(ROOT).as_posix() for path in DOCUMENTS])
+@pytest.mark.parametrize(
+    "document", DOCUMENTS, ids=[path.relative_to(ROOT).as_posix() for path in DOCUMENTS]
+)
 def test_a_block_that_is_not_run_says_why(document: Path) -> None:
     assert {block.reason for block in blocks(document)} - {None} <= REASONS
 

@@ -63,7 +63,12 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
             image[mask] = (40, 140, 210)
         if name != "P3":
             paint_vehicles(
-                image, [[60 + 70 * k, 60 + 70 * row, LENGTH_PX, 12, 0.3] for k in range(8) for row in (0, 1)]
+                image,
+                [
+                    [60 + 70 * k, 60 + 70 * row, LENGTH_PX, 12, 0.3]
+                    for k in range(8)
+                    for row in (0, 1)
+                ],
             )
         cv2.imwrite(str(masks / f"{name}.png"), image[:, :, ::-1])
         for category in dict.fromkeys(category for category, _ in objects):
@@ -83,7 +88,13 @@ def run(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Runs ``vehanchor evaluate area`` with the models of the data, into ``out`` of an empty working folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
-    models = ["--detector", data / "detector.onnx", "--segmenter", data / "encoder.onnx", data / "decoder.onnx"]
+    models = [
+        "--detector",
+        data / "detector.onnx",
+        "--segmenter",
+        data / "encoder.onnx",
+        data / "decoder.onnx",
+    ]
 
     def invoke(*arguments: object, models: list[Any] = models) -> Result:
         words = ["evaluate", "area", *models, "--out", "out", *arguments]
@@ -97,7 +108,9 @@ def rows_of(path: Path) -> dict[str, dict[str, str]]:
         return {row["entry"]: row for row in csv.DictReader(handle)}
 
 
-# --- The table -------------------------------------------------------------------------------------------------------
+# --- The table
+#
+# -------------------------------------------------------------------------------------------------------
 
 
 def test_the_columns_are_the_papers() -> None:
@@ -108,11 +121,15 @@ def test_the_columns_are_the_papers() -> None:
     assert row.mean == pytest.approx((0.09 + 0.2 + 0.4 + 0.9 + 1.5 + 1.0) / 6)
     shares = [row.below_10, row.below_25, row.below_50, row.below_100, row.catastrophic]
     assert shares == pytest.approx([1 / 6, 2 / 6, 3 / 6, 4 / 6, 2 / 6])
-    assert {name: found.median for name, found in row.categories.items()} == pytest.approx({"a": 0.2, "b": 1.0})
+    assert {name: found.median for name, found in row.categories.items()} == pytest.approx(
+        {"a": 0.2, "b": 1.0}
+    )
     assert row.polarisation == pytest.approx(5.0)
 
 
-# --- The run ---------------------------------------------------------------------------------------------------------
+# --- The run
+#
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_table_tells_the_errors_of_mask_and_scale_apart(run: Any, data: Path) -> None:
@@ -148,7 +165,9 @@ def test_one_search_serves_all_objects_of_an_image(run: Any) -> None:
     assert n_results(Path("out/detections.sqlite")) == 3
 
 
-def test_files_that_went_bad_are_reported_and_never_stop_a_run(run: Any, data: Path, tmp_path: Path) -> None:
+def test_files_that_went_bad_are_reported_and_never_stop_a_run(
+    run: Any, data: Path, tmp_path: Path
+) -> None:
     bad = tmp_path / "segments"
     shutil.copytree(data / "segments", bad)
     (bad / "P2-tennis-court.png").unlink()
@@ -164,7 +183,9 @@ def test_files_that_went_bad_are_reported_and_never_stop_a_run(run: Any, data: P
 
 def write_index(folder: Path, *rows: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "index.csv").write_text("\n".join(["image,mask,category,split,gsd_m_per_px", *rows]) + "\n")
+    (folder / "index.csv").write_text(
+        "\n".join(["image,mask,category,split,gsd_m_per_px", *rows]) + "\n"
+    )
 
 
 def write_mask(path: Path, *numbers: int) -> None:
@@ -208,13 +229,17 @@ def test_an_index_gives_its_split_and_reports_what_it_cannot_use(tmp_path: Path)
     assert len(read_areas(tmp_path).entries) == 4
 
 
-def test_objects_have_their_masks_boxes_and_true_areas_and_categories_alternate(tmp_path: Path) -> None:
+def test_objects_have_their_masks_boxes_and_true_areas_and_categories_alternate(
+    tmp_path: Path,
+) -> None:
     write_mask(tmp_path / "pools.png", 1000, 1001, 1003)
     write_mask(tmp_path / "courts.png", 7)
     ids = np.zeros((40, 40), np.uint8)
     ids[2:16, 2:30] = 1  # too narrow
     cv2.imwrite(str(tmp_path / "small.png"), ids)
-    write_index(tmp_path, *(f"pools.png,{name}.png,{name},val,0.5" for name in ("pools", "courts", "small")))
+    write_index(
+        tmp_path, *(f"pools.png,{name}.png,{name},val,0.5" for name in ("pools", "courts", "small"))
+    )
     entries = read_areas(tmp_path, workers=2).entries
     assert [each.name for each in entries] == ["pools-1000", "courts-7", "pools-1001", "pools-1003"]
     assert entries[2].corners == (34, 5, 54, 25)
@@ -233,11 +258,19 @@ def test_masks_in_colour_are_refused(tmp_path: Path) -> None:
     [
         (None, "give a folder with an index"),
         ("image,mask\n", "no column category, gsd_m_per_px"),
-        ("image,mask,category,split,gsd_m_per_px\na,b,c,train,1\n", "no rows of split 'val': it has train"),
-        ("image,mask,category,split,gsd_m_per_px\na,b,c,val,1\n", "has no object of 15 px and more; the first problem"),
+        (
+            "image,mask,category,split,gsd_m_per_px\na,b,c,train,1\n",
+            "no rows of split 'val': it has train",
+        ),
+        (
+            "image,mask,category,split,gsd_m_per_px\na,b,c,val,1\n",
+            "has no object of 15 px and more; the first problem",
+        ),
     ],
 )
-def test_an_index_that_cannot_be_used_says_what_it_lacks(tmp_path: Path, text: str | None, message: str) -> None:
+def test_an_index_that_cannot_be_used_says_what_it_lacks(
+    tmp_path: Path, text: str | None, message: str
+) -> None:
     if text is not None:
         (tmp_path / "index.csv").write_text(text)
     with pytest.raises(InvalidParameterError, match=message):

@@ -33,9 +33,22 @@ def _rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(handle))
 
 
-def test_errors_are_over_the_images_with_an_estimate_as_the_paper_counts(dota: Path, detector: Path) -> None:
+def test_errors_are_over_the_images_with_an_estimate_as_the_paper_counts(
+    dota: Path, detector: Path
+) -> None:
     out = dota.parent / "out"
-    result = _run("evaluate", "gsd", "--dota", dota, "--detector", detector, "--out", out, "--rulers", "vehicles")
+    result = _run(
+        "evaluate",
+        "gsd",
+        "--dota",
+        dota,
+        "--detector",
+        detector,
+        "--out",
+        out,
+        "--rulers",
+        "vehicles",
+    )
     assert result.exit_code == 0, result.stderr
     report = json.loads((out / "gsd.json").read_text())
     rows = {row["name"]: row for row in report["rows"]}
@@ -44,7 +57,9 @@ def test_errors_are_over_the_images_with_an_estimate_as_the_paper_counts(dota: P
     assert list(rows) == ["detector", "labels", "detector, intersection", "labels, intersection"]
     found, labelled = rows["detector"], rows["labels"]
     assert (found["images"], found["of_images"], found["coverage"]) == (3, 4, 0.75)
-    assert (found["median"], found["mean"]) == pytest.approx((0.1, (0.1 + 1 - 20 / 26) / 3), abs=3e-3)
+    assert (found["median"], found["mean"]) == pytest.approx(
+        (0.1, (0.1 + 1 - 20 / 26) / 3), abs=3e-3
+    )
     assert found["within_20"] == pytest.approx(2 / 3)
     assert (labelled["images"], labelled["of_images"]) == (3, 4)
     assert labelled["median"] == pytest.approx(1 - 20 / 22, abs=3e-3)
@@ -75,25 +90,47 @@ def test_high_errors_are_counted_with_guard_and_confidence(tmp_path: Path, detec
         lines.append(f"{name}.png,{truth * REFERENCE_M / length}")
     (tmp_path / "table.csv").write_text("\n".join(lines))
     result = _run(
-        *("evaluate", "gsd", "--table", tmp_path / "table.csv", "--detector", detector, "--out", tmp_path / "out"),
+        *(
+            "evaluate",
+            "gsd",
+            "--table",
+            tmp_path / "table.csv",
+            "--detector",
+            detector,
+            "--out",
+            tmp_path / "out",
+        ),
         *("--rulers", "vehicles"),
     )
     assert result.exit_code == 0, result.stderr
     report = json.loads((tmp_path / "out" / "gsd.json").read_text())
-    assert (report["high_errors"], report["high_errors_guarded"], report["high_errors_low_confidence"]) == (2, 1, 1)
+    assert (
+        report["high_errors"],
+        report["high_errors_guarded"],
+        report["high_errors_low_confidence"],
+    ) == (2, 1, 1)
     row = report["rows"][0]
-    assert (row["usable"], row["usable_share"], row["usable_wrong"]) == (2, 0.5, 1)  # a, and b that is off by a third
+    # a, and b that is off by a third
+    assert (row["usable"], row["usable_share"], row["usable_wrong"]) == (2, 0.5, 1)
     assert "50.0 %, 1 wrong" in result.stdout
-    assert (report["low_errors"], report["low_errors_guarded"], report["low_errors_low_confidence"]) == (2, 1, 1)
+    assert (
+        report["low_errors"],
+        report["low_errors_guarded"],
+        report["low_errors_low_confidence"],
+    ) == (2, 1, 1)
     images = _rows(tmp_path / "out" / "images.csv")
     confidence = [float(row["confidence"]) for row in images]
     error = [abs(float(row["signed_error"])) for row in images]
-    assert report["confidence_error_pearson"] == pytest.approx(np.corrcoef(confidence, error)[0, 1], abs=1e-3)
+    assert report["confidence_error_pearson"] == pytest.approx(
+        np.corrcoef(confidence, error)[0, 1], abs=1e-3
+    )
     assert report["rows"][0]["name"] == "detector"
     assert len(report["rows"]) == 1  # no labels, no baseline
 
 
-def test_the_ablation_repeats_the_second_half_with_one_choice_changed(tmp_path: Path, detector: Path) -> None:
+def test_the_ablation_repeats_the_second_half_with_one_choice_changed(
+    tmp_path: Path, detector: Path
+) -> None:
     boxes = cars(20)
     boxes[:, 2] = [20, 20, 20, 20, 20, 21, 21, 22, 24, 26, 28, 60]
     paint(tmp_path / "images" / "a.png", boxes)
@@ -105,7 +142,16 @@ def test_the_ablation_repeats_the_second_half_with_one_choice_changed(tmp_path: 
     (tmp_path / "t.csv").write_text(
         f"file,gsd_m_per_px\nimages/a.png,{truth}\nimages/b.png,{truth * 3}\nimages/c.png,{truth}\n"
     )
-    result = _run("evaluate", "ablation", "--table", tmp_path / "t.csv", "--detector", detector, "--out", tmp_path)
+    result = _run(
+        "evaluate",
+        "ablation",
+        "--table",
+        tmp_path / "t.csv",
+        "--detector",
+        detector,
+        "--out",
+        tmp_path,
+    )
     assert result.exit_code == 0, result.stderr
     rows = _rows(tmp_path / "ablation.csv")
     table = {(row["choice"], row["setting"], row["boxes"]): row for row in rows}
@@ -121,12 +167,16 @@ def test_the_ablation_repeats_the_second_half_with_one_choice_changed(tmp_path: 
         return abs(vehicles.gsd_m_per_px / truth - 1)
 
     for aggregation in ("kde", "weighted_kde", "median", "mean"):
-        assert median("aggregation", aggregation) == pytest.approx(expected(aggregation=aggregation), abs=1e-3)
+        assert median("aggregation", aggregation) == pytest.approx(
+            expected(aggregation=aggregation), abs=1e-3
+        )
     assert median("aggregation", "mean") > median("aggregation", "median") > 0
     for setting, alpha in (("1", 1.0), ("1.5", 1.5), ("none", None)):
         assert median("alpha", setting) == pytest.approx(expected(alpha=alpha), abs=1e-3)
     for setting, length in (("4.5 / 5.045", 4.5), ("1", REFERENCE_M), ("5.5 / 5.045", 5.5)):
-        assert median("reference length", setting) == pytest.approx(expected(reference_length_m=length), abs=1e-3)
+        assert median("reference length", setting) == pytest.approx(
+            expected(reference_length_m=length), abs=1e-3
+        )
     assert table["reference length", "4.5 / 5.045", "labels"]["paper_median"] == "0.1059"
     assert table["vehicles", "N < 5", "detector"]["images"] == "1"
     assert median("vehicles", "N < 5", "detector") == pytest.approx(2 / 3, abs=1e-3)
@@ -142,7 +192,16 @@ def test_sets_have_rows_and_regions_of_their_own(tmp_path: Path, detector: Path)
         paint(tmp_path / f"{name}.png", cars(20))
     truth = REFERENCE_M / 20
     (tmp_path / "t.csv").write_text(f"file,gsd_m_per_px,set\na.png,{truth},eu\nb.png,{truth},us\n")
-    arguments = ["evaluate", "gsd", "--table", tmp_path / "t.csv", "--detector", detector, "--out", tmp_path]
+    arguments = [
+        "evaluate",
+        "gsd",
+        "--table",
+        tmp_path / "t.csv",
+        "--detector",
+        detector,
+        "--out",
+        tmp_path,
+    ]
     result = _run(*arguments, "--set-region", "eu=europe")
     assert result.exit_code == 0, result.stderr
     rows = {row["name"]: row for row in _rows(tmp_path / "gsd.csv")}
@@ -164,11 +223,24 @@ def test_lines_of_known_length_are_heard_where_they_lie(tmp_path: Path, detector
         paint(tmp_path / f"{name}.png", cars(20))
     truth = 0.9 * REFERENCE_M / 20
     (tmp_path / "t.csv").write_text(f"file,gsd_m_per_px\na.png,{truth}\nb.png,{truth}\n")
-    (tmp_path / "lines.csv").write_text(f"file,x1,y1,x2,y2,metres,basis\na.png,20,220,420,220,{400 * truth},measured\n")
-    arguments = ["evaluate", "gsd", "--table", tmp_path / "t.csv", "--detector", detector, "--out", tmp_path]
+    (tmp_path / "lines.csv").write_text(
+        f"file,x1,y1,x2,y2,metres,basis\na.png,20,220,420,220,{400 * truth},measured\n"
+    )
+    arguments = [
+        "evaluate",
+        "gsd",
+        "--table",
+        tmp_path / "t.csv",
+        "--detector",
+        detector,
+        "--out",
+        tmp_path,
+    ]
     result = _run(*arguments, "--known-lengths", tmp_path / "lines.csv")
     assert result.exit_code == 0, result.stderr
-    images = {Path(row["file"]).name: float(row["signed_error"]) for row in _rows(tmp_path / "images.csv")}
+    images = {
+        Path(row["file"]).name: float(row["signed_error"]) for row in _rows(tmp_path / "images.csv")
+    }
     assert images["a.png"] == pytest.approx(0, abs=0.01)
     assert images["b.png"] == pytest.approx(1 / 0.9 - 1, abs=1e-3)
     (tmp_path / "lines.csv").write_text("file,x1,y1,x2,y2,metres\na.png,20,220,420,2200,40\n")
@@ -183,14 +255,27 @@ def test_labels_may_have_a_reference_length_of_their_own(dota: Path, detector: P
     arguments = ["evaluate", "gsd", "--dota", dota, "--detector", detector, "--out", out]
     assert _run(*arguments, "--label-reference-length", 5.5495).exit_code == 0
     rows = {row["name"]: row for row in _rows(out / "gsd.csv")}
-    assert float(rows["labels"]["median"]) == pytest.approx(0.01, abs=4e-3)  # 22 px at 10 % more: 0 %; -1 %; +10 %
+    # 22 px at 10 % more: 0 %; -1 %; +10 %
+    assert float(rows["labels"]["median"]) == pytest.approx(0.01, abs=4e-3)
     assert float(rows["detector"]["median"]) == pytest.approx(0.1, abs=3e-3)
 
 
 def test_geotiffs_are_named_as_a_shell_spreads_them(tmp_path: Path, detector: Path) -> None:
-    files = [write_geotiff(tmp_path / f"{k}.tif", "EPSG:25832", REFERENCE_M / 20, 5e5, 5.5e6) for k in range(2)]
+    files = [
+        write_geotiff(tmp_path / f"{k}.tif", "EPSG:25832", REFERENCE_M / 20, 5e5, 5.5e6)
+        for k in range(2)
+    ]
     result = _run(
-        "evaluate", "gsd", "--geotiff", *files, "--detector", detector, "--out", tmp_path / "out", "--workers", 1
+        "evaluate",
+        "gsd",
+        "--geotiff",
+        *files,
+        "--detector",
+        detector,
+        "--out",
+        tmp_path / "out",
+        "--workers",
+        1,
     )
     assert result.exit_code == 0, result.stderr
     (row,) = _rows(tmp_path / "out" / "gsd.csv")
@@ -198,9 +283,13 @@ def test_geotiffs_are_named_as_a_shell_spreads_them(tmp_path: Path, detector: Pa
     assert float(row["median"]) == pytest.approx(0, abs=1e-3)
 
 
-def test_data_without_a_known_scale_is_refused_with_its_reasons(tmp_path: Path, detector: Path) -> None:
+def test_data_without_a_known_scale_is_refused_with_its_reasons(
+    tmp_path: Path, detector: Path
+) -> None:
     paint(tmp_path / "plain.png", cars(20))
-    result = _run("evaluate", "gsd", "--geotiff", tmp_path, "--detector", detector, "--out", tmp_path / "out")
+    result = _run(
+        "evaluate", "gsd", "--geotiff", tmp_path, "--detector", detector, "--out", tmp_path / "out"
+    )
     assert result.exit_code == 2
     assert "warning[no_georeference]" in result.stderr
     assert "error[invalid_parameter]: no image of known scale" in result.stderr
@@ -220,7 +309,8 @@ def test_an_output_that_cannot_be_written_is_told(tmp_path: Path, detector: Path
 def test_dota_labels_are_read_with_their_header() -> None:
     labels = parse_labels(
         "imagesource:GoogleEarth\ngsd:0.146\n"
-        "1 2 11 2 11 6 1 6 small-vehicle 0\n20 20 40 20 40 28 20 28 large-vehicle 1\n\n0 0 4 0 4 2 0 2 ship\n"
+        "1 2 11 2 11 6 1 6 small-vehicle 0\n20 20 40 20 40 28 20 28 large-vehicle 1\n\n0 0 4 0 "
+        "4 2 0 2 ship\n"
     )
     assert labels.gsd_m_per_px == 0.146
     assert labels.classes == ("small-vehicle", "large-vehicle", "ship")
@@ -229,7 +319,9 @@ def test_dota_labels_are_read_with_their_header() -> None:
     assert labels.of_class("plane").shape == (0, 4, 2)
 
 
-@pytest.mark.parametrize("line", ["1 2 3", "a b c d e f g h car 0", "1 2 3 4 5 6 7 nan car 0", "gsd:wide"])
+@pytest.mark.parametrize(
+    "line", ["1 2 3", "a b c d e f g h car 0", "1 2 3 4 5 6 7 nan car 0", "gsd:wide"]
+)
 def test_a_malformed_line_is_named(tmp_path: Path, line: str) -> None:
     path = tmp_path / "P0001.txt"
     path.write_text(f"imagesource:x\n{line}\n")
@@ -241,14 +333,19 @@ def test_trials_count_a_missing_estimate_as_a_whole_error(tmp_path: Path) -> Non
     paint(tmp_path / "cars.png", cars(30, 18))
     paint(tmp_path / "none.png", cars(30, 0))
     truth = 5.045 / 30
-    images = [KnownScaleImage(tmp_path / "cars.png", truth * 1.3), KnownScaleImage(tmp_path / "none.png", truth)]
+    images = [
+        KnownScaleImage(tmp_path / "cars.png", truth * 1.3),
+        KnownScaleImage(tmp_path / "none.png", truth),
+    ]
     trials = list(run_trials(images, Detector(write_detector(tmp_path / "m.onnx"))))
     assert trials[0].signed_error == pytest.approx(1 / 1.3 - 1, abs=3e-3)
     assert trials[0].covered is False
     assert math.isnan(trials[1].signed_error)
     assert (trials[1].error, trials[1].covered) == (1.0, None)
     summary = summarise(trials)
-    assert summary == pytest.approx((2, 0.5, 1 - 0.5 / 1.3, 1 - 0.5 / 1.3, 0.0, 0.0, 1 / 1.3 - 1), abs=3e-3)
+    assert summary == pytest.approx(
+        (2, 0.5, 1 - 0.5 / 1.3, 1 - 0.5 / 1.3, 0.0, 0.0, 1 / 1.3 - 1), abs=3e-3
+    )
     assert summarise([]).images == 0
     assert np.isnan(summarise([]).median)
 
@@ -259,7 +356,12 @@ def _trial(length_px: float, truth: float, n: int = 12) -> ScaleTrial:
 
 
 def test_the_cumulative_error_never_reaches_one_with_misses() -> None:
-    trials = [_trial(25, 5.045 / 25 * 1.1), _trial(25, 5.045 / 25), _trial(25, 0.2, n=0), _trial(25, 0.2, n=0)]
+    trials = [
+        _trial(25, 5.045 / 25 * 1.1),
+        _trial(25, 5.045 / 25),
+        _trial(25, 0.2, n=0),
+        _trial(25, 0.2, n=0),
+    ]
     (axes,) = plot_cumulative_error({"detector": trials, "labels": trials[:2], "nothing": []}).axes
     curve = next(line for line in axes.lines if str(line.get_label()).startswith("detector"))
     errors, share = (np.asarray(values) for values in (curve.get_xdata(), curve.get_ydata()))
@@ -285,7 +387,9 @@ def test_the_command_draws_all_figures(tmp_path: Path) -> None:
         lines.append(f"{index}.png,{0.2 + 0.02 * index}")
     (tmp_path / "t.csv").write_text("\n".join(lines))
     arguments = ["--table", tmp_path / "t.csv", "--detector", write_detector(tmp_path / "m.onnx")]
-    result = CliRunner().invoke(cli.app, ["evaluate", "figures", *map(str, arguments), "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(
+        cli.app, ["evaluate", "figures", *map(str, arguments), "--out", str(tmp_path / "out")]
+    )
     assert result.exit_code == 0, result.stderr
     for name in ("predicted", "cumulative", "calibration", "sheet"):
         picture = cv2.imread(str(tmp_path / "out" / f"{name}.png"))

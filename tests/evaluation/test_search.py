@@ -40,7 +40,9 @@ def _log(path: Path, model: Detector) -> DetectionLog:
     return open_detection_log(path, model, ScaleOptions())
 
 
-def test_an_interrupted_search_goes_on_where_it_stopped(tmp_path: Path, detector: Path, counted: list[str]) -> None:
+def test_an_interrupted_search_goes_on_where_it_stopped(
+    tmp_path: Path, detector: Path, counted: list[str]
+) -> None:
     files = [tmp_path / f"{k}.png" for k in range(4)]
     for file in files:
         paint(file, cars(20))
@@ -76,7 +78,14 @@ def test_a_search_is_repeated_for_other_settings_and_for_changed_files(
     paint(file, cars(20))
     plain, strict = ScaleOptions(), ScaleOptions(search=Search(min_score=0.95))
     other_half = ScaleOptions(lengths=Lengths("mean", None), reference=Reference(4.0))
-    for options, n_searches in ((plain, 1), (plain, 1), (other_half, 1), (strict, 2), (plain, 2), (strict, 2)):
+    for options, n_searches in (
+        (plain, 1),
+        (plain, 1),
+        (other_half, 1),
+        (strict, 2),
+        (plain, 2),
+        (strict, 2),
+    ):
         found = search_images([file], model, options, log=open_detection_log(log, model, options))
         ((_, result),) = found
         assert not isinstance(result, FileIssue)
@@ -95,7 +104,11 @@ def test_an_unreadable_image_is_an_issue_and_is_tried_again(tmp_path: Path, dete
     paint(good, cars(20))
     bad.write_bytes(b"no image")
     model, log = Detector(detector), tmp_path / "log.sqlite"
-    found = dict(search_images([bad, good, tmp_path / "none.png"], model, ScaleOptions(), log=_log(log, model)))
+    found = dict(
+        search_images(
+            [bad, good, tmp_path / "none.png"], model, ScaleOptions(), log=_log(log, model)
+        )
+    )
     assert [item.reason if isinstance(item, FileIssue) else "" for item in found.values()] == [
         "image_undecodable", "", "image_not_found"
     ]  # fmt: skip
@@ -104,7 +117,9 @@ def test_an_unreadable_image_is_an_issue_and_is_tried_again(tmp_path: Path, dete
     assert not any(isinstance(item, FileIssue) for item in found.values())
 
 
-def test_an_alpha_that_no_search_has_looked_at_is_looked_at(tmp_path: Path, detector: Path, counted: list[str]) -> None:
+def test_an_alpha_that_no_search_has_looked_at_is_looked_at(
+    tmp_path: Path, detector: Path, counted: list[str]
+) -> None:
     file, log, model = tmp_path / "a.png", tmp_path / "log.sqlite", Detector(detector)
     paint(file, cars(20))
     plain, wide = ScaleOptions(), ScaleOptions(lengths=Lengths(alpha=2.5))
@@ -125,7 +140,8 @@ def test_a_split_of_dota_is_read_as_downloaded(dota: Path) -> None:
     assert [image.path.name for image in data.images] == [
         "P0000.png", "P0001.png", "P0002.png", "P0003.png", "P0007.png"
     ]  # fmt: skip
-    assert data.images[0].gsd_m_per_px == REFERENCE_M / 20  # neither version 1.0's nor the upright boxes' header
+    # neither version 1.0's nor the upright boxes' header
+    assert data.images[0].gsd_m_per_px == REFERENCE_M / 20
     assert [image.labelled_vehicles for image in data.images] == [12, 12, 12, 0, 0]
     issues = {(issue.file.name, issue.reason, issue.skipped) for issue in data.issues}
     assert issues == {
@@ -146,7 +162,9 @@ def test_version_2_keeps_the_scale_in_its_meta_folder(dota: Path) -> None:
     (dota / "labelTxt-v2.0").mkdir()
     (dota / "meta").mkdir()
     (dota / "labelTxt-v2.0" / "P0000.txt").write_text(dota_lines(cars(22)))
-    (dota / "meta" / "P0000.txt").write_text("acquisition dates:2014\nimagesource:GoogleEarth\ngsd:0.31\n")
+    (dota / "meta" / "P0000.txt").write_text(
+        "acquisition dates:2014\nimagesource:GoogleEarth\ngsd:0.31\n"
+    )
     data = survey_dota(dota)
     assert [(image.path.name, image.gsd_m_per_px) for image in data.images] == [("P0000.png", 0.31)]
     assert len(survey_dota(dota, dota / "labelTxt-v1.5").images) == 5
@@ -176,7 +194,9 @@ def test_a_table_reports_bad_lines_and_finds_labels_beside_its_images(tmp_path: 
         "images/none.png,0.2,x\n,0.2,x\nimages/c.png,0.2,y\n"
     )
     data = survey_table(table)
-    assert [(image.path.stem, image.labels and image.labels.parent.name) for image in data.images] == [
+    assert [
+        (image.path.stem, image.labels and image.labels.parent.name) for image in data.images
+    ] == [
         ("a", "labels"),
         ("b", "images"),
         ("c", None),
@@ -204,7 +224,9 @@ def test_the_true_scale_of_a_geotiff_is_corrected_for_its_latitude(tmp_path: Pat
     (tmp_path / "broken.tif").write_bytes(b"II*\0")
     data = survey_geotiffs([*files, tmp_path / "plain.png", tmp_path / "broken.tif", files[0]])
     # on the ellipsoid Web Mercator's metre is at 60 degrees half of sqrt(M N) / a = 1.00168 long
-    assert [image.gsd_m_per_px for image in data.images] == pytest.approx([0.25, 0.25042, 0.2219], rel=1e-4)
+    assert [image.gsd_m_per_px for image in data.images] == pytest.approx(
+        [0.25, 0.25042, 0.2219], rel=1e-4
+    )
     assert [(issue.file.name, issue.reason) for issue in data.issues] == [
         ("plain.png", "no_georeference"),
         ("broken.tif", "image_undecodable"),
@@ -238,7 +260,9 @@ def _trial(true_gsd: float, cars: int) -> ScaleTrial:
     return ScaleTrial(KnownScaleImage(Path(f"{cars}.png"), true_gsd), analyse_view(view))
 
 
-@pytest.mark.parametrize(("wrong", "of", "bound"), [(0, 300, 0.00994), (0, 59, 0.0495), (1, 100, 0.0466), (5, 5, 1.0)])
+@pytest.mark.parametrize(
+    ("wrong", "of", "bound"), [(0, 300, 0.00994), (0, 59, 0.0495), (1, 100, 0.0466), (5, 5, 1.0)]
+)
 def test_the_upper_bound_is_the_exact_one(wrong: int, of: int, bound: float) -> None:
     assert upper_bound(wrong, of) == pytest.approx(bound, abs=1e-4)
 

@@ -19,10 +19,14 @@ Processing.initialize()
 plugin = classFactory(None)
 plugin.initProcessing()
 seen: dict[str, Any] = {"algorithms": sorted(each.id() for each in plugin.provider.algorithms())}
-seen["scale"] = processing.run("vehanchor:scale", {"IMAGE": photograph, "BOXES": "TEMPORARY_OUTPUT"})
+seen["scale"] = processing.run(
+    "vehanchor:scale", {"IMAGE": photograph, "BOXES": "TEMPORARY_OUTPUT"}
+)
 layer = QgsVectorLayer(seen["scale"]["BOXES"], "boxes", "ogr")
 seen["boxes"] = [layer.isValid(), layer.featureCount()]
-seen["raster"] = processing.run("vehanchor:localmetres", {"IMAGE": photograph, "RASTER": out + "/metres.tif"})
+seen["raster"] = processing.run(
+    "vehanchor:localmetres", {"IMAGE": photograph, "RASTER": out + "/metres.tif"}
+)
 seen["by height"] = processing.run("vehanchor:scale", {"IMAGE": nothing, "HEIGHT": 100.0})
 try:
     processing.run("vehanchor:localmetres", {"IMAGE": nothing, "RASTER": out + "/none.tif"})

@@ -1,9 +1,10 @@
 """A model that follows a script, behind the wire formats of three real APIs.
 
-``POST /v1/messages`` (Anthropic), ``POST /v1/responses`` (OpenAI) and ``POST .../models/<model>:generateContent``
-(Gemini) on a port of the loopback interface. The model asks for one tool call after the other and then answers with
-what the last tool said. What was said before it sees in each request, or keeps where Anthropic's SDK asks for a thread.
-A request that the real APIs would refuse is refused: no key, a tool call without its result.
+``POST /v1/messages`` (Anthropic), ``POST /v1/responses`` (OpenAI) and ``POST
+.../models/<model>:generateContent`` (Gemini) on a port of the loopback interface. The model asks
+for one tool call after the other and then answers with what the last tool said. What was said
+before it sees in each request, or keeps where Anthropic's SDK asks for a thread. A request that the
+real APIs would refuse is refused: no key, a tool call without its result.
 """
 
 from __future__ import annotations
@@ -72,13 +73,19 @@ class StandIn:
             self.requests.append(body)
             return 200, self._reply(path.partition("?")[0], headers, body), {}
         except _RefusedError as reason:
-            error = {"type": "invalid_request_error", "message": str(reason), "code": 400, "status": "INVALID"}
+            error = {
+                "type": "invalid_request_error",
+                "message": str(reason),
+                "code": 400,
+                "status": "INVALID",
+            }
             return 400, {"type": "error", "error": error}, {}
 
     def _reply(self, path: str, sent: dict[str, str], body: dict[str, Any]) -> dict[str, Any]:
         _require(bool(body.get("model")) or ":generateContent" in path, "model: field required")
         if path == "/v1/messages":
-            keys = sent.get("x-api-key"), sent.get("authorization", "").removeprefix("Bearer ")  # SDKs differ
+            # SDKs differ
+            keys = sent.get("x-api-key"), sent.get("authorization", "").removeprefix("Bearer ")
             _require(KEY in keys, "x-api-key header is required")
             _require("anthropic-version" in sent, "anthropic-version header is required")
             return self._anthropic(body)
@@ -102,7 +109,9 @@ class StandIn:
         thread = body.pop("thread", None) or {}
         if thread.get("type") != "continue":
             return body
-        _require(thread["previous_message_id"] in self.threads, "previous_message_id: no such message")
+        _require(
+            thread["previous_message_id"] in self.threads, "previous_message_id: no such message"
+        )
         before = self.threads[thread["previous_message_id"]]
         return {**before, **body, "messages": [*before["messages"], *body["messages"]]}
 
@@ -111,12 +120,22 @@ class StandIn:
         blocks = [block for message in body["messages"] for block in _blocks(message["content"])]
         asked = [block["id"] for block in blocks if block["type"] == "tool_use"]
         given = [block for block in blocks if block["type"] == "tool_result"]
-        _require(asked == [block["tool_use_id"] for block in given], "tool_use ids without tool_result blocks")
+        _require(
+            asked == [block["tool_use_id"] for block in given],
+            "tool_use ids without tool_result blocks",
+        )
         step = self._next(body, [_text(block["content"]) for block in given])
         if isinstance(step, str):
             content: list[dict[str, Any]] = [{"type": "text", "text": step}]
         else:
-            content = [{"type": "tool_use", "id": f"toolu_{len(given)}", "name": step.name, "input": step.arguments}]
+            content = [
+                {
+                    "type": "tool_use",
+                    "id": f"toolu_{len(given)}",
+                    "name": step.name,
+                    "input": step.arguments,
+                }
+            ]
         message_id = f"msg_{len(self.requests)}"
         reply = {"role": "assistant", "content": content}
         self.threads[message_id] = {**body, "messages": [*body["messages"], reply]}
@@ -132,15 +151,26 @@ class StandIn:
         }
 
     def _openai(self, body: dict[str, Any]) -> dict[str, Any]:
-        items = [item for item in body["input"] if isinstance(item, dict)] if isinstance(body["input"], list) else []
+        items = (
+            [item for item in body["input"] if isinstance(item, dict)]
+            if isinstance(body["input"], list)
+            else []
+        )
         asked = [item["call_id"] for item in items if item.get("type") == "function_call"]
         given = [item for item in items if item.get("type") == "function_call_output"]
-        _require(asked == [item["call_id"] for item in given], "No tool output found for function call")
+        _require(
+            asked == [item["call_id"] for item in given], "No tool output found for function call"
+        )
         step = self._next(body, [_text(item["output"]) for item in given])
         number = len(given)
         if isinstance(step, str):
             content = [{"type": "output_text", "text": step, "annotations": []}]
-            output = {"type": "message", "id": f"msg_{number}", "role": "assistant", "content": content}
+            output = {
+                "type": "message",
+                "id": f"msg_{number}",
+                "role": "assistant",
+                "content": content,
+            }
         else:
             output = {
                 "type": "function_call",
@@ -178,16 +208,33 @@ class StandIn:
         parts = [part for content in body["contents"] for part in content["parts"]]
         asked = [part["functionCall"]["name"] for part in parts if "functionCall" in part]
         given = [part["functionResponse"] for part in parts if "functionResponse" in part]
-        _require(asked == [part["name"] for part in given], "function responses must follow function calls")
-        step = self._next(body, [_text(part["response"].get("content", part["response"])) for part in given])
+        _require(
+            asked == [part["name"] for part in given],
+            "function responses must follow function calls",
+        )
+        step = self._next(
+            body, [_text(part["response"].get("content", part["response"])) for part in given]
+        )
         part: dict[str, Any] = (
             {"text": step}
             if isinstance(step, str)
-            else {"functionCall": {"name": step.name, "args": step.arguments, "id": f"call_{len(given)}"}}
+            else {
+                "functionCall": {
+                    "name": step.name,
+                    "args": step.arguments,
+                    "id": f"call_{len(given)}",
+                }
+            }
         )
         return {
-            "candidates": [{"content": {"role": "model", "parts": [part]}, "finishReason": "STOP", "index": 0}],
-            "usageMetadata": {"promptTokenCount": 1, "candidatesTokenCount": 1, "totalTokenCount": 2},
+            "candidates": [
+                {"content": {"role": "model", "parts": [part]}, "finishReason": "STOP", "index": 0}
+            ],
+            "usageMetadata": {
+                "promptTokenCount": 1,
+                "candidatesTokenCount": 1,
+                "totalTokenCount": 2,
+            },
             "modelVersion": "stand-in",
         }
 

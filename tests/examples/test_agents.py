@@ -1,6 +1,7 @@
 """The examples with language models, as a user runs them, against a stand-in that speaks the real APIs.
 
-They run in environments of their own (``tests/needs.py``), with our server as the command on the PATH.
+They run in environments of their own (``tests/needs.py``), with our server as the command on the
+PATH.
 """
 
 from __future__ import annotations
@@ -62,10 +63,14 @@ def with_mcp_1() -> Path:
     return environment(EXAMPLES / "frameworks" / "langchain_agent.requirements.txt")
 
 
-def run_example(python: Path, script: str, *options: str, **settings: str) -> subprocess.CompletedProcess[str]:
+def run_example(
+    python: Path, script: str, *options: str, **settings: str
+) -> subprocess.CompletedProcess[str]:
     """Run an example, with our command on its PATH and nothing of the caller's environment."""
     command = str(Path(sys.executable).parent)  # where `vehanchor` is
-    inherited = {name: os.environ[name] for name in ("HOME", "LANG", "TMPDIR") if name in os.environ}
+    inherited = {
+        name: os.environ[name] for name in ("HOME", "LANG", "TMPDIR") if name in os.environ
+    }
     return subprocess.run(
         [str(python), str(EXAMPLES / script), str(IMAGE), QUESTION, *options],
         env={**inherited, "PATH": f"{command}:{os.environ['PATH']}", **settings},
@@ -85,16 +90,33 @@ def stand_in(request: pytest.FixtureRequest) -> Iterator[StandIn]:
 def variables(script: str, stand_in: StandIn) -> dict[str, str]:
     """What tells an example to ask the stand-in."""
     if "claude" in script:
-        return {"ANTHROPIC_API_KEY": KEY, "ANTHROPIC_BASE_URL": stand_in.url, "ANTHROPIC_MODEL": "claude-stand-in"}
+        return {
+            "ANTHROPIC_API_KEY": KEY,
+            "ANTHROPIC_BASE_URL": stand_in.url,
+            "ANTHROPIC_MODEL": "claude-stand-in",
+        }
     if "google" in script:
-        return {"GEMINI_API_KEY": KEY, "GOOGLE_GEMINI_BASE_URL": stand_in.url, "GEMINI_MODEL": "gemini-stand-in"}
-    return {"OPENAI_API_KEY": KEY, "OPENAI_BASE_URL": f"{stand_in.url}/v1", "OPENAI_MODEL": "gpt-stand-in"}
+        return {
+            "GEMINI_API_KEY": KEY,
+            "GOOGLE_GEMINI_BASE_URL": stand_in.url,
+            "GEMINI_MODEL": "gemini-stand-in",
+        }
+    return {
+        "OPENAI_API_KEY": KEY,
+        "OPENAI_BASE_URL": f"{stand_in.url}/v1",
+        "OPENAI_MODEL": "gpt-stand-in",
+    }
 
 
 def _check_answer(done: subprocess.CompletedProcess[str], stand_in: StandIn) -> None:
     """The server measured, and what it measured reached the model and came back."""
     assert done.returncode == 0, done.stderr
-    assert stand_in.tool_names() == {"estimate_gsd", "measure_area", "measure_distance", "view_image"}
+    assert stand_in.tool_names() == {
+        "estimate_gsd",
+        "measure_area",
+        "measure_distance",
+        "view_image",
+    }
     assert len(stand_in.requests) == len(stand_in.calls) + 1
     assert stand_in.n_pictures() == 1, "the model saw what view_image shows"
     said = done.stdout.rpartition("The tool says:")[2]
@@ -117,7 +139,9 @@ def _check_transcript(done: subprocess.CompletedProcess[str], n_calls: int) -> N
 @pytest.mark.parametrize("stand_in", [CALLS], indirect=True, ids=["all tools"])
 @pytest.mark.parametrize("way", ["mcp", "schemas"])
 def test_claude_measures_both_ways(with_mcp_2: Path, stand_in: StandIn, way: str) -> None:
-    done = run_example(with_mcp_2, "claude_tool_use.py", "--way", way, **variables("claude", stand_in))
+    done = run_example(
+        with_mcp_2, "claude_tool_use.py", "--way", way, **variables("claude", stand_in)
+    )
     _check_answer(done, stand_in)
     _check_transcript(done, len(stand_in.calls))
 
@@ -125,7 +149,9 @@ def test_claude_measures_both_ways(with_mcp_2: Path, stand_in: StandIn, way: str
 @pytest.mark.parametrize("stand_in", [STRICT], indirect=True, ids=["all tools"])
 @pytest.mark.parametrize("way", ["agents", "responses"])
 def test_an_openai_model_measures_both_ways(with_mcp_2: Path, stand_in: StandIn, way: str) -> None:
-    done = run_example(with_mcp_2, "openai_tool_use.py", "--way", way, **variables("openai", stand_in))
+    done = run_example(
+        with_mcp_2, "openai_tool_use.py", "--way", way, **variables("openai", stand_in)
+    )
     _check_answer(done, stand_in)
     _check_transcript(done, len(stand_in.calls))
 
@@ -154,8 +180,11 @@ def test_without_a_key_or_a_model_it_says_what_to_set(
         ("openai_tool_use.py", "responses", "OPENAI"),
     ],
 )
-def test_an_unreachable_api_ends_in_a_sentence(with_mcp_2: Path, script: str, way: str, prefix: str) -> None:
-    nowhere = {"API_KEY": KEY, "MODEL": "model", "BASE_URL": "http://127.0.0.1:9"}  # discard: nothing listens
+def test_an_unreachable_api_ends_in_a_sentence(
+    with_mcp_2: Path, script: str, way: str, prefix: str
+) -> None:
+    # discard: nothing listens
+    nowhere = {"API_KEY": KEY, "MODEL": "model", "BASE_URL": "http://127.0.0.1:9"}
     settings = {f"{prefix}_{name}": value for name, value in nowhere.items()}
     done = run_example(with_mcp_2, script, "--way", way, **settings)
     assert done.returncode == 1
@@ -165,7 +194,9 @@ def test_an_unreachable_api_ends_in_a_sentence(with_mcp_2: Path, script: str, wa
 
 
 @pytest.mark.parametrize("stand_in", [CALLS], indirect=True, ids=["all tools"])
-def test_a_langchain_agent_in_its_own_environment_measures(with_mcp_1: Path, stand_in: StandIn) -> None:
+def test_a_langchain_agent_in_its_own_environment_measures(
+    with_mcp_1: Path, stand_in: StandIn
+) -> None:
     version = subprocess.run(
         [str(with_mcp_1), "-c", "from importlib.metadata import version; print(version('mcp'))"],
         capture_output=True,
@@ -179,7 +210,9 @@ def test_a_langchain_agent_in_its_own_environment_measures(with_mcp_1: Path, sta
 
 @pytest.mark.parametrize("stand_in", [CALLS], indirect=True, ids=["all tools"])
 @pytest.mark.parametrize("script", ["pydantic_ai_agent.py", "google_adk_agent.py"])
-def test_an_agent_of_another_framework_measures(with_mcp_2: Path, stand_in: StandIn, script: str) -> None:
+def test_an_agent_of_another_framework_measures(
+    with_mcp_2: Path, stand_in: StandIn, script: str
+) -> None:
     done = run_example(with_mcp_2, f"frameworks/{script}", **variables(script, stand_in))
     _check_answer(done, stand_in)
 

@@ -45,29 +45,49 @@ ENTRIES = {
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_each_entry_is_the_same_command_which_starts_the_server_with_all_tools(tmp_path: Path) -> None:
+async def test_each_entry_is_the_same_command_which_starts_the_server_with_all_tools(
+    tmp_path: Path,
+) -> None:
     commands = set()
     for entry, key in ENTRIES.items():
         server = _read(CLIENTS / entry)[key]["vehanchor"]
         assert server.get("type", "stdio") == "stdio"
-        command = server["command"].replace("/absolute/path/to/bin", str(Path(sys.executable).parent))
-        # What the client fills in: its own variables, and the paths that the README says to replace.
-        images = re.sub(r"\$\{workspaceFolder\}|\$\{\w+:-/absolute/path/to/images\}", str(tmp_path), server["args"][-1])
+        command = server["command"].replace(
+            "/absolute/path/to/bin", str(Path(sys.executable).parent)
+        )
+        # What the client fills in: its own variables, and the paths that the README says to
+        # replace.
+        images = re.sub(
+            r"\$\{workspaceFolder\}|\$\{\w+:-/absolute/path/to/images\}",
+            str(tmp_path),
+            server["args"][-1],
+        )
         commands.add(
-            (Path(command).name, *server["args"][:-1], images.replace("/absolute/path/to/images", str(tmp_path)))
+            (
+                Path(command).name,
+                *server["args"][:-1],
+                images.replace("/absolute/path/to/images", str(tmp_path)),
+            )
         )
     ((command, *arguments),) = commands
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    async with Client(StdioServerParameters(command=command, args=arguments, env={"PATH": path})) as client:
+    async with Client(
+        StdioServerParameters(command=command, args=arguments, env={"PATH": path})
+    ) as client:
         assert {tool.name for tool in (await client.list_tools()).tools} == TOOLS
 
 
 def test_every_version_is_the_packages() -> None:
-    package = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    package = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "version"
+    ]
     registry = _read(CLIENTS / "server.json")
     bundle = tomllib.loads((BUNDLE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert version("vehanchor") == package
-    assert (registry["version"], [entry["version"] for entry in registry["packages"]]) == (package, [package])
+    assert (registry["version"], [entry["version"] for entry in registry["packages"]]) == (
+        package,
+        [package],
+    )
     assert _read(BUNDLE / "manifest.json")["version"] == package
     assert (bundle["version"], bundle["dependencies"]) == (package, [f"vehanchor=={package}"])
 
@@ -108,7 +128,9 @@ async def test_the_bundles_entry_point_serves_both_tools(tmp_path: Path) -> None
     arguments = manifest["server"]["mcp_config"]["args"]
     assert arguments[:3] == ["run", "--directory", "${__dirname}"]
     filled = [part.replace("${user_config.images}", str(tmp_path)) for part in arguments[3:]]
-    async with Client(StdioServerParameters(command=sys.executable, args=filled, cwd=BUNDLE)) as client:
+    async with Client(
+        StdioServerParameters(command=sys.executable, args=filled, cwd=BUNDLE)
+    ) as client:
         assert {tool.name for tool in (await client.list_tools()).tools} == TOOLS
 
 
@@ -117,10 +139,15 @@ async def test_the_bundles_entry_point_serves_both_tools(tmp_path: Path) -> None
 def test_the_official_tool_accepts_and_packs_the_bundle(tmp_path: Path) -> None:
     mcpb = ["npx", "--yes", _MCPB]
     validated = subprocess.run(
-        [*mcpb, "validate", str(BUNDLE / "manifest.json")], capture_output=True, text=True, check=False
+        [*mcpb, "validate", str(BUNDLE / "manifest.json")],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert validated.returncode == 0, validated.stdout + validated.stderr
     bundle = tmp_path / "vehanchor.mcpb"
-    packed = subprocess.run([*mcpb, "pack", str(BUNDLE), str(bundle)], capture_output=True, text=True, check=False)
+    packed = subprocess.run(
+        [*mcpb, "pack", str(BUNDLE), str(bundle)], capture_output=True, text=True, check=False
+    )
     assert packed.returncode == 0, packed.stdout + packed.stderr
     assert 0 < bundle.stat().st_size < 100_000

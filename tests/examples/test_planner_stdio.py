@@ -23,8 +23,12 @@ from vehanchor_server.tools.registry import create_tools
 
 SCENES = ROOT / "examples" / "scenes"
 _README = (SCENES / "README.md").read_text(encoding="utf-8")
-_ROWS = re.findall(r"^\| `(\w+\.jpg)` .*`--zone ([\d ]+)` \| `(\w+)` \|$", _README, flags=re.MULTILINE)
-_RENDERINGS = re.findall(r"^\$ python -m research\.scenes ((\w+\.jpg) .*)$", _README, flags=re.MULTILINE)
+_ROWS = re.findall(
+    r"^\| `(\w+\.jpg)` .*`--zone ([\d ]+)` \| `(\w+)` \|$", _README, flags=re.MULTILINE
+)
+_RENDERINGS = re.findall(
+    r"^\$ python -m research\.scenes ((\w+\.jpg) .*)$", _README, flags=re.MULTILINE
+)
 
 
 def _record(**changes: Any) -> dict[str, Any]:
@@ -72,10 +76,14 @@ async def test_the_planner_uses_listed_arguments_alone(
     class Recorder:
         async def call_tool(self, name: str, arguments: dict[str, Any]) -> CallToolResult:
             asked.append((name, arguments))
-            return CallToolResult(content=[], structured_content={"status": "no_scale", "reason": "too_few"})
+            return CallToolResult(
+                content=[], structured_content={"status": "no_scale", "reason": "too_few"}
+            )
 
     ruler, craft = planner.Ruler("a ruler", gsd_m_per_px), planner.Craft(4.0, 2.0)
-    await planner.decide(Recorder(), Path("a.jpg"), [planner.Zone(1, 2, 30, 40)], [ruler], craft, "europe")
+    await planner.decide(
+        Recorder(), Path("a.jpg"), [planner.Zone(1, 2, 30, 40)], [ruler], craft, "europe"
+    )
     by_name = {tool.name: tool for tool in create_tools(create_services(Settings(roots=(ROOT,))))}
     assert [name for name, _ in asked] == ["measure_area"]
     for name, arguments in asked:
@@ -97,14 +105,19 @@ def _planned(*arguments: str) -> tuple[dict[str, Any], str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("image", "zone", "action"), _ROWS)
-def test_the_shipped_scenes_get_the_decisions_of_their_readme(image: str, zone: str, action: str) -> None:
+def test_the_shipped_scenes_get_the_decisions_of_their_readme(
+    image: str, zone: str, action: str
+) -> None:
     decision, log = _planned(image, "--zone", *zone.split())
     assert decision["action"] == action, decision["reason"]
     assert f"planner: decision: {action}, because {decision['reason']}" in log
-    assert all(line.startswith("planner: ") for line in log.splitlines()), "the server's log is not the planner's"
+    assert all(line.startswith("planner: ") for line in log.splitlines()), (
+        "the server's log is not the planner's"
+    )
     if action == "land":
         assert decision["diameter_low_m"] >= decision["needed_m"] == 8.0
-    if image == "no_cars.jpg":  # what the detector takes for cars there, if anything, is never to be trusted
+    # what the detector takes for cars there, if anything, is never to be trusted
+    if image == "no_cars.jpg":
         no_scale = decision["reason"].startswith("no scale from vehicles in the image")
         assert no_scale or "is not ok" in decision["reason"]
     if image == "too_coarse.jpg":
@@ -123,7 +136,9 @@ def test_it_tries_the_next_zone_and_then_the_next_ruler() -> None:
     decision, _ = _planned("safe.jpg", "--zone", *small.split(), "--zone", *roof.split())
     assert (decision["action"], decision["zone"]["x_min"]) == ("land", 255)
     roof_there = "318 48 406 100"
-    decision, log = _planned("too_coarse.jpg", "--zone", *roof_there.split(), "--altitude", "60", "--focal", "120")
+    decision, log = _planned(
+        "too_coarse.jpg", "--zone", *roof_there.split(), "--altitude", "60", "--focal", "120"
+    )
     assert "planner: trying the next ruler: barometer" in log
     assert (decision["action"], decision["ruler"]) == ("land", "barometer")
 
@@ -154,11 +169,16 @@ def example() -> Callable[[str], Any]:
     return load
 
 
-def test_it_lands_where_the_lower_bound_fits_and_says_where(decide_zone: Callable[..., Any]) -> None:
+def test_it_lands_where_the_lower_bound_fits_and_says_where(
+    decide_zone: Callable[..., Any],
+) -> None:
     decision = decide_zone(_record())
     assert decision.action == "land"
     assert (decision.center_x_px, decision.center_y_px, decision.needed_m) == (40.5, 30.5, 8.0)
-    assert decision.reason == "a circle of at least 8.5 m fits by the ruler (estimate 10.0 m), 8.0 m needed"
+    assert (
+        decision.reason
+        == "a circle of at least 8.5 m fits by the ruler (estimate 10.0 m), 8.0 m needed"
+    )
 
 
 def test_an_estimate_that_fits_is_not_enough(decide_zone: Callable[..., Any]) -> None:

@@ -21,7 +21,10 @@ pytestmark = [pytest.mark.qgis, pytest.mark.timeout(900)]
 def _python_of_qgis() -> str:
     """The system's Python, which has QGIS where Debian has installed it."""
     for python in ("/usr/bin/python3",):
-        if Path(python).exists() and subprocess.run([python, "-c", "import qgis.core"], check=False).returncode == 0:
+        if (
+            Path(python).exists()
+            and subprocess.run([python, "-c", "import qgis.core"], check=False).returncode == 0
+        ):
             return python
     return needed_program("qgis", "apt-get install python3-qgis qgis-providers")
 
@@ -30,7 +33,14 @@ def test_the_algorithms_give_the_commands_scale_and_layers_that_qgis_reads(tmp_p
     photograph, empty = ROOT / "examples/scenes/safe.jpg", ROOT / "examples/scenes/no_cars.jpg"
     command = Path(sys.executable).with_name("vehanchor")
     done = subprocess.run(
-        [_python_of_qgis(), ROOT / "tests/examples/drive_qgis.py", ROOT / "examples/qgis", photograph, empty, tmp_path],
+        [
+            _python_of_qgis(),
+            ROOT / "tests/examples/drive_qgis.py",
+            ROOT / "examples/qgis",
+            photograph,
+            empty,
+            tmp_path,
+        ],
         env={**os.environ, "QT_QPA_PLATFORM": "offscreen", "VEHANCHOR": str(command)},
         capture_output=True,
         text=True,
@@ -41,7 +51,10 @@ def test_the_algorithms_give_the_commands_scale_and_layers_that_qgis_reads(tmp_p
     estimate = vehanchor.estimate_gsd(photograph)
     assert seen["algorithms"] == ["vehanchor:localmetres", "vehanchor:scale"]
     assert seen["scale"]["GSD"] == pytest.approx(estimate.gsd_m_per_px)
-    assert (seen["scale"]["STATUS"], seen["scale"]["CONFIDENCE"]) == ("ok", pytest.approx(estimate.confidence))
+    assert (seen["scale"]["STATUS"], seen["scale"]["CONFIDENCE"]) == (
+        "ok",
+        pytest.approx(estimate.confidence),
+    )
     assert seen["boxes"] == [True, estimate.details.n_detections]
     with rasterio.open(seen["raster"]["RASTER"]) as raster:
         assert raster.transform.a == pytest.approx(estimate.gsd_m_per_px)

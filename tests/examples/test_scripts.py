@@ -46,7 +46,9 @@ def test_it_runs_and_its_numbers_hold(executed: Any) -> None:
     pictures = [output for output in shown if "image/png" in output.get("data", {})]
     assert len(pictures) == 3, "the photograph, the line and the roof show themselves"
     assert any("text/html" in output.get("data", {}) for output in shown), "the record is a table"
-    assert "second.png no_scale alone; ok" in printed, "a photograph without cars gets its scale in the flight"
+    assert "second.png no_scale alone; ok" in printed, (
+        "a photograph without cars gets its scale in the flight"
+    )
     assert "scale from vehicles in first.png" in printed
     assert "reference length" in printed, "what calibrate printed"
 
@@ -60,7 +62,14 @@ def test_it_is_committed_without_outputs() -> None:
 
 
 FLIGHT = ROOT / "examples/flight"
-GSDS = {"1.jpg": 0.12, "2.jpg": 0.122, "3.jpg": 0.119, "4.jpg": 0.121, "5.jpg": 0.12, "6.jpg": 0.118}
+GSDS = {
+    "1.jpg": 0.12,
+    "2.jpg": 0.122,
+    "3.jpg": 0.119,
+    "4.jpg": 0.121,
+    "5.jpg": 0.12,
+    "6.jpg": 0.118,
+}
 
 
 @pytest.mark.slow
@@ -104,7 +113,13 @@ def _sent(*records: Mapping[str, float | None]) -> list[bytes]:
         station.bind(("127.0.0.1", 0))
         station.settimeout(0.2)
         lines = "".join(json.dumps(record) + "\n" for record in records)
-        command = [sys.executable, str(EXAMPLE), f"127.0.0.1:{station.getsockname()[1]}", "--system", "42"]
+        command = [
+            sys.executable,
+            str(EXAMPLE),
+            f"127.0.0.1:{station.getsockname()[1]}",
+            "--system",
+            "42",
+        ]
         subprocess.run(command, input=lines, text=True, check=True)
         received = []
         try:
@@ -139,7 +154,9 @@ runpy.run_path(sys.argv[1], run_name="__main__")"""
 
 @pytest.mark.parametrize("script", _SCRIPTS, ids=[path.name for path in _SCRIPTS])
 def test_it_names_the_package_in_one_line(script: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", _ALONE, str(script)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", _ALONE, str(script)], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     assert line.startswith("this example needs the package '")

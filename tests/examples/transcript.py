@@ -14,8 +14,10 @@ from tests.needs import environment
 
 _ANSWER = "(the scripted model repeats what the tool said) {result}"
 _HEAD = (
-    "Made by `python -m tests.examples.transcript`: the example really ran, its tools really measured; the model was a "
-    "stand-in\nthat follows a script behind the real API's wire format, so what it says is not a language model's.\n\n"
+    "Made by `python -m tests.examples.transcript`: the example really ran, its tools really "
+    "measured; the model was a "
+    "stand-in\nthat follows a script behind the real API's wire format, so what it says is not "
+    "a language model's.\n\n"
 )
 
 

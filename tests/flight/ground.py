@@ -33,14 +33,22 @@ def ground(side_px: int = 1600, seed: int = 5) -> NDArray[np.uint8]:
 
 
 def photograph_of(
-    world: NDArray[np.uint8], x: float, y: float, *, turn_deg: float = 0.0, scale: float = 1.0, side_px: int = 500
+    world: NDArray[np.uint8],
+    x: float,
+    y: float,
+    *,
+    turn_deg: float = 0.0,
+    scale: float = 1.0,
+    side_px: int = 500,
 ) -> NDArray[np.uint8]:
     """The ground around (x, y): ``scale`` pixels of the ground a pixel, turned."""
     move = np.array(cv2.getRotationMatrix2D((x, y), turn_deg, 1 / scale), dtype=np.float64)
     move[:, 2] += side_px / 2 - np.array([x, y])
     flags = cv2.INTER_AREA if scale > 1 else cv2.INTER_LINEAR
     blurred = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world
-    return np.asarray(cv2.warpAffine(blurred, move, (side_px, side_px), flags=flags), dtype=np.uint8)
+    return np.asarray(
+        cv2.warpAffine(blurred, move, (side_px, side_px), flags=flags), dtype=np.uint8
+    )
 
 
 def features_of(image: NDArray[np.uint8]) -> Features:
@@ -53,7 +61,11 @@ def facts_at(east_m: float, north_m: float, side_px: int = 500) -> ImageFacts:
     """Facts of a photograph taken there."""
     latitude = _LATITUDE + north_m / _METRES_A_DEGREE
     longitude = 7.0 + east_m / (_METRES_A_DEGREE * np.cos(np.radians(_LATITUDE)))
-    return ImageFacts(side_px, side_px, camera=CameraMetadata(latitude_deg=latitude, longitude_deg=float(longitude)))
+    return ImageFacts(
+        side_px,
+        side_px,
+        camera=CameraMetadata(latitude_deg=latitude, longitude_deg=float(longitude)),
+    )
 
 
 def sighting_of(lengths: NDArray[np.float64]) -> Detections:
@@ -72,10 +84,14 @@ def write_flight(folder: Path, fleets: Sequence[Sequence[float]]) -> list[str]:
     return paths
 
 
-def write_film(path: Path, frames: Iterable[NDArray[np.uint8]], per_second: float = 10.0, codec: str = "MJPG") -> str:
+def write_film(
+    path: Path, frames: Iterable[NDArray[np.uint8]], per_second: float = 10.0, codec: str = "MJPG"
+) -> str:
     """A video of these frames, BGR; its path."""
     first, *rest = frames
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), per_second, first.shape[1::-1])
+    writer = cv2.VideoWriter(
+        str(path), cv2.VideoWriter.fourcc(*codec), per_second, first.shape[1::-1]
+    )
     for frame in (first, *rest):
         writer.write(frame)
     writer.release()

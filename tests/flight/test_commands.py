@@ -30,7 +30,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr("vehanchor.cli.terminal._LINE_EVERY_S", 0.0)  # of progress in a log
 
     def invoke(command: str, *arguments: object) -> Result:
-        return CliRunner().invoke(cli.app, [command, *map(str, arguments), "--detector", "detector.onnx"])
+        return CliRunner().invoke(
+            cli.app, [command, *map(str, arguments), "--detector", "detector.onnx"]
+        )
 
     return invoke
 
@@ -43,10 +45,16 @@ def test_photographs_of_unknown_ratio_each_have_a_line(run: Any) -> None:
     done = run("flight", "0.png", "2.png")
     assert "its own vehicles" in done.stdout
     assert "no other photograph overlaps it" in " ".join(done.stdout.split())
-    assert _told(done) == ["searching 0 of 2 images", "searching 1 of 2 images", "linking 2 of 2 images"]
+    assert _told(done) == [
+        "searching 0 of 2 images",
+        "searching 1 of 2 images",
+        "linking 2 of 2 images",
+    ]
 
 
-def test_tables_fit_a_terminal_of_80_columns(run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tables_fit_a_terminal_of_80_columns(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     (tmp_path / "not_a_photograph.jpg").write_text("text")
     names = [f"a_survey_of_the_northern_fields_{number}.png" for number in (0, 2)]
@@ -66,11 +74,18 @@ def test_an_output_that_cannot_be_written_is_told_before_the_work(run: Any, out:
     assert "output_unwritable" in done.stderr
 
 
-def test_json_is_the_record_whose_scale_is_given_back_for_a_photograph_without_cars(run: Any, tmp_path: Path) -> None:
+def test_json_is_the_record_whose_scale_is_given_back_for_a_photograph_without_cars(
+    run: Any, tmp_path: Path
+) -> None:
     done = run("flight", "*.png", "--same-scale", "--json", "--out", "flight.json")
     flight = json.loads(done.stdout)
     assert flight == json.loads((tmp_path / "flight.json").read_text())
-    assert [each["photograph"] for each in flight["photographs"]] == ["0.png", "1.png", "2.png", "3.png"]
+    assert [each["photograph"] for each in flight["photographs"]] == [
+        "0.png",
+        "1.png",
+        "2.png",
+        "3.png",
+    ]
     assert not (tmp_path / "flight.json.journal").exists()
     line = ["--point", "100", "100", "--point", "200", "100"]
     done = run("distance", "2.png", *line, "--scale", "flight.json", "--json")
@@ -85,7 +100,9 @@ def test_json_is_the_record_whose_scale_is_given_back_for_a_photograph_without_c
     assert "not there in the flight" in refused.stderr
 
 
-def test_a_folder_of_one_scale_is_told_and_has_it_in_every_row_of_a_table(run: Any, tmp_path: Path) -> None:
+def test_a_folder_of_one_scale_is_told_and_has_it_in_every_row_of_a_table(
+    run: Any, tmp_path: Path
+) -> None:
     (tmp_path / "4.png").write_bytes(b"no image")
     done = run("flight", ".", "--same-scale", "--table", "scales.jsonl")
     assert done.exit_code == 0, done.output
@@ -109,7 +126,9 @@ def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.chdir(tmp_path)
 
     def invoke(*arguments: object) -> Result:
-        return CliRunner().invoke(cli.app, ["flight", "live", *map(str, arguments), "--detector", "detector.onnx"])
+        return CliRunner().invoke(
+            cli.app, ["flight", "live", *map(str, arguments), "--detector", "detector.onnx"]
+        )
 
     return invoke
 
@@ -156,7 +175,9 @@ LENGTHS = 4.8 * (1 + 0.06 * np.linspace(-1, 1, 12) ** 3)
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a model at 92 % of its size, and a detector."""
     folder = tmp_path_factory.mktemp("rescale")
-    cars = np.column_stack([[(80 + 9 * (k % 4), 80 + 9 * (k // 4)) for k in range(12)], LENGTHS, np.arange(12) * 0.3])
+    cars = np.column_stack(
+        [[(80 + 9 * (k % 4), 80 + 9 * (k // 4)) for k in range(12)], LENGTHS, np.arange(12) * 0.3]
+    )
     poses = [Pose(80, 80, 70), Pose(110, 85, 70, 8, 100), Pose(100, 90, 75)]
     write_opensfm(folder / "project", [pose.painted(cars) for pose in poses], poses, 1 / 0.92)
     write_detector(folder / "detector.onnx")
@@ -200,7 +221,9 @@ def test_the_verdict_is_told_and_the_files_are_in_metres(rescale: Any, tmp_path:
         (["project", "--project", "project"], "output_unwritable"),
     ],
 )
-def test_what_cannot_be_done_is_told_with_its_remedy(rescale: Any, arguments: list[str], code: str) -> None:
+def test_what_cannot_be_done_is_told_with_its_remedy(
+    rescale: Any, arguments: list[str], code: str
+) -> None:
     done = rescale(*arguments)
     assert done.exit_code == 2, done.output
     assert f"error[{code}]" in done.stderr

@@ -63,11 +63,17 @@ def test_photographs_of_one_scale_share_it(flight: list[str], detector: Detector
     assert first[2].photograph in (flight[0], flight[1], flight[3])
 
 
-def test_a_photograph_that_cannot_be_read_is_told_and_stops_nothing(flight: list[str], detector: Detector) -> None:
+def test_a_photograph_that_cannot_be_read_is_told_and_stops_nothing(
+    flight: list[str], detector: Detector
+) -> None:
     Path(flight[2]).write_bytes(b"no image")
     record = estimate_flight(flight, same_scale=True, detector=detector, rulers=("vehicles",))
     broken = record.photographs[2]
-    assert (broken.status, broken.error_code, broken.gsd_m_per_px) == ("error", "image_undecodable", None)
+    assert (broken.status, broken.error_code, broken.gsd_m_per_px) == (
+        "error",
+        "image_undecodable",
+        None,
+    )
     assert record.status == "ok"
 
 
@@ -90,8 +96,12 @@ def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
         estimate_flight([images[1], images[1]], detector=detector)
 
 
-@pytest.mark.parametrize("option", [{"frame": (4, 3)}, {"known_lengths": [(0, 0, 50, 0, 5.0)]}, {"drop": [1]}])
-def test_what_belongs_to_one_image_is_refused(flight: list[str], detector: Detector, option: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "option", [{"frame": (4, 3)}, {"known_lengths": [(0, 0, 50, 0, 5.0)]}, {"drop": [1]}]
+)
+def test_what_belongs_to_one_image_is_refused(
+    flight: list[str], detector: Detector, option: dict[str, Any]
+) -> None:
     with pytest.raises(InvalidParameterError, match="one image"):
         estimate_flight(flight, detector=detector, **option)
 
@@ -118,11 +128,16 @@ def test_an_interrupted_flight_goes_on_where_it_stopped(
     assert not journal.exists()
 
 
-def test_lines_of_one_photograph_scale_all_of_one_scale(flight: list[str], detector: Detector, tmp_path: Path) -> None:
+def test_lines_of_one_photograph_scale_all_of_one_scale(
+    flight: list[str], detector: Detector, tmp_path: Path
+) -> None:
     lines = tmp_path / "lines.csv"
     lines.write_text("file,x1,y1,x2,y2,metres,basis\n2.png,100,50,400,50,36,measured\n")
     record = estimate_flight(
-        [flight[2], flight[2].replace("2.png", "0.png")], same_scale=True, detector=detector, known_lengths_table=lines
+        [flight[2], flight[2].replace("2.png", "0.png")],
+        same_scale=True,
+        detector=detector,
+        known_lengths_table=lines,
     )
     assert record.gsd_m_per_px == pytest.approx(0.12, rel=0.03)
     assert record.components[0].pooled.leading_ruler == "known_length"

@@ -24,20 +24,32 @@ from vehanchor_flight.record import Failure, conclude_flight
 
 WORLD, OTHER = ground(seed=5), ground(seed=6)
 GROUND_M_PER_PX = 0.1
-FLEET = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)  # pixels of the ground: a modal length of 5 m
-STATIONS = [(400, 400, 0, 1.0), (560, 420, 140, 1.25), (700, 560, 30, 0.8), (640, 760, 250, 1.0), (460, 800, 70, 1.5)]
+# pixels of the ground: a modal length of 5 m
+FLEET = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)
+STATIONS = [
+    (400, 400, 0, 1.0),
+    (560, 420, 140, 1.25),
+    (700, 560, 30, 0.8),
+    (640, 760, 250, 1.0),
+    (460, 800, 70, 1.5),
+]
 
 
 @pytest.fixture(scope="module")
 def seen() -> list[Features]:
     """Five photographs that overlap in a chain, and two of another place."""
     own = [photograph_of(WORLD, x, y, turn_deg=turn, scale=scale) for x, y, turn, scale in STATIONS]
-    others = [photograph_of(OTHER, 500, 500), photograph_of(OTHER, 620, 560, turn_deg=90, scale=1.2)]
+    others = [
+        photograph_of(OTHER, 500, 500),
+        photograph_of(OTHER, 620, 560, turn_deg=90, scale=1.2),
+    ]
     return [features_of(image) for image in (*own, *others)]
 
 
 def _photograph(name: str, image: ImageFacts, lengths: NDArray[np.float64]) -> Photograph:
-    return Photograph.of(name, StoredPhotograph(image, sighting_of(lengths), 1.0), made_card(5.0), ScaleOptions())
+    return Photograph.of(
+        name, StoredPhotograph(image, sighting_of(lengths), 1.0), made_card(5.0), ScaleOptions()
+    )
 
 
 def _flight(*, with_cars: tuple[int, ...], placed: bool = False) -> list[Photograph]:
@@ -48,7 +60,9 @@ def _flight(*, with_cars: tuple[int, ...], placed: bool = False) -> list[Photogr
         if placed and number < len(STATIONS):
             x, y, *_ = STATIONS[number]
             facts = facts_at(x * GROUND_M_PER_PX, -y * GROUND_M_PER_PX)
-        flight.append(_photograph(str(number), facts, FLEET / scale if number in with_cars else np.zeros(0)))
+        flight.append(
+            _photograph(str(number), facts, FLEET / scale if number in with_cars else np.zeros(0))
+        )
     return flight
 
 
@@ -61,7 +75,10 @@ def test_a_match_gives_the_ratio_of_the_scales_and_the_place(turn_deg: float, sc
     assert np.exp(found.log_ratio) == pytest.approx(1 / scale, rel=0.02)
     assert abs(found.log_ratio + np.log(scale)) < 3 * found.log_sd
     turn = np.radians(turn_deg)
-    expected = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) @ [-80, 40] / scale + 250
+    expected = (
+        np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) @ [-80, 40] / scale
+        + 250
+    )
     assert found.turn[:, :2] @ [250, 250] + found.turn[:, 2] == pytest.approx(expected, abs=3)
 
 
@@ -75,7 +92,10 @@ def test_photographs_of_other_places_do_not_match(seen: list[Features]) -> None:
 def test_candidates_are_found_by_appearance_and_stay_few() -> None:
     stations = [(x, y) for y in range(300, 1000, 180) for x in range(300, 1000, 180)]
     order = np.random.default_rng(3).permutation(len(stations))
-    seen = [features_of(photograph_of(WORLD, *stations[k], turn_deg=37.0 * k, side_px=400)) for k in order]
+    seen = [
+        features_of(photograph_of(WORLD, *stations[k], turn_deg=37.0 * k, side_px=400))
+        for k in order
+    ]
     pairs = set(candidate_pairs(seen))
     near = {
         (a, b) for a, b in combinations(range(len(order)), 2)
@@ -87,7 +107,10 @@ def test_candidates_are_found_by_appearance_and_stay_few() -> None:
 
 def test_candidates_are_found_by_position() -> None:
     nothing = Features(np.zeros((0, 2)), np.zeros((0, 128), np.uint8), 1.0)
-    places = np.array([[0, 0], [500, 0], [900, 0], [5, 0], [float("nan")] * 2, [505, 0], [910, 0]], dtype=np.float64)
+    places = np.array(
+        [[0, 0], [500, 0], [900, 0], [5, 0], [float("nan")] * 2, [505, 0], [910, 0]],
+        dtype=np.float64,
+    )
     assert {(0, 3), (1, 5), (2, 6)} <= set(candidate_pairs([nothing] * 7, places))
 
 
@@ -100,7 +123,11 @@ def test_photographs_without_a_car_hang_on_those_that_overlap(seen: list[Feature
         assert photograph.gsd_m_per_px == pytest.approx(GROUND_M_PER_PX * scale, rel=0.03)
         assert photograph.gsd_ci95_low_m_per_px is not None
         assert photograph.gsd_ci95_high_m_per_px is not None
-        assert photograph.gsd_ci95_low_m_per_px < GROUND_M_PER_PX * scale < photograph.gsd_ci95_high_m_per_px
+        assert (
+            photograph.gsd_ci95_low_m_per_px
+            < GROUND_M_PER_PX * scale
+            < photograph.gsd_ci95_high_m_per_px
+        )
     last = record.photographs[4].supported_by[0]
     assert (last.ruler, last.photograph) == ("vehicles", "0")
     assert [each.status for each in record.photographs[5:]] == ["no_scale", "no_scale"]
@@ -130,12 +157,18 @@ def test_an_overlap_with_a_copy_of_the_ground_elsewhere_is_dropped() -> None:
     copied = WORLD.copy()
     copied[650:950, 1200:1500] = photograph_of(WORLD, 250, 800, scale=0.92, side_px=300)
     seen = [features_of(photograph_of(copied, x, 800)) for x in range(250, 1351, 157)]
-    flight = [_photograph(str(number), ImageFacts(500, 500), np.zeros(0)) for number in range(len(seen))]
+    flight = [
+        _photograph(str(number), ImageFacts(500, 500), np.zeros(0)) for number in range(len(seen))
+    ]
     components, links = link_photographs(flight, seen)
     (component,) = components
-    dropped = {(link.first, link.second): link.dropped for link in links if link.dropped is not None}
+    dropped = {
+        (link.first, link.second): link.dropped for link in links if link.dropped is not None
+    }
     assert "off the shift by the other overlaps" in dropped["0", "7"]
-    assert all((int(link.second) - int(link.first) > 3) == (link.dropped is not None) for link in links)
+    assert all(
+        (int(link.second) - int(link.first) > 3) == (link.dropped is not None) for link in links
+    )
     assert np.exp(component.offsets) == pytest.approx(np.ones(len(seen)), abs=0.01)
 
 
@@ -151,12 +184,17 @@ def _features_between(there: NDArray[np.float64]) -> Features:
 
 
 def _tilted(name: str, facts: ImageFacts) -> Photograph:
-    return Photograph.of(name, StoredPhotograph(facts, NO_CARS, 1.0, (), tilt=TILT), made_card(5.0), ScaleOptions())
+    return Photograph.of(
+        name, StoredPhotograph(facts, NO_CARS, 1.0, (), tilt=TILT), made_card(5.0), ScaleOptions()
+    )
 
 
 def test_photographs_of_one_height_and_tilt_have_one_scale() -> None:
     plane = TILT.plane(ImageFacts(500, 500))
-    seen = [_features_between(plane.from_above(CORNERS) + np.array([800.0, y])) for y in (900.0, 800.0, 700.0)]
+    seen = [
+        _features_between(plane.from_above(CORNERS) + np.array([800.0, y]))
+        for y in (900.0, 800.0, 700.0)
+    ]
     flight = [_tilted(name, ImageFacts(500, 500)) for name in "012"]
     ((component,), _) = link_photographs(flight, seen)
     assert np.exp(component.offsets) == pytest.approx(np.ones(3), abs=0.02)
@@ -179,12 +217,18 @@ def test_positions_of_tilted_photographs_are_below_their_cameras() -> None:
 
 
 @pytest.mark.parametrize(("tilt_deg", "doubted"), [(0.0, False), (35.0, True)])
-def test_ratios_of_an_unknown_tilt_are_doubted_and_those_of_two_heights_are_not(tilt_deg: float, doubted: bool) -> None:
+def test_ratios_of_an_unknown_tilt_are_doubted_and_those_of_two_heights_are_not(
+    tilt_deg: float, doubted: bool
+) -> None:
     plane = CameraTilt(tilt_deg, 0.0, 500.0, "metadata").plane(ImageFacts(500, 500))
     flight, seen = [], []
     for number in range(6):
         scale = 1.0 if doubted or number % 2 else 0.75
-        seen.append(_features_between(plane.from_above(CORNERS) * scale + np.array([800.0, 1050.0 - 90.0 * number])))
+        seen.append(
+            _features_between(
+                plane.from_above(CORNERS) * scale + np.array([800.0, 1050.0 - 90.0 * number])
+            )
+        )
         flight.append(_photograph(str(number), ImageFacts(500, 500), np.zeros(0)))
     ((component,), _) = link_photographs(flight, seen)
     off = np.abs(component.offsets)
@@ -192,7 +236,9 @@ def test_ratios_of_an_unknown_tilt_are_doubted_and_those_of_two_heights_are_not(
     assert (component.log_sds > off / 2).all() if doubted else (component.log_sds < 0.1).all()
 
 
-def _ring(scales: np.ndarray, rng: np.random.Generator, *, reach: int = 3, sd: float = 0.01) -> list[Link]:
+def _ring(
+    scales: np.ndarray, rng: np.random.Generator, *, reach: int = 3, sd: float = 0.01
+) -> list[Link]:
     n = len(scales)
     return [
         Link(i, (i + step) % n, float(scales[i] - scales[(i + step) % n] + rng.normal(0, sd)), sd)
@@ -204,7 +250,10 @@ def _ring(scales: np.ndarray, rng: np.random.Generator, *, reach: int = 3, sd: f
 def test_scales_follow_the_ratios_and_the_few_that_have_evidence() -> None:
     rng = np.random.default_rng(0)
     truth = rng.uniform(np.log(0.05), np.log(0.15), 30)
-    unaries = [Unary(float(truth[k] + rng.normal(0, 0.05)), 0.05) if k % 3 == 0 else None for k in range(30)]
+    unaries = [
+        Unary(float(truth[k] + rng.normal(0, 0.05)), 0.05) if k % 3 == 0 else None
+        for k in range(30)
+    ]
     solution = solve(30, _ring(truth, rng), unaries)
     (component,) = solution.components
     assert np.abs(component.log_scales - truth).max() < 0.05
@@ -240,7 +289,10 @@ def test_a_bridge_that_contradicts_the_evidence_on_both_sides_is_no_bridge() -> 
     truth = np.full(16, np.log(0.1))
     links = [
         *_ring(truth[:8], rng),
-        *(each._replace(first=each.first + 8, second=each.second + 8) for each in _ring(truth[8:], rng)),
+        *(
+            each._replace(first=each.first + 8, second=each.second + 8)
+            for each in _ring(truth[8:], rng)
+        ),
     ]
     links.append(Link(0, 8, float(np.log(3.0)), 0.02))
     solution = solve(16, links, [Unary(float(each), 0.1) for each in truth])
@@ -276,7 +328,9 @@ def test_a_camera_that_looks_aside_does_not_bend_the_scales() -> None:
     assert (np.abs(off) < 3.5 * component.sds_from(int(np.argmin(np.abs(off)))).max()).all()
 
 
-SCENE = np.kron(np.random.default_rng(3).integers(0, 255, (30, 40, 3)), np.ones((20, 20, 1))).astype(np.uint8)
+SCENE = np.kron(
+    np.random.default_rng(3).integers(0, 255, (30, 40, 3)), np.ones((20, 20, 1))
+).astype(np.uint8)
 
 
 def _reduced(name: str, step: int, scene: np.ndarray = SCENE) -> Photograph:

@@ -20,7 +20,14 @@ from tests.models import paint_vehicles, write_detector
 from vehanchor.detection.detector import load_detector
 from vehanchor.options import Reading, ScaleOptions
 from vehanchor_flight.live.estimator import WINDOW_PX, LiveEstimator, next_window, reduction_factor
-from vehanchor_flight.live.filter import FilterState, Measurement, Motion, corrected, predicted, started
+from vehanchor_flight.live.filter import (
+    FilterState,
+    Measurement,
+    Motion,
+    corrected,
+    predicted,
+    started,
+)
 from vehanchor_flight.live.frames import Frame, camera_frames, folder_frames, open_frames
 
 
@@ -117,7 +124,9 @@ def test_a_lost_camera_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vehanchor_flight.live.frames._RETRY_S", 0.05)
     cameras = [Film([1], 0.02), None, None, Film([2], 0.02)]
     kept, told = list(cameras), list[str]()
-    frames = camera_frames(lambda: cameras.pop(0) if cameras else None, "camera 0", idle_s=0.4, tell=told.append)
+    frames = camera_frames(
+        lambda: cameras.pop(0) if cameras else None, "camera 0", idle_s=0.4, tell=told.append
+    )
     assert [int(each.image[0, 0, 2]) for each in frames] == [1, 2]
     assert kept[0] is not None
     assert kept[0].released
@@ -128,7 +137,9 @@ def test_a_lost_camera_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_video_gives_every_interval_in_its_own_time(tmp_path: Path) -> None:
-    path = write_film(tmp_path / "film.avi", [np.full((48, 64, 3), 5 * level, np.uint8) for level in range(30)])
+    path = write_film(
+        tmp_path / "film.avi", [np.full((48, 64, 3), 5 * level, np.uint8) for level in range(30)]
+    )
     frames = list(open_frames(path, Reading(), every_s=1.0, idle_s=None, tell=print))
     assert [each.at_s for each in frames] == [0.0, 1.0, 2.0]
     assert sum(each.n_skipped for each in frames) == 0
@@ -137,7 +148,13 @@ def test_a_video_gives_every_interval_in_its_own_time(tmp_path: Path) -> None:
 SIDES = st.integers(16, 5000)
 
 
-@given(SIDES, SIDES, st.floats(0.003, 3), st.integers(0, 50), st.lists(st.tuples(SIDES, SIDES), max_size=9))
+@given(
+    SIDES,
+    SIDES,
+    st.floats(0.003, 3),
+    st.integers(0, 50),
+    st.lists(st.tuples(SIDES, SIDES), max_size=9),
+)
 def test_a_window_lies_in_the_reduced_frame(
     width: int, height: int, gsd: float, turn: int, cars: list[tuple[int, int]]
 ) -> None:
@@ -151,13 +168,18 @@ def test_a_window_lies_in_the_reduced_frame(
 def test_the_window_with_the_most_cars_is_searched_and_others_now_and_then() -> None:
     cars = np.array([[1000.0, 500.0], [1050.0, 520.0], [100.0, 100.0]])
     windows = [next_window(1280, 720, 1, turn, cars) for turn in range(8)]
-    holds = [each.x_px <= 1000 and each.x_px + each.width_px > 1050 and each.y_px <= 500 for each in windows]
+    holds = [
+        each.x_px <= 1000 and each.x_px + each.width_px > 1050 and each.y_px <= 500
+        for each in windows
+    ]
     assert sum(holds) >= 6
     assert len(set(windows)) > 1
 
 
 @pytest.mark.parametrize(("gsd", "factor"), [(None, 1), (0.3, 1), (0.05, 2), (0.03, 4), (0.005, 4)])
-def test_the_frame_is_reduced_until_cars_have_a_known_length(gsd: float | None, factor: int) -> None:
+def test_the_frame_is_reduced_until_cars_have_a_known_length(
+    gsd: float | None, factor: int
+) -> None:
     assert reduction_factor(gsd, 1280, 720) == factor
 
 
@@ -181,7 +203,9 @@ def test_a_motion_moves_the_scale_by_its_ratio_and_never_makes_it_surer(
 
 
 @given(MEASUREMENTS, st.floats(0.1, 1.0))
-def test_frames_without_common_features_widen_more_than_any_linked_ones(measured: Measurement, seconds: float) -> None:
+def test_frames_without_common_features_widen_more_than_any_linked_ones(
+    measured: Measurement, seconds: float
+) -> None:
     before = started(measured)
     linked = predicted(before, seconds, Motion(0.0, 0.02, 1.0))
     apart = predicted(before, seconds, None)
@@ -282,7 +306,10 @@ def world() -> NDArray[np.uint8]:
 
 def frame_of(image: NDArray[np.uint8], at_s: float, *, cars: bool) -> Frame:
     if cars:
-        boxes = [[60 + 70 * (k % 6), 80 + 90 * (k // 6), length, 12, 0.4] for k, length in enumerate(FLEET)]
+        boxes = [
+            [60 + 70 * (k % 6), 80 + 90 * (k // 6), length, 12, 0.4]
+            for k, length in enumerate(FLEET)
+        ]
         paint_vehicles(image, np.reshape(boxes, (-1, 5)))
     return Frame(f"at {at_s:.1f} s", image, at_s, 0.0, 0)
 
@@ -300,7 +327,9 @@ def test_the_scale_follows_a_climb_without_cars_and_ends_after_the_hold(
         scale = math.exp(0.02 * step)
         climbed = estimator.estimate(
             frame_of(
-                photograph_of(world, 480 + 8 * step, 500, scale=scale, turn_deg=3 * step), 0.2 + 0.2 * step, cars=False
+                photograph_of(world, 480 + 8 * step, 500, scale=scale, turn_deg=3 * step),
+                0.2 + 0.2 * step,
+                cars=False,
             )
         )
     assert climbed.linked
@@ -315,5 +344,7 @@ def test_a_frame_that_shows_nothing_gives_nothing(tmp_path: Path) -> None:
     detector = load_detector(write_detector(tmp_path / "detector.onnx"))
     empty = LiveEstimator(detector, ScaleOptions())
     for number in range(3):
-        record = empty.estimate(Frame("grey", np.full((90, 160, 3), 80, np.uint8), 0.2 * number, 0.0, 0))
+        record = empty.estimate(
+            Frame("grey", np.full((90, 160, 3), 80, np.uint8), 0.2 * number, 0.0, 0)
+        )
         assert (record.status, record.gsd_m_per_px, record.linked) == ("no_scale", None, False)

@@ -21,7 +21,9 @@ from vehanchor_flight.record import conclude_flight, number_sorties
 from vehanchor_flight.records import FlightEstimate
 
 
-def _photograph(lengths: NDArray[np.float64], name: str = "one", resolved: float = 1.0) -> Photograph:
+def _photograph(
+    lengths: NDArray[np.float64], name: str = "one", resolved: float = 1.0
+) -> Photograph:
     stored = StoredPhotograph(ImageFacts(800, 600), sighting_of(lengths), resolved)
     return Photograph.of(name, stored, made_card(5.0), ScaleOptions())
 
@@ -37,7 +39,9 @@ def test_the_boxes_of_all_photographs_make_one_mode() -> None:
     ] * 3  # three vehicles are too few
     assert together.n_vehicles == 9
     assert together.details.aggregation == "kde"
-    assert together.mode_length_px == pytest.approx(_photograph(_FLEET).analysis.estimate.mode_length_px)
+    assert together.mode_length_px == pytest.approx(
+        _photograph(_FLEET).analysis.estimate.mode_length_px
+    )
     assert together.confidence > max(part.analysis.estimate.confidence for part in parts)
 
 
@@ -45,7 +49,8 @@ def test_photographs_of_known_ratio_are_measured_in_the_pixels_of_one() -> None:
     near, far = _photograph(2 * _FLEET), _photograph(_FLEET)
     alone = _photograph(np.concatenate([_FLEET, _FLEET])).analysis.estimate
     together = pool([near, far], np.log([0.08, 0.16]), 1).estimate
-    assert together.gsd_m_per_px == pytest.approx(alone.gsd_m_per_px, rel=1e-3)  # votes lie on a grid
+    # votes lie on a grid
+    assert together.gsd_m_per_px == pytest.approx(alone.gsd_m_per_px, rel=1e-3)
     in_the_other = pool([near, far], np.log([0.08, 0.16]), 0).estimate
     assert in_the_other.gsd_m_per_px is not None
     assert together.gsd_m_per_px == pytest.approx(2 * in_the_other.gsd_m_per_px, rel=1e-3)
@@ -129,7 +134,10 @@ def test_two_stretched_photographs_are_as_doubtful_together_as_alone() -> None:
     photographs = [Photograph.of(name, stored, view.card, view.options) for name in ("one", "two")]
     pooled = pool(photographs, np.zeros(2), 0).estimate
     for estimate in (photographs[0].analysis.estimate, pooled):
-        assert (estimate.status, [each.code for each in estimate.warnings]) == ("low_confidence", ["stretched"])
+        assert (estimate.status, [each.code for each in estimate.warnings]) == (
+            "low_confidence",
+            ["stretched"],
+        )
 
 
 FLEET = 30.0 * (1 + 0.05 * np.linspace(-1, 1, 9) ** 3)
@@ -144,24 +152,44 @@ def _taken(time: str, model: str = "FC3170") -> ImageFacts:
 @pytest.mark.parametrize(
     ("facts", "numbers"),
     [
-        ([_taken("2025:10:05 16:40:31"), _taken("2025:10:05 16:59:31"), _taken("2025:10:05 17:10:00")], [0, 0, 0]),
-        ([_taken("2025:10:05 16:40:31"), _taken("2025:10:05 17:40:31"), _taken("2025:10:05 16:41:00")], [0, 1, 0]),
+        (
+            [
+                _taken("2025:10:05 16:40:31"),
+                _taken("2025:10:05 16:59:31"),
+                _taken("2025:10:05 17:10:00"),
+            ],
+            [0, 0, 0],
+        ),
+        (
+            [
+                _taken("2025:10:05 16:40:31"),
+                _taken("2025:10:05 17:40:31"),
+                _taken("2025:10:05 16:41:00"),
+            ],
+            [0, 1, 0],
+        ),
         ([_taken("2025:10:05 16:40:31"), _taken("2025:10:05 16:40:31", "FC220")], [0, 1]),
         ([_taken(""), _taken("2025:10:05 16:40:31"), _taken("yesterday")], [0, 0, 0]),
         ([ImageFacts(9, 9), ImageFacts(9, 9)], [0, 0]),
     ],
 )
-def test_a_pause_or_another_camera_begins_a_sortie(facts: list[ImageFacts], numbers: list[int]) -> None:
+def test_a_pause_or_another_camera_begins_a_sortie(
+    facts: list[ImageFacts], numbers: list[int]
+) -> None:
     assert number_sorties(facts) == numbers
 
 
 def _same_scale(*facts: ImageFacts) -> FlightEstimate:
     card = made_card(5.0)
     photographs = [
-        Photograph.of(str(number), StoredPhotograph(each, sighting_of(FLEET), 1.0), card, ScaleOptions())
+        Photograph.of(
+            str(number), StoredPhotograph(each, sighting_of(FLEET), 1.0), card, ScaleOptions()
+        )
         for number, each in enumerate(facts)
     ]
-    return conclude_flight(photographs, [single_component(range(len(facts)), 0)], card, same_scale=True)
+    return conclude_flight(
+        photographs, [single_component(range(len(facts)), 0)], card, same_scale=True
+    )
 
 
 def test_one_scale_for_two_sorties_is_warned_of() -> None:
@@ -179,4 +207,9 @@ def test_tiles_and_skipped_candidates_add_up() -> None:
         Detections(np.zeros((0, 5)), np.zeros(0), 4, 0, n_tiles_total=30, n_skipped=2),
     )
     pooled = pooled_detections([first, second], np.zeros(2))
-    assert (pooled.n_tiles, pooled.n_capped_tiles, pooled.n_tiles_total, pooled.n_skipped) == (7, 1, 50, 7)
+    assert (pooled.n_tiles, pooled.n_capped_tiles, pooled.n_tiles_total, pooled.n_skipped) == (
+        7,
+        1,
+        50,
+        7,
+    )

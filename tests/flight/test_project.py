@@ -37,7 +37,9 @@ def _with_and_without_cars() -> list[Photograph]:
 
 def _flight(*photographs: Photograph | Failure) -> FlightEstimate:
     places = [place for place, stored in enumerate(photographs) if isinstance(stored, Photograph)]
-    return conclude_flight(photographs, [single_component(places, 0)], made_card(CAR_M), same_scale=True)
+    return conclude_flight(
+        photographs, [single_component(places, 0)], made_card(CAR_M), same_scale=True
+    )
 
 
 def test_a_photograph_of_a_flight_has_its_own_record_with_the_flights_scale() -> None:
@@ -48,7 +50,9 @@ def test_a_photograph_of_a_flight_has_its_own_record_with_the_flights_scale() ->
     assert (record.n_vehicles, record.image_height_px) == (0, 400)
     assert record.gsd_m_per_px == flight.gsd_m_per_px
     assert (record.status, record.leading_ruler) == ("ok", "vehicles")
-    assert [ruler.gsd_m_per_px for ruler in record.rulers] == pytest.approx([flight.gsd_m_per_px], rel=1e-3)
+    assert [ruler.gsd_m_per_px for ruler in record.rulers] == pytest.approx(
+        [flight.gsd_m_per_px], rel=1e-3
+    )
 
 
 def test_a_photograph_that_could_not_be_read_has_no_record() -> None:
@@ -96,7 +100,9 @@ def test_a_flight_that_looked_aside_tells_its_tilt_at_its_own_scale() -> None:
         assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.12)
         assert record.tilt.gsd_least_m_per_px is not None
         assert record.tilt.gsd_largest_m_per_px is not None
-        assert record.tilt.gsd_least_m_per_px < record.gsd_m_per_px < record.tilt.gsd_largest_m_per_px
+        assert (
+            record.tilt.gsd_least_m_per_px < record.gsd_m_per_px < record.tilt.gsd_largest_m_per_px
+        )
     own = members[1].analysis.estimate.tilt
     assert own is not None
     assert own.gsd_least_m_per_px is None

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from tests.flight.ground import ground, write_film
-from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError, InvalidParameterError
+from vehanchor.errors import (
+    ImageDecodeError,
+    ImageNotFoundError,
+    ImageTooLargeError,
+    InvalidParameterError,
+)
 from vehanchor.options import ImageLimits
 from vehanchor_flight.video import is_video, sample_video, sharpness
 
@@ -29,7 +34,9 @@ def test_of_each_stretch_the_sharpest_frame_is_taken(film: Path) -> None:
     image = taken[0].image
     assert isinstance(image, np.ndarray)
     assert image.shape == (240, 320, 3)
-    assert sharpness(image) > 3 * sharpness(np.asarray(cv2.GaussianBlur(image, (0, 0), 3), dtype=np.uint8))
+    assert sharpness(image) > 3 * sharpness(
+        np.asarray(cv2.GaussianBlur(image, (0, 0), 3), dtype=np.uint8)
+    )
 
 
 def test_what_is_no_video_is_told(tmp_path: Path) -> None:
@@ -47,7 +54,9 @@ def test_what_is_no_video_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".avi"])
 def test_every_offered_container_is_read(tmp_path: Path, suffix: str) -> None:
     codec = "MJPG" if suffix in (".avi", ".mkv") else "mp4v"
-    path = write_film(tmp_path / f"film{suffix}", [np.full((48, 64, 3), 90, np.uint8)] * 10, codec=codec)
+    path = write_film(
+        tmp_path / f"film{suffix}", [np.full((48, 64, 3), 90, np.uint8)] * 10, codec=codec
+    )
     (only,) = sample_video(path, 2.0)
     assert isinstance(only.image, np.ndarray)
     assert only.image.shape == (48, 64, 3)
@@ -75,7 +84,9 @@ def test_a_playlist_opens_no_other_file(
 @pytest.mark.promise("video")
 def test_the_signature_chooses_the_demuxer_and_not_ffmpeg(film: Path, tmp_path: Path) -> None:
     disguised = tmp_path / "a.mp4"
-    disguised.write_bytes(b"ffco" + b"ftyp" + b"ncat version 1.0\nfile film.avi\n" + film.read_bytes())
+    disguised.write_bytes(
+        b"ffco" + b"ftyp" + b"ncat version 1.0\nfile film.avi\n" + film.read_bytes()
+    )
     with pytest.raises(ImageDecodeError, match="cannot be read"):
         list(sample_video(str(disguised), 1.0))
 

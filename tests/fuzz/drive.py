@@ -2,9 +2,10 @@
 
     python -m tests.fuzz.drive image --seconds 60 --seed 1
 
-With ``--coverage`` it is guided by which lines of ours an input reaches, by atheris, a tool of its own (``pip install
-atheris``, Python 3.11 to 3.13, Linux); else mutations are blind. An input that fails is written to ``--findings``, and
-the exit status is not 0: what is found becomes a test in ``tests/fuzz/test_targets.py``.
+With ``--coverage`` it is guided by which lines of ours an input reaches, by atheris, a tool of its
+own (``pip install atheris``, Python 3.11 to 3.13, Linux); else mutations are blind. An input that
+fails is written to ``--findings``, and the exit status is not 0: what is found becomes a test in
+``tests/fuzz/test_targets.py``.
 """
 
 from __future__ import annotations
@@ -55,14 +56,16 @@ class Checked:
     def __call__(self, data: bytes) -> None:
         self.n_inputs += 1
         started, held_mib = time.process_time(), _peak_mib()
-        signal.setitimer(signal.ITIMER_REAL, 10 * HANG_S)  # Python's loops only: what hangs in C is left to the caller
+        # Python's loops only: what hangs in C is left to the caller
+        signal.setitimer(signal.ITIMER_REAL, 10 * HANG_S)
         try:
             self._target(data)
             taken = time.process_time() - started
             self.slowest_s = max(self.slowest_s, taken)
             if taken > HANG_S:
                 raise Slow(f"{taken:.1f} s")
-            if _peak_mib() > max(MEMORY_MIB, held_mib + GROWTH_MIB):  # what it held before is no fault of this input
+            # what it held before is no fault of this input
+            if _peak_mib() > max(MEMORY_MIB, held_mib + GROWTH_MIB):
                 raise MemoryError(f"{_peak_mib():.0f} MiB")
         except (Exception, Slow) as error:
             self.n_failures += 1
@@ -97,7 +100,9 @@ def mutated(data: bytes, others: list[bytes], random: np.random.Generator) -> by
                 out[at : at + size] = random.bytes(size)
             case 2:
                 number = _EDGES[int(random.integers(0, len(_EDGES)))]
-                out[at : at + size] = number.to_bytes(8, "little" if random.random() < 0.5 else "big")[:size]
+                out[at : at + size] = number.to_bytes(
+                    8, "little" if random.random() < 0.5 else "big"
+                )[:size]
             case 3:
                 del out[at : at + int(random.integers(1, 1 + max(1, len(out) // 4)))]
             case 4:
@@ -107,7 +112,9 @@ def mutated(data: bytes, others: list[bytes], random: np.random.Generator) -> by
                 start = int(random.integers(0, len(other) + 1))
                 out[at : at + size] = other[start : start + int(random.integers(1, 65))]
             case _:
-                out[at : at + size] = bytes(random.choice(list(b'0123456789-+.eE"[]{},:truefalsn'), size).tolist())
+                out[at : at + size] = bytes(
+                    random.choice(list(b'0123456789-+.eE"[]{},:truefalsn'), size).tolist()
+                )
     return bytes(out[: 1 << 20])
 
 
@@ -144,20 +151,28 @@ def drive_by_coverage(name: str, findings: Path, seconds: float, seed: int) -> N
         "-rss_limit_mb=2048",
     ]
     atheris.Setup(
-        [sys.argv[0], *options, f"-artifact_prefix={findings}/", str(corpus)], checked, enable_python_coverage=True
+        [sys.argv[0], *options, f"-artifact_prefix={findings}/", str(corpus)],
+        checked,
+        enable_python_coverage=True,
     )
     atheris.Fuzz()
 
 
 def main() -> int:
     """Drive the targets that are named, each for its share of the time."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("targets", nargs="*", help="all, where none is named; with --coverage exactly one")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "targets", nargs="*", help="all, where none is named; with --coverage exactly one"
+    )
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--inputs", type=int, help="end a target after so many inputs, too")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--findings", type=Path, default=Path("fuzz-findings"))
-    parser.add_argument("--coverage", action="store_true", help="be guided by coverage: needs atheris")
+    parser.add_argument(
+        "--coverage", action="store_true", help="be guided by coverage: needs atheris"
+    )
     asked = parser.parse_args()
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     if asked.coverage:
@@ -171,7 +186,8 @@ def main() -> int:
         drive_blindly(checked, CORPUS[name](), asked.seconds / len(names), asked.seed, asked.inputs)
         failures += checked.n_failures
         print(
-            f"{name}: {checked.n_inputs} inputs, {checked.n_failures} failures, slowest {checked.slowest_s:.2f} s, "
+            f"{name}: {checked.n_inputs} inputs, {checked.n_failures} failures, slowest "
+            f"{checked.slowest_s:.2f} s, "
             f"peak {_peak_mib():.0f} MiB",
             flush=True,
         )

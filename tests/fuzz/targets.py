@@ -1,6 +1,7 @@
 """What is fuzzed: a door for strangers' bytes, and what may come out of it: an answer, or an error of ours.
 
-A target takes bytes and returns nothing. ``CORPUS`` makes the bytes to begin with, by our own generators.
+A target takes bytes and returns nothing. ``CORPUS`` makes the bytes to begin with, by our own
+generators.
 """
 
 from __future__ import annotations
@@ -105,7 +106,11 @@ def calibration(data: bytes) -> None:
     except VehAnchorError:
         return
     assert 2 <= found.reference_length_m <= 20
-    assert found.reference_length_ci95_low_m <= found.reference_length_m <= found.reference_length_ci95_high_m
+    assert (
+        found.reference_length_ci95_low_m
+        <= found.reference_length_m
+        <= found.reference_length_ci95_high_m
+    )
 
 
 def card(data: bytes) -> None:
@@ -116,7 +121,9 @@ def card(data: bytes) -> None:
         return
     if not isinstance(stated, dict):
         return
-    metadata = {key: value if isinstance(value, str) else json.dumps(value) for key, value in stated.items()}
+    metadata = {
+        key: value if isinstance(value, str) else json.dumps(value) for key, value in stated.items()
+    }
     file = Path("fuzzed.onnx"), "0" * 64
     with contextlib.suppress(VehAnchorError):
         read_detector_card(*file, metadata)
@@ -150,14 +157,18 @@ class _Silent(Context[Any, Any]):
     def client_capabilities(self) -> None:
         """None are known."""
 
-    async def report_progress(self, progress: float, total: float | None = None, message: str | None = None) -> None:
+    async def report_progress(
+        self, progress: float, total: float | None = None, message: str | None = None
+    ) -> None:
         """Tell nobody."""
 
 
 @cache
 def _tools() -> tuple[asyncio.AbstractEventLoop, dict[str, StrictTool]]:
     settings = Settings(detector="/nowhere.onnx", isolation="in-process", max_megapixels=1)
-    return asyncio.new_event_loop(), {tool.name: tool for tool in create_tools(create_services(settings))}
+    return asyncio.new_event_loop(), {
+        tool.name: tool for tool in create_tools(create_services(settings))
+    }
 
 
 def arguments(data: bytes) -> None:
@@ -195,7 +206,11 @@ def _memory() -> str | None:
 def _images() -> list[bytes]:
     x = np.linspace(0, 255, _SIDE_PX).astype(np.uint8)
     rgb = np.dstack(
-        [np.tile(x, (_SIDE_PX, 1)), np.tile(x[:, None], (1, _SIDE_PX)), np.full((_SIDE_PX,) * 2, 90, np.uint8)]
+        [
+            np.tile(x, (_SIDE_PX, 1)),
+            np.tile(x[:, None], (1, _SIDE_PX)),
+            np.full((_SIDE_PX,) * 2, 90, np.uint8),
+        ]
     )
     found: list[bytes] = []
     for suffix, parameters in (
@@ -209,24 +224,41 @@ def _images() -> list[bytes]:
         (".tif", []),
     ):
         found.append(cv2.imencode(suffix, rgb, parameters)[1].tobytes())
-    found.append(found[0][:2] + b"\xff\xe1" + (len(_EXIF) + 2).to_bytes(2, "big") + _EXIF + found[0][2:])
+    found.append(
+        found[0][:2] + b"\xff\xe1" + (len(_EXIF) + 2).to_bytes(2, "big") + _EXIF + found[0][2:]
+    )
     found.append(cv2.imencode(".png", rgb.astype(np.uint16) * 200)[1].tobytes())
     found += [
-        bombs.zero_tiff(_SIDE_PX, dtype, bands, 16) for dtype, bands in (("float64", 4), ("uint16", 3), ("uint8", 1))
+        bombs.zero_tiff(_SIDE_PX, dtype, bands, 16)
+        for dtype, bands in (("float64", 4), ("uint16", 3), ("uint8", 1))
     ]
     found += [make(200) for make in bombs.HEADER_BOMBS.values()]
     found += [bombs.tiff_with_two_sizes(), *_geotiffs(rgb)]
     rgba = np.dstack([rgb, np.where(rgb[..., 0] < 99, 0, 255)]).astype(np.uint8)
     found += [cv2.imencode(suffix, rgba)[1].tobytes() for suffix in (".png", ".webp", ".tif")]
-    found.append(cv2.imencode(".tif", np.where(rgb < 40, -9999, rgb).astype(np.float32))[1].tobytes())
-    raw = [(254, 4, 1, 1), (256, 4, 1, 24), (257, 4, 1, 24), (262, 3, 1, 2), (330, 13, 1, 80), (50706, 1, 4, 1025)]
+    found.append(
+        cv2.imencode(".tif", np.where(rgb < 40, -9999, rgb).astype(np.float32))[1].tobytes()
+    )
+    raw = [
+        (254, 4, 1, 1),
+        (256, 4, 1, 24),
+        (257, 4, 1, 24),
+        (262, 3, 1, 2),
+        (330, 13, 1, 80),
+        (50706, 1, 4, 1025),
+    ]
     found += [bombs.tiff_of_directory(raw[:n], after=bytes(200)) for n in (5, 6)]
     return found
 
 
 def _geotiffs(rgb: Any) -> list[bytes]:
     found = []
-    for options in ({}, {"tiled": True, "blockxsize": 16, "blockysize": 16}, {"compress": "jpeg"}, {"nodata": 0}):
+    for options in (
+        {},
+        {"tiled": True, "blockxsize": 16, "blockysize": 16},
+        {"compress": "jpeg"},
+        {"nodata": 0},
+    ):
         buffer = io.BytesIO()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -272,10 +304,15 @@ def _cards() -> list[bytes]:
         "vehanchor.weights": "1,1,0",
         "vehanchor.least_score": "0.15",
         "vehanchor.bodies": json.dumps(
-            {"reference_length_m": 4.3, "reference_length_sd_m": 0.3, "region_lengths_m": {"europe": 4.1}}
+            {
+                "reference_length_m": 4.3,
+                "reference_length_sd_m": 0.3,
+                "region_lengths_m": {"europe": 4.1},
+            }
         ),
     }
-    half = dict.fromkeys(("names", "vehanchor.region_lengths_m", "vehanchor.bodies"), '{"�": 4.1}')  # of a pair
+    # of a pair
+    half = dict.fromkeys(("names", "vehanchor.region_lengths_m", "vehanchor.bodies"), '{"�": 4.1}')
     return [json.dumps(each).encode() for each in (detector, chips, detector | chips, chips | half)]
 
 
@@ -302,12 +339,17 @@ def _metadata() -> list[bytes]:
             'drone-dji:GimbalRollDegree="+0.00" drone-dji:CalibratedFocalLength="3666.666504"',
         ),
         blocks.xmp(
-            {"Camera": "http://pix4d.com/camera/1.0"}, "<Camera:Pitch>2.1</Camera:Pitch><Camera:Roll>1/2</Camera:Roll>"
+            {"Camera": "http://pix4d.com/camera/1.0"},
+            "<Camera:Pitch>2.1</Camera:Pitch><Camera:Roll>1/2</Camera:Roll>",
         ),
     ]
     skydio = {"s": "https://www.skydio.com/drone-skydio/1.0/"}
     packets.append(
-        blocks.xmp(skydio, '<s:CalibratedFocalLength rdf:parseType="Resource"><s:X>1</s:X></s:CalibratedFocalLength>')
+        blocks.xmp(
+            skydio,
+            "<s:CalibratedFocalLength "
+            'rdf:parseType="Resource"><s:X>1</s:X></s:CalibratedFocalLength>',
+        )
     )
     exifs = [blocks.exif(camera, order) for order in "<>"] + [blocks.exif(camera, pointer_kind=13)]
     damaged = [each.replace(b"Meta Data", b"A & B") for each in packets]
@@ -316,7 +358,10 @@ def _metadata() -> list[bytes]:
         *packets,
         *damaged,
         packets[0].decode().encode("utf-16-le"),
-        blocks.jpeg(xmp=packets[0], more=blocks.segment(blocks.XMP_PREFIX + damaged[1]) + blocks.segment(further)),
+        blocks.jpeg(
+            xmp=packets[0],
+            more=blocks.segment(blocks.XMP_PREFIX + damaged[1]) + blocks.segment(further),
+        ),
         *exifs,
         *[_EXIF[:6] + each for each in exifs],
         blocks.jpeg(exif=exifs[0], xmp=packets[0]),
@@ -364,7 +409,9 @@ def _messages() -> list[bytes]:
     ]
     box = {"x_min": 0, "y_min": 0, "x_max": 20, "y_max": 20}
     seen = {"image_width_px": 20, "image_height_px": 20, "part": box, "grid_px": 5}
-    records = [json.dumps(record).encode() for record in (seen, _estimate().model_dump(mode="json"))]
+    records = [
+        json.dumps(record).encode() for record in (seen, _estimate().model_dump(mode="json"))
+    ]
     return [
         *(each.model_dump_json().encode() for each in plain),
         *(header + b"\0" + record + b"\0\xff\xd8\xff" for record in records),
@@ -385,15 +432,29 @@ def _arguments() -> list[bytes]:
     box = {"x_min": 1, "y_min": 2, "x_max": 30, "y_max": 40}
     calls: list[tuple[str, dict[str, Any]]] = [
         ("estimate_gsd", {"image": path, "region": "europe", "metadata": False, "detail": "full"}),
-        ("estimate_gsd", {"image": image, "height_m": 60, "focal_35mm": 24, "reference_length_m": 4.6}),
+        (
+            "estimate_gsd",
+            {"image": image, "height_m": 60, "focal_35mm": 24, "reference_length_m": 4.6},
+        ),
         ("estimate_gsd", {"image": {"kind": "url", "url": "https://a.test/b.png"}}),
         ("measure_distance", {"image": image, **known, "points": points}),
         ("measure_distance", {"image": image, **known, "points": points, "frame": frame}),
         ("measure_area", {"image": image, **known, "targets": [{"box": box}]}),
-        ("measure_area", {"image": path, **known, "targets": [{"points": points}], "coordinates": "per_mille"}),
+        (
+            "measure_area",
+            {"image": path, **known, "targets": [{"points": points}], "coordinates": "per_mille"},
+        ),
         ("view_image", {"image": image, "width_px": 32}),
         ("view_image", {"image": image, "region": box}),
-        ("view_image", {"of": {"tool": "measure_area", "arguments": {"image": image, "targets": [{"box": box}]}}}),
+        (
+            "view_image",
+            {
+                "of": {
+                    "tool": "measure_area",
+                    "arguments": {"image": image, "targets": [{"box": box}]},
+                }
+            },
+        ),
     ]
     return [json.dumps({"tool": name, **given}).encode() for name, given in calls]
 
@@ -409,7 +470,9 @@ def _graphs() -> list[bytes]:
     entry.key, entry.value = "location", "weights.bin"
     node = helper.make_node("Add", ["x", "w"], ["y"])
     made = helper.make_model(
-        helper.make_graph([node], "g", [value], [helper.make_tensor_value_info("y", 1, [1])], [weight, external])
+        helper.make_graph(
+            [node], "g", [value], [helper.make_tensor_value_info("y", 1, [1])], [weight, external]
+        )
     )
     return [made.SerializeToString()]
 

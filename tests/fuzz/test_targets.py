@@ -11,7 +11,9 @@ from tests.fuzz.targets import CORPUS, TARGETS
 
 @pytest.mark.promise("fuzzing")
 @pytest.mark.parametrize("name", TARGETS)
-def test_the_corpus_and_its_mutations_give_an_answer_or_an_error_of_ours(name: str, tmp_path: Path) -> None:
+def test_the_corpus_and_its_mutations_give_an_answer_or_an_error_of_ours(
+    name: str, tmp_path: Path
+) -> None:
     corpus, random = CORPUS[name](), np.random.default_rng(16)
     checked = Checked(TARGETS[name], tmp_path)
     for data in corpus:

@@ -51,7 +51,9 @@ class Stage:
     @property
     def environment(self) -> dict[str, str]:
         """What its ENV instructions set."""
-        return dict(word.split("=", 1) for instruction in self.all("ENV") for word in instruction.words)
+        return dict(
+            word.split("=", 1) for instruction in self.all("ENV") for word in instruction.words
+        )
 
 
 def read_dockerfile(path: Path) -> list[Stage]:
@@ -69,7 +71,9 @@ def read_dockerfile(path: Path) -> list[Stage]:
         flags = re.match(r"(?:--\S+\s+)*", rest)
         assert flags is not None
         given = flags.group().split()
-        stages[-1].instructions.append(Instruction(keyword, tuple(given), rest[flags.end() :].strip()))
+        stages[-1].instructions.append(
+            Instruction(keyword, tuple(given), rest[flags.end() :].strip())
+        )
     return stages
 
 
@@ -105,7 +109,9 @@ def tools_over_http(port: int, token: str | None = None) -> list[str]:
     """The names of the server's tools."""
     request = urllib.request.Request(
         f"http://127.0.0.1:{port}/mcp",
-        data=json.dumps({"jsonrpc": "2.0", "id": 1, "method": "tools/list", "params": {"_meta": _CLIENT}}).encode(),
+        data=json.dumps(
+            {"jsonrpc": "2.0", "id": 1, "method": "tools/list", "params": {"_meta": _CLIENT}}
+        ).encode(),
         headers={
             "Accept": "application/json, text/event-stream",
             "Content-Type": "application/json",
@@ -122,8 +128,14 @@ def stdio_answers(command: list[str], image: str, **options: Any) -> tuple[list[
     """The names of the tools of a server on its standard input, and its estimate of an image."""
 
     async def answers() -> tuple[list[str], Any]:
-        async with Client(StdioServerParameters(command=command[0], args=command[1:], **options)) as client:
-            called = await client.call_tool("estimate_gsd", {"image": {"kind": "path", "path": image}})
-            return [tool.name for tool in (await client.list_tools()).tools], called.structured_content
+        async with Client(
+            StdioServerParameters(command=command[0], args=command[1:], **options)
+        ) as client:
+            called = await client.call_tool(
+                "estimate_gsd", {"image": {"kind": "path", "path": image}}
+            )
+            return [
+                tool.name for tool in (await client.list_tools()).tools
+            ], called.structured_content
 
     return anyio.run(answers)

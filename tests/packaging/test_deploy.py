@@ -38,7 +38,10 @@ def test_every_kubernetes_object_is_valid(item: dict[str, Any], version: str) ->
 def test_the_pod_is_probed_limited_and_locked_down() -> None:
     pod = of_kind("Deployment")["spec"]["template"]["spec"]
     (container,) = pod["containers"]
-    probes = {name: container[f"{name}Probe"]["httpGet"]["path"] for name in ("startup", "readiness", "liveness")}
+    probes = {
+        name: container[f"{name}Probe"]["httpGet"]["path"]
+        for name in ("startup", "readiness", "liveness")
+    }
     assert probes == {"startup": "/readyz", "readiness": "/readyz", "liveness": "/healthz"}
     assert set(container["resources"]["limits"]) == {"cpu", "memory"}
     assert container["securityContext"] == {
@@ -57,7 +60,11 @@ def test_what_selects_the_pods_finds_them() -> None:
     assert of_kind("PodDisruptionBudget")["spec"]["selector"]["matchLabels"] == labels
     assert of_kind("Service")["spec"]["selector"] == labels
     target = of_kind("HorizontalPodAutoscaler")["spec"]["scaleTargetRef"]
-    assert target == {"apiVersion": "apps/v1", "kind": "Deployment", "name": of_kind("Deployment")["metadata"]["name"]}
+    assert target == {
+        "apiVersion": "apps/v1",
+        "kind": "Deployment",
+        "name": of_kind("Deployment")["metadata"]["name"],
+    }
 
 
 def test_only_the_namespace_reaches_the_server_and_the_server_reaches_nothing() -> None:
@@ -72,7 +79,11 @@ def test_only_the_namespace_reaches_the_server_and_the_server_reaches_nothing() 
 
 
 def test_the_documents_advise_a_token_that_others_cannot_read() -> None:
-    (secret,) = (each for each in of_kind("Deployment")["spec"]["template"]["spec"]["volumes"] if "secret" in each)
+    (secret,) = (
+        each
+        for each in of_kind("Deployment")["spec"]["template"]["spec"]["volumes"]
+        if "secret" in each
+    )
     assert secret["secret"]["defaultMode"] & 0o007 == 0
     for text in (DEPLOY / "compose.yml", ROOT / "docs/how-to/deploy.md"):
         assert "umask 077" in text.read_text()
@@ -83,7 +94,12 @@ def _settings(variables: dict[str, str], tmp_path: Path) -> Settings:
     """The server's options from a manifest's variables and the image's, with a token file that exists."""
     token = tmp_path / "token"
     token.write_text("0123456789abcdef0123456789abcdef")
-    given = {**IMAGE.environment, **variables, "VEHANCHOR_ROOTS": str(tmp_path), "VEHANCHOR_TOKEN_FILE": str(token)}
+    given = {
+        **IMAGE.environment,
+        **variables,
+        "VEHANCHOR_ROOTS": str(tmp_path),
+        "VEHANCHOR_TOKEN_FILE": str(token),
+    }
     unknown = {name for name in given if name.startswith("VEHANCHOR_")} - {
         f"VEHANCHOR_{name.upper()}" for name in Settings.__dataclass_fields__
     }
@@ -96,7 +112,9 @@ def _settings(variables: dict[str, str], tmp_path: Path) -> Settings:
 def test_the_server_understands_the_variables_that_are_set(tmp_path: Path) -> None:
     (container,) = of_kind("Deployment")["spec"]["template"]["spec"]["containers"]
     on_kubernetes = {variable["name"]: variable["value"] for variable in container["env"]}
-    assert _settings(on_kubernetes, tmp_path).max_concurrency == int(container["resources"]["limits"]["cpu"])
+    assert _settings(on_kubernetes, tmp_path).max_concurrency == int(
+        container["resources"]["limits"]["cpu"]
+    )
     mount = container["volumeMounts"][0]["mountPath"]
     assert on_kubernetes["VEHANCHOR_TOKEN_FILE"] == f"{mount}/token"
 
@@ -116,11 +134,22 @@ def test_compose_runs_two_replicas_locked_down_and_shows_only_nginx_on_loopback(
         assert service["read_only"]
         assert service["cap_drop"] == ["ALL"]
         assert service["security_opt"] == ["no-new-privileges:true", "seccomp=builtin"]
-    linted = [sys.executable, "-m", "compose_lint", "--fail-on", "high", str(DEPLOY / "compose.yml")]
+    linted = [
+        sys.executable,
+        "-m",
+        "compose_lint",
+        "--fail-on",
+        "high",
+        str(DEPLOY / "compose.yml"),
+    ]
     found = subprocess.run(linted, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout
 
 
 def test_the_images_carry_this_version() -> None:
     (container,) = of_kind("Deployment")["spec"]["template"]["spec"]["containers"]
-    assert container["image"] == COMPOSE["services"]["vehanchor"]["image"] == f"vehanchor:{__version__}"
+    assert (
+        container["image"]
+        == COMPOSE["services"]["vehanchor"]["image"]
+        == f"vehanchor:{__version__}"
+    )

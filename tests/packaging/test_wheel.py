@@ -18,7 +18,8 @@ from tests.conftest import ROOT
 from tests.packaging.container import stdio_answers
 from vehanchor_server.schemas import schema_files
 
-pytestmark = [pytest.mark.packaging, pytest.mark.timeout(900)]  # installing takes what the disk takes
+# installing takes what the disk takes
+pytestmark = [pytest.mark.packaging, pytest.mark.timeout(900)]
 
 SOURCES = ("LICENSE", "README.md", "pyproject.toml", "schemas", "server", "skill")
 PACKAGES = ("vehanchor", "vehanchor_evaluation", "vehanchor_flight", "vehanchor_server")
@@ -35,7 +36,11 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
         copy(ROOT / name, folder / name)
     shutil.rmtree(folder / "build", ignore_errors=True)
-    subprocess.run([sys.executable, "-m", "build", "--installer", "uv", str(folder)], check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "build", "--installer", "uv", str(folder)],
+        check=True,
+        capture_output=True,
+    )
     (built,) = (folder / "dist").glob("*.whl")
     return built
 
@@ -46,13 +51,17 @@ def run(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     place = tmp_path_factory.mktemp("installed")
     uv = [sys.executable, "-m", "uv", "--quiet"]
     subprocess.run([*uv, "venv", "--python", sys.executable, str(place / "env")], check=True)
-    subprocess.run([*uv, "pip", "install", "--python", str(place / "env/bin/python"), str(wheel)], check=True)
+    subprocess.run(
+        [*uv, "pip", "install", "--python", str(place / "env/bin/python"), str(wheel)], check=True
+    )
     (place / "work").mkdir()
     shutil.copy(ROOT / "examples/car_park.jpg", place / "work")
     clean = {"PATH": f"{place / 'env/bin'}{os.pathsep}/usr/bin:/bin", "HOME": str(place)}
 
     def run_there(*command: str) -> str:
-        done = subprocess.run(command, cwd=place / "work", env=clean, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, cwd=place / "work", env=clean, capture_output=True, text=True, check=False
+        )
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -62,13 +71,23 @@ def run(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
 def test_it_is_small_and_holds_all_it_needs(wheel: Path) -> None:
     assert wheel.stat().st_size <= LARGEST_WHEEL
     names = zipfile.ZipFile(wheel).namelist()
-    here = {path.name for path in (ROOT / "skill/vehanchor/models/bundled").iterdir() if path.is_file()}
-    assert here == {Path(name).name for name in names if name.startswith("vehanchor/models/bundled/")}
+    here = {
+        path.name for path in (ROOT / "skill/vehanchor/models/bundled").iterdir() if path.is_file()
+    }
+    assert here == {
+        Path(name).name for name in names if name.startswith("vehanchor/models/bundled/")
+    }
     folder = ROOT / "server/vehanchor_server/app_page"
     pages = {path.name for path in folder.iterdir() if path.suffix in (".css", ".html", ".js")}
-    assert pages <= {Path(name).name for name in names if name.startswith("vehanchor_server/app_page/")}
+    assert pages <= {
+        Path(name).name for name in names if name.startswith("vehanchor_server/app_page/")
+    }
     assert {f"{package}/py.typed" for package in PACKAGES} <= set(names)
-    inside = {name for name in names if name.startswith((*(f"{package}/" for package in PACKAGES), "vehanchor-"))}
+    inside = {
+        name
+        for name in names
+        if name.startswith((*(f"{package}/" for package in PACKAGES), "vehanchor-"))
+    }
     assert inside == set(names), f"more than the three packages: {sorted(set(names) - inside)}"
     assert not any("tests/" in name or "research/" in name for name in names)
 
@@ -81,7 +100,9 @@ def test_it_carries_the_schemas_that_its_command_writes(wheel: Path, run: Run) -
         if "/data/share/vehanchor/schemas/" in name
     }
     assert carried == schema_files()
-    written = [Path(line) for line in run("vehanchor", "serve", "--schemas", "written").splitlines()]
+    written = [
+        Path(line) for line in run("vehanchor", "serve", "--schemas", "written").splitlines()
+    ]
     assert {path.name for path in written} == set(carried)
 
 
@@ -111,14 +132,27 @@ def test_it_is_typed_for_its_users(run: Run) -> None:
     work = run("pwd").strip()
     Path(work, "user.py").write_text(code)
     checked = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "--config-file", "", "--python-executable", python, "user.py"],
+        [
+            sys.executable,
+            "-m",
+            "mypy",
+            "--strict",
+            "--config-file",
+            "",
+            "--python-executable",
+            python,
+            "user.py",
+        ],
         cwd=work,
         capture_output=True,
         text=True,
         check=False,
     )
     assert "Success" in checked.stdout, checked.stdout
-    assert 'Revealed type is "float | None"' in checked.stdout or "Union[builtins.float, None]" in checked.stdout
+    assert (
+        'Revealed type is "float | None"' in checked.stdout
+        or "Union[builtins.float, None]" in checked.stdout
+    )
 
 
 def test_every_extra_resolves_beside_all_others(wheel: Path) -> None:

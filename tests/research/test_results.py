@@ -53,7 +53,9 @@ def test_every_data_file_is_a_topic_of_the_page() -> None:
     assert {path.stem for path in FOLDER.glob("*.json")} == {*TOPICS, "quotes"}
 
 
-@pytest.mark.parametrize(("topic", "key"), ENTRIES, ids=[f"{topic}.{key}" for topic, key in ENTRIES])
+@pytest.mark.parametrize(
+    ("topic", "key"), ENTRIES, ids=[f"{topic}.{key}" for topic, key in ENTRIES]
+)
 def test_an_entry_tells_when_where_and_how_it_was_measured(topic: str, key: str) -> None:
     entry = load(topic)[key]
     assert entry["title"]
@@ -79,7 +81,9 @@ def test_columns_of_numbers_become_numbers_and_others_stay_text() -> None:
         table.value("some", "median")
 
 
-def test_what_is_printed_is_what_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_printed_is_what_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with recording("scale", ["val", "more"], "", folder=tmp_path, model={"vehicles": "d48a"}):
         print(PRINTED)
         print("| a | b |\n|---|---|\n| 1 | x |")
@@ -94,7 +98,10 @@ def test_what_is_printed_is_what_is_written(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_a_new_run_keeps_title_and_aim_and_nothing_else_of_the_last(tmp_path: Path) -> None:
-    last = {"val": {"title": "Scale", "aim": "4 %", "note": "old", "date": "2026-01-01"}, "other": {"title": "x"}}
+    last = {
+        "val": {"title": "Scale", "aim": "4 %", "note": "old", "date": "2026-01-01"},
+        "other": {"title": "x"},
+    }
     (tmp_path / "scale.json").write_text(json.dumps(last), encoding="utf-8")
     with recording("scale", ["val"], "", folder=tmp_path):
         print(PRINTED)
@@ -104,7 +111,9 @@ def test_a_new_run_keeps_title_and_aim_and_nothing_else_of_the_last(tmp_path: Pa
     assert "note" not in written["val"]
 
 
-def test_nothing_is_written_without_the_option_and_variants_get_keys_of_their_own(tmp_path: Path) -> None:
+def test_nothing_is_written_without_the_option_and_variants_get_keys_of_their_own(
+    tmp_path: Path,
+) -> None:
     parser = add_record_option(argparse.ArgumentParser())
     for given in ([], ["--record", "int8"]):
         with recording("scale", ["val"], parser.parse_args(given).record, folder=tmp_path):
@@ -117,7 +126,8 @@ def test_a_placeholder_gives_a_cell_with_its_unit_or_a_table() -> None:
     entry = load("scale")["val"]
     (all_sets,) = (row for row in entry["rows"] if row[0] == "labelled, all sets")
     assert (
-        render("{{scale.val | labelled, all sets | median}}") == f"{all_sets[entry['columns'].index('median')]:.2f} %"
+        render("{{scale.val | labelled, all sets | median}}")
+        == f"{all_sets[entry['columns'].index('median')]:.2f} %"
     )
     table = render("{{table scale.val | images; n = photographs | rows labelled, c}}").splitlines()
     assert table[0] == "| images | photographs |"

@@ -74,7 +74,9 @@ def test_half_the_gsd_shows_the_same_place_in_twice_the_pixels() -> None:
         assert (2 * one.x_px, 2 * one.y_px) == pytest.approx((other.x_px, other.y_px), abs=1e-6)
         assert 2 * one.length_px == pytest.approx(other.length_px)
     for category in CATEGORIES:
-        areas = [sum(o.area_m2 for o in s.objects if o.category == category) for s in (coarse, fine)]
+        areas = [
+            sum(o.area_m2 for o in s.objects if o.category == category) for s in (coarse, fine)
+        ]
         assert areas[0] == pytest.approx(areas[1], rel=0.03, abs=8)
 
 
@@ -112,7 +114,9 @@ def test_the_fleet_has_the_mean_and_mode_the_docstring_says(mean: float) -> None
 BODIES = ("city", "sedan", "van", "pickup", "truck", "caravan")
 
 
-@pytest.mark.parametrize(("gsd", "body"), [(0.05, "sedan"), (0.6, "van"), *((0.17, body) for body in BODIES)])
+@pytest.mark.parametrize(
+    ("gsd", "body"), [(0.05, "sedan"), (0.6, "van"), *((0.17, body) for body in BODIES)]
+)
 def test_a_drawn_vehicle_is_exactly_as_long_as_its_record(
     gsd: float, body: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -129,17 +133,27 @@ def test_a_drawn_vehicle_is_exactly_as_long_as_its_record(
             assert (first + last) / 2 * gsd == pytest.approx(4.0, abs=0.25 * gsd + 0.02)
 
 
-def _coverage(body: str, length: float, width: float, gsd: float, turn: float) -> NDArray[np.float64]:
+def _coverage(
+    body: str, length: float, width: float, gsd: float, turn: float
+) -> NDArray[np.float64]:
     """How far each pixel is covered by a vehicle at (4, 4) m: drawn on bright and on black ground, and compared."""
     over, pixels = 2, math.ceil(8 / gsd)
-    placed = PlacedVehicle(VehicleModel("small-vehicle", body, length, width, (90, 90, 90)), 4.0, 4.0, turn)
+    placed = PlacedVehicle(
+        VehicleModel("small-vehicle", body, length, width, (90, 90, 90)), 4.0, 4.0, turn
+    )
     floor = np.array([[-50.0, -50], [50, -50], [50, 50], [-50, 50]])
     looks = []
     for level, vehicles in ((0, [placed]), (200, [placed]), (200, [])):
         world = World(surfaces=[Surface(floor, (level,) * 3, Material.PLAIN)], vehicles=vehicles)
         side = pixels * over
-        tile = Painter(world, Sun(0.3, 1.0), np.random.default_rng(0), over / gsd).paint(0, 0, side, side)
-        looks.append(cv2.resize(tile.rgb, (pixels, pixels), interpolation=cv2.INTER_AREA)[:, :, 1].astype(float))
+        tile = Painter(world, Sun(0.3, 1.0), np.random.default_rng(0), over / gsd).paint(
+            0, 0, side, side
+        )
+        looks.append(
+            cv2.resize(tile.rgb, (pixels, pixels), interpolation=cv2.INTER_AREA)[:, :, 1].astype(
+                float
+            )
+        )
     black, bright, empty = looks
     return np.asarray(1 - (bright - black) / empty, dtype=np.float64)
 
@@ -169,7 +183,12 @@ def test_masks_agree_with_the_objects() -> None:
 def test_a_written_scene_reads_back(parking: Scene, tmp_path: Path, suffix: str) -> None:
     files = parking.write(tmp_path / f"view{suffix}")
     assert sorted(file.name for file in files) == sorted(
-        [f"view{suffix}", "view.json", "view.txt", *(f"view_{category}.png" for category in CATEGORIES)]
+        [
+            f"view{suffix}",
+            "view.json",
+            "view.txt",
+            *(f"view_{category}.png" for category in CATEGORIES),
+        ]
     )
     assert all(file.is_file() for file in files)
     image = cv2.imread(str(files[0]), cv2.IMREAD_COLOR)
@@ -177,7 +196,12 @@ def test_a_written_scene_reads_back(parking: Scene, tmp_path: Path, suffix: str)
     if suffix == ".png":
         np.testing.assert_array_equal(image[:, :, ::-1], parking.image)
     facts: dict[str, Any] = json.loads((tmp_path / "view.json").read_text())
-    assert (facts["gsd_m_per_px"], facts["width_px"], facts["height_px"], facts["seed"]) == (0.15, 512, 384, 3)
+    assert (facts["gsd_m_per_px"], facts["width_px"], facts["height_px"], facts["seed"]) == (
+        0.15,
+        512,
+        384,
+        3,
+    )
     assert facts["parameters"]["layout"] == "parking"
     for category in CATEGORIES:
         mask = cv2.imread(str(tmp_path / f"view_{category}.png"), cv2.IMREAD_UNCHANGED)
@@ -190,7 +214,9 @@ def test_a_written_scene_reads_back(parking: Scene, tmp_path: Path, suffix: str)
     assert len(lines) == len(parking.vehicles)
     for line, vehicle in zip(lines, parking.vehicles, strict=True):
         *numbers, kind, difficult = line.split(" ")
-        np.testing.assert_allclose(np.array(numbers, dtype=float).reshape(4, 2), vehicle.corners(), atol=6e-4)
+        np.testing.assert_allclose(
+            np.array(numbers, dtype=float).reshape(4, 2), vehicle.corners(), atol=6e-4
+        )
         assert (kind, difficult) == (vehicle.kind, str(int(vehicle.difficult)))
 
 
@@ -222,7 +248,10 @@ def test_a_mixed_fleet_has_the_mean_length_asked_for(mean: float) -> None:
 
 def test_the_same_seed_draws_the_same_mixed_scene_and_names_bodies() -> None:
     first, again = (
-        render_scene(0.15, width_px=320, height_px=320, seed=3, layout="parking", fleet_kind="mixed") for _ in range(2)
+        render_scene(
+            0.15, width_px=320, height_px=320, seed=3, layout="parking", fleet_kind="mixed"
+        )
+        for _ in range(2)
     )
     np.testing.assert_array_equal(first.image, again.image)
     assert {vehicle.body for vehicle in first.vehicles} & {"kei", "crew cab", "single cab"}
@@ -241,7 +270,20 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_scene_writes_an_image_and_its_truth(run: Any, tmp_path: Path) -> None:
     out = tmp_path / "scene.png"
-    result = run(out, "--gsd", "0.2", "--size", "300", "200", "--seed", "3", "--layout", "parking", "--fleet", "5")
+    result = run(
+        out,
+        "--gsd",
+        "0.2",
+        "--size",
+        "300",
+        "200",
+        "--seed",
+        "3",
+        "--layout",
+        "parking",
+        "--fleet",
+        "5",
+    )
     assert result.exit_code == 0, result.stderr
     picture = cv2.imread(str(out))
     assert picture is not None

@@ -22,7 +22,8 @@ from vehanchor_server.settings import Settings
 LENGTH_PX = 33.0
 N_VEHICLES = 24
 N_TILES_LARGE = 25  # of large.png
-POOL = (300, 330, 348, 426)  # x and y of its corners; the test segmenter finds it to the pixel by POOL_BOX
+# x and y of its corners; the test segmenter finds it to the pixel by POOL_BOX
+POOL = (300, 330, 348, 426)
 POOL_BOX = {"x_min": 294.0, "y_min": 324.0, "x_max": 354.0, "y_max": 432.0}
 _POOL_RGB = (40, 140, 210)
 _CELL_PX = 14
@@ -68,7 +69,9 @@ def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> 
 
 def _ground(width_px: int, height_px: int) -> np.ndarray:
     """Grey squares, which the prior of the scene takes for some 0.25 m/px; an even grey looks like 1 m/px."""
-    cells = np.random.default_rng(1).integers(40, 110, (height_px // _CELL_PX + 1, width_px // _CELL_PX + 1))
+    cells = np.random.default_rng(1).integers(
+        40, 110, (height_px // _CELL_PX + 1, width_px // _CELL_PX + 1)
+    )
     grey = cells.astype(np.uint8).repeat(_CELL_PX, 0).repeat(_CELL_PX, 1)[:height_px, :width_px]
     return np.repeat(grey[:, :, None], 3, 2)
 
@@ -124,7 +127,11 @@ def images(_images: Path) -> Path:
 @pytest.fixture(scope="session")
 def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
     return Settings(
-        roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
+        roots=(images,),
+        detector=str(detector_path),
+        segmenter=segmenter_paths,
+        threads=1,
+        isolation="in-process",
     )
 
 
@@ -142,7 +149,9 @@ def server(services: Services) -> MCPServer[object]:
 def running(detector_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
     """A server whose worker is confined."""
     root = tmp_path_factory.mktemp("root")
-    settings = Settings(roots=(root, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
+    settings = Settings(
+        roots=(root, TESTS), detector=str(detector_path), threads=1, max_concurrency=1
+    )
     services = ready(create_services(settings))
     yield services
     services.close()

@@ -35,7 +35,13 @@ def by_path(path: Path | str) -> dict[str, Any]:
 
 
 async def called(
-    server: MCPServer[object], tool: str, image: Path | None = None, /, *, era: str = "auto", **more: Any
+    server: MCPServer[object],
+    tool: str,
+    image: Path | None = None,
+    /,
+    *,
+    era: str = "auto",
+    **more: Any,
 ) -> CallToolResult:
     """The result of one call of a program, by a client of its own."""
     named = {} if image is None else by_path(image)
@@ -102,7 +108,9 @@ def listening() -> Iterator[socket.socket]:
 @contextlib.contextmanager
 def serving(app: ASGIApp, listener: socket.socket) -> Iterator[None]:
     """Serve an application until the block ends."""
-    server = uvicorn.Server(uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=2))
+    server = uvicorn.Server(
+        uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=2)
+    )
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
     thread.start()
     while not server.started and thread.is_alive():

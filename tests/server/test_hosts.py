@@ -20,11 +20,25 @@ AREA: dict[str, Any] = {"targets": [{"box": POOL_BOX}]}
 POINT: dict[str, Any] = {"targets": [{"points": [{"x": 324, "y": 378}]}]}
 LINE: dict[str, Any] = {"lines": [{"points": [{"x": 20, "y": 500}, {"x": 320, "y": 100}]}]}
 TOOLS = {"estimate_gsd": {}, "measure_area": AREA, "measure_distance": LINE}
-VERDICTS = {"ok": "safe to use", "low_confidence": "do not rely on it", "no_scale": "no metric scale"}
+VERDICTS = {
+    "ok": "safe to use",
+    "low_confidence": "do not rely on it",
+    "no_scale": "no metric scale",
+}
 VALUES = {
-    "estimate_gsd": ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px", "confidence"),
+    "estimate_gsd": (
+        "gsd_m_per_px",
+        "gsd_ci95_low_m_per_px",
+        "gsd_ci95_high_m_per_px",
+        "confidence",
+    ),
     "measure_area": ("area_m2", "area_ci95_low_m2", "area_ci95_high_m2", "scale_confidence"),
-    "measure_distance": ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "scale_confidence"),
+    "measure_distance": (
+        "distance_m",
+        "distance_ci95_low_m",
+        "distance_ci95_high_m",
+        "scale_confidence",
+    ),
 }
 
 
@@ -60,8 +74,13 @@ async def test_text_and_structured_content_say_the_same(
         assert f"{significant(record[value])} m" in text
         told = re.search(r"\(95 % interval ([\d.]+) to ([\d.]+)\)", text)
         assert told is not None
-        assert [float(end) for end in told.groups()] == pytest.approx([record[low], record[high]], rel=0.005)
-        assert f"confidence {record[confidence]:.2f}" in text or f"confidence {record[confidence] + 0.005:.2f}" in text
+        assert [float(end) for end in told.groups()] == pytest.approx(
+            [record[low], record[high]], rel=0.005
+        )
+        assert (
+            f"confidence {record[confidence]:.2f}" in text
+            or f"confidence {record[confidence] + 0.005:.2f}" in text
+        )
     if record["status"] != "ok":
         assert record["advice"] in text
     estimate = full.structured_content.get("estimate", full.structured_content)
@@ -72,5 +91,9 @@ async def test_text_and_structured_content_say_the_same(
     for words in record.get("warnings", ()):
         assert f"Warning {words}" in text
     for choice in record.get("alternatives", ()):
-        size = f"{significant(choice['area_m2'])} m2" if "area_m2" in choice else f"{choice['mask_area_px']} px"
+        size = (
+            f"{significant(choice['area_m2'])} m2"
+            if "area_m2" in choice
+            else f"{choice['mask_area_px']} px"
+        )
         assert size in text

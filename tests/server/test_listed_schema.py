@@ -49,13 +49,21 @@ def shape_faults(tool: StrictTool, arguments: dict[str, Any]) -> list[dict[str, 
         tool.fn_metadata.arg_model.model_validate(_with_integers(arguments))
         return []
     except ValidationError as error:
-        faults: list[dict[str, Any]] = [dict(each) for each in error.errors(include_url=False, include_input=False)]
+        faults: list[dict[str, Any]] = [
+            dict(each) for each in error.errors(include_url=False, include_input=False)
+        ]
     values = {fault["loc"][:-1] for fault in faults if fault["type"] in _VALUES}
-    return [fault for fault in faults if fault["type"] not in _VALUES and fault["loc"][:-1] not in values]
+    return [
+        fault
+        for fault in faults
+        if fault["type"] not in _VALUES and fault["loc"][:-1] not in values
+    ]
 
 
 @pytest.mark.parametrize("operator", OPERATORS, ids=["path", "path and url", "url", "all"])
-def test_a_random_call_from_the_listed_schema_alone_has_a_valid_shape(operator: dict[str, Any]) -> None:
+def test_a_random_call_from_the_listed_schema_alone_has_a_valid_shape(
+    operator: dict[str, Any],
+) -> None:
     chance = random.Random(20261123)
     for tool in tools(**operator):
         check = jsonschema.validators.validator_for(tool.parameters)(tool.parameters).validate
@@ -110,8 +118,12 @@ def random_value(node: dict[str, Any], chance: random.Random) -> Any:
     if kind == "object":
         names = list(node["properties"])
         optional = [name for name in names if name not in node.get("required", ())]
-        n_most = min(node.get("maxProperties", len(names)) - len(names) + len(optional), len(optional))
-        chosen = chance.sample(optional, chance.randint(min(node.get("minProperties", 0), n_most), n_most))
+        n_most = min(
+            node.get("maxProperties", len(names)) - len(names) + len(optional), len(optional)
+        )
+        chosen = chance.sample(
+            optional, chance.randint(min(node.get("minProperties", 0), n_most), n_most)
+        )
         return {
             name: random_value(node["properties"][name], chance)
             for name in names
@@ -124,19 +136,28 @@ def random_value(node: dict[str, Any], chance: random.Random) -> Any:
     if kind == "number":
         return chance.choice([chance.randint(1, 900), round(chance.uniform(0.1, 900), 2)])
     if kind == "integer":
-        return chance.choice([chance.randint(256, 1024), 512.0])  # JSON Schema takes 512.0 for an integer
+        # JSON Schema takes 512.0 for an integer
+        return chance.choice([chance.randint(256, 1024), 512.0])
     return {"string": chance.choice(_TEXTS), "boolean": chance.random() < 0.5}[kind]
 
 
 def documented_calls() -> list[tuple[str, dict[str, Any]]]:
     """The tools and arguments of all calls in the documentation and the examples' transcripts."""
     found: list[tuple[str, dict[str, Any]]] = []
-    for path in [*ROOT.glob("docs/**/*.md"), ROOT / "README.md", ROOT / "server/vehanchor_server/SKILL.md"]:
-        for block in re.findall(r"```json\n(.*?)\n```", path.read_text(encoding="utf-8"), re.DOTALL):
+    for path in [
+        *ROOT.glob("docs/**/*.md"),
+        ROOT / "README.md",
+        ROOT / "server/vehanchor_server/SKILL.md",
+    ]:
+        for block in re.findall(
+            r"```json\n(.*?)\n```", path.read_text(encoding="utf-8"), re.DOTALL
+        ):
             call = json.loads(block)
             if isinstance(call, dict) and "tool" in call:
                 found.append((call["tool"], call["arguments"]))
     for path in ROOT.glob("docs/transcripts/*.txt"):
-        for tool, arguments in re.findall(r"^calls (\w+) (\{.*\})$", path.read_text(encoding="utf-8"), re.MULTILINE):
+        for tool, arguments in re.findall(
+            r"^calls (\w+) (\{.*\})$", path.read_text(encoding="utf-8"), re.MULTILINE
+        ):
             found.append((tool, json.loads(arguments)))
     return found

@@ -76,12 +76,21 @@ def test_the_calibration_sets_the_reference_length_of_callers_who_know_nothing_b
     assert Models(replace(settings, calibration=None)).calibration() is None
 
 
-def test_a_calibration_must_be_the_detectors(settings: Settings, detector_path: Path, tmp_path: Path) -> None:
+def test_a_calibration_must_be_the_detectors(
+    settings: Settings, detector_path: Path, tmp_path: Path
+) -> None:
     card = load_detector(detector_path, Runtime(threads=1)).card
-    fitting = calibration_file(tmp_path / "fitting.json", detector=card.name, detector_sha256=card.sha256)
+    fitting = calibration_file(
+        tmp_path / "fitting.json", detector=card.name, detector_sha256=card.sha256
+    )
     assert Models(replace(settings, calibration=fitting)).calibration() is not None
-    foreign = calibration_file(tmp_path / "foreign.json", detector="other", detector_sha256="0" * 64)
-    for file, code in ((foreign, "calibration_mismatch"), (tmp_path / "none.json", "calibration_unreadable")):
+    foreign = calibration_file(
+        tmp_path / "foreign.json", detector="other", detector_sha256="0" * 64
+    )
+    for file, code in (
+        (foreign, "calibration_mismatch"),
+        (tmp_path / "none.json", "calibration_unreadable"),
+    ):
         models = Models(replace(settings, calibration=file))
         with pytest.raises(CallError, match=rf"model_unavailable: .*\({code}\).*--calibration"):
             models.calibration()
@@ -91,7 +100,9 @@ def test_a_calibration_must_be_the_detectors(settings: Settings, detector_path: 
         assert models.failure == code
 
 
-def test_a_segmenter_that_cannot_be_loaded_is_not_ready(settings: Settings, segmenter_paths: SamFiles) -> None:
+def test_a_segmenter_that_cannot_be_loaded_is_not_ready(
+    settings: Settings, segmenter_paths: SamFiles
+) -> None:
     models = Models(replace(settings, segmenter=(segmenter_paths[1], segmenter_paths[0])))
     models.load_all()
     assert models.failure == "model_contract"
@@ -101,4 +112,6 @@ def test_a_segmenter_that_cannot_be_loaded_is_not_ready(settings: Settings, segm
 def test_workers_do_without_the_sdk() -> None:
     modules = ["vehanchor_server.calls.worker_process", "vehanchor_server.services", *SLOW_IMPORTS]
     script = f"import sys\nfor name in {modules}: __import__(name)\nprint('mcp' in sys.modules)"
-    assert subprocess.check_output([sys.executable, "-c", script], text=True) == "False\n", "30 MB, and 0.3 s"
+    assert subprocess.check_output([sys.executable, "-c", script], text=True) == "False\n", (
+        "30 MB, and 0.3 s"
+    )

@@ -37,7 +37,11 @@ def _limits(annotation: Any) -> Limits | None:
     return None
 
 
-LIMITED = {keyword: limits for keyword, each in DECLARED.items() if (limits := _limits(each.annotation)) is not None}
+LIMITED = {
+    keyword: limits
+    for keyword, each in DECLARED.items()
+    if (limits := _limits(each.annotation)) is not None
+}
 
 
 def _beyond(limits: Limits) -> list[Any]:
@@ -49,7 +53,9 @@ def _beyond(limits: Limits) -> list[Any]:
 
 def _within(limits: Limits) -> list[Any]:
     """The outermost numbers that the limits take."""
-    return [each for each in (limits.least, limits.most) if each is not None] or [(limits.above or 0) + 1]
+    return [each for each in (limits.least, limits.most) if each is not None] or [
+        (limits.above or 0) + 1
+    ]
 
 
 @pytest.mark.parametrize("keyword", LIMITED)
@@ -64,7 +70,9 @@ def test_the_library_takes_what_an_option_declares_and_nothing_beyond(keyword: s
 
 
 def test_numbers_are_read_from_texts_and_lengths_with_their_units() -> None:
-    options = ScaleOptions.of({"min_score": " 0.2", "height_m": "30 feet", "focal_35mm": "24 mm", "alpha": "none"})
+    options = ScaleOptions.of(
+        {"min_score": " 0.2", "height_m": "30 feet", "focal_35mm": "24 mm", "alpha": "none"}
+    )
     assert options.search.min_score == 0.2
     assert options.rulers.height_m == pytest.approx(9.144)
     assert options.rulers.focal_35mm == 24
@@ -81,7 +89,14 @@ def _command(*, chosen: ParsedOptions) -> None:
 def test_the_command_line_has_every_option_with_its_help_and_shows_the_first() -> None:
     parameters = inspect.signature(scale_command()(_command)).parameters
     shown = {keyword: each.option for keyword, each in DECLARED.items() if each.option.cli}
-    assert set(DECLARED) - set(shown) == {"limits", "bgr", "verify", "gsd_m_per_px", "gsd_basis", "gsd_tolerance"}
+    assert set(DECLARED) - set(shown) == {
+        "limits",
+        "bgr",
+        "verify",
+        "gsd_m_per_px",
+        "gsd_basis",
+        "gsd_tolerance",
+    }
     for keyword, option in shown.items():
         _, info = typing.get_args(parameters[keyword].annotation)
         assert isinstance(info, typer.models.OptionInfo)
@@ -99,7 +114,9 @@ def test_a_file_has_options_by_keyword_and_the_command_line_overrides_it(tmp_pat
     assert chosen.options().rulers.height_m == 50
     assert chosen.options().rulers.known_lengths[0].metres == 5
     assert chosen.runtime().threads == 1
-    with pytest.raises(InvalidParameterError, match="has 'effort': the options of this command are height_m"):
+    with pytest.raises(
+        InvalidParameterError, match="has 'effort': the options of this command are height_m"
+    ):
         ParsedOptions({}, file, names - {"effort"}).options()
     file.write_text("effort: full")
     with pytest.raises(InvalidParameterError, match=r"--options .* cannot be read"):
@@ -112,12 +129,22 @@ def test_the_tools_have_the_limits_and_the_help_of_the_options() -> None:
             continue
         arguments = tool.full_parameters["properties"]
         kind = "estimate" if tool.name == "estimate_gsd" else "measure"
-        expected = {keyword: each for keyword, each in DECLARED.items() if each.option.tools in ("all", kind)}
+        expected = {
+            keyword: each
+            for keyword, each in DECLARED.items()
+            if each.option.tools in ("all", kind)
+        }
         assert set(expected) <= set(arguments)
         for name, each in expected.items():
             assert arguments[name]["description"] == each.option.help
             if name in LIMITED:
-                (number,) = (part for part in arguments[name]["anyOf"] if part["type"] in ("number", "integer"))
-                assert {key: value for key, value in number.items() if key != "type"} == LIMITED[name].schema
+                (number,) = (
+                    part
+                    for part in arguments[name]["anyOf"]
+                    if part["type"] in ("number", "integer")
+                )
+                assert {key: value for key, value in number.items() if key != "type"} == LIMITED[
+                    name
+                ].schema
         if kind == "measure":
             assert arguments["object_height_m"]["description"] == OBJECT_HEIGHT.help

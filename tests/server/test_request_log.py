@@ -18,7 +18,9 @@ from vehanchor_server.request_log import JsonFormatter, RepeatLimit, configure_l
 def lines_of(caplog: pytest.LogCaptureFixture) -> list[dict[str, Any]]:
     formatter = JsonFormatter()
     return [
-        json.loads(formatter.format(record)) for record in caplog.records if record.name == "vehanchor_server.calls"
+        json.loads(formatter.format(record))
+        for record in caplog.records
+        if record.name == "vehanchor_server.calls"
     ]
 
 
@@ -53,7 +55,9 @@ def test_a_log_line_is_one_line_of_json_with_its_traceback() -> None:
     try:
         raise RuntimeError("two\nlines")
     except RuntimeError:
-        record = logging.LogRecord("a.b", logging.ERROR, __file__, 1, "it %s", ("failed",), sys.exc_info())
+        record = logging.LogRecord(
+            "a.b", logging.ERROR, __file__, 1, "it %s", ("failed",), sys.exc_info()
+        )
     text = JsonFormatter().format(record)
     line = json.loads(text)
     assert "\n" not in text
@@ -84,7 +88,9 @@ def test_a_line_that_is_repeated_is_shown_a_few_times_and_then_counted() -> None
     limit = RepeatLimit(n_lines=3, period_s=10)
 
     def passes(name: str, created: float, line: int = 1) -> logging.LogRecord | None:
-        record = logging.LogRecord(name, logging.WARNING, __file__, line, "Invalid Host header: %s", (created,), None)
+        record = logging.LogRecord(
+            name, logging.WARNING, __file__, line, "Invalid Host header: %s", (created,), None
+        )
         record.created = created
         return record if limit.filter(record) else None
 

@@ -47,9 +47,18 @@ def test_the_schemas_are_valid_2020_12_that_every_host_reads(files: dict[str, An
         jsonschema.Draft202012Validator.check_schema(schema)
         assert schema["type"] == "object"
         for node in nodes(schema):
-            assert not {"$ref", "$defs", "oneOf", "allOf", "discriminator", "prefixItems", "title"} & set(node)
+            assert not {
+                "$ref",
+                "$defs",
+                "oneOf",
+                "allOf",
+                "discriminator",
+                "prefixItems",
+                "title",
+            } & set(node)
             if node.get("type") == "object":
-                assert node["additionalProperties"] is ("properties" not in node)  # the arguments of another call
+                # the arguments of another call
+                assert node["additionalProperties"] is ("properties" not in node)
 
 
 def test_the_openai_definition_is_strict_compatible(files: dict[str, Any]) -> None:
@@ -60,7 +69,9 @@ def test_the_openai_definition_is_strict_compatible(files: dict[str, Any]) -> No
         jsonschema.Draft202012Validator.check_schema(schema)
         assert "anyOf" not in schema
         for node in nodes(schema):
-            assert not {"default", "minLength", "maxLength", "oneOf", "$ref"} & (set(node) - set(_properties(node)))
+            assert not {"default", "minLength", "maxLength", "oneOf", "$ref"} & (
+                set(node) - set(_properties(node))
+            )
             if node.get("type") == "object":
                 assert node["additionalProperties"] is False
                 assert sorted(node["required"]) == sorted(node["properties"])
@@ -76,7 +87,10 @@ def _properties(node: dict[str, Any]) -> set[str]:
     [
         ("estimate_gsd", {}),
         ("measure_area", {"targets": [{"box": POOL_BOX, "points": None}]}),
-        ("measure_area", {"targets": [{"box": None, "points": [{"x": 324, "y": 378, "label": None}]}]}),
+        (
+            "measure_area",
+            {"targets": [{"box": None, "points": [{"x": 324, "y": 378, "label": None}]}]},
+        ),
     ],
 )
 async def test_what_strict_mode_makes_a_model_send_is_accepted(
@@ -100,10 +114,16 @@ def test_a_property_may_be_named_like_a_keyword() -> None:
     schema = {
         "type": "object",
         "title": "Dropped",
-        "properties": {"title": {"type": "string"}, "oneOf": {"$ref": "#/$defs/Part", "description": "kept"}},
+        "properties": {
+            "title": {"type": "string"},
+            "oneOf": {"$ref": "#/$defs/Part", "description": "kept"},
+        },
         "$defs": {"Part": {"const": 3, "title": "Part"}},
     }
     assert portable_schema(schema) == {
         "type": "object",
-        "properties": {"title": {"type": "string"}, "oneOf": {"const": 3, "description": "kept", "type": "integer"}},
+        "properties": {
+            "title": {"type": "string"},
+            "oneOf": {"const": 3, "description": "kept", "type": "integer"},
+        },
     }

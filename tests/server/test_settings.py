@@ -49,10 +49,22 @@ def test_there_are_at_most_eighteen_settings() -> None:
         ({"oidc": ("https://a.test#max-age=0", "x")}, "#max-age=SECONDS may follow"),
         ({"oidc": ("http://a.test", "x")}, "the issuer's https:// URL"),
         ({"oidc": ISSUER, "token_file": Path("t")}, "exclude each other"),
-        ({"oidc": ISSUER, "host": "0.0.0.0"}, r"^listening on 0\.0\.0\.0 with an issuer: give --public-url"),
+        (
+            {"oidc": ISSUER, "host": "0.0.0.0"},
+            r"^listening on 0\.0\.0\.0 with an issuer: give --public-url",
+        ),
         *(
-            ({"public_urls": (url,)}, r"^public_url is .*: write all of it, as in https://example\.org/mcp")
-            for url in ("example.org", "example.org/mcp", "ftp://example.org/mcp", "https://", "http://[::1/mcp")
+            (
+                {"public_urls": (url,)},
+                r"^public_url is .*: write all of it, as in https://example\.org/mcp",
+            )
+            for url in (
+                "example.org",
+                "example.org/mcp",
+                "ftp://example.org/mcp",
+                "https://",
+                "http://[::1/mcp",
+            )
         ),
     ],
 )
@@ -63,7 +75,11 @@ def test_options_without_meaning_are_refused(options: dict[str, Any], words: str
 
 def test_the_memory_of_decoding_and_of_workers_follows_the_pixels() -> None:
     small, large = Settings(max_megapixels=25), Settings(max_megapixels=500)
-    assert large.image_limits.max_decoded_bytes == 20 * small.image_limits.max_decoded_bytes == 5_500_000_000
+    assert (
+        large.image_limits.max_decoded_bytes
+        == 20 * small.image_limits.max_decoded_bytes
+        == 5_500_000_000
+    )
     for settings in (small, large):
         assert settings.max_worker_bytes > 2 * settings.image_limits.max_decoded_bytes
 
@@ -94,7 +110,13 @@ def test_a_public_address_needs_authentication(options: dict[str, Any], allowed:
 
 @pytest.mark.parametrize(
     ("name", "text"),
-    [("PORT", "http"), ("DEADLINE_S", "soon"), ("INSECURE", "maybe"), ("OIDC", "https://a.test"), ("ISOLATION", "x")],
+    [
+        ("PORT", "http"),
+        ("DEADLINE_S", "soon"),
+        ("INSECURE", "maybe"),
+        ("OIDC", "https://a.test"),
+        ("ISOLATION", "x"),
+    ],
 )
 def test_a_variable_that_cannot_be_read_is_named(name: str, text: str) -> None:
     with pytest.raises(SettingsError, match=f"VEHANCHOR_{name} is '{text}'"):
@@ -148,11 +170,15 @@ def sample(field: Field[Any], folder: Path) -> Any:
 
 def test_every_setting_is_in_the_help_with_its_words_and_its_default(shown: list[str]) -> None:
     for field in fields(Settings):
-        (line,) = [line for line in shown if f"\N{BOX DRAWINGS LIGHT VERTICAL} {flag_of(field)} " in line]
+        (line,) = [
+            line for line in shown if f"\N{BOX DRAWINGS LIGHT VERTICAL} {flag_of(field)} " in line
+        ]
         assert option_of(field).help[:60] in line
         if field.default:
             default = str(field.default).removesuffix(".0")
-            assert f"[default: ({default})]" in "\n".join(shown[shown.index(line) : shown.index(line) + 3])
+            assert f"[default: ({default})]" in "\n".join(
+                shown[shown.index(line) : shown.index(line) + 3]
+            )
 
 
 @pytest.mark.parametrize("field", fields(Settings), ids=lambda field: str(field.name))
@@ -162,7 +188,11 @@ def test_every_setting_is_a_flag_and_a_variable(
     value = sample(field, tmp_path)
     assert value != field.default
     flag = flag_of(field)
-    words = [flag] if value is True else [word for each in values(field, value) for word in (flag, *each)]
+    words = (
+        [flag]
+        if value is True
+        else [word for each in values(field, value) for word in (flag, *each)]
+    )
     assert CliRunner().invoke(app, ["serve", *words]).exit_code == 0
     separator = os.pathsep if field.name in ("roots", "segmenter") else ","
     text = separator.join(map(str, value)) if isinstance(value, tuple) else str(value)

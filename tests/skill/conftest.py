@@ -19,7 +19,9 @@ def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
 @pytest.fixture(scope="session")
 def searching(tmp_path_factory: pytest.TempPathFactory) -> Detector:
     """A detector of painted vehicles whose file asks for the search over scales."""
-    return Detector(write_detector(tmp_path_factory.mktemp("searching") / "m.onnx", metadata=SEARCHING))
+    return Detector(
+        write_detector(tmp_path_factory.mktemp("searching") / "m.onnx", metadata=SEARCHING)
+    )
 
 
 @pytest.fixture(scope="session")

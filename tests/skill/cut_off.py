@@ -43,7 +43,10 @@ CALIBRATION = Calibration(
 )
 """Any."""
 
-_ROWS = [BatchRow(file=f"{n}.png", error_code="image_not_found", error="there is no such file") for n in range(8)]
+_ROWS = [
+    BatchRow(file=f"{n}.png", error_code="image_not_found", error="there is no such file")
+    for n in range(8)
+]
 _FACTS = [{"file": row.file, "error": row.error} for row in _ROWS]
 _PICTURE = np.random.default_rng(1).integers(0, 255, (48, 48, 3), np.uint8)
 _WRITERS: dict[str, Callable[[Path], object]] = {
@@ -53,7 +56,9 @@ _WRITERS: dict[str, Callable[[Path], object]] = {
     "table.csv": lambda path: write_table(path, [row.flat() for row in _ROWS]),
     "table.jsonl": lambda path: write_table(path, [row.flat() for row in _ROWS]),
     "table.parquet": lambda path: write_table(path, [row.flat() for row in _ROWS]),
-    "report.json": lambda path: write_results(path.parent, "report", CALIBRATION, _FACTS, "# Words\n"),
+    "report.json": lambda path: write_results(
+        path.parent, "report", CALIBRATION, _FACTS, "# Words\n"
+    ),
 }
 _RESULTS = 3
 
@@ -69,7 +74,10 @@ def _whole_or_old(name: str, folder: Path, ends: Counter[str]) -> Iterable[str]:
             end = limited(lambda: write(path), n_bytes, killed=killed)
             ends[_named(end)] += 1
             if end != (-signal.SIGXFSZ if killed else REFUSED) or path.read_bytes() != b"old":
-                yield f"{name} at byte {n_bytes}, killed {killed}: {_named(end)}, {path.read_bytes()[:20]!r}"
+                yield (
+                    f"{name} at byte {n_bytes}, killed {killed}: {_named(end)}, "
+                    f"{path.read_bytes()[:20]!r}"
+                )
     if limited(lambda: write(path), len(new), killed=True) != WRITTEN or path.read_bytes() != new:
         yield f"{name} is not written again afterwards"
 
@@ -99,7 +107,10 @@ def _kept(folder: Path, ends: Counter[str]) -> Iterable[str]:
                 found, added = len(journal), journal.get(("new",))
                 journal.add(("next",), "z")
             if end == WRITTEN or found != _RESULTS or added is not None:
-                yield f"journal, full at byte {n_bytes}, killed {killed}: {_named(end)}, {found} results"
+                yield (
+                    f"journal, full at byte {n_bytes}, killed {killed}: {_named(end)}, "
+                    f"{found} results"
+                )
 
 
 def _named(end: int) -> str:

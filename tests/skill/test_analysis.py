@@ -32,7 +32,9 @@ def cars() -> np.ndarray:
     return car_park(30.0 + np.arange(18) % 3)
 
 
-def test_the_overlay_and_the_plot_are_those_of_the_command(cars: np.ndarray, detector: Detector) -> None:
+def test_the_overlay_and_the_plot_are_those_of_the_command(
+    cars: np.ndarray, detector: Detector
+) -> None:
     from vehanchor.pictures.scale import draw_overlay
 
     analysis = analyse_scale(cars, detector=detector)
@@ -66,7 +68,9 @@ def test_vehicles_are_features_that_maps_take(cars: np.ndarray, detector: Detect
     analysis = analyse_scale(cars, detector=detector)
     collection: dict[str, Any] = analysis.__geo_interface__
     assert len(collection["features"]) == 18
-    for feature, (x, y, length, width, _) in zip(collection["features"], analysis.detections.boxes, strict=True):
+    for feature, (x, y, length, width, _) in zip(
+        collection["features"], analysis.detections.boxes, strict=True
+    ):
         (ring,) = feature["geometry"]["coordinates"]
         assert ring[0] == ring[-1]
         assert np.mean(ring[:4], axis=0) == pytest.approx([x, y])
@@ -105,8 +109,15 @@ def test_vehicles_are_detections_of_supervision(
 class _Masks:
     """Supervision's, as far as an object uses it."""
 
-    def __init__(self, *, xyxy: Any, mask: Any, confidence: Any, class_id: Any, data: dict[str, Any]) -> None:
-        assert (xyxy.shape, mask.dtype, confidence.shape, class_id.shape) == ((1, 4), np.bool_, (1,), (1,))
+    def __init__(
+        self, *, xyxy: Any, mask: Any, confidence: Any, class_id: Any, data: dict[str, Any]
+    ) -> None:
+        assert (xyxy.shape, mask.dtype, confidence.shape, class_id.shape) == (
+            (1, 4),
+            np.bool_,
+            (1,),
+            (1,),
+        )
         self.xyxy, self.mask, self.data = xyxy, mask, data
 
     @classmethod
@@ -123,9 +134,23 @@ def roof(tmp_path_factory: pytest.TempPathFactory) -> AreaAnalysis:
     return analyse_area(path, box=(75, 55, 225, 145), gsd_m_per_px=0.1)
 
 
-def test_an_area_is_drawn_as_by_the_command_and_shown_in_notebooks(roof: AreaAnalysis, tmp_path: Path) -> None:
+def test_an_area_is_drawn_as_by_the_command_and_shown_in_notebooks(
+    roof: AreaAnalysis, tmp_path: Path
+) -> None:
     assert isinstance(roof.image, Path)
-    words = ["measure", roof.image, "--box", 75, 55, 225, 145, "--gsd", 0.1, "--overlay", tmp_path / "o.png"]
+    words = [
+        "measure",
+        roof.image,
+        "--box",
+        75,
+        55,
+        225,
+        145,
+        "--gsd",
+        0.1,
+        "--overlay",
+        tmp_path / "o.png",
+    ]
     assert CliRunner().invoke(app, list(map(str, words))).exit_code == 0
     written = cv2.imread(str(tmp_path / "o.png"))
     assert written is not None
@@ -186,7 +211,9 @@ def test_a_distance_is_drawn_where_it_lies_as_by_the_command(
 def test_a_size_whose_scale_is_not_to_be_used_or_holds_in_one_place_has_no_bar(
     cars: np.ndarray, detector: Detector
 ) -> None:
-    scale = analyse_scale(cars, ScaleOptions.of({"rulers": ("vehicles",)}), detector=detector).estimate.scale
+    scale = analyse_scale(
+        cars, ScaleOptions.of({"rulers": ("vehicles",)}), detector=detector
+    ).estimate.scale
     assert scale is not None
     aside = KnownPlane(tilt_deg=30.0, roll_deg=0.0, focal_length_px=400.0)
     known = [scale.model_copy(update=each) for each in ({}, {"confidence": 0.2}, {"plane": aside})]
@@ -198,23 +225,33 @@ def test_a_size_whose_scale_is_not_to_be_used_or_holds_in_one_place_has_no_bar(
         height = round(360 * pictures[0].shape[1] / 480)
         white = [int((picture[:height] == 255).all(axis=2).sum()) for picture in pictures]
         assert white[0] > white[1] + 400  # the bar and its letters
-        assert white[0] > white[2] + 400  # nor has a view from aside a bar: it would hold nowhere else
+        # nor has a view from aside a bar: it would hold nowhere else
+        assert white[0] > white[2] + 400
 
 
 @pytest.fixture(scope="module")
 def estimate() -> GsdEstimate:
     """A usable estimate."""
-    boxes = np.array([[50.0 + 60 * (k % 10), 50.0 + 60 * (k // 10), 30 + k % 5, 13, 0.0] for k in range(60)])
+    boxes = np.array(
+        [[50.0 + 60 * (k % 10), 50.0 + 60 * (k // 10), 30 + k % 5, 13, 0.0] for k in range(60)]
+    )
     return make_analysis(boxes, 700, 500).estimate
 
 
 @pytest.mark.parametrize(
     ("changes", "why", "helps"),
     [
-        ({"reason": "too_few", "n_vehicles": 0}, "no car was found", "draw a line over something of known size"),
+        (
+            {"reason": "too_few", "n_vehicles": 0},
+            "no car was found",
+            "draw a line over something of known size",
+        ),
         ({"reason": "too_coarse"}, "the vehicles are only 32 px long", ADVICE["too_coarse"].helps),
         (
-            {"reason": "too_coarse", "warnings": (Notice(code="detail_missing", message="It is enlarged."),)},
+            {
+                "reason": "too_coarse",
+                "warnings": (Notice(code="detail_missing", message="It is enlarged."),),
+            },
             "the image is enlarged or blurred",
             "send the original image",
         ),
@@ -223,9 +260,16 @@ def estimate() -> GsdEstimate:
             "no car was found, and the scene looks too coarse for cars",
             "send the full-resolution image",
         ),
-        ({"reason": "too_few", "n_vehicles": 1}, "1 vehicle alone: too little evidence", "give the region"),
         (
-            {"reason": "disagree", "warnings": (Notice(code="stretched", message="It is stretched."),)},
+            {"reason": "too_few", "n_vehicles": 1},
+            "1 vehicle alone: too little evidence",
+            "give the region",
+        ),
+        (
+            {
+                "reason": "disagree",
+                "warnings": (Notice(code="stretched", message="It is stretched."),),
+            },
             "the image is stretched in one direction",
             "send the original image",
         ),
@@ -241,7 +285,9 @@ def test_one_reason_has_the_advice_of_what_was_seen(
 
 
 def test_a_scene_or_a_ruler_that_contradicts_the_cars_is_named(estimate: GsdEstimate) -> None:
-    scene = SceneScaleEstimate(gsd_m_per_px=0.39, gsd_ci95_low_m_per_px=0.3, gsd_ci95_high_m_per_px=0.5)
+    scene = SceneScaleEstimate(
+        gsd_m_per_px=0.39, gsd_ci95_low_m_per_px=0.3, gsd_ci95_high_m_per_px=0.5
+    )
     details = estimate.details.model_copy(update={"scene_scale": scene})
     by_scene = advice_for(estimate.model_copy(update={"reason": "disagree", "details": details}))
     assert by_scene is not None
@@ -257,7 +303,9 @@ def test_every_reason_has_advice_that_names_nothing_unknown(estimate: GsdEstimat
     assert advice_for(estimate) is None
     for reason in get_args(Reason):
         for number in (0, 1, 9):
-            advice = advice_for(estimate.model_copy(update={"reason": reason, "n_vehicles": number}))
+            advice = advice_for(
+                estimate.model_copy(update={"reason": reason, "n_vehicles": number})
+            )
             assert advice is not None
             assert "{" not in "".join(advice)
             assert "overlay" not in "".join(advice), "measure_distance has none"

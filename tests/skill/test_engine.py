@@ -62,7 +62,9 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[type]:
     for kind in (Detector, Segmenter):
         original = kind.__init__
 
-        def noted(self: Any, *args: Any, _original: Any = original, _kind: type = kind, **keywords: Any) -> None:
+        def noted(
+            self: Any, *args: Any, _original: Any = original, _kind: type = kind, **keywords: Any
+        ) -> None:
             found.append(_kind)
             _original(self, *args, **keywords)
 
@@ -74,7 +76,10 @@ def test_each_model_is_loaded_once_and_not_before_it_is_needed(
     tmp_path: Path, segmenter: tuple[Path, Path], opened: list[type]
 ) -> None:
     engine = Engine(
-        write_detector(tmp_path / "once.onnx"), segmenter, runtime=Runtime(threads=3), options=ScaleOptions.of(ALONE)
+        write_detector(tmp_path / "once.onnx"),
+        segmenter,
+        runtime=Runtime(threads=3),
+        options=ScaleOptions.of(ALONE),
     )
     assert opened == []
     image = _place()
@@ -82,12 +87,18 @@ def test_each_model_is_loaded_once_and_not_before_it_is_needed(
     assert opened == [Detector]
     engine.measure_distance(image, PATH)
     engine.measure_area(image, box=BOX, scale=estimate)
-    engine.replace(runtime=Runtime(threads=3, progress=lambda _done, _total: None)).measure_area(image, box=BOX)
+    engine.replace(runtime=Runtime(threads=3, progress=lambda _done, _total: None)).measure_area(
+        image, box=BOX
+    )
     assert opened == [Detector, Segmenter]
 
 
 def test_many_threads_share_one_engine(tmp_path: Path, opened: list[type]) -> None:
-    engine = Engine(write_detector(tmp_path / "shared.onnx"), options=ScaleOptions.of(ALONE), classes=["small vehicle"])
+    engine = Engine(
+        write_detector(tmp_path / "shared.onnx"),
+        options=ScaleOptions.of(ALONE),
+        classes=["small vehicle"],
+    )
     together = threading.Barrier(4)
 
     def estimate(_: int) -> str:
@@ -108,25 +119,41 @@ def test_a_cancellation_ends_the_call_that_it_belongs_to_and_no_other(engine: En
             cancellation.cancel()
 
     with watched_tiles() as tiles, pytest.raises(CancelledError):
-        engine.estimate(image, tile_px=128, stride_px=96, progress=cancel, cancellation=cancellation)
+        engine.estimate(
+            image, tile_px=128, stride_px=96, progress=cancel, cancellation=cancellation
+        )
     assert tiles.n_begun <= 3
     with pytest.raises(CancelledError):
         engine.measure_area(image, box=BOX, gsd_m_per_px=0.1, cancellation=cancellation)
     assert engine.estimate(image, rulers=("vehicles",)).status == "ok"
 
 
-def test_a_verb_gives_what_its_method_gives(engine: Engine, files: Path, segmenter: tuple[Path, Path]) -> None:
+def test_a_verb_gives_what_its_method_gives(
+    engine: Engine, files: Path, segmenter: tuple[Path, Path]
+) -> None:
     image, detector = _place(), files / "m.onnx"
     estimate = engine.estimate(image)
     assert estimate == vehanchor.estimate_gsd(image, detector=detector, threads=1, **ALONE)
-    assert [estimate, estimate] == vehanchor.estimate_gsd([image, image], detector=detector, **ALONE)
+    assert [estimate, estimate] == vehanchor.estimate_gsd(
+        [image, image], detector=detector, **ALONE
+    )
     area = vehanchor.measure_area(image, box=BOX, detector=detector, segmenter=segmenter, **ALONE)
-    assert engine.measure_area(image, box=BOX) == area == engine.analyse_area(image, box=BOX).measurement
+    assert (
+        engine.measure_area(image, box=BOX)
+        == area
+        == engine.analyse_area(image, box=BOX).measurement
+    )
     distance = vehanchor.measure_distance(image, PATH, detector=detector, **ALONE)
-    assert engine.measure_distance(image, PATH) == distance == engine.analyse_distance(image, PATH).measurement
+    assert (
+        engine.measure_distance(image, PATH)
+        == distance
+        == engine.analyse_distance(image, PATH).measurement
+    )
 
 
-def test_a_bad_image_of_a_list_is_named_and_the_others_are_kept(engine: Engine, tmp_path: Path) -> None:
+def test_a_bad_image_of_a_list_is_named_and_the_others_are_kept(
+    engine: Engine, tmp_path: Path
+) -> None:
     image, bad = _place(), tmp_path / "bad.jpg"
     bad.write_bytes(b"no image")
     with pytest.raises(ImageListError) as caught:
@@ -143,7 +170,10 @@ def test_a_bad_image_of_a_list_is_named_and_the_others_are_kept(engine: Engine, 
 
 def test_keywords_change_single_fields_of_the_engines_options(files: Path) -> None:
     image = _place()
-    chosen = Engine(files / "m.onnx", options=ScaleOptions.of({"reference_length_m": 4.0, "alpha": None, **ALONE}))
+    chosen = Engine(
+        files / "m.onnx",
+        options=ScaleOptions.of({"reference_length_m": 4.0, "alpha": None, **ALONE}),
+    )
     assert chosen.estimate(image).details.reference_length_m == 4.0
     assert chosen.estimate(image, frame=(400, 300)).details.reference_length_m == 4.0
     assert chosen.estimate(image, reference_length_m=5.0).details.reference_length_m == 5.0
@@ -153,13 +183,20 @@ def test_keywords_change_single_fields_of_the_engines_options(files: Path) -> No
         chosen.estimate(image, regoin="europe")
 
 
-def test_a_segmenter_is_two_paths_or_one_that_is_loaded(files: Path, segmenter: tuple[Path, Path]) -> None:
-    assert Engine(segmenter=Segmenter(*segmenter)).segmenter.card == Engine(segmenter=segmenter).segmenter.card
+def test_a_segmenter_is_two_paths_or_one_that_is_loaded(
+    files: Path, segmenter: tuple[Path, Path]
+) -> None:
+    assert (
+        Engine(segmenter=Segmenter(*segmenter)).segmenter.card
+        == Engine(segmenter=segmenter).segmenter.card
+    )
     with pytest.raises(InvalidParameterError, match="give two paths"):
         _ = Engine(segmenter="encoder.onnx").segmenter  # type: ignore[arg-type]
 
 
-def test_load_leaves_no_model_for_the_first_estimate_to_open(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_load_leaves_no_model_for_the_first_estimate_to_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     real, opened = onnxruntime.InferenceSession, []
 
     def noted(*args: Any, **keywords: Any) -> Any:
@@ -167,10 +204,13 @@ def test_load_leaves_no_model_for_the_first_estimate_to_open(monkeypatch: pytest
         return real(*args, **keywords)
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", noted)
-    engine = Engine(runtime=Runtime(threads=5))  # of no other test: the process has none of these models yet
+    # of no other test: the process has none of these models yet
+    engine = Engine(runtime=Runtime(threads=5))
     engine.load()
     n_opened = len(opened)
-    assert n_opened >= 4, "detector, chip network, verifier, scene-scale prior; courts, unless a test had them"
+    assert n_opened >= 4, (
+        "detector, chip network, verifier, scene-scale prior; courts, unless a test had them"
+    )
     assert engine.estimate(_place()).model == engine.detector.card.name
     assert len(opened) == n_opened
 

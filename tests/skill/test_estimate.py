@@ -17,13 +17,17 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-ALONE: dict[str, Any] = {"rulers": ("vehicles",)}  # the scene-scale prior does not know painted pictures
+# the scene-scale prior does not know painted pictures
+ALONE: dict[str, Any] = {"rulers": ("vehicles",)}
 
 
 def test_the_record_follows_the_papers_equations(detector: Detector) -> None:
-    analysis = analyse_scale(car_park([*fleet(30), 70.0]), ScaleOptions.of(ALONE), detector=detector)
+    analysis = analyse_scale(
+        car_park([*fleet(30), 70.0]), ScaleOptions.of(ALONE), detector=detector
+    )
     e = analysis.estimate
-    assert (e.details.n_detections, e.n_vehicles) == (31, 30)  # the 70 px one is beyond 1.5 times the median
+    # the 70 px one is beyond 1.5 times the median
+    assert (e.details.n_detections, e.n_vehicles) == (31, 30)
     assert e.mode_length_px is not None
     assert e.gsd_m_per_px is not None
     assert e.mode_length_px == pytest.approx(30.0, abs=0.1)
@@ -34,7 +38,12 @@ def test_the_record_follows_the_papers_equations(detector: Detector) -> None:
     assert e.gsd_ci95_low_m_per_px < e.gsd_m_per_px < e.gsd_ci95_high_m_per_px
     terms = e.details.confidence_terms
     assert terms is not None
-    total = 0.35 * terms.sample + 0.35 * terms.concentration + 0.20 * terms.quality + 0.10 * terms.plausibility
+    total = (
+        0.35 * terms.sample
+        + 0.35 * terms.concentration
+        + 0.20 * terms.quality
+        + 0.10 * terms.plausibility
+    )
     assert e.details.composite_confidence == pytest.approx(total)
     assert (e.status, e.details.aggregation, e.details.resolution_guard) == ("ok", "kde", False)
     assert (e.image_width_px, e.image_height_px) == (480, 360)
@@ -47,7 +56,12 @@ def test_the_record_follows_the_papers_equations(detector: Detector) -> None:
 @pytest.mark.promise("no-guess")
 def test_no_vehicles_mean_no_scale_and_no_confidence(detector: Detector) -> None:
     e = estimate_gsd(blank_image(200, 100), detector=detector)
-    assert (e.status, e.gsd_m_per_px, e.mode_length_px, e.confidence) == ("no_scale", None, None, 0.0)
+    assert (e.status, e.gsd_m_per_px, e.mode_length_px, e.confidence) == (
+        "no_scale",
+        None,
+        None,
+        0.0,
+    )
     assert (e.gsd_ci95_low_m_per_px, e.gsd_ci95_high_m_per_px, e.n_vehicles) == (None, None, 0)
     assert "NaN" not in e.model_dump_json()
 
@@ -58,13 +72,15 @@ def test_every_constant_can_be_overridden(detector: Detector) -> None:
     assert estimate_gsd(
         image, detector=detector, **ALONE, aggregation="mean", alpha=None
     ).mode_length_px == pytest.approx(np.mean([*fleet(30), 70.0]), abs=0.01)
-    assert estimate_gsd(image, detector=detector, **ALONE, reference_length_m=4.0).gsd_m_per_px == pytest.approx(
-        4 / 30, rel=0.01
-    )
+    assert estimate_gsd(
+        image, detector=detector, **ALONE, reference_length_m=4.0
+    ).gsd_m_per_px == pytest.approx(4 / 30, rel=0.01)
     europe = estimate_gsd(image, detector=detector, **ALONE, region="europe")
     assert europe.details.reference_length_m == pytest.approx(4.5)
     tiled = estimate_gsd(image, detector=detector, **ALONE, tile_px=128, stride_px=64)
-    assert tiled.mode_length_px == pytest.approx(estimate_gsd(image, detector=detector, **ALONE).mode_length_px)
+    assert tiled.mode_length_px == pytest.approx(
+        estimate_gsd(image, detector=detector, **ALONE).mode_length_px
+    )
 
 
 def test_the_frame_gives_the_scale_of_the_callers_copy(detector: Detector) -> None:
@@ -82,7 +98,9 @@ def test_the_frame_gives_the_scale_of_the_callers_copy(detector: Detector) -> No
     assert empty.frame.gsd_m_per_px is None
 
 
-def test_a_georeference_that_disagrees_is_reported_and_not_used(tmp_path: Path, detector: Detector) -> None:
+def test_a_georeference_that_disagrees_is_reported_and_not_used(
+    tmp_path: Path, detector: Detector
+) -> None:
     rasterio = pytest.importorskip("rasterio")
     image = car_park(fleet(30))
 

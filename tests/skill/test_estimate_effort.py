@@ -33,7 +33,9 @@ _TILES: dict[str, Any] = {"tile_px": 160, "stride_px": 120}
 
 @pytest.fixture(scope="module")
 def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    return Detector(write_detector(tmp_path_factory.mktemp("model") / "m.onnx", metadata=_SEARCHING))
+    return Detector(
+        write_detector(tmp_path_factory.mktemp("model") / "m.onnx", metadata=_SEARCHING)
+    )
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -57,16 +59,23 @@ def _town(spread: float = 0.07, seed: int = 0) -> NDArray[np.uint8]:
     """A picture of 1100 x 900 px, a third of it full of cars of 30 px, the rest empty."""
     rng = np.random.default_rng(seed)
     image = blank_image(1100, 900)
-    grid = np.stack(np.meshgrid(np.arange(461, 1060, 32), np.arange(30, 610, 24)), axis=-1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(np.arange(461, 1060, 32), np.arange(30, 610, 24)), axis=-1).reshape(
+        -1, 2
+    )
     n = len(grid)
     lengths = 30 * np.exp(rng.normal(0, spread, n))
     paint_vehicles(image, np.column_stack([grid, lengths, np.full(n, 12.0), np.full(n, 0.4)]))
     return image
 
 
-def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(searched: dict[str, ScaleAnalysis]) -> None:
+def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(
+    searched: dict[str, ScaleAnalysis],
+) -> None:
     full, auto, fast = (analysis.estimate for analysis in searched.values())
-    assert (full.details.tiles_searched, full.details.stopped_because) == (full.details.tiles_total, "all_searched")
+    assert (full.details.tiles_searched, full.details.stopped_because) == (
+        full.details.tiles_total,
+        "all_searched",
+    )
     assert auto.details.stopped_because == "converged"
     assert auto.details.tiles_total == full.details.tiles_total
     assert auto.details.tiles_searched < 0.6 * auto.details.tiles_total
@@ -83,27 +92,45 @@ def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
         monkeypatch.setattr(f"vehanchor.{name}", 100_000_000)
     image, full = _town(), searched["full"].estimate
     auto = estimate_gsd(image, detector=detector, **_TILES)
-    assert (full.details.stopped_because, auto.details.stopped_because) == ("all_searched", "converged")
+    assert (full.details.stopped_because, auto.details.stopped_because) == (
+        "all_searched",
+        "converged",
+    )
     assert auto.details.tiles_searched < 0.6 * full.details.tiles_searched
     assert (auto.status, auto.reason) == (full.status, full.reason) == ("ok", None)
     assert auto.gsd_m_per_px == pytest.approx(full.gsd_m_per_px, rel=0.02)
     few = blank_image(1000, 800)
     paint_vehicles(few, [[60 + 140 * k, 400, 30, 12, 0.4] for k in range(7)])
     sparse = estimate_gsd(few, detector=detector, **_TILES)
-    assert sparse.details.tiles_searched > 0.75 * sparse.details.tiles_total  # all that can show cars
+    # all that can show cars
+    assert sparse.details.tiles_searched > 0.75 * sparse.details.tiles_total
 
 
 def test_auto_goes_on_while_a_doubt_is_open(detector: Detector) -> None:
     alike = estimate_gsd(_town(spread=0.002), detector=detector, **_TILES)
     assert "look_alikes" in {notice.code for notice in alike.warnings}
-    assert (alike.details.stopped_because, alike.details.tiles_searched) == ("all_searched", alike.details.tiles_total)
+    assert (alike.details.stopped_because, alike.details.tiles_searched) == (
+        "all_searched",
+        alike.details.tiles_total,
+    )
     nothing = estimate_gsd(blank_image(800, 700), detector=detector, **_TILES)
     assert (nothing.status, nothing.details.stopped_because) == ("no_scale", "all_searched")
 
 
 def test_a_search_that_no_ruler_needs_counts_no_tiles(detector: Detector) -> None:
     given = estimate_gsd(
-        blank_image(300, 300), detector=detector, rulers=["known_length"], known_lengths=[(10, 10, 200, 10, 38.0)]
+        blank_image(300, 300),
+        detector=detector,
+        rulers=["known_length"],
+        known_lengths=[(10, 10, 200, 10, 38.0)],
     )
-    assert (given.details.tiles_searched, given.details.tiles_total, given.details.stopped_because) == (0, 0, None)
-    assert (given.n_vehicles, given.details.n_detections, given.details.composite_confidence) == (None, None, None)
+    assert (
+        given.details.tiles_searched,
+        given.details.tiles_total,
+        given.details.stopped_because,
+    ) == (0, 0, None)
+    assert (given.n_vehicles, given.details.n_detections, given.details.composite_confidence) == (
+        None,
+        None,
+        None,
+    )

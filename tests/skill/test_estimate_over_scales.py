@@ -35,13 +35,18 @@ def _fleet(mean: float, n: int = 30, spread: float = 0.07) -> list[float]:
     return [mean * (1 + spread * NormalDist().inv_cdf((k + 0.5) / n)) for k in range(n)]
 
 
-# --- Levels that disagree --------------------------------------------------------------------------------------------
+# --- Levels that disagree
+# --------------------------------------------------------------------------------------------
 
 
-def _analysis(detector: Detector, groups: list[tuple[float, int, float, float]], resolved: float = 1.0) -> Any:
+def _analysis(
+    detector: Detector, groups: list[tuple[float, int, float, float]], resolved: float = 1.0
+) -> Any:
     """An analysis of groups of (length, number, score, scale), their lengths spread as a fleet's."""
     lengths = np.concatenate([_fleet(length, n) for length, n, _, _ in groups])
-    boxes = np.column_stack([np.arange(len(lengths)) * 999, lengths * 0, lengths, lengths / 2.2, lengths * 0])
+    boxes = np.column_stack(
+        [np.arange(len(lengths)) * 999, lengths * 0, lengths, lengths / 2.2, lengths * 0]
+    )
     scores = np.concatenate([np.full(n, score) for _, n, score, _ in groups])
     scales = np.concatenate([np.full(n, scale) for _, n, _, scale in groups])
     return analyse_found(
@@ -57,7 +62,9 @@ def _analysis(detector: Detector, groups: list[tuple[float, int, float, float]],
     st.lists(st.tuples(st.floats(5, 900), st.floats(0.01, 1)), min_size=1, max_size=60),
     st.randoms(use_true_random=False),
 )
-def test_the_dominant_group_is_a_fleet_whatever_the_order(found: list[tuple[float, float]], order: Any) -> None:
+def test_the_dominant_group_is_a_fleet_whatever_the_order(
+    found: list[tuple[float, float]], order: Any
+) -> None:
     lengths, weights = (np.array(column) for column in zip(*found, strict=True))
     members, rival_share = dominant_group(lengths, weights)
     chosen = lengths[members]
@@ -71,7 +78,9 @@ def test_the_dominant_group_is_a_fleet_whatever_the_order(found: list[tuple[floa
     assert sorted(lengths[shuffled][again]) == sorted(chosen)
 
 
-def test_a_level_with_little_evidence_neither_moves_nor_lowers_the_answer(searching: Detector) -> None:
+def test_a_level_with_little_evidence_neither_moves_nor_lowers_the_answer(
+    searching: Detector,
+) -> None:
     alone = _analysis(searching, [(30.0, 40, 0.8, 1.0)])
     beside = _analysis(searching, [(30.0, 40, 0.8, 1.0), (190.0, 6, 0.6, 0.25)])
     assert beside.mode_length_px == pytest.approx(alone.mode_length_px)
@@ -82,7 +91,9 @@ def test_a_level_with_little_evidence_neither_moves_nor_lowers_the_answer(search
 
 
 @pytest.mark.parametrize("other", [60.0, 190.0])
-def test_two_levels_that_disagree_are_not_averaged_and_never_sure(searching: Detector, other: float) -> None:
+def test_two_levels_that_disagree_are_not_averaged_and_never_sure(
+    searching: Detector, other: float
+) -> None:
     e = _analysis(searching, [(30.0, 30, 0.8, 1.0), (other, 26, 0.8, 0.5 if other < 100 else 0.25)])
     assert e.status == "low_confidence"
     assert e.mode_length_px == pytest.approx(30.0, rel=0.02)
@@ -111,7 +122,9 @@ def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:
         found = Detections(boxes, np.full(n, 0.9), scales=scales, looks=looks)
-        return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
+        return analyse_found(
+            found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40
+        ).estimate
 
     searched = estimate(np.ones(n))
     assert [w.code for w in searched.warnings] == ([doubt] if doubt else [])
@@ -131,7 +144,8 @@ def test_a_fleet_at_the_border_of_two_levels_is_one_fleet(searching: Detector) -
     assert 54 < e.mode_length_px < 61
 
 
-# --- Missing detail --------------------------------------------------------------------------------------------------
+# --- Missing detail
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("resolved", "guarded"), [(1.0, False), (0.6, False), (0.4, True)])
@@ -143,23 +157,32 @@ def test_vehicles_without_the_detail_of_their_pixels_are_guarded(
     assert [w.code for w in e.warnings] == (["detail_missing"] if guarded else [])
 
 
-# --- The bundled model -----------------------------------------------------------------------------------------------
+# --- The bundled model
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def close_view() -> Scene:
     """Cars of about 115 px, twice what the bundled model was trained on."""
-    return render_scene(0.04, width_px=1500, height_px=1500, seed=11, layout="parking", mean_vehicle_length_m=4.6)
+    return render_scene(
+        0.04, width_px=1500, height_px=1500, seed=11, layout="parking", mean_vehicle_length_m=4.6
+    )
 
 
 @pytest.mark.slow
-def test_cars_longer_than_any_in_training_give_the_scale(bundled: Detector, close_view: Scene) -> None:
+def test_cars_longer_than_any_in_training_give_the_scale(
+    bundled: Detector, close_view: Scene
+) -> None:
     e = estimate_gsd(close_view.image, detector=bundled, search_scales=True, reference_length_m=4.6)
     assert e.gsd_m_per_px == pytest.approx(0.04, rel=0.10)
     assert e.details.working_scale in (0.25, 0.5)
     assert e.status == "ok"
     alone = estimate_gsd(
-        close_view.image, detector=bundled, search_scales=False, rulers=("vehicles",), reference_length_m=4.6
+        close_view.image,
+        detector=bundled,
+        search_scales=False,
+        rulers=("vehicles",),
+        reference_length_m=4.6,
     )
     assert alone.status != "ok"
 

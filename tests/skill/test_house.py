@@ -19,7 +19,8 @@ import pytest
 from tests.conftest import ROOT
 
 MODULE_LINES, FUNCTION_LINES = 450, 60
-ROOT_MODULES, ARROWS, FLOORS = 3, 112, 13  # of vehanchor, at most: a new import between packages needs a reason
+# of vehanchor, at most: a new import between packages needs a reason
+ROOT_MODULES, ARROWS, FLOORS = 3, 112, 13
 LABORATORY = ("benchmarks", "paper", "results", "training")  # scenes are for tests, too
 FOLDERS = (ROOT / "skill", ROOT / "server")
 COMMANDS = (
@@ -55,7 +56,10 @@ MODULES = _modules()
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 
 
-RESEARCH = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted((ROOT / "research").rglob("*.py"))}
+RESEARCH = {
+    path: ast.parse(path.read_text(encoding="utf-8"))
+    for path in sorted((ROOT / "research").rglob("*.py"))
+}
 
 
 def _below(name: str, package: str) -> bool:
@@ -85,27 +89,38 @@ def _room(name: str) -> str:
 
 def _rooms() -> dict[str, set[str]]:
     """The rooms of the library, each with those that it imports."""
-    rooms: dict[str, set[str]] = {_room(name): set() for name in MODULES if _below(name, "vehanchor")}
+    rooms: dict[str, set[str]] = {
+        _room(name): set() for name in MODULES if _below(name, "vehanchor")
+    }
     for name, imported in IMPORTS.items():
         if _room(name) in rooms:
-            found = {_room(each) for each in imported if each in MODULES and _below(each, "vehanchor")}
+            found = {
+                _room(each) for each in imported if each in MODULES and _below(each, "vehanchor")
+            }
             rooms[_room(name)] |= found - {_room(name)}
     return rooms
 
 
 def _functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
-    return (node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
+    return (
+        node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+    )
 
 
 def test_no_import_is_relative() -> None:
     nodes = (
-        (name, node) for name, tree in TREES.items() for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)
+        (name, node)
+        for name, tree in TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
     )
     assert not [name for name, node in nodes if node.level]
 
 
 def test_no_import_comes_back_to_where_it_began() -> None:
-    graph = {name: {each for each in imported if each in MODULES} for name, imported in IMPORTS.items()}
+    graph = {
+        name: {each for each in imported if each in MODULES} for name, imported in IMPORTS.items()
+    }
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -129,7 +144,9 @@ def test_few_packages_of_the_library_import_each_other() -> None:
 
 
 def test_few_modules_lie_outside_packages() -> None:
-    loose = [room for room in _rooms() if room != "vehanchor" and MODULES[room].name != "__init__.py"]
+    loose = [
+        room for room in _rooms() if room != "vehanchor" and MODULES[room].name != "__init__.py"
+    ]
     assert len(loose) <= ROOT_MODULES, loose
 
 
@@ -149,7 +166,10 @@ def test_only_commands_import_the_command_line() -> None:
     found = [
         name
         for name in MODULES
-        if any(_below(imported, "vehanchor.cli") or _below(imported, "typer") for imported in IMPORTS[name])
+        if any(
+            _below(imported, "vehanchor.cli") or _below(imported, "typer")
+            for imported in IMPORTS[name]
+        )
         and not any(_below(name, command) for command in (*COMMANDS, "vehanchor.__main__"))
     ]
     assert not found
@@ -163,16 +183,30 @@ def test_only_commands_import_the_command_line() -> None:
         ("research/training", ("research.benchmarks",)),
     ],
 )
-def test_the_product_imports_no_research_and_its_tests_only_scenes(folder: str, laboratories: tuple[str, ...]) -> None:
+def test_the_product_imports_no_research_and_its_tests_only_scenes(
+    folder: str, laboratories: tuple[str, ...]
+) -> None:
     known = {path: IMPORTS[name] for name, path in MODULES.items()}
-    paths = [path for path in (ROOT / folder).rglob("*.py") if ROOT / "tests/research" not in path.parents]
-    imports = {path: known.get(path) or _imported(ast.parse(path.read_text(encoding="utf-8"))) for path in paths}
+    paths = [
+        path
+        for path in (ROOT / folder).rglob("*.py")
+        if ROOT / "tests/research" not in path.parents
+    ]
+    imports = {
+        path: known.get(path) or _imported(ast.parse(path.read_text(encoding="utf-8")))
+        for path in paths
+    }
     found = product(imports.items(), laboratories)
-    assert not [path for (path, imported), kind in found if any(_below(each, kind) for each in imported)]
+    assert not [
+        path for (path, imported), kind in found if any(_below(each, kind) for each in imported)
+    ]
 
 
 def test_no_module_is_too_long_to_be_read_at_once() -> None:
-    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in (*MODULES.values(), *RESEARCH)}
+    lengths = {
+        path: len(path.read_text(encoding="utf-8").splitlines())
+        for path in (*MODULES.values(), *RESEARCH)
+    }
     assert not {path: lines for path, lines in lengths.items() if lines > MODULE_LINES}
 
 
@@ -186,12 +220,18 @@ def test_every_function_fits_a_screen() -> None:
 
 
 def test_no_module_is_a_drawer_for_odds_and_ends() -> None:
-    assert not [name for name in MODULES if name.rpartition(".")[2] in {"utils", "util", "common", "helpers", "misc"}]
+    assert not [
+        name
+        for name in MODULES
+        if name.rpartition(".")[2] in {"utils", "util", "common", "helpers", "misc"}
+    ]
 
 
 def test_importing_the_library_loads_nothing_else() -> None:
     code = "import sys, vehanchor; print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout.split()
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, check=True, text=True
+    ).stdout.split()
     others = (
         "vehanchor.cli",
         "vehanchor_flight",
@@ -231,13 +271,23 @@ if away != "vehanchor.cli":
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("away", ["vehanchor_flight", "vehanchor_evaluation", "vehanchor_server", "vehanchor.cli"])
+@pytest.mark.parametrize(
+    "away", ["vehanchor_flight", "vehanchor_evaluation", "vehanchor_server", "vehanchor.cli"]
+)
 def test_the_rest_works_without(away: str) -> None:
     gone = COMMANDS if away == "vehanchor.cli" else (away,)
-    rest = [name for name in MODULES if not any(_below(name, each) for each in (*gone, "vehanchor.__main__"))]
+    rest = [
+        name
+        for name in MODULES
+        if not any(_below(name, each) for each in (*gone, "vehanchor.__main__"))
+    ]
     assert len(rest) > 50
     done = subprocess.run(
-        [sys.executable, "-c", TAKE_AWAY, away, *rest], capture_output=True, check=False, text=True, cwd=ROOT
+        [sys.executable, "-c", TAKE_AWAY, away, *rest],
+        capture_output=True,
+        check=False,
+        text=True,
+        cwd=ROOT,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     if away != "vehanchor.cli":

@@ -69,9 +69,14 @@ def _fleet(n: int, length_px: float = 30.0) -> NDArray[np.float64]:
 
 
 def test_small_images_are_enlarged_and_large_ones_reduced() -> None:
-    assert draw_overlay(_grey(256, 200), make_analysis(_fleet(1), 256, 200)).shape[1] == MIN_WIDTH_PX
+    assert (
+        draw_overlay(_grey(256, 200), make_analysis(_fleet(1), 256, 200)).shape[1] == MIN_WIDTH_PX
+    )
     assert draw_overlay(_grey(1000, 800), make_analysis(_fleet(1), 1000, 800)).shape[1] == 1000
-    assert draw_overlay(_grey(4096, 3000), make_analysis(_fleet(1), 4096, 3000)).shape[1] == MAX_SIDE_PX
+    assert (
+        draw_overlay(_grey(4096, 3000), make_analysis(_fleet(1), 4096, 3000)).shape[1]
+        == MAX_SIDE_PX
+    )
 
 
 def test_kept_and_dropped_vehicles_have_their_colours() -> None:
@@ -106,7 +111,10 @@ def test_the_scale_bar_is_about_a_fifth_of_the_width_and_true(gsd: float) -> Non
     bar_px = int(white.sum(axis=1).max())
     assert analysis.estimate.gsd_m_per_px is not None
     metres = (bar_px - 1) * analysis.estimate.gsd_m_per_px
-    nearest = min((m * 10.0**k for m in (1, 2, 5) for k in range(-2, 4)), key=lambda length: abs(length - metres))
+    nearest = min(
+        (m * 10.0**k for m in (1, 2, 5) for k in range(-2, 4)),
+        key=lambda length: abs(length - metres),
+    )
     assert metres == pytest.approx(nearest, abs=2 * gsd)
     assert 120 <= bar_px <= 330
 
@@ -165,11 +173,15 @@ def test_pictures_that_cannot_be_written_say_why(tmp_path: Path, name: str) -> N
 
 def _analysed(boxes: NDArray[np.float64], **options: Any) -> ScaleAnalysis:
     found = Detections(boxes, np.full(len(boxes), 0.8))
-    return analyse_found(found, made_card(), ScaleOptions.of(options), image_width_px=1000, image_height_px=800)
+    return analyse_found(
+        found, made_card(), ScaleOptions.of(options), image_width_px=1000, image_height_px=800
+    )
 
 
 def test_a_line_of_known_length_is_drawn_where_it_lies_with_its_metres_beside_it() -> None:
-    with_line = draw_overlay(_grey(1000, 800), _analysed(_fleet(4), known_lengths=[(200, 400, 700, 400, 84)]))
+    with_line = draw_overlay(
+        _grey(1000, 800), _analysed(_fleet(4), known_lengths=[(200, 400, 700, 400, 84)])
+    )
     without = draw_overlay(_grey(1000, 800), _analysed(_fleet(4)))
     green = _near(with_line[:800], MARK_RGB)
     assert not _near(without, MARK_RGB).any()
@@ -192,12 +204,17 @@ def test_a_label_stays_inside_the_picture_and_a_line_beside_its_edge_is_no_error
 
 
 def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
-    level = _judged(make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None)
+    level = _judged(
+        make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None
+    )
     tilt = CameraTilt(35.0, 0.0, 800.0, "metadata").record(ImageFacts(1000, 700), 0.1)
     aside = replace(level, estimate=level.estimate.model_copy(update={"tilt": tilt}))
     corner = (slice(600, 700), slice(0, 600))
     assert (draw_overlay(_grey(1000, 700), aside)[corner] == 100).all()
-    assert draw_overlay(_grey(1000, 700), aside).shape[0] > draw_overlay(_grey(1000, 700), level).shape[0]
+    assert (
+        draw_overlay(_grey(1000, 700), aside).shape[0]
+        > draw_overlay(_grey(1000, 700), level).shape[0]
+    )
 
 
 pytest.importorskip("matplotlib")
@@ -223,9 +240,13 @@ def test_the_plot_shows_mode_guard_interval_and_both_kinds_of_vehicles() -> None
     assert "resolution guard 16.8 px" in text
     assert "95 % interval" in text
     assert "60 vehicles kept" in text
-    assert "2 outliers dropped (1 beyond the axis)" in text or "2 outliers dropped (2 beyond the axis)" in text
+    assert (
+        "2 outliers dropped (1 beyond the axis)" in text
+        or "2 outliers dropped (2 beyond the axis)" in text
+    )
     left, right = figure.axes[0].get_xlim()
-    assert left < 5.045 / 0.3 < right < 120  # the guard is visible, one lorry does not squeeze the cars
+    # the guard is visible, one lorry does not squeeze the cars
+    assert left < 5.045 / 0.3 < right < 120
 
 
 @pytest.mark.parametrize(
@@ -254,7 +275,9 @@ def _beside_a_line(n: int, metres: float) -> ScaleAnalysis:
 
 
 @pytest.mark.parametrize("n", [0, 30])
-def test_the_densities_of_all_rulers_and_of_all_together_share_one_axis(n: int, tmp_path: Path) -> None:
+def test_the_densities_of_all_rulers_and_of_all_together_share_one_axis(
+    n: int, tmp_path: Path
+) -> None:
     analysis = _beside_a_line(n, 84.0)
     figure = plot_scale(analysis)
     axes = figure.axes[-1] if n == 0 else figure.axes[1]
@@ -268,7 +291,9 @@ def test_the_densities_of_all_rulers_and_of_all_together_share_one_axis(n: int, 
     assert estimate.gsd_ci95_low_m_per_px is not None
     assert estimate.gsd_ci95_high_m_per_px is not None
     assert low < estimate.gsd_ci95_low_m_per_px < estimate.gsd_ci95_high_m_per_px < high
-    together = next(line for line in axes.lines if str(line.get_label()).startswith("together 0.168"))
+    together = next(
+        line for line in axes.lines if str(line.get_label()).startswith("together 0.168")
+    )
     at, curve = np.asarray(together.get_xdata()), np.asarray(together.get_ydata())
     assert at[curve.argmax()] == pytest.approx(estimate.gsd_m_per_px, rel=0.01)
     assert write_plot(tmp_path / "plot.png", figure).stat().st_size > 10_000
@@ -294,9 +319,18 @@ def cars() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def on_ground(cars: np.ndarray, model: Path, tmp_path_factory: pytest.TempPathFactory) -> ScaleAnalysis:
+def on_ground(
+    cars: np.ndarray, model: Path, tmp_path_factory: pytest.TempPathFactory
+) -> ScaleAnalysis:
     path = tmp_path_factory.mktemp("geo") / "a.tif"
-    profile = {"driver": "GTiff", "width": 400, "height": 300, "count": 3, "dtype": "uint8", "photometric": "RGB"}
+    profile = {
+        "driver": "GTiff",
+        "width": 400,
+        "height": 300,
+        "count": 3,
+        "dtype": "uint8",
+        "photometric": "RGB",
+    }
     with rasterio.open(path, "w", **profile, crs="EPSG:32633", transform=AFFINE) as dataset:
         dataset.write(cars.transpose(2, 0, 1))
     return analyse_scale(path, detector=Detector(model))
@@ -308,7 +342,9 @@ def expected_corners(analysis: ScaleAnalysis) -> np.ndarray:
     return np.stack([500_000 + 0.15 * corners[..., 0], 5_000_000 - 0.15 * corners[..., 1]], axis=-1)
 
 
-def test_geojson_of_a_georeferenced_file_is_in_degrees(on_ground: ScaleAnalysis, tmp_path: Path) -> None:
+def test_geojson_of_a_georeferenced_file_is_in_degrees(
+    on_ground: ScaleAnalysis, tmp_path: Path
+) -> None:
     write_shapes(tmp_path / "a.geojson", on_ground)
     collection = json.loads((tmp_path / "a.geojson").read_text())
     assert len(collection["features"]) == 12
@@ -318,7 +354,9 @@ def test_geojson_of_a_georeferenced_file_is_in_degrees(on_ground: ScaleAnalysis,
         np.testing.assert_allclose(ring[:4], expected, atol=1e-9)
 
 
-def test_geojson_of_a_plain_image_is_in_its_pixels(cars: np.ndarray, model: Path, tmp_path: Path) -> None:
+def test_geojson_of_a_plain_image_is_in_its_pixels(
+    cars: np.ndarray, model: Path, tmp_path: Path
+) -> None:
     analysis = analyse_scale(cars, detector=Detector(model))
     write_shapes(tmp_path / "a.geojson", analysis)
     written = json.loads((tmp_path / "a.geojson").read_text())
@@ -326,7 +364,9 @@ def test_geojson_of_a_plain_image_is_in_its_pixels(cars: np.ndarray, model: Path
     assert written == json.loads(json.dumps(analysis.__geo_interface__))
 
 
-def test_the_command_writes_them_and_refuses_before_the_work(cars: np.ndarray, model: Path, tmp_path: Path) -> None:
+def test_the_command_writes_them_and_refuses_before_the_work(
+    cars: np.ndarray, model: Path, tmp_path: Path
+) -> None:
     image = tmp_path / "photo.png"
     cv2.imwrite(str(image), cars[:, :, ::-1])
     words = ["estimate", str(image), "--detector", str(model), "--boxes"]
@@ -343,14 +383,22 @@ def _run(*arguments: object) -> None:
     assert result.exit_code == 0, result.output
 
 
-def test_a_measured_line_is_written_where_it_lies_with_its_metres(on_ground: ScaleAnalysis, tmp_path: Path) -> None:
+def test_a_measured_line_is_written_where_it_lies_with_its_metres(
+    on_ground: ScaleAnalysis, tmp_path: Path
+) -> None:
     points = ("--point", 10, 20, "--point", 110, 20, "--gsd", 0.15)
     _run("distance", on_ground.image, *points, "--line", tmp_path / "line.geojson")
     (feature,) = json.loads((tmp_path / "line.geojson").read_text())["features"]
-    expected = np.transpose(transform("EPSG:32633", "EPSG:4326", [500_001.5, 500_016.5], [4_999_997] * 2))
+    expected = np.transpose(
+        transform("EPSG:32633", "EPSG:4326", [500_001.5, 500_016.5], [4_999_997] * 2)
+    )
     np.testing.assert_allclose(feature["geometry"]["coordinates"], expected, atol=1e-9)
     facts = feature["properties"]
-    assert (facts["status"], facts["distance_m"], facts["gsd_m_per_px"]) == ("ok", pytest.approx(15), 0.15)
+    assert (facts["status"], facts["distance_m"], facts["gsd_m_per_px"]) == (
+        "ok",
+        pytest.approx(15),
+        0.15,
+    )
 
 
 def test_a_measured_outline_is_written_with_its_size(tmp_path: Path) -> None:
@@ -363,4 +411,6 @@ def test_a_measured_outline_is_written_with_its_size(tmp_path: Path) -> None:
     assert feature["geometry"]["type"] == "MultiPolygon"
     assert feature["properties"]["area_m2"] == pytest.approx(112, rel=0.05)
     places = np.array(feature["geometry"]["coordinates"][0][0], float)
-    np.testing.assert_allclose([places.min(axis=0), places.max(axis=0)], [(80, 60), (220, 140)], atol=3)
+    np.testing.assert_allclose(
+        [places.min(axis=0), places.max(axis=0)], [(80, 60), (220, 140)], atol=3
+    )

@@ -35,8 +35,16 @@ from vehanchor.storage.journal import Journal, Source
 from vehanchor_flight.photograph import StoredPhotograph, photograph_codec
 
 
-def _journal(path: Path | None, settings: dict[str, Any] | None = None, **choices: Any) -> Journal[Any]:
-    return Journal(path, settings or {"model": "m"}, dump=lambda value: value, load=lambda value: value, **choices)
+def _journal(
+    path: Path | None, settings: dict[str, Any] | None = None, **choices: Any
+) -> Journal[Any]:
+    return Journal(
+        path,
+        settings or {"model": "m"},
+        dump=lambda value: value,
+        load=lambda value: value,
+        **choices,
+    )
 
 
 def test_several_settings_share_a_file_and_do_not_see_each_other(tmp_path: Path) -> None:
@@ -52,7 +60,9 @@ def test_several_settings_share_a_file_and_do_not_see_each_other(tmp_path: Path)
 def test_a_sole_journal_says_in_what_other_settings_differ(tmp_path: Path) -> None:
     path = tmp_path / "j.journal"
     _journal(path, {"search": {"tile_px": 512, "min_score": None}}).add(("a",), 1)
-    with pytest.raises(InvalidParameterError, match=r"with search.tile_px 512 \(now 640\): finish .* or burn it"):
+    with pytest.raises(
+        InvalidParameterError, match=r"with search.tile_px 512 \(now 640\): finish .* or burn it"
+    ):
         _journal(path, {"search": {"tile_px": 640, "min_score": None}}, sole=True, remedy="burn it")
 
 
@@ -111,7 +121,10 @@ def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path: Path) -> No
         assert path.read_text() == "old"
     assert path.read_text() == "new"
     assert [file.name for file in tmp_path.iterdir()] == ["t.csv"]
-    with pytest.raises(OutputError, match="cannot write"), whole_file(tmp_path / "no" / "t.csv") as partial:
+    with (
+        pytest.raises(OutputError, match="cannot write"),
+        whole_file(tmp_path / "no" / "t.csv") as partial,
+    ):
         partial.write_text("nowhere")
 
 
@@ -122,17 +135,22 @@ def test_a_run_that_is_killed_loses_nothing(tmp_path: Path) -> None:
         "import sys; from pathlib import Path; from vehanchor.storage.journal import Journal\n"
         "journal = Journal(Path(sys.argv[1]), {'model': 'm'}, dump=dict, load=dict, sole=True)\n"
         "for number in range(len(journal), 10**6):\n"
-        "    journal.add(('f', number), {'n': number, 'long': 'x' * 5000}); print(number, flush=True)\n"
+        "    journal.add(('f', number), {'n': number, 'long': 'x' * 5000}); print(number, "
+        "flush=True)\n"
     )
     for seconds in (0.0, 0.01, 0.1):
-        process = subprocess.Popen([sys.executable, "-c", add, str(path)], stdout=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            [sys.executable, "-c", add, str(path)], stdout=subprocess.PIPE, text=True
+        )
         assert process.stdout is not None
         told = [int(process.stdout.readline())]
         time.sleep(seconds)
         process.kill()
         told += map(int, process.communicate()[0].splitlines())
         with _journal(path, sole=True) as journal:
-            assert len(journal) - 1 - told[-1] in (0, 1), "the next result may be there before it is told"
+            assert len(journal) - 1 - told[-1] in (0, 1), (
+                "the next result may be there before it is told"
+            )
             found = [journal.get(("f", n)) for n in range(len(journal))]
             assert [each and each["n"] for each in found] == list(range(len(journal)))
 
@@ -141,7 +159,9 @@ def test_a_run_that_is_killed_loses_nothing(tmp_path: Path) -> None:
 def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.journal"
     path.write_bytes(content)
-    with pytest.raises(InvalidParameterError, match=r"is not a journal, or is damaged .*: move the file away"):
+    with pytest.raises(
+        InvalidParameterError, match=r"is not a journal, or is damaged .*: move the file away"
+    ):
         _journal(path)
     assert path.read_bytes() == content
     assert len(_journal(path, anew=True)) == 0
@@ -163,7 +183,9 @@ def test_a_damaged_value_is_told_with_the_remedy(tmp_path: Path) -> None:
     with _journal(path) as journal:
         journal.add(("a",), {"n": 1.25, "names": ["x"]})
     path.write_bytes(path.read_bytes().replace(b'"names"', b'"names('))
-    with pytest.raises(InvalidParameterError, match=r"unreadable result of \('a',\).*: move the file away"):
+    with pytest.raises(
+        InvalidParameterError, match=r"unreadable result of \('a',\).*: move the file away"
+    ):
         _journal(path).get(("a",))
 
 
@@ -172,7 +194,9 @@ def test_a_journal_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:
     with _journal(path, sole=True) as first:
         first.add(("a",), 1)
         for anew in (False, True):
-            with pytest.raises(OutputError, match=r"another run is using .*: wait until it has ended"):
+            with pytest.raises(
+                OutputError, match=r"another run is using .*: wait until it has ended"
+            ):
                 _journal(path, sole=True, anew=anew)
         assert first.get(("a",)) == 1
     with _journal(path, sole=True) as second:
@@ -198,7 +222,9 @@ def test_a_link_is_not_followed(tmp_path: Path, sole: bool, exists: bool) -> Non
 def _stored() -> StoredPhotograph:
     scene = SceneScalePrior(np.linspace(0.1, 0.3, 7), 9)
     found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4))
-    facts = ImageFacts(10, 20, None, (RasterNote("a", "b"),), CameraMetadata(make="x", height_m=3.0))
+    facts = ImageFacts(
+        10, 20, None, (RasterNote("a", "b"),), CameraMetadata(make="x", height_m=3.0)
+    )
     return StoredPhotograph(facts, found, 0.7, prior=scene)
 
 
@@ -232,7 +258,15 @@ def test_a_journal_can_start_nothing(found: object) -> None:
 @pytest.mark.parametrize(
     "witness",
     [
-        point_witness("camera", 0.1, 0.02, 0.05, "{}", shared=[Shared("lens", 0.03)], marks=[Mark(((1, 2),), "up")]),
+        point_witness(
+            "camera",
+            0.1,
+            0.02,
+            0.05,
+            "{}",
+            shared=[Shared("lens", 0.03)],
+            marks=[Mark(((1, 2),), "up")],
+        ),
         assumed(point_witness("height", 0.1, 0.1, 0.05, "{}")),
         prior_witness("scene_scale", lognormal(0.1, 0.2), 0.7, 24),
         Witness("courts", n=0),
@@ -244,12 +278,18 @@ def test_all_witnesses_of_the_rulers_can_be_stored(witness: Witness) -> None:
     found = codec.load(json.loads(json.dumps(codec.dump(witness))))
     assert type(found) is Witness
     assert found.interval == witness.interval
-    assert (found.shared, found.marks, found.assumed) == (witness.shared, witness.marks, witness.assumed)
+    assert (found.shared, found.marks, found.assumed) == (
+        witness.shared,
+        witness.marks,
+        witness.assumed,
+    )
     assert [lack.reason for lack in found.lacks] == [lack.reason for lack in witness.lacks]
     assert np.array_equal(found.density, witness.density)
 
 
-def test_a_refused_flush_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_flush_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "c.json"
     path.write_bytes(b"old")
 
@@ -265,7 +305,9 @@ def test_a_refused_flush_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.promise("files")
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="Windows has no limit of a file's size")
-def test_no_file_is_half_written_wherever_the_disk_is_full_or_the_process_killed(tmp_path: Path) -> None:
+def test_no_file_is_half_written_wherever_the_disk_is_full_or_the_process_killed(
+    tmp_path: Path,
+) -> None:
     command = [sys.executable, "-m", "tests.skill.cut_off", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

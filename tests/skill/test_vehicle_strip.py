@@ -10,7 +10,9 @@ from vehanchor.pictures.vehicle_strip import MOST_SHOWN, draw_vehicle_strip
 
 def strip_of(n_vehicles: int) -> np.ndarray:
     image = np.full((400, 400, 3), 100, np.uint8)
-    boxes = np.array([[20.0 + 12 * i, 200.0, 30.0, 12.0, 0.0] for i in range(n_vehicles)]).reshape(-1, 5)
+    boxes = np.array([[20.0 + 12 * i, 200.0, 30.0, 12.0, 0.0] for i in range(n_vehicles)]).reshape(
+        -1, 5
+    )
     with open_raster(image) as raster:
         return draw_vehicle_strip(raster, make_analysis(boxes, 400, 400), 512)
 

@@ -1,7 +1,7 @@
 """Two algorithms that run the command ``vehanchor``.
 
-QGIS's own Python does not need VehAnchor: the command is a program on the PATH, or named by the environment variable
-``VEHANCHOR``.
+QGIS's own Python does not need VehAnchor: the command is a program on the PATH, or named by the
+environment variable ``VEHANCHOR``.
 """
 
 import json
@@ -46,9 +46,14 @@ class _Command(QgsProcessingAlgorithm):
     def add_parameters(self):
         """Declare the image, the region and the height."""
         self.addParameter(QgsProcessingParameterFile(self.IMAGE, "Photograph"))
-        self.addParameter(QgsProcessingParameterString(self.REGION, "Region, such as europe", optional=True))
+        self.addParameter(
+            QgsProcessingParameterString(self.REGION, "Region, such as europe", optional=True)
+        )
         height = QgsProcessingParameterNumber(
-            self.HEIGHT, "Camera height above ground, m", QgsProcessingParameterNumber.Double, optional=True
+            self.HEIGHT,
+            "Camera height above ground, m",
+            QgsProcessingParameterNumber.Double,
+            optional=True,
         )
         self.addParameter(height)
 
@@ -66,10 +71,13 @@ class _Command(QgsProcessingAlgorithm):
         program = os.environ.get("VEHANCHOR") or shutil.which("vehanchor")
         if program is None:
             raise QgsProcessingException(
-                "command vehanchor not found: pip install 'vehanchor[geo]', or set the variable VEHANCHOR"
+                "command vehanchor not found: pip install 'vehanchor[geo]', or set the variable "
+                "VEHANCHOR"
             )
         # PYTHONHOME and PYTHONPATH belong to QGIS's own Python
-        environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+        environment = {
+            name: value for name, value in os.environ.items() if not name.startswith("PYTHON")
+        }
         running = subprocess.Popen(
             [program, *words],
             stdout=subprocess.PIPE,
@@ -83,7 +91,9 @@ class _Command(QgsProcessingAlgorithm):
         if feedback.isCanceled():
             raise QgsProcessingException("cancelled")
         if running.returncode not in (0, NOT_OK):
-            raise QgsProcessingException(errors.strip() or f"vehanchor ended with status {running.returncode}")
+            raise QgsProcessingException(
+                errors.strip() or f"vehanchor ended with status {running.returncode}"
+            )
         return output, errors, running.returncode
 
     def wait(self, running, feedback):
@@ -112,7 +122,8 @@ class EstimateScale(_Command):
     def shortHelpString(self):  # noqa: N802 - QGIS's name
         """Help text."""
         return (
-            "Measures metres per pixel from the cars in an aerial photograph. Use the scale only with status ok. The "
+            "Measures metres per pixel from the cars in an aerial photograph. Use the scale "
+            "only with status ok. The "
             "vehicles have map coordinates if the file is georeferenced, otherwise pixels, y down."
         )
 
@@ -121,7 +132,11 @@ class EstimateScale(_Command):
         self.add_parameters()
         self.addParameter(
             QgsProcessingParameterVectorDestination(
-                self.BOXES, "Vehicles", QgsProcessing.TypeVectorPolygon, optional=True, createByDefault=False
+                self.BOXES,
+                "Vehicles",
+                QgsProcessing.TypeVectorPolygon,
+                optional=True,
+                createByDefault=False,
             )
         )
         self.addOutput(QgsProcessingOutputNumber("GSD", "Metres per pixel"))
@@ -164,12 +179,18 @@ class LocalMetres(_Command):
     def initAlgorithm(self, configuration=None):  # noqa: ARG002, N802 - QGIS's name
         """Declare parameters and outputs."""
         self.add_parameters()
-        self.addParameter(QgsProcessingParameterRasterDestination(self.RASTER, "Photograph in local metres"))
+        self.addParameter(
+            QgsProcessingParameterRasterDestination(self.RASTER, "Photograph in local metres")
+        )
 
     def processAlgorithm(self, parameters, context, feedback):  # noqa: N802 - QGIS's name
         """Run the algorithm."""
         raster = self.parameterAsOutputLayer(parameters, self.RASTER, context)
-        _, errors, status = self.ask(["estimate", *self.arguments(parameters, context), "--geotiff", raster], feedback)
+        _, errors, status = self.ask(
+            ["estimate", *self.arguments(parameters, context), "--geotiff", raster], feedback
+        )
         if status == NOT_OK:
-            raise QgsProcessingException(f"the scale is not usable: {errors.strip() or 'see the log'}")
+            raise QgsProcessingException(
+                f"the scale is not usable: {errors.strip() or 'see the log'}"
+            )
         return {self.RASTER: raster}

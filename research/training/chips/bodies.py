@@ -1,7 +1,8 @@
 """Measure labelled cars of known scale: ``python -m research.training.chips.bodies CHIPS.onnx READ.npz STORE ...``.
 
-A box gives no body. The edges of a first chip network, times the scale, give thousands of bodies from which a second
-one learns metres by looks. Writes ``bodies.npz`` into each store, and ``READ.bodies.npz``.
+A box gives no body. The edges of a first chip network, times the scale, give thousands of bodies
+from which a second one learns metres by looks. Writes ``bodies.npz`` into each store, and
+``READ.bodies.npz``.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ _RENDERED = ("scene", "pasted")
 def measured(answers: ChipAnswers, candidate_m: NDArray[np.float64]) -> Bodies:
     """Bodies of candidates whose lengths in metres are known."""
     logs = np.log(answers.sizes * candidate_m[:, None])
-    return Bodies(logs.astype(np.float32), (1 / (1 + (answers.log_size_sd / _OWN_SD) ** 2)).astype(np.float32))
+    return Bodies(
+        logs.astype(np.float32), (1 / (1 + (answers.log_size_sd / _OWN_SD) ** 2)).astype(np.float32)
+    )
 
 
 def save(bodies: Bodies, path: Path) -> None:
@@ -53,23 +56,37 @@ def main() -> None:
             here = (read.place == place) & (read.kind == k) & np.isfinite(bodies.log_metres[:, 0])
             if here.sum() > 4:
                 sizes = np.exp(np.median(bodies.log_metres[here], axis=0))
-                print(f"{place} {kind}: {here.sum()} cars, {sizes[0]:.2f} by {sizes[1]:.2f} m", flush=True)
+                print(
+                    f"{place} {kind}: {here.sum()} cars, {sizes[0]:.2f} by {sizes[1]:.2f} m",
+                    flush=True,
+                )
     for folder in options.stores:
         chips, rows = read_store(folder)
         known = np.isfinite(rows.log_length_m) & np.isfinite(rows.box[:, 2]) & (rows.car == 1)
         chosen = np.flatnonzero(known & ~np.isin(rows.sets, _RENDERED))
-        logs, weight = np.full((len(known), 2), np.nan, np.float32), np.zeros((len(known), 2), np.float32)
+        logs, weight = (
+            np.full((len(known), 2), np.nan, np.float32),
+            np.zeros((len(known), 2), np.float32),
+        )
         for start in range(0, len(chosen), 512):
             some = chosen[start : start + 512]
-            said = network.answers(np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in some]), views=2)
+            said = network.answers(
+                np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in some]), views=2
+            )
             candidate_m = np.exp((rows.log_length_m[some] - rows.box[some, 2]).astype(np.float64))
             logs[some], weight[some] = measured(said, candidate_m)
         save(Bodies(logs, weight), folder / "bodies.npz")
         for name in np.unique(rows.sets[chosen]):
             here = chosen[rows.sets[chosen] == name]
-            boxes, sizes = np.exp(np.median(rows.log_length_m[here])), np.exp(np.median(logs[here], axis=0))
+            boxes, sizes = (
+                np.exp(np.median(rows.log_length_m[here])),
+                np.exp(np.median(logs[here], axis=0)),
+            )
             bodies_text = f"bodies {sizes[0]:.2f} by {sizes[1]:.2f} m"
-            print(f"{folder.name} {name}: {len(here)} cars, boxes {boxes:.2f} m, {bodies_text}", flush=True)
+            print(
+                f"{folder.name} {name}: {len(here)} cars, boxes {boxes:.2f} m, {bodies_text}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

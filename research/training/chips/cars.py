@@ -1,9 +1,10 @@
 """Car or not beside detector and verifier: ``python -m research.training.chips.cars CHIPS.onnx R``.
 
 ``R`` has the stores ``held_out`` (``mine.py``) and ``people`` (``people.py``). Logits are
-joined by logistic regression, fitted on one half of the held-out files for the other, and on all for ``people``.
-``--write`` writes the weights of the search and the chip network into the file, fitted on both stores in equal parts;
-what these do for a set of ``people`` is measured with weights that the set did not choose.
+joined by logistic regression, fitted on one half of the held-out files for the other, and on all
+for ``people``. ``--write`` writes the weights of the search and the chip network into the file,
+fitted on both stores in equal parts; what these do for a set of ``people`` is measured with weights
+that the set did not choose.
 """
 
 from __future__ import annotations
@@ -46,7 +47,11 @@ class Judged(NamedTuple):
 
     def take(self, which: NDArray[np.bool_]) -> Judged:
         """Select candidates by a mask."""
-        return Judged(self.rows.take(which), self.car[which], {k: each[which] for k, each in self.logits.items()})
+        return Judged(
+            self.rows.take(which),
+            self.car[which],
+            {k: each[which] for k, each in self.logits.items()},
+        )
 
 
 def _logit(scores: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -120,7 +125,9 @@ def report(known: Judged, asked: Judged) -> Iterator[str]:
         yield f"{what}: {line(odds, asked.car)}"
         parts = [(name, asked.rows.sets == name) for name in sets]
         each = [
-            f"{n} {area(odds[m & asked.car], odds[m & ~asked.car]):.4f}" for n, m in parts if (m & asked.car).sum() > 5
+            f"{n} {area(odds[m & asked.car], odds[m & ~asked.car]):.4f}"
+            for n, m in parts
+            if (m & asked.car).sum() > 5
         ]
         yield f"    AUC by set: {', '.join(each)}"
 
@@ -139,7 +146,10 @@ def main() -> None:
     people = judged(options.folder / "people", network)
     print(f"people: {people.car.sum()} cars, {(~people.car).sum()} others")
     print("\n".join(report(known, people)), flush=True)
-    print(f"{' and '.join(_SHIPPED)}, each set left out: {line(left_out(known, people, _SHIPPED), people.car)}")
+    print(
+        f"{' and '.join(_SHIPPED)}, each set left out: "
+        f"{line(left_out(known, people, _SHIPPED), people.car)}"
+    )
     if options.write:
         search, chips, bias = fitted(_SHIPPED, known, people)
         write_weights(options.network, (float(search), float(chips), float(bias)))

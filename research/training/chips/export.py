@@ -1,7 +1,7 @@
 """Write the chip network as ONNX: ``python -m research.training.chips.export RUN OUT.onnx``.
 
-Large weights are stored in half precision and cast when the file is opened: it takes half the space, and the network
-computes in float32 as before.
+Large weights are stored in half precision and cast when the file is opened: it takes half the
+space, and the network computes in float32 as before.
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ from vehanchor.storage.atomic import whole_file
 
 _LARGE = 256  # numbers of an array that is stored in half precision
 _LEAST_SCORE = 0.15  # of the search
-# Regions: medians over train images of known scale of the bodies' median length, of vehicles with a score above 0.6 and
-# 3 to 6.5 m, five or more in an image: Cannes, Sao Paulo, US cities, Estonia, Banepa. The reference is their median.
+# Regions: medians over train images of known scale of the bodies' median length, of vehicles with a
+# score above 0.6 and
+# 3 to 6.5 m, five or more in an image: Cannes, Sao Paulo, US cities, Estonia, Banepa. The reference
+# is their median.
 # Its standard deviation is a choice: theirs is 0.37 m.
 _BODIES = {
     "reference_length_m": 4.21,
@@ -36,7 +38,8 @@ _BODIES = {
         "europe": 3.95, "south_america": 4.21, "north_america": 4.69, "northern_europe": 4.52, "south_asia": 3.68,
     },
 }  # fmt: skip
-_EDGE_SD = 0.7  # of the stated spreads: those of training include its blur and shade; by the readings kept back
+# of the stated spreads: those of training include its blur and shade; by the readings kept back
+_EDGE_SD = 0.7
 
 
 class Exported(nn.Module):
@@ -56,7 +59,14 @@ def export(network: ChipNet, out: Path) -> None:
     """Write a network: ``chips [n, 3, 64, 96]`` to the answers."""
     example = torch.zeros(2, 3, CHIP_ROWS, CHIP_COLUMNS)
     names = list(Answers._fields)
-    write_onnx(Exported(network), (example,), out, ["chips"], names, {name: {0: "n"} for name in ("chips", *names)})
+    write_onnx(
+        Exported(network),
+        (example,),
+        out,
+        ["chips"],
+        names,
+        {name: {0: "n"} for name in ("chips", *names)},
+    )
     _halve(out)
     write_weights(out, (1.0, 1.0, 0.0))
 
@@ -64,7 +74,8 @@ def export(network: ChipNet, out: Path) -> None:
 def write_weights(path: Path, weights: tuple[float, float, float]) -> None:
     """Write the metadata of a file with the weights of the search's logit and the network's, and their bias."""
     metadata = {
-        "description": "VehAnchor network that says of a candidate what it is, where its edges lie, and how long it is",
+        "description": "VehAnchor network that says of a candidate what it is, where its edges "
+        "lie, and how long it is",
         "author": "VehAnchor",
         "license": LICENCE,
         "vehanchor.detector": DEFAULT_DETECTOR,
@@ -84,7 +95,9 @@ def _halve(path: Path) -> None:
         if values.dtype == np.float32 and values.size > _LARGE:
             name = stored.name
             stored.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}.half"))
-            casts.append(onnx.helper.make_node("Cast", [f"{name}.half"], [name], to=onnx.TensorProto.FLOAT))
+            casts.append(
+                onnx.helper.make_node("Cast", [f"{name}.half"], [name], to=onnx.TensorProto.FLOAT)
+            )
     nodes = [*casts, *model.graph.node]
     del model.graph.node[:]
     model.graph.node.extend(nodes)

@@ -1,7 +1,7 @@
 """Objects that detectors confuse with cars: sheds, crates, graves, benches, skylights, boats, shadows, markings.
 
-Each function draws on a canvas in place and returns the length and width of the thing in metres; the thing lies in the
-canvas's middle, its axis along the columns.
+Each function draws on a canvas in place and returns the length and width of the thing in metres;
+the thing lies in the canvas's middle, its axis along the columns.
 """
 
 from __future__ import annotations
@@ -33,12 +33,16 @@ def fill(canvas: Canvas, points: NDArray[np.float64], colour: NDArray[np.floatin
     cv2.fillPoly(canvas, [fixed], [float(c) for c in colour], cv2.LINE_AA, _SHIFT)
 
 
-def shade(canvas: Canvas, points: NDArray[np.float64], height_px: float, sun: Sun, strength: float) -> None:
+def shade(
+    canvas: Canvas, points: NDArray[np.float64], height_px: float, sun: Sun, strength: float
+) -> None:
     """Darken what the convex outline ``points`` of that height shadows."""
     both = np.vstack([points, points + sun.shadow(height_px)]).astype(np.float32)
     hull = cv2.convexHull(both).reshape(-1, 2).astype(np.float64)
     cover = np.zeros(canvas.shape[:2], np.float32)
-    cv2.fillPoly(cover, [np.round((hull - 0.5) * (1 << _SHIFT)).astype(np.int32)], 1.0, cv2.LINE_AA, _SHIFT)
+    cv2.fillPoly(
+        cover, [np.round((hull - 0.5) * (1 << _SHIFT)).astype(np.int32)], 1.0, cv2.LINE_AA, _SHIFT
+    )
     cover = np.asarray(cv2.GaussianBlur(cover, (0, 0), 0.8), np.float32)
     tint = np.array([0.40, 0.44, 0.52], np.float32)
     canvas *= 1 - strength * cover[:, :, None] * (1 - tint)
@@ -50,35 +54,53 @@ def colour_of(rng: np.random.Generator) -> NDArray[np.float64]:
     return np.clip(grey + rng.normal(0, 8 if rng.random() < 0.7 else 45, 3), 5, 250)
 
 
-def draw_box(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+def draw_box(
+    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
+) -> tuple[float, float]:
     """A shed, crate or container: plain, ridged, ribbed or framed."""
     length = float(rng.uniform(1.2, 7.0))
     width = length * float(rng.uniform(0.3, 0.95))
     points, colour = _corners(canvas, px_per_m, length, width), colour_of(rng)
-    shade(canvas, points, px_per_m * float(rng.uniform(0.4, 2.8)), sun, float(rng.uniform(0.5, 1.0)))
+    shade(
+        canvas, points, px_per_m * float(rng.uniform(0.4, 2.8)), sun, float(rng.uniform(0.5, 1.0))
+    )
     fill(canvas, points, colour)
     kind = rng.integers(5)
     if kind == 0:  # a ridge: one side in the light
-        fill(canvas, _corners(canvas, px_per_m, length, width / 2, 0, width / 4), colour * rng.uniform(0.55, 0.9))
+        fill(
+            canvas,
+            _corners(canvas, px_per_m, length, width / 2, 0, width / 4),
+            colour * rng.uniform(0.55, 0.9),
+        )
     elif kind == 1:
         count = int(rng.integers(4, 16))
         for k in range(count):
-            part = _corners(canvas, px_per_m, length / count / 2, width, (k + 0.5) * length / count - length / 2)
+            part = _corners(
+                canvas, px_per_m, length / count / 2, width, (k + 0.5) * length / count - length / 2
+            )
             fill(canvas, part, colour * rng.uniform(0.7, 0.95))
     elif kind == 2:
         fill(canvas, _corners(canvas, px_per_m, 0.85 * length, 0.75 * width), colour_of(rng))
     elif kind == 3:
         share = float(rng.uniform(0.2, 0.6))
-        fill(canvas, _corners(canvas, px_per_m, share * length, width, (1 - share) * length / 2), colour_of(rng))
+        fill(
+            canvas,
+            _corners(canvas, px_per_m, share * length, width, (1 - share) * length / 2),
+            colour_of(rng),
+        )
     return length, width
 
 
-def draw_air_conditioner(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+def draw_air_conditioner(
+    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
+) -> tuple[float, float]:
     """A grey box with dark fans."""
     length = float(rng.uniform(1.5, 6.5))
     width = length * float(rng.uniform(0.35, 0.8))
     points, colour = _corners(canvas, px_per_m, length, width), np.full(3, rng.uniform(110, 235))
-    shade(canvas, points, px_per_m * float(rng.uniform(0.6, 2.0)), sun, float(rng.uniform(0.6, 1.0)))
+    shade(
+        canvas, points, px_per_m * float(rng.uniform(0.6, 2.0)), sun, float(rng.uniform(0.6, 1.0))
+    )
     fill(canvas, points, colour)
     fans = int(rng.integers(1, 5))
     radius = 0.42 * min(width, length / fans)
@@ -92,7 +114,9 @@ def draw_air_conditioner(rng: np.random.Generator, canvas: Canvas, px_per_m: flo
     return length, width
 
 
-def draw_row(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+def draw_row(
+    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
+) -> tuple[float, float]:
     """One of a row of equal things: graves, bee hives, solar panels, benches, bays."""
     length, width = float(rng.uniform(1.6, 5.5)), float(rng.uniform(0.7, 2.3))
     pitch, colour = width * float(rng.uniform(1.15, 1.8)), colour_of(rng)
@@ -107,7 +131,9 @@ def draw_row(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
     return length, width
 
 
-def draw_bench(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+def draw_bench(
+    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
+) -> tuple[float, float]:
     """A slatted bench with its back, two that face each other, or a table between two benches."""
     length, seat = float(rng.uniform(1.3, 2.6)), float(rng.uniform(0.3, 0.55))
     kind, colour, height = rng.integers(3), colour_of(rng), px_per_m * float(rng.uniform(0.4, 0.9))
@@ -118,17 +144,31 @@ def draw_bench(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: S
         places.append((0.0, table))
     slats = int(rng.integers(2, 5))
     for y, width in places:
-        shade(canvas, _corners(canvas, px_per_m, length, width, 0, y), height, sun, float(rng.uniform(0.6, 1.05)))
-        fill(canvas, _corners(canvas, px_per_m, length, width, 0, y), colour * rng.uniform(0.3, 0.7))
+        shade(
+            canvas,
+            _corners(canvas, px_per_m, length, width, 0, y),
+            height,
+            sun,
+            float(rng.uniform(0.6, 1.05)),
+        )
+        fill(
+            canvas, _corners(canvas, px_per_m, length, width, 0, y), colour * rng.uniform(0.3, 0.7)
+        )
         for k in range(slats):
             middle = y + ((k + 0.5) / slats - 0.5) * width
             fill(canvas, _corners(canvas, px_per_m, length, 0.7 * width / slats, 0, middle), colour)
     if kind == 0 and rng.random() < 0.6:
-        fill(canvas, _corners(canvas, px_per_m, length, 0.12, 0, -seat / 2), colour * rng.uniform(0.5, 1.0))
+        fill(
+            canvas,
+            _corners(canvas, px_per_m, length, 0.12, 0, -seat / 2),
+            colour * rng.uniform(0.5, 1.0),
+        )
     return length, gap + seat if kind else seat
 
 
-def draw_playground(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+def draw_playground(
+    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
+) -> tuple[float, float]:
     """A swing, seesaw or exercise machine of coloured bars, often on a round mat."""
     length = float(rng.uniform(1.2, 3.5))
     width = length * float(rng.uniform(0.3, 0.7))
@@ -136,18 +176,32 @@ def draw_playground(rng: np.random.Generator, canvas: Canvas, px_per_m: float, s
     if rng.random() < 0.7:
         ring = np.linspace(0, 2 * np.pi, 32, endpoint=False)
         radius = px_per_m * length * float(rng.uniform(0.5, 0.9))
-        fill(canvas, middle + radius * np.column_stack([np.cos(ring), np.sin(ring)]), colour_of(rng))
+        fill(
+            canvas, middle + radius * np.column_stack([np.cos(ring), np.sin(ring)]), colour_of(rng)
+        )
     for _ in range(int(rng.integers(3, 8))):
         across = rng.random() < 0.4
-        size = (float(rng.uniform(0.15, 0.5)), width) if across else (length, float(rng.uniform(0.1, 0.4)))
+        size = (
+            (float(rng.uniform(0.15, 0.5)), width)
+            if across
+            else (length, float(rng.uniform(0.1, 0.4)))
+        )
         x, y = rng.uniform(-0.4, 0.4, 2) * (length, width) * ((1, 0) if across else (0, 1))
         points = _corners(canvas, px_per_m, *size, float(x), float(y))
-        shade(canvas, points, px_per_m * float(rng.uniform(0.3, 1.5)), sun, float(rng.uniform(0.5, 1.0)))
+        shade(
+            canvas,
+            points,
+            px_per_m * float(rng.uniform(0.3, 1.5)),
+            sun,
+            float(rng.uniform(0.5, 1.0)),
+        )
         fill(canvas, points, rng.uniform(20, 250, 3))
     return length, width
 
 
-def draw_skylight(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+def draw_skylight(
+    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
+) -> tuple[float, float]:
     """Glass in a light frame on a roof of one colour."""
     roof = colour_of(rng)
     canvas[:] = 0.25 * canvas + 0.75 * roof.astype(np.float32)
@@ -159,24 +213,35 @@ def draw_skylight(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun
     panes = int(rng.integers(1, 4))
     for k in range(panes):
         x = (k + 0.5) * length / panes - length / 2
-        fill(canvas, _corners(canvas, px_per_m, 0.8 * length / panes, 0.75 * width, x), rng.uniform(25, 110, 3))
+        fill(
+            canvas,
+            _corners(canvas, px_per_m, 0.8 * length / panes, 0.75 * width, x),
+            rng.uniform(25, 110, 3),
+        )
     return length, width
 
 
-def draw_shadow(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+def draw_shadow(
+    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
+) -> tuple[float, float]:
     """A shadow without a car: of a tree, a wall or a pole's head."""
     length = float(rng.uniform(2.0, 6.5))
     width = length * float(rng.uniform(0.3, 0.7))
     ring = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     radius = 1 + rng.normal(0, 0.12, 20)
-    blob = np.column_stack([np.cos(ring) * length / 2 * radius, np.sin(ring) * width / 2 * radius]) * px_per_m
+    blob = (
+        np.column_stack([np.cos(ring) * length / 2 * radius, np.sin(ring) * width / 2 * radius])
+        * px_per_m
+    )
     if rng.random() < 0.4:
         blob = _corners(canvas, px_per_m, length, width) - np.array(canvas.shape[1::-1]) / 2
     shade(canvas, blob + np.array(canvas.shape[1::-1]) / 2, 0.0, sun, float(rng.uniform(0.7, 1.15)))
     return length, width
 
 
-def draw_bush(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+def draw_bush(
+    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
+) -> tuple[float, float]:
     """A longish crown and its shadow."""
     length = float(rng.uniform(2.0, 6.0))
     width = length * float(rng.uniform(0.4, 0.8))
@@ -185,7 +250,11 @@ def draw_bush(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Su
     leaf = np.asarray(cv2.resize(sprite, size, interpolation=cv2.INTER_AREA), np.float32)
     x, y = (canvas.shape[1] - size[0]) // 2, (canvas.shape[0] - size[1]) // 2
     shade(
-        canvas, _corners(canvas, px_per_m, 0.8 * length, 0.8 * width), px_per_m * float(rng.uniform(0.5, 3)), sun, 0.9
+        canvas,
+        _corners(canvas, px_per_m, 0.8 * length, 0.8 * width),
+        px_per_m * float(rng.uniform(0.5, 3)),
+        sun,
+        0.9,
     )
     target = canvas[y : y + size[1], x : x + size[0]]
     colour = np.array([rng.uniform(40, 120), rng.uniform(70, 130), rng.uniform(30, 80)], np.float32)
@@ -193,25 +262,43 @@ def draw_bush(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Su
     return length, width
 
 
-def draw_boat(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+def draw_boat(
+    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
+) -> tuple[float, float]:
     """A pointed hull with a cockpit, on water or on land."""
     if rng.random() < 0.6:
-        canvas[:] = 0.2 * canvas + 0.8 * np.array([40, 62, 70], np.float32) * np.float32(rng.uniform(0.6, 1.6))
+        canvas[:] = 0.2 * canvas + 0.8 * np.array([40, 62, 70], np.float32) * np.float32(
+            rng.uniform(0.6, 1.6)
+        )
     length = float(rng.uniform(3.5, 9.0))
     width = length * float(rng.uniform(0.28, 0.42))
     t = np.linspace(0, 1, 16)
-    side = width / 2 * np.minimum(1, 0.75 + t) * np.sqrt(np.clip(1 - np.clip((t - 0.45) / 0.55, 0, 1) ** 2, 0, 1))
+    side = (
+        width
+        / 2
+        * np.minimum(1, 0.75 + t)
+        * np.sqrt(np.clip(1 - np.clip((t - 0.45) / 0.55, 0, 1) ** 2, 0, 1))
+    )
     along = (t - 0.5) * length
-    hull = np.vstack([np.column_stack([along, side]), np.column_stack([along, -side])[::-1]]) * px_per_m
+    hull = (
+        np.vstack([np.column_stack([along, side]), np.column_stack([along, -side])[::-1]])
+        * px_per_m
+    )
     middle = np.array(canvas.shape[1::-1]) / 2
     shade(canvas, hull + middle, px_per_m * 0.6, sun, 0.8)
     fill(canvas, hull + middle, np.full(3, rng.uniform(150, 245)))
     fill(canvas, 0.7 * hull * (0.8, 1) + middle - (0.08 * length * px_per_m, 0), colour_of(rng))
-    fill(canvas, _corners(canvas, px_per_m, 0.2 * length, 0.6 * width, 0.08 * length), rng.uniform(20, 90, 3))
+    fill(
+        canvas,
+        _corners(canvas, px_per_m, 0.2 * length, 0.6 * width, 0.08 * length),
+        rng.uniform(20, 90, 3),
+    )
     return length, width
 
 
-def draw_marking(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+def draw_marking(
+    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
+) -> tuple[float, float]:
     """An empty bay, a zebra crossing or a worn patch of the road."""
     del sun
     length, width = float(rng.uniform(3.5, 6.0)), float(rng.uniform(1.8, 2.8))
@@ -224,7 +311,11 @@ def draw_marking(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun:
         for k in range(-4, 5):
             fill(canvas, _corners(canvas, px_per_m, length, 0.5, 0, k), white)
     else:
-        fill(canvas, _corners(canvas, px_per_m, length, width), rng.uniform(30, 140) + rng.normal(0, 4, 3))
+        fill(
+            canvas,
+            _corners(canvas, px_per_m, length, width),
+            rng.uniform(30, 140) + rng.normal(0, 4, 3),
+        )
     return length, width
 
 

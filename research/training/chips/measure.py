@@ -39,27 +39,39 @@ def log_scale(read: Read, said: ChipAnswers) -> NDArray[np.float64]:
     width_px = np.nan_to_num(read.width_px, nan=1.0)
     middle = np.full(len(width_px), _FAR_PX / 2)
     boxes = np.column_stack([middle, middle, read.length_px, width_px, np.zeros(len(middle))])
-    return looks(boxes, said, (_FAR_PX, _FAR_PX)).log_lengths - np.log(said.sizes[:, 0] * read.length_px)
+    return looks(boxes, said, (_FAR_PX, _FAR_PX)).log_lengths - np.log(
+        said.sizes[:, 0] * read.length_px
+    )
 
 
 def edge_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     """Length and width against the eye, of the detector's box and of the network."""
     whole = np.isfinite(read.edges).all(axis=1)
     eye, ours = (np.log(sizes(each[whole])) for each in (read.edges, said.edges))
-    box = np.stack([np.zeros(whole.sum()), np.log(read.width_px[whole] / read.length_px[whole])], axis=1)
+    box = np.stack(
+        [np.zeros(whole.sum()), np.log(read.width_px[whole] / read.length_px[whole])], axis=1
+    )
     yield header("size", "n", "detector: bias", "detector: sd", "bias", "sd", "robust sd")
     for k, what in enumerate(("length", "width")):
         cells = [part for seen in (box, ours) for part in _errors(seen[:, k] - eye[:, k])]
-        yield f"| {what} | {len(eye)} | {' | '.join((*cells, _percent(robust(ours[:, k] - eye[:, k]))))} |"
+        yield (
+            f"| {what} | {len(eye)} | "
+            f"{' | '.join((*cells, _percent(robust(ours[:, k] - eye[:, k]))))} |"
+        )
     known = np.isfinite(read.edges)
     off = ((said.edges - read.edges) / said.edge_sd)[known]
-    yield f"\nError of an edge over its stated spread: robust {robust(off):.2f}, rms {np.sqrt(np.mean(off**2)):.2f}"
+    yield (
+        f"\nError of an edge over its stated spread: robust {robust(off):.2f}, rms "
+        f"{np.sqrt(np.mean(off**2)):.2f}"
+    )
 
 
 def kind_report(read: Read, said: ChipAnswers) -> Iterator[str]:
     """Agreement of kinds with the eye, in four groups of cars."""
     cars = (read.kind != UNKNOWN) & (read.kind < len(CARS))
-    groups = np.stack([said.kinds[:, k == GROUP_OF_KIND].sum(axis=1) for k in range(_N_GROUPS)], axis=1).argmax(axis=1)
+    groups = np.stack(
+        [said.kinds[:, k == GROUP_OF_KIND].sum(axis=1) for k in range(_N_GROUPS)], axis=1
+    ).argmax(axis=1)
     truth = GROUP_OF_KIND[read.kind[cars]]
     same, most = np.mean(groups[cars] == truth), np.bincount(truth).max() / len(truth)
     yield f"kinds: n {len(truth)}, group {same:.2f}, commonest {most:.2f}"
@@ -125,9 +137,13 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=4)
     options = add_record_option(parser).parse_args()
     read = load(options.readings)
-    read = read.take(np.isin(read.place, options.places.split(",")) if options.places else read.check)
+    read = read.take(
+        np.isin(read.place, options.places.split(",")) if options.places else read.check
+    )
     chips = np.stack([cut(chip, READ_LENGTH_PX) for chip in read.chips])
-    said = ChipNetwork(options.network, runtime=Runtime(threads=1)).answers(chips, views=options.views)
+    said = ChipNetwork(options.network, runtime=Runtime(threads=1)).answers(
+        chips, views=options.views
+    )
     print("\n".join(kind_report(read, said)), flush=True)
     with recording("scale", ["bodies", "one_car", "looks"], options.record):
         for report in (edge_report, scale_report, place_report):

@@ -1,9 +1,10 @@
 """Collect candidates from the train images: ``python -m research.training.chips.mine RUN``.
 
-Writes the stores ``RUN/train`` and ``RUN/held_out``. A chip comes from one of four sources: what the bundled detector
-finds at a low score, every labelled car, labelled boxes moved or scaled until they fit no more, and lorries. Cars
-without a label that ``looked_at.csv`` has are cars, and nothing on something doubtful is a false one; of the odd
-numbers of ``chia/crops``, which ``--native`` adds, it has all of them.
+Writes the stores ``RUN/train`` and ``RUN/held_out``. A chip comes from one of four sources: what
+the bundled detector finds at a low score, every labelled car, labelled boxes moved or scaled until
+they fit no more, and lorries. Cars without a label that ``looked_at.csv`` has are cars, and nothing
+on something doubtful is a false one; of the odd numbers of ``chia/crops``, which ``--native`` adds,
+it has all of them.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ _LEAST_LENGTH_PX = 8.0
 LOOKED_AT = Path(__file__).with_name("looked_at.csv")
 _TYPE_OF_BODY = {
     "kei": "kei", "kei truck": "kei", "city": "small", "suv": "suv", "minivan": "van", "van": "van", "pickup": "pickup",
-    "single cab": "pickup", "crew cab": "pickup", "flatbed": "pickup", "truck": "lorry", "bus": "lorry",
+    "single "
+        "cab": "pickup", "crew "
+            "cab": "pickup", "flatbed": "pickup", "truck": "lorry", "bus": "lorry",
     "semitrailer": "lorry", "caravan": "trailer",
 }  # fmt: skip
 _OTHER, _LORRY = KINDS.index("other"), KINDS.index("lorry")
@@ -100,10 +103,14 @@ def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[
     dx, dy = (truth[:, :2] - boxes[:, :2]).T / boxes[:, 2]
     turn = (truth[:, 4] - boxes[:, 4] + np.pi / 2) % np.pi - np.pi / 2
     sizes = np.log(truth[:, 2:4] / boxes[:, 2:3])
-    return np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, sizes, turn]).astype(np.float32)
+    return np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, sizes, turn]).astype(
+        np.float32
+    )
 
 
-def overlaps(boxes: NDArray[np.float64], labels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def overlaps(
+    boxes: NDArray[np.float64], labels: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Largest IoU of each box with a label, and which label ``[n]``; 0 and 0 where none is near."""
     if not len(labels):
         return np.zeros(len(boxes)), np.zeros(len(boxes), np.intp)
@@ -115,9 +122,13 @@ def _ignored(boxes: NDArray[np.float64], polygons: NDArray[np.float64]) -> NDArr
     out = np.zeros(len(boxes), bool)
     for polygon in polygons:
         around = polygon.astype(np.float32)
-        close = np.flatnonzero(np.linalg.norm(boxes[:, :2] - polygon.mean(axis=0), axis=1) < 3 * boxes[:, 2] + 60)
+        close = np.flatnonzero(
+            np.linalg.norm(boxes[:, :2] - polygon.mean(axis=0), axis=1) < 3 * boxes[:, 2] + 60
+        )
         for k in close[~out[close]]:
-            reach = cv2.pointPolygonTest(around, (float(boxes[k, 0]), float(boxes[k, 1])), measureDist=True)
+            reach = cv2.pointPolygonTest(
+                around, (float(boxes[k, 0]), float(boxes[k, 1])), measureDist=True
+            )
             out[k] = reach > -0.3 * boxes[k, 2]
     return out
 
@@ -129,7 +140,10 @@ def _fits_seen(boxes: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray
 
 
 def rows_of(
-    image: Named, boxes: NDArray[np.float64], scores: NDArray[np.float64], combined: NDArray[np.float64]
+    image: Named,
+    boxes: NDArray[np.float64],
+    scores: NDArray[np.float64],
+    combined: NDArray[np.float64],
 ) -> tuple[Rows, NDArray[np.bool_]]:
     """Compare boxes with labels and with cars seen without one; also return which boxes can train."""
     sample = image.sample
@@ -149,12 +163,16 @@ def rows_of(
     kind = np.where((car == 0) & (iou < 0.01), _OTHER, UNKNOWN).astype(np.int8)
     if image.label_types is not None:
         kind[hit] = image.label_types[which[hit]]
-    cars, others = ((iou < _FITS) & _fits_seen(boxes, each) for each in (image.seen.cars, image.seen.others))
+    cars, others = (
+        (iou < _FITS) & _fits_seen(boxes, each) for each in (image.seen.cars, image.seen.others)
+    )
     car[cars], kind[cars], known[cars] = 1, UNKNOWN, True
     rows = Rows.unlabelled(boxes[:, 2], sample.set, image.file)
     rows = rows._replace(car=car, type=kind, box=box, log_length_m=length_m)
     rows = rows._replace(sets=np.where(cars | others, _SEEN, rows.sets))
-    return rows._replace(score=scores.astype(np.float32), combined=combined.astype(np.float32)), known
+    return rows._replace(
+        score=scores.astype(np.float32), combined=combined.astype(np.float32)
+    ), known
 
 
 def found(
@@ -169,7 +187,9 @@ def found(
         if factor > _MAX_ENLARGEMENT[target] or min(sample.image.shape[:2]) * factor < 48:
             continue
         way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-        scaled = np.asarray(cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8)
+        scaled = np.asarray(
+            cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8
+        )
         seen = detector.detect_tile(detector.prepared(scaled), _LEAST_SCORE).vehicles
         seen = seen.take(oriented_nms(seen.boxes, seen.scores))
         if not len(seen):
@@ -187,7 +207,11 @@ def cropped(rng: np.random.Generator, sample: TrainImage, side_px: int = _CROP_P
     if max(height, width) <= side_px:
         return sample
     most = np.maximum(np.array([width, height]) - side_px, 0)
-    middle = sample.boxes[rng.integers(len(sample.boxes)), :2] if len(sample.boxes) else rng.uniform(0, 1, 2) * most
+    middle = (
+        sample.boxes[rng.integers(len(sample.boxes)), :2]
+        if len(sample.boxes)
+        else rng.uniform(0, 1, 2) * most
+    )
     left, top = np.clip(middle - rng.uniform(0.2, 0.8, 2) * side_px, 0, most).astype(int)
     image = np.ascontiguousarray(sample.image[top : top + side_px, left : left + side_px])
     boxes = sample.boxes - (left, top, 0, 0, 0)
@@ -238,7 +262,9 @@ def add_lorries(image: Named, store: ChipStore) -> None:
     store.add(surroundings(image.sample.image, boxes, STORED_PX, STORED_LENGTH_PX), rows)
 
 
-def mined(image: Named, detector: Detector, rng: np.random.Generator, store: ChipStore, *, native: bool) -> None:
+def mined(
+    image: Named, detector: Detector, rng: np.random.Generator, store: ChipStore, *, native: bool
+) -> None:
     """Add the chips of one image: of a native search what it finds, else also labels, moved labels and lorries."""
     sample = cropped(rng, image.sample) if native and image.set != "chia" else image.sample
     if sample is not image.sample:
@@ -263,7 +289,9 @@ def mined(image: Named, detector: Detector, rng: np.random.Generator, store: Chi
     false = false[np.argsort(-combined[false], kind="stable")]
     rest = rng.permutation(false[_MOST_FALSE // 2 :])
     known[rest[_MOST_FALSE // 2 :]] = False
-    store.add(surroundings(sample.image, boxes[known], STORED_PX, STORED_LENGTH_PX), rows.take(known))
+    store.add(
+        surroundings(sample.image, boxes[known], STORED_PX, STORED_LENGTH_PX), rows.take(known)
+    )
 
 
 def _seen_by_eye() -> dict[str, Seen]:
@@ -275,7 +303,9 @@ def _seen_by_eye() -> dict[str, Seen]:
     out = {}
     for file, each in rows.items():
         at = np.array([[float(row[name]) for name in ("x", "y", "length")] for row in each])
-        cars, others = (np.array([row["kind"] == kind for row in each]) for kind in ("car", "other"))
+        cars, others = (
+            np.array([row["kind"] == kind for row in each]) for kind in ("car", "other")
+        )
         squares = box_corners(np.column_stack([at, at[:, 2], np.zeros(len(at))]))
         out[file] = Seen(squares[~others], at[cars], at[others])
     return out
@@ -293,7 +323,9 @@ def train_images(data: Path, *, held_out: bool) -> Iterator[Named]:
     with (data / "vehicles" / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
     rows = [row for row in rows if is_dev(row["file"], row["set"]) == held_out]
-    for sample, row in zip(load_train_images(data / "vehicles", held_out=held_out), rows, strict=True):
+    for sample, row in zip(
+        load_train_images(data / "vehicles", held_out=held_out), rows, strict=True
+    ):
         path = Path(row["file"])
         yield named(sample, path, row["set"], data / "vehicles" / "labels" / f"{path.stem}.txt")
     chosen = [place for place in places(data) if is_held_out(place) == held_out]
@@ -331,7 +363,9 @@ def scene_images(folder: Path) -> Iterator[Named]:
         bodies = np.array(json.loads(path.with_suffix(".bodies.json").read_text()), dtype=object)
         counted = (np.array(labels.classes) == "small-vehicle") & ~labels.difficult
         lengths_m = sample.boxes[:, 2] * labels.gsd_m_per_px
-        types = [type_of(body, length) for body, length in zip(bodies[counted], lengths_m, strict=True)]
+        types = [
+            type_of(body, length) for body, length in zip(bodies[counted], lengths_m, strict=True)
+        ]
         sized = sample._replace(car_px=CAR_M / labels.gsd_m_per_px)
         yield Named(sized, path.name, "scene", path.with_suffix(".txt"), np.array(types, np.int8))
 
@@ -341,8 +375,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--scenes", type=Path, help="a folder of `render_scenes chips` alone, into RUN/rendered")
-    parser.add_argument("--native", action="store_true", help="search as the library does, into RUN/native")
+    parser.add_argument(
+        "--scenes", type=Path, help="a folder of `render_scenes chips` alone, into RUN/rendered"
+    )
+    parser.add_argument(
+        "--native", action="store_true", help="search as the library does, into RUN/native"
+    )
     parser.add_argument("--sets", default="", help="with --native: these alone, comma between")
     options = parser.parse_args()
     cv2.setNumThreads(1)
@@ -350,12 +388,17 @@ def main() -> None:
     if options.native:
         scenes = scene_images(options.scenes) if options.scenes else iter(())
         wanted = [name for name in options.sets.split(",") if name]
-        every = itertools.chain(train_images(options.data, held_out=False), chia_images(options.data), scenes)
+        every = itertools.chain(
+            train_images(options.data, held_out=False), chia_images(options.data), scenes
+        )
         parts = {"native": (image for image in every if not wanted or image.sample.set in wanted)}
     elif options.scenes:
         parts = {"rendered": scene_images(options.scenes)}
     else:
-        parts = {name: train_images(options.data, held_out=name == "held_out") for name in ("held_out", "train")}
+        parts = {
+            name: train_images(options.data, held_out=name == "held_out")
+            for name in ("held_out", "train")
+        }
     detector = Detector(resolve_model(), runtime=Runtime(threads=1))
     detector.chips = None  # its candidates are wanted
     for name, images in parts.items():

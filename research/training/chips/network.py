@@ -27,8 +27,8 @@ class Answers(NamedTuple):
     Attributes:
         logit: ``[b]`` of a small vehicle in a fitting box.
         kinds: ``[b, 10]`` logits of ``KINDS``.
-        edges: ``[b, 4]`` both ends along and both sides across the body's axis, from the candidate's centre, in
-            candidate lengths.
+        edges: ``[b, 4]`` both ends along and both sides across the body's axis, from the
+            candidate's centre, in candidate lengths.
         edge_log_sd: ``[b, 4]`` log of the standard deviation of each.
         turn: ``[b]`` angle from the candidate's axis to the body's, radians.
         log_metres: ``[b, 2]`` log of the length and the width of the body by its looks.
@@ -51,15 +51,26 @@ class ChipNet(nn.Module):
         super().__init__()
         detector = VehicleNet()
         self.stem, self.stages = detector.stem, detector.stages[: len(_KEPT)]
-        widths = [next(m for m in stage.modules() if isinstance(m, nn.Conv2d)).out_channels for stage in self.stages]
+        widths = [
+            next(m for m in stage.modules() if isinstance(m, nn.Conv2d)).out_channels
+            for stage in self.stages
+        ]
         self.middles = nn.ModuleList(
-            nn.Sequential(nn.Conv2d(widths[k], kept, 1, bias=False), nn.BatchNorm2d(kept), nn.ReLU(inplace=True))
+            nn.Sequential(
+                nn.Conv2d(widths[k], kept, 1, bias=False),
+                nn.BatchNorm2d(kept),
+                nn.ReLU(inplace=True),
+            )
             for k, (kept, *_) in _KEPT.items()
         )
-        cells = [kept * (right - left) * (bottom - top) for kept, left, right, top, bottom in _KEPT.values()]
+        cells = [
+            kept * (right - left) * (bottom - top)
+            for kept, left, right, top, bottom in _KEPT.values()
+        ]
         inputs = sum(cells) + sum(widths[1:])
         self.seen = nn.ModuleList(
-            nn.Sequential(nn.Linear(inputs, _HIDDEN), nn.ReLU(inplace=True), nn.Dropout(0.2)) for _ in range(2)
+            nn.Sequential(nn.Linear(inputs, _HIDDEN), nn.ReLU(inplace=True), nn.Dropout(0.2))
+            for _ in range(2)
         )
         self.what = nn.Linear(_HIDDEN, 1 + len(KINDS) + 4)
         self.where = nn.Linear(_HIDDEN, 2 * _N_EDGES + 1)

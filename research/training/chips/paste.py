@@ -1,8 +1,8 @@
 """Rendered vehicles and look-alikes on real ground.
 
 ``python -m research.training.chips.paste RUN --count 12000`` writes the store ``RUN/pasted``. The
-ground comes from train images of known scale. A vehicle keeps its true size; its corners are exact and exclude its
-shadow. Vehicles and look-alikes are drawn, blurred and coarsened alike.
+ground comes from train images of known scale. A vehicle keeps its true size; its corners are exact
+and exclude its shadow. Vehicles and look-alikes are drawn, blurred and coarsened alike.
 """
 
 from __future__ import annotations
@@ -44,25 +44,32 @@ class Ground(NamedTuple):
     gsd_m_per_px: float
 
 
-def free_place(rng: np.random.Generator, ground: Ground, reach_m: float) -> NDArray[np.float64] | None:
+def free_place(
+    rng: np.random.Generator, ground: Ground, reach_m: float
+) -> NDArray[np.float64] | None:
     """A place without a labelled car within ``reach_m``, by preference one near such a car: on a road or a car park."""
     sample, gsd = ground
     height, width = sample.image.shape[:2]
     for _ in range(6):
         if len(sample.boxes) and rng.random() < 0.75:
             angle, far = rng.uniform(0, 2 * np.pi), rng.uniform(3, 14) / gsd
-            place = sample.boxes[rng.integers(len(sample.boxes)), :2] + far * np.array([np.cos(angle), np.sin(angle)])
+            place = sample.boxes[rng.integers(len(sample.boxes)), :2] + far * np.array(
+                [np.cos(angle), np.sin(angle)]
+            )
         else:
             place = rng.uniform(0, 1, 2) * (width, height)
         inside = (place > 3 / gsd).all() and (place < np.array([width, height]) - 3 / gsd).all()
         if inside and (
-            not len(sample.boxes) or np.linalg.norm(sample.boxes[:, :2] - place, axis=1).min() > reach_m / gsd
+            not len(sample.boxes)
+            or np.linalg.norm(sample.boxes[:, :2] - place, axis=1).min() > reach_m / gsd
         ):
             return np.asarray(place)
     return None
 
 
-def ground_canvas(ground: Ground, place: NDArray[np.float64], turn: float, px_per_m: float) -> Canvas:
+def ground_canvas(
+    ground: Ground, place: NDArray[np.float64], turn: float, px_per_m: float
+) -> Canvas:
     """The ground around a place, turned, at the canvas's resolution."""
     step = 1 / (px_per_m * ground.gsd_m_per_px)  # source pixels to one of the canvas
     source = ground.sample.image
@@ -78,19 +85,35 @@ def ground_canvas(ground: Ground, place: NDArray[np.float64], turn: float, px_pe
     matrix[:, 2] = place - matrix[:, :2] @ (_CANVAS_PX / 2, _CANVAS_PX / 2)
     matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    out = cv2.warpAffine(source, matrix, (_CANVAS_PX, _CANVAS_PX), flags=flags, borderMode=cv2.BORDER_REFLECT)
+    out = cv2.warpAffine(
+        source, matrix, (_CANVAS_PX, _CANVAS_PX), flags=flags, borderMode=cv2.BORDER_REFLECT
+    )
     return np.asarray(out, np.float32)
 
 
 def draw_vehicle(
-    canvas: Canvas, model: VehicleModel, box: NDArray[np.float64], px_per_m: float, sun: Sun, strength: float
+    canvas: Canvas,
+    model: VehicleModel,
+    box: NDArray[np.float64],
+    px_per_m: float,
+    sun: Sun,
+    strength: float,
 ) -> None:
     """Draw a vehicle and its shadow; ``box`` is ``(x, y, length, width, angle)`` in pixels of the canvas."""
     x, y, length, width, angle = box
     cos, sin = math.cos(angle), math.sin(angle)
     turn = np.array([[cos, -sin], [sin, cos]])
     outline = np.array(
-        [(-0.5, -0.36), (-0.44, -0.5), (0.42, -0.5), (0.5, -0.3), (0.5, 0.3), (0.42, 0.5), (-0.44, 0.5), (-0.5, 0.36)]
+        [
+            (-0.5, -0.36),
+            (-0.44, -0.5),
+            (0.42, -0.5),
+            (0.5, -0.3),
+            (0.5, 0.3),
+            (0.42, 0.5),
+            (-0.44, 0.5),
+            (-0.5, 0.36),
+        ]
     )
     points = (outline * (length, width)) @ turn.T + (x, y)
     height = VEHICLE_SHADOW_HEIGHT_M.get(model.body.partition(":")[0], 1.15)
@@ -106,7 +129,9 @@ def draw_vehicle(
     patch = cv2.warpAffine(sprite, full, canvas.shape[1::-1], flags=flags, borderValue=(0, 0, 0, 0))
     cover, paint, grey, red = (patch[:, :, channel, None] for channel in range(4))
     glass, lamp = np.array((0.95, 1.0, 1.09), np.float32), np.array((1.0, 0.22, 0.2), np.float32)
-    canvas[:] = canvas * (1 - cover) + paint * np.array(model.paint, np.float32) + grey * glass + red * lamp
+    canvas[:] = (
+        canvas * (1 - cover) + paint * np.array(model.paint, np.float32) + grey * glass + red * lamp
+    )
 
 
 def photographed(rng: np.random.Generator, canvas: Canvas, coarse: float) -> NDArray[np.uint8]:
@@ -114,12 +139,18 @@ def photographed(rng: np.random.Generator, canvas: Canvas, coarse: float) -> NDA
     pixels: Canvas = np.clip(canvas, 0, 255)
     if coarse > 2.0:
         side = max(16, round(_CANVAS_PX / coarse))
-        pixels = np.asarray(cv2.resize(pixels, (side, side), interpolation=cv2.INTER_AREA), np.float32)
+        pixels = np.asarray(
+            cv2.resize(pixels, (side, side), interpolation=cv2.INTER_AREA), np.float32
+        )
         way = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
-        pixels = np.asarray(cv2.resize(pixels, (STORED_PX, STORED_PX), interpolation=way), np.float32)
+        pixels = np.asarray(
+            cv2.resize(pixels, (STORED_PX, STORED_PX), interpolation=way), np.float32
+        )
     else:
         soft = cv2.GaussianBlur(pixels, (0, 0), float(rng.uniform(0.5, 1.4)))
-        pixels = np.asarray(cv2.resize(soft, (STORED_PX, STORED_PX), interpolation=cv2.INTER_AREA), np.float32)
+        pixels = np.asarray(
+            cv2.resize(soft, (STORED_PX, STORED_PX), interpolation=cv2.INTER_AREA), np.float32
+        )
     return np.asarray(np.clip(pixels + 0.5, 0, 255), np.uint8)
 
 
@@ -152,7 +183,9 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
         if rng.random() < _COMPANY_SHARE:
             _draw_company(rng, canvas, truth, px_per_m, sun, strength, fleet)
         middle = np.array([_CANVAS_PX / 2, _CANVAS_PX / 2])
-        box = np.array([*(middle + truth[:2] * px_per_m), truth[2] * px_per_m, truth[3] * px_per_m, truth[4]])
+        box = np.array(
+            [*(middle + truth[:2] * px_per_m), truth[2] * px_per_m, truth[3] * px_per_m, truth[4]]
+        )
         draw_vehicle(canvas, model, box, px_per_m, sun, strength)
         fits = vehicle and not wrong
         kind = type_of(model.body, model.length_m) if not wrong else UNKNOWN
@@ -164,18 +197,32 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
         canvas = ground_canvas(ground, place, float(rng.uniform(0, 2 * np.pi)), px_per_m)
         thing = LOOKALIKES[int(rng.integers(len(LOOKALIKES)))]
         length, _ = thing(rng, canvas, px_per_m, sun)
-        factor = 4.5 / length * float(np.exp(rng.normal(0, 0.12)))  # the candidate is as long as the thing
+        # the candidate is as long as the thing
+        factor = 4.5 / length * float(np.exp(rng.normal(0, 0.12)))
         move = np.array([[factor, 0.0], [0.0, factor]])
         move = np.column_stack([move, (1 - factor) * np.array([_CANVAS_PX, _CANVAS_PX]) / 2])
         canvas = np.asarray(
-            cv2.warpAffine(canvas, move, canvas.shape[1::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT),
+            cv2.warpAffine(
+                canvas,
+                move,
+                canvas.shape[1::-1],
+                flags=cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_REFLECT,
+            ),
             np.float32,
         )
         px_per_m *= factor
         car, kind, answer, length_m = 0, KINDS.index("other"), None, math.nan
     coarse = px_per_m * ground.gsd_m_per_px
     chip = photographed(rng, canvas, coarse)
-    return Pasted(chip, car, kind, answer, length_m, 2 * STORED_LENGTH_PX / max(coarse, 2.0) if coarse > 2 else 36.0)
+    return Pasted(
+        chip,
+        car,
+        kind,
+        answer,
+        length_m,
+        2 * STORED_LENGTH_PX / max(coarse, 2.0) if coarse > 2 else 36.0,
+    )
 
 
 def _candidate(
@@ -187,11 +234,17 @@ def _candidate(
     if wrong:
         how = rng.integers(3)
         if how == 0 or model.kind == "large-vehicle":  # a part of it, or it and what stands beside
-            size = float(np.exp(rng.uniform(-1.0, -0.5) if rng.random() < 0.7 else rng.uniform(0.5, 0.9)))
-            shift = np.array([rng.uniform(-0.5, 0.5) * max(0.0, 1 - size) * model.length_m, rng.normal(0, 0.2)])
+            size = float(
+                np.exp(rng.uniform(-1.0, -0.5) if rng.random() < 0.7 else rng.uniform(0.5, 0.9))
+            )
+            shift = np.array(
+                [rng.uniform(-0.5, 0.5) * max(0.0, 1 - size) * model.length_m, rng.normal(0, 0.2)]
+            )
         elif how == 1:
             angle = rng.uniform(0, 2 * np.pi)
-            shift = rng.uniform(0.45, 1.0) * model.length_m * np.array([np.cos(angle), np.sin(angle)])
+            shift = (
+                rng.uniform(0.45, 1.0) * model.length_m * np.array([np.cos(angle), np.sin(angle)])
+            )
         else:
             turn = rng.uniform(0.6, np.pi - 0.6)
     length = model.length_m * size
@@ -236,8 +289,13 @@ def _draw_company(
 def grounds(data: Path) -> list[Ground]:
     """Train images of known scale."""
     out: list[Ground] = []
-    sharp = [s._replace(boxes=boxes_from_corners(s.ignore)) for s, *_ in chia_images(data)]  # nothing on its cars
-    samples: Sequence[TrainImage] = [*load_train_images(data / "vehicles"), *load_scenery(data), *sharp]
+    # nothing on its cars
+    sharp = [s._replace(boxes=boxes_from_corners(s.ignore)) for s, *_ in chia_images(data)]
+    samples: Sequence[TrainImage] = [
+        *load_train_images(data / "vehicles"),
+        *load_scenery(data),
+        *sharp,
+    ]
     for sample in samples:
         gsd = CAR_M / sample.car_px if sample.car_px else GSD_M_PER_PX.get(sample.set)
         if gsd:
@@ -252,11 +310,17 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=12_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--without", default="", help="sets whose ground is left out, comma between")
+    parser.add_argument(
+        "--without", default="", help="sets whose ground is left out, comma between"
+    )
     options = parser.parse_args()
     cv2.setNumThreads(1)
     rng = np.random.default_rng(options.seed)
-    places = [ground for ground in grounds(options.data) if ground.sample.set not in options.without.split(",")]
+    places = [
+        ground
+        for ground in grounds(options.data)
+        if ground.sample.set not in options.without.split(",")
+    ]
     names = np.array([ground.sample.set for ground in places])
     odds = weight_of_sets(names)
     odds[[ground.gsd_m_per_px < _SHARP_M_PER_PX for ground in places]] *= _SHARP_WEIGHT

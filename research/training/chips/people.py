@@ -1,8 +1,9 @@
 """Candidates on photographs whose cars people have drawn: ``python -m research.training.chips.people R``.
 
-Writes the store ``R/people``, which trains nothing: val of Estonia, street crossings, ``harlem`` and the even crops of
-``chia``. Boxes of the first two are upright: a candidate is a car if its upright box overlaps one by half. What lies on
-doubtful things, at the image's edge, or overlaps a little counts neither way.
+Writes the store ``R/people``, which trains nothing: val of Estonia, street crossings, ``harlem``
+and the even crops of ``chia``. Boxes of the first two are upright: a candidate is a car if its
+upright box overlaps one by half. What lies on doubtful things, at the image's edge, or overlaps a
+little counts neither way.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ def upright(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
     """IoU ``[n, m]`` of upright boxes."""
-    size = np.minimum(first[:, None, 2:], second[None, :, 2:]) - np.maximum(first[:, None, :2], second[None, :, :2])
+    size = np.minimum(first[:, None, 2:], second[None, :, 2:]) - np.maximum(
+        first[:, None, :2], second[None, :, :2]
+    )
     both = np.prod(np.clip(size, 0, None), axis=2)
     areas = [np.prod(boxes[:, 2:] - boxes[:, :2], axis=1) for boxes in (first, second)]
     return np.asarray(both / np.maximum(areas[0][:, None] + areas[1][None, :] - both, 1e-9))
@@ -63,7 +66,9 @@ def _looked_at() -> dict[str, list[tuple[str, NDArray[np.float64]]]]:
     with LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):
             x, y, half = float(row["x"]), float(row["y"]), 0.35 * float(row["length"])
-            out.setdefault(row["file"], []).append((row["kind"], np.array([x - half, y - half, x + half, y + half])))
+            out.setdefault(row["file"], []).append(
+                (row["kind"], np.array([x - half, y - half, x + half, y + half]))
+            )
     return out
 
 
@@ -72,7 +77,11 @@ def photographs(data: Path) -> Iterator[Drawn]:
     seen = _looked_at()
     for folder, sets in (("upright", ("estonia", "crossings")), ("vehicles", ("jekhor",))):
         with (data / folder / "index.csv").open(newline="") as handle:
-            rows = [row for row in csv.DictReader(handle) if row["split"] == "val" and row["set"] in sets]
+            rows = [
+                row
+                for row in csv.DictReader(handle)
+                if row["split"] == "val" and row["set"] in sets
+            ]
         for row in rows:
             labels = read_labels(data / folder / "labels" / f"{Path(row['file']).stem}.txt")
             cars = upright(labels.of_class("small-vehicle").reshape(-1, 4, 2))
@@ -84,17 +93,26 @@ def photographs(data: Path) -> Iterator[Drawn]:
         rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 0]
     for row in rows:
         there = seen.get(Path(row["file"]).name, [])
-        parts = [np.reshape([box for kind, box in there if (kind == "car") == car], (-1, 4)) for car in (True, False)]
+        parts = [
+            np.reshape([box for kind, box in there if (kind == "car") == car], (-1, 4))
+            for car in (True, False)
+        ]
         yield Drawn(data / "chia" / row["file"], "chia", *parts)
 
 
 def judged(boxes: NDArray[np.float64], drawn: Drawn, size: tuple[int, int]) -> NDArray[np.int8]:
     """1 for a car, 0 for none, -1 where it does not count."""
     around = upright(box_corners(boxes))
-    iou = overlap(around, drawn.cars).max(axis=1, initial=0.0) if len(drawn.cars) else np.zeros(len(boxes))
+    iou = (
+        overlap(around, drawn.cars).max(axis=1, initial=0.0)
+        if len(drawn.cars)
+        else np.zeros(len(boxes))
+    )
     truth = np.where(iou >= _FITS, 1, np.where(iou < _MISSES, 0, -1)).astype(np.int8)
     if drawn.set == "chia" and len(drawn.cars):  # squares about the centres of cars
-        gap = np.abs(boxes[:, None, :2] - (drawn.cars[None, :, :2] + drawn.cars[None, :, 2:]) / 2).max(axis=2)
+        gap = np.abs(
+            boxes[:, None, :2] - (drawn.cars[None, :, :2] + drawn.cars[None, :, 2:]) / 2
+        ).max(axis=2)
         length = (drawn.cars[:, 2] - drawn.cars[:, 0]) / 0.7
         fits = (gap < 0.2 * length) & (np.abs(np.log(boxes[:, None, 2] / length)) < 0.25)
         near = gap < _NEAR * length
@@ -128,15 +146,28 @@ def main() -> None:
         boxes, scores = seen.boxes, seen.scores
         if not len(boxes):
             continue
-        combined = verifier.scored(pixels, Objects(boxes, scores, np.zeros(len(boxes), np.intp))).scores
+        combined = verifier.scored(
+            pixels, Objects(boxes, scores, np.zeros(len(boxes), np.intp))
+        ).scores
         truth = judged(boxes, drawn, (pixels.shape[1], pixels.shape[0]))
         counted = truth >= 0
-        boxes, scores, combined, truth = boxes[counted], scores[counted], combined[counted], truth[counted]
+        boxes, scores, combined, truth = (
+            boxes[counted],
+            scores[counted],
+            combined[counted],
+            truth[counted],
+        )
         rows = Rows.unlabelled(boxes[:, 2], drawn.set, drawn.path.name)._replace(
             car=truth, score=scores.astype(np.float32), combined=combined.astype(np.float32)
         )
         store.add(surroundings(pixels, boxes, STORED_PX, STORED_LENGTH_PX), rows)
-        print(drawn.path.name, len(drawn.cars), int((truth == 1).sum()), int((truth == 0).sum()), flush=True)
+        print(
+            drawn.path.name,
+            len(drawn.cars),
+            int((truth == 1).sum()),
+            int((truth == 0).sum()),
+            flush=True,
+        )
     rows = store.save(options.run / "people")
     for name in np.unique(rows.sets):
         cars = rows.car[rows.sets == name] == 1

@@ -1,7 +1,7 @@
 """Chips of cars that were read by eye: ``python -m research.training.chips.readings OUT.npz``.
 
-Each car of ``research/training/readings`` is stored 60 px long, with 200 px of surroundings, as fine as its image
-allows.
+Each car of ``research/training/readings`` is stored 60 px long, with 200 px of surroundings, as
+fine as its image allows.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ class Read(NamedTuple):
 
     Attributes:
         chips: ``[n, 200, 200, 3]`` uint8.
-        edges: ``[n, 4]`` both ends and both sides from the box's centre, in box lengths; NaN where missing.
+        edges: ``[n, 4]`` both ends and both sides from the box's centre, in box lengths; NaN where
+            missing.
         kind: ``[n]`` index into ``KINDS``, or -1.
         length_px: ``[n]`` of the box.
         width_px: ``[n]`` of the box; NaN for a reading of a kind alone.
@@ -67,7 +68,10 @@ def scales(data: Path) -> dict[str, float]:
     out: dict[str, float] = {}
     for folder, table in (("fleets", "table.csv"), ("chia", "crops.csv")):
         with (data / folder / table).open(newline="") as handle:
-            out |= {f"{folder}/{row['file']}": float(row["gsd_m_per_px"]) for row in csv.DictReader(handle)}
+            out |= {
+                f"{folder}/{row['file']}": float(row["gsd_m_per_px"])
+                for row in csv.DictReader(handle)
+            }
     return out
 
 
@@ -90,7 +94,11 @@ def collect(data: Path) -> Read:
     for row in _rows("kinds.csv"):
         x, y, length, angle = (float(row[name]) for name in ("x", "y", "length_px", "angle"))
         box = np.array([x, y, length, 0.45 * length, angle])
-        seen = [other for other in measured.get(row["file"], []) if np.hypot(*(other[:2] - (x, y))) < 0.3 * length]
+        seen = [
+            other
+            for other in measured.get(row["file"], [])
+            if np.hypot(*(other[:2] - (x, y))) < 0.3 * length
+        ]
         if not seen:
             parts.append((row, box, [np.nan] * 4, np.nan))
     images: dict[str, NDArray[np.uint8]] = {}

@@ -24,8 +24,9 @@ class Rows(NamedTuple):
     Attributes:
         car: 1 for a car in a fitting box, 0 for anything else.
         type: index into ``KINDS``, or -1.
-        box: ``[n, 5]`` the true box relative to the candidate: centre along and across in candidate lengths, log of the
-            length and width over the candidate's length, turn in radians; NaN where unknown.
+        box: ``[n, 5]`` the true box relative to the candidate: centre along and across in candidate
+            lengths, log of the length and width over the candidate's length, turn in radians; NaN
+            where unknown.
         log_length_m: log of the true length in metres, NaN where unknown.
         length_px: of the candidate in its source image: how much detail there is.
         score: the detector's, 0 where it did not find the box.

@@ -23,13 +23,17 @@ from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS, K
 _SHIFT, _SCALE, _TURN = 0.06, 0.08, 0.07  # standard deviations: lengths, log, radians
 _MOST = 2.2  # standard deviations; a car's box still fits there
 _COARSE_SHARE, _COARSEST_PX = 0.45, 10.0
-_CANDIDATE = np.array([[CHIP_COLUMNS / 2, CHIP_ROWS / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]])
-_SHARES = (0.68, 0.18, 0.14)  # of candidates, of readings of ends and sides, of readings of kinds alone
+_CANDIDATE = np.array(
+    [[CHIP_COLUMNS / 2, CHIP_ROWS / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]]
+)
+# of candidates, of readings of ends and sides, of readings of kinds alone
+_SHARES = (0.68, 0.18, 0.14)
 _CAR_SHARE = 0.5
 _RENDERED = ("scene", "pasted")
 _RENDERED_WEIGHT = 0.25
 _BOX_WEIGHT = 0.3  # of a length in metres that a box gives
-_MEASURED_WEIGHT = 0.8  # of a length or width that a first network has measured, times its own weight
+# of a length or width that a first network has measured, times its own weight
+_MEASURED_WEIGHT = 0.8
 _LONGEST_SMALL_M = 3.9  # of a two-box car; at an unknown scale readings call all of these compact
 _MEASURED_BY_EYE = ("mashiki", "fuji", "bergamo", "garfield")
 _TABLE_WEIGHT = 0.2  # of the size of a kind where the scale is unknown
@@ -83,7 +87,12 @@ STILL = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
 def draw_move(rng: np.random.Generator) -> Move:
     """A candidate a little off, mirrored at random."""
     shift, scale, turn = (np.clip(rng.normal(0, 1, n), -_MOST, _MOST) for n in (2, 1, 1))
-    return Move(_SHIFT * shift, float(np.exp(_SCALE * scale[0])), float(_TURN * turn[0]), rng.choice((-1.0, 1.0), 2))
+    return Move(
+        _SHIFT * shift,
+        float(np.exp(_SCALE * scale[0])),
+        float(_TURN * turn[0]),
+        rng.choice((-1.0, 1.0), 2),
+    )
 
 
 def cut(stored: NDArray[np.uint8], length_px: float, move: Move = STILL) -> NDArray[np.uint8]:
@@ -92,19 +101,26 @@ def cut(stored: NDArray[np.uint8], length_px: float, move: Move = STILL) -> NDAr
     middle = np.array([CHIP_COLUMNS, CHIP_ROWS]) / 2
     origin = stored.shape[0] / 2 + move.shift * length_px - matrix @ middle
     full = np.column_stack([matrix, origin])
-    full[:, 2] += full[:, :2] @ (0.5, 0.5) - 0.5  # continuous coordinates have pixel centres at +0.5
+    # continuous coordinates have pixel centres at +0.5
+    full[:, 2] += full[:, :2] @ (0.5, 0.5) - 0.5
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     size = (CHIP_COLUMNS, CHIP_ROWS)
-    return np.asarray(cv2.warpAffine(stored, full, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(
+        cv2.warpAffine(stored, full, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.uint8
+    )
 
 
-def moved_edges(edges: NDArray[np.floating], turn: float, move: Move) -> tuple[NDArray[np.float32], float]:
+def moved_edges(
+    edges: NDArray[np.floating], turn: float, move: Move
+) -> tuple[NDArray[np.float32], float]:
     """Edges and turn of a body as the moved chip sees them; the first end is the left one, the first side the upper."""
     axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     out = np.empty(4, np.float32)
     seen = axes @ move.matrix / move.scale
     for k in range(2):
-        pair = (np.asarray(edges[2 * k : 2 * k + 2], np.float64) - axes[k] @ move.shift) / move.scale
+        pair = (
+            np.asarray(edges[2 * k : 2 * k + 2], np.float64) - axes[k] @ move.shift
+        ) / move.scale
         backward = seen[k, k] < 0
         seen[k] *= -1 if backward else 1
         out[2 * k : 2 * k + 2] = -pair[::-1] if backward else pair
@@ -116,10 +132,14 @@ def edges_of_box(box: NDArray[np.floating]) -> NDArray[np.float64]:
     x, y, log_length, log_width, turn = (float(value) for value in box)
     along, across = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
     half_length, half_width = np.exp(log_length) / 2, np.exp(log_width) / 2
-    return np.array([along - half_length, along + half_length, across - half_width, across + half_width])
+    return np.array(
+        [along - half_length, along + half_length, across - half_width, across + half_width]
+    )
 
 
-def coarsened(rng: np.random.Generator, chip: NDArray[np.uint8], length_px: float) -> NDArray[np.uint8]:
+def coarsened(
+    rng: np.random.Generator, chip: NDArray[np.uint8], length_px: float
+) -> NDArray[np.uint8]:
     """Sometimes simulate a coarser image."""
     finest = min(length_px, CHIP_LENGTH_PX)
     if rng.random() >= _COARSE_SHARE or finest <= _COARSEST_PX:
@@ -199,7 +219,11 @@ def sized_kinds(read: Read, bodies: Bodies) -> NDArray[np.int64]:
 def target_of_reading(read: Read, bodies: Bodies, k: int) -> Target:
     """Targets of a car that was read by eye; one whose kind an eye could not tell may be no car."""
     kind, edges, gsd = int(read.kind[k]), read.edges[k].astype(np.float64), float(read.gsd[k])
-    car = np.nan if kind == UNKNOWN and np.isnan(edges).all() else float(kind == UNKNOWN or KINDS[kind] in CARS)
+    car = (
+        np.nan
+        if kind == UNKNOWN and np.isnan(edges).all()
+        else float(kind == UNKNOWN or KINDS[kind] in CARS)
+    )
     sizes = np.array([edges[1] - edges[0], edges[3] - edges[2]]) * read.length_px[k] * gsd
     weights = np.ones(2)
     if np.isnan(edges).all() and car == 1:
@@ -207,7 +231,10 @@ def target_of_reading(read: Read, bodies: Bodies, k: int) -> Target:
         weights = _MEASURED_WEIGHT * bodies.weight[k].astype(np.float64)
     if KINDS[kind] in CARS and kind != UNKNOWN:
         table = np.array(BODY_M[KINDS[kind]])
-        sizes, weights = np.where(np.isnan(sizes), table, sizes), np.where(np.isnan(sizes), _TABLE_WEIGHT, weights)
+        sizes, weights = (
+            np.where(np.isnan(sizes), table, sizes),
+            np.where(np.isnan(sizes), _TABLE_WEIGHT, weights),
+        )
     weights = np.where(np.isnan(sizes) | (car != 1), 0.0, weights)
     logs = np.log(np.where(weights > 0, sizes, 1.0))
     return Target(car, kind, 1.0, edges, 0.0, 1.0, (logs[0], logs[1]), (weights[0], weights[1]))
@@ -224,25 +251,38 @@ class ChipStream:
     """
 
     def __init__(self, stores: Sequence[Path], read: Read, bodies: Bodies, seed: int) -> None:
-        self._seed, self._read, self._read_bodies = seed, read._replace(kind=sized_kinds(read, bodies)), bodies
+        self._seed, self._read, self._read_bodies = (
+            seed,
+            read._replace(kind=sized_kinds(read, bodies)),
+            bodies,
+        )
         read = self._read
         parts = [read_store(folder) for folder in stores]
         self._chips = [chips for chips, _ in parts]
         self._rows = Rows.joined([rows for _, rows in parts])
         measured = [
-            Bodies.load(folder / "bodies.npz", len(rows.car)) for folder, (_, rows) in zip(stores, parts, strict=True)
+            Bodies.load(folder / "bodies.npz", len(rows.car))
+            for folder, (_, rows) in zip(stores, parts, strict=True)
         ]
         self._bodies = Bodies(*(np.concatenate(column) for column in zip(*measured, strict=True)))
-        self._store = np.concatenate([np.full(len(rows.car), k) for k, (_, rows) in enumerate(parts)])
+        self._store = np.concatenate(
+            [np.full(len(rows.car), k) for k, (_, rows) in enumerate(parts)]
+        )
         self._index = np.concatenate([np.arange(len(rows.car)) for _, rows in parts])
-        self._rows_by_car = [self._weighed(np.flatnonzero(self._rows.car == car), self._rows.sets) for car in (0, 1)]
+        self._rows_by_car = [
+            self._weighed(np.flatnonzero(self._rows.car == car), self._rows.sets) for car in (0, 1)
+        ]
         ends = np.isfinite(read.edges).any(axis=1)
-        named = np.array([f"{place} {kind}" for place, kind in zip(read.place, read.kind, strict=True)])
+        named = np.array(
+            [f"{place} {kind}" for place, kind in zip(read.place, read.kind, strict=True)]
+        )
         self._ends = self._weighed(np.flatnonzero(ends), read.place)
         self._kinds = self._weighed(np.flatnonzero(~ends & (read.kind != UNKNOWN)), named)
 
     @staticmethod
-    def _weighed(chosen: NDArray[np.intp], names: NDArray[np.str_]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    def _weighed(
+        chosen: NDArray[np.intp], names: NDArray[np.str_]
+    ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Indices, and cumulated odds by the root of the number of each name."""
         return chosen, np.cumsum(weight_of_sets(names[chosen]))
 
@@ -251,13 +291,17 @@ class ChipStream:
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self._seed, index])
         source = int(rng.choice(3, p=_SHARES))
-        pick, odds = (self._rows_by_car[int(rng.random() < _CAR_SHARE)], self._ends, self._kinds)[source]
+        pick, odds = (self._rows_by_car[int(rng.random() < _CAR_SHARE)], self._ends, self._kinds)[
+            source
+        ]
         k = int(pick[min(int(np.searchsorted(odds, rng.random())), len(odds) - 1)])
         move = draw_move(rng)
         if source == 0:
             target, name = target_of_row(self._rows, self._bodies, k), str(self._rows.sets[k])
             length_px = self._rows.length_px[k]
-            chip = cut(np.asarray(self._chips[self._store[k]][self._index[k]]), STORED_LENGTH_PX, move)
+            chip = cut(
+                np.asarray(self._chips[self._store[k]][self._index[k]]), STORED_LENGTH_PX, move
+            )
         else:
             target, name = target_of_reading(self._read, self._read_bodies, k), "read"
             length_px = self._read.length_px[k]
@@ -267,7 +311,9 @@ class ChipStream:
         chip = photometric(rng, coarsened(rng, chip, float(length_px)))
         edges, turn = moved_edges(target.edges, target.turn, move)
         numbers = (target.car, target.kind_weight, turn, target.edge_weight)
-        car, kind_weight, turned, edge_weight = (torch.tensor(value, dtype=torch.float32) for value in numbers)
+        car, kind_weight, turned, edge_weight = (
+            torch.tensor(value, dtype=torch.float32) for value in numbers
+        )
         metres, metres_weight = (
             torch.tensor(v, dtype=torch.float32) for v in (target.log_metres, target.metres_weight)
         )

@@ -27,7 +27,8 @@ TENNIS_M, BASKETBALL_M = 23.77, 28.3
 _LABELS = Path(__file__).with_name("tennis.csv")
 _SHARES = (0.45, 0.25, 0.30)  # real courts, rendered scenes, places without
 _MOST_EMPTY = 300
-_UNSURE = 0.2  # weight of cells of a real tile that nobody marked: courts at its edge are not marked
+# weight of cells of a real tile that nobody marked: courts at its edge are not marked
+_UNSURE = 0.2
 _SPREAD_CELLS = 0.9
 
 
@@ -69,7 +70,9 @@ def load_real(data: Path) -> list[Picture]:
     with _LABELS.open(newline="") as handle:
         for row in csv.DictReader(handle):
             angle = math.radians(float(row["angle_deg"]))
-            courts.setdefault(row["file"], []).append(Court(float(row["x"]), float(row["y"]), angle, 0))
+            courts.setdefault(row["file"], []).append(
+                Court(float(row["x"]), float(row["y"]), angle, 0)
+            )
     return [
         Picture(_read(place.path), place.gsd_m_per_px, tuple(courts[place.path.name]), False)
         for place in places(data)
@@ -93,7 +96,11 @@ def load_rendered(folder: Path) -> list[Picture]:
 
 def load_empty(data: Path) -> list[Picture]:
     """Places of the training splits that are not named for their courts."""
-    found = [(p.path, p.gsd_m_per_px) for p in places(data) if p.kind != "tenniscourt" and not is_held_out(p)]
+    found = [
+        (p.path, p.gsd_m_per_px)
+        for p in places(data)
+        if p.kind != "tenniscourt" and not is_held_out(p)
+    ]
     with (data / "gsd" / "table.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):
             if row["split"] == "train":
@@ -122,10 +129,16 @@ class CropStream:
         pixels, courts = _crop(picture, gsd, rng)
         targets, weights = _targets(courts, gsd, sure=picture.sure)
         seen = _recoloured(pixels, rng)
-        return torch.from_numpy(seen.transpose(2, 0, 1).copy()), torch.from_numpy(targets), torch.from_numpy(weights)
+        return (
+            torch.from_numpy(seen.transpose(2, 0, 1).copy()),
+            torch.from_numpy(targets),
+            torch.from_numpy(weights),
+        )
 
 
-def _crop(picture: Picture, gsd: float, rng: np.random.Generator) -> tuple[NDArray[np.uint8], list[Court]]:
+def _crop(
+    picture: Picture, gsd: float, rng: np.random.Generator
+) -> tuple[NDArray[np.uint8], list[Court]]:
     """A crop at a scale, turned at random and mirrored, and the courts in its pixels."""
     factor = picture.gsd_m_per_px / gsd
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
@@ -149,7 +162,9 @@ def _crop(picture: Picture, gsd: float, rng: np.random.Generator) -> tuple[NDArr
     return np.asarray(pixels, np.uint8), courts
 
 
-def _targets(courts: list[Court], gsd: float, *, sure: bool) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _targets(
+    courts: list[Court], gsd: float, *, sure: bool
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     cells = SIDE_PX // CELL_PX
     targets = np.zeros((5, cells, cells), np.float32)
     weights = np.full((2, cells, cells), 1.0 if sure else _UNSURE, np.float32)
@@ -174,8 +189,12 @@ def _recoloured(pixels: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[
     grey = out.mean(axis=2, keepdims=True)
     out = grey + (out - grey) * rng.uniform(0.0 if rng.random() < 0.1 else 0.5, 1.5)
     out = out[:, :, rng.permutation(3)] if rng.random() < 0.3 else out
-    out = np.clip(out * rng.uniform(0.6, 1.4, 3 if rng.random() < 0.3 else 1) + rng.uniform(-0.1, 0.1), 0, 1)
+    out = np.clip(
+        out * rng.uniform(0.6, 1.4, 3 if rng.random() < 0.3 else 1) + rng.uniform(-0.1, 0.1), 0, 1
+    )
     out = out ** rng.uniform(0.7, 1.4)
     if rng.random() < 0.3:
         out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.3, 0.8))
-    return np.asarray(np.clip(out + rng.normal(0, rng.uniform(0, 0.03), out.shape), 0, 1), np.float32)
+    return np.asarray(
+        np.clip(out + rng.normal(0, rng.uniform(0, 0.03), out.shape), 0, 1), np.float32
+    )

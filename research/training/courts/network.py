@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 CELL_PX = 8
-CHANNELS = 5  # log odds of tennis and of basketball, cos and sin of twice the angle, log of the length over 44 px
+# log odds of tennis and of basketball, cos and sin of twice the angle, log of the length over 44 px
+CHANNELS = 5
 LENGTH_PX = 44.0
 _STEM = ((3, 8), (8, 16), (16, 24))
 _DILATIONS = (1, 2, 4, 1)
@@ -17,7 +18,9 @@ _RARE = -4.0  # log odds of a court in a cell before anything is learned
 
 def _convolution(inputs: int, outputs: int, stride: int, dilation: int) -> nn.Sequential:
     return nn.Sequential(
-        nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False), nn.BatchNorm2d(outputs), nn.ReLU()
+        nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(),
     )
 
 
@@ -27,8 +30,12 @@ class CourtNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         width = _STEM[-1][1]
-        self.stem = nn.Sequential(*(_convolution(inputs, outputs, 2, 1) for inputs, outputs in _STEM))
-        self.body = nn.ModuleList(_convolution(width, width, 1, dilation) for dilation in _DILATIONS)
+        self.stem = nn.Sequential(
+            *(_convolution(inputs, outputs, 2, 1) for inputs, outputs in _STEM)
+        )
+        self.body = nn.ModuleList(
+            _convolution(width, width, 1, dilation) for dilation in _DILATIONS
+        )
         self.head = nn.Conv2d(width, CHANNELS, 1)
         with torch.no_grad():
             cast("Tensor", self.head.bias)[:2] = _RARE

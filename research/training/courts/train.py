@@ -23,7 +23,9 @@ _BATCH = 24
 _POSE_WEIGHT = 1.0
 
 
-def losses(network: nn.Module, batch: tuple[Tensor, Tensor, Tensor], device: torch.device) -> Mapping[str, Tensor]:
+def losses(
+    network: nn.Module, batch: tuple[Tensor, Tensor, Tensor], device: torch.device
+) -> Mapping[str, Tensor]:
     """Focal loss of the heats (Zhou et al., Objects as Points, 2019), absolute error of the poses at their peaks."""
     pixels, targets, weights = (part.to(device) for part in batch)
     seen = network(pixels)

@@ -2,15 +2,19 @@
 
 Writes what ``export.py --calibration`` puts into the file:
 
-* ``length_correction``: factors on the boxes' lengths by length in pixels, which make them unbiased against labels on
-  train images made coarser; they enter the graph;
-* ``min_score``: of a few thresholds the one with the smallest mean error on the held-out tenth of train;
+* ``length_correction``: factors on the boxes' lengths by length in pixels, which make them unbiased
+  against labels on train images made coarser; they enter the graph;
+* ``min_score``: of a few thresholds the one with the smallest mean error on the held-out tenth of
+  train;
 * ``aggregation``: ``weighted_kde``, see ``research/results/scale.json``;
-* ``region_lengths_m``: per region the median over its train images of ``P_mode * GSD``, estimated as a user's image is
-  (the paper's calibration with detections for labels, every place counting once: car parks hold most of the cars);
-* ``reference_length_m``: the middle one of them, each region counting once, however many images it has;
+* ``region_lengths_m``: per region the median over its train images of ``P_mode * GSD``, estimated
+  as a user's image is (the paper's calibration with detections for labels, every place counting
+  once: car parks hold most of the cars);
+* ``reference_length_m``: the middle one of them, each region counting once, however many images it
+  has;
 * ``reference_length_sd_m``: their standard deviation, likewise;
-* ``min_length_px``: the shortest length from which boxes are unbiased against labels, on train images made coarser;
+* ``min_length_px``: the shortest length from which boxes are unbiased against labels, on train
+  images made coarser;
 * ``search_scales``: 1, the image is searched at reduced resolutions, too.
 """
 
@@ -51,7 +55,8 @@ REGION_OF_SET = {
     "ucm": "north_america",
     "estonia": "northern_europe",
 }
-MEASURED_ELSEWHERE = {"south_asia": 3.7}  # modal length of the detector's boxes in Nepal: shared/design/rulers.md
+# modal length of the detector's boxes in Nepal: shared/design/rulers.md
+MEASURED_ELSEWHERE = {"south_asia": 3.7}
 _THRESHOLDS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6)
 _SEARCH_SCORE = 0.1
 _AGGREGATION: Aggregation = "weighted_kde"
@@ -122,7 +127,11 @@ def length_pairs(vehicles: Path, detector: Detector, min_score: float) -> Length
     """Found and labelled lengths on train images made coarser."""
     pairs: list[LengthPairs] = []
     with (vehicles / "index.csv").open(newline="") as handle:
-        rows = [r for r in csv.DictReader(handle) if r["split"] == "train" and int(r["small_vehicles"]) >= 5]
+        rows = [
+            r
+            for r in csv.DictReader(handle)
+            if r["split"] == "train" and int(r["small_vehicles"]) >= 5
+        ]
     for row in rows:
         if row["set"] not in ("cannes", "saopaulo", "jekhor") or not (
             is_dev(row["file"], row["set"]) or row["set"] == "jekhor"
@@ -130,7 +139,9 @@ def length_pairs(vehicles: Path, detector: Detector, min_score: float) -> Length
             continue
         image = cv2.imread(str(vehicles / row["file"]))
         labels = boxes_from_corners(
-            read_labels(vehicles / "labels" / f"{Path(row['file']).stem}.txt").of_class("small-vehicle")
+            read_labels(vehicles / "labels" / f"{Path(row['file']).stem}.txt").of_class(
+                "small-vehicle"
+            )
         )
         assert image is not None
         if row["set"] == "jekhor" and hash_of(row["file"]) % 8:
@@ -167,9 +178,9 @@ def length_bias(pairs: LengthPairs) -> dict[int, tuple[int, float]]:
 def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
     """Factors on the found length, at the centres of bins of the found length.
 
-    The log of labelled over found length is taken as one number for each bin plus one for each set (least squares):
-    sets differ in who drew their labels, and not every set has cars of every length. Of the sets' numbers only the
-    median over the cars enters the correction.
+    The log of labelled over found length is taken as one number for each bin plus one for each set
+    (least squares): sets differ in who drew their labels, and not every set has cars of every
+    length. Of the sets' numbers only the median over the cars enters the correction.
     """
     error = np.log(pairs.labelled / pairs.found)
     usable = (np.abs(error) < _MAX_LOG_ERROR) & (pairs.found >= _CORRECTION_BINS_PX[0])
@@ -177,7 +188,8 @@ def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
     bins = np.digitize(pairs.found[usable], _CORRECTION_BINS_PX) - 1
     names, sets = np.unique(pairs.set[usable], return_inverse=True)
     n_bins = len(_CORRECTION_BINS_PX) - 1
-    design = np.column_stack([np.eye(n_bins)[bins], np.eye(len(names))[sets][:, 1:]])  # the first set is the base
+    # the first set is the base
+    design = np.column_stack([np.eye(n_bins)[bins], np.eye(len(names))[sets][:, 1:]])
     fitted = np.linalg.lstsq(design, error[usable])[0]
     common = np.median(np.append(0.0, fitted[n_bins:])[sets])
     return [
@@ -198,7 +210,9 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     options = parser.parse_args()
-    tables = [survey_table(options.data / "gsd" / name).images for name in ("table.csv", "upright.csv")]
+    tables = [
+        survey_table(options.data / "gsd" / name).images for name in ("table.csv", "upright.csv")
+    ]
     images = [image for image in chain.from_iterable(tables) if image.split == "train"]
     calibration: dict[str, object] = {
         "name": NAME,
@@ -219,7 +233,9 @@ def main() -> None:
         errors = {threshold: mean_error(found, threshold) for threshold in _THRESHOLDS}
         min_score = min(errors, key=lambda threshold: errors[threshold])
         for threshold, error in errors.items():
-            print(f"min_score {threshold}: mean error {error:.4f} on the held-out tenth", flush=True)
+            print(
+                f"min_score {threshold}: mean error {error:.4f} on the held-out tenth", flush=True
+            )
         correction = length_correction(length_pairs(options.data / "vehicles", detector, min_score))
         print(f"length correction {correction}", flush=True)
 
@@ -238,13 +254,24 @@ def main() -> None:
         ]
     )
     logs = np.log(list(lengths.values()))
-    usual = float(np.median([value for _, value in bias.values()]))  # common to all lengths: part of the reference
-    biased = [low for low, (_, value) in bias.items() if abs(value - usual) > _MAX_BIAS and low < _SHORT_PX]
-    first_good = min((low for low in bias if low > max(biased, default=0)), default=_LENGTH_BINS_PX[0])
+    # common to all lengths: part of the reference
+    usual = float(np.median([value for _, value in bias.values()]))
+    biased = [
+        low
+        for low, (_, value) in bias.items()
+        if abs(value - usual) > _MAX_BIAS and low < _SHORT_PX
+    ]
+    first_good = min(
+        (low for low in bias if low > max(biased, default=0)), default=_LENGTH_BINS_PX[0]
+    )
     calibration |= {
         "reference_length_m": round(float(np.median(list(lengths.values()))), 4),
-        "reference_length_sd_m": round(float(np.median(list(lengths.values())) * np.std(logs, ddof=1)), 4),
-        "region_lengths_m": {region: round(length, 4) for region, length in (lengths | MEASURED_ELSEWHERE).items()},
+        "reference_length_sd_m": round(
+            float(np.median(list(lengths.values())) * np.std(logs, ddof=1)), 4
+        ),
+        "region_lengths_m": {
+            region: round(length, 4) for region, length in (lengths | MEASURED_ELSEWHERE).items()
+        },
         "min_length_px": float(first_good),
     }
     with whole_file(options.out) as partial:

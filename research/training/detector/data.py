@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CROP_PX = 320
-LENGTH_RANGE_PX = (9.0, 64.0)  # crops are scaled so that the car length is log-uniform in this range
+# crops are scaled so that the car length is log-uniform in this range
+LENGTH_RANGE_PX = (9.0, 64.0)
 _MAX_ENLARGEMENT = 2.6  # beyond it an enlarged image is only blur
 _SET_WEIGHT = {
     "ucm": 0.15, "cannes": 0.15, "jekhor": 0.14, "saopaulo": 0.09, "empty": 0.04, "scene": 0.06, "estonia": 0.14,
@@ -33,7 +34,8 @@ _SET_WEIGHT = {
 _DEV_SHARE = 10  # one train group in ten is held out: thresholds and confidence are fitted there
 HELD_OUT = 0
 _CLUTTER_SHARE = 0.35  # of the crops of images that have some
-_FINER_SHARE = 0.12  # crops finer than the range, of images that are: there the parts of a car are no cars
+# crops finer than the range, of images that are: there the parts of a car are no cars
+_FINER_SHARE = 0.12
 _FINEST_PX = 200.0
 _UNSEEN_PX = 105.0  # a car from this length on is not seen at this resolution, but at a reduced one
 _DISTRACTOR_SHARE = 0.12
@@ -55,7 +57,9 @@ def group_of(name: str, set_name: str) -> str:
     """The group of an image: neighbours and frames of one video stay on one side of the train/dev line."""
     stem = name.rsplit("/", 1)[-1].rsplit(".", 1)[0]
     if set_name == "cannes":
-        return f"cannes_row_{int(stem.split('_')[1]) // 49 // 2}_{int(stem.split('_')[1]) % 49 // 7}"
+        return (
+            f"cannes_row_{int(stem.split('_')[1]) // 49 // 2}_{int(stem.split('_')[1]) % 49 // 7}"
+        )
     if set_name == "saopaulo":
         return "_".join(stem.split("_")[:2])
     if set_name == "jekhor":
@@ -65,7 +69,10 @@ def group_of(name: str, set_name: str) -> str:
 
 def is_dev(name: str, set_name: str) -> bool:
     """Whether a train image belongs to the held-out tenth (by a checksum of its group: stable for ever)."""
-    return set_name != "jekhor" and zlib.crc32(group_of(name, set_name).encode()) % _DEV_SHARE == HELD_OUT
+    return (
+        set_name != "jekhor"
+        and zlib.crc32(group_of(name, set_name).encode()) % _DEV_SHARE == HELD_OUT
+    )
 
 
 class Correction(NamedTuple):
@@ -85,7 +92,9 @@ def read_corrections(path: Path) -> dict[str, list[Correction]]:
     return out
 
 
-def load_train_images(vehicles: Path, corrections: Path = CORRECTIONS, *, held_out: bool = False) -> list[TrainImage]:
+def load_train_images(
+    vehicles: Path, corrections: Path = CORRECTIONS, *, held_out: bool = False
+) -> list[TrainImage]:
     """Load the training part of ``shared/data/vehicles``, its labels corrected; or its held-out tenth alone."""
     known = read_corrections(corrections)
     out = []
@@ -102,7 +111,9 @@ def corrected(sample: TrainImage, corrections: Sequence[Correction]) -> TrainIma
     """An image with its labels corrected: cars added, doubtful places and labels that nobody sees ignored."""
 
     def of(*kinds: str) -> NDArray[np.float64]:
-        return np.asarray([c.box for c in corrections if c.kind in kinds], np.float64).reshape(-1, 5)
+        return np.asarray([c.box for c in corrections if c.kind in kinds], np.float64).reshape(
+            -1, 5
+        )
 
     unseen = of("unseen")
     gap = np.linalg.norm(sample.boxes[:, None, :2] - unseen[None, :, :2], axis=2)
@@ -150,15 +161,21 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     turn = rng.uniform(0, 2 * np.pi)
     flip = -1.0 if rng.random() < 0.5 else 1.0
     source, to_source = _reduced(sample.image, focus, scale)
-    rotation = np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]]) * scale
-    forward = np.column_stack([rotation, CROP_PX / 2 - rotation @ focus])  # image (continuous px) -> crop
+    rotation = (
+        np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]])
+        * scale
+    )
+    # image (continuous px) -> crop
+    forward = np.column_stack([rotation, CROP_PX / 2 - rotation @ focus])
     # Continuous coordinates have pixel centres at +0.5; warpAffine works on pixel indices.
     matrix = _compose(forward, _invert(to_source))
     matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
     fill = source[::16, ::16].reshape(-1, 3).mean(axis=0) if rng.random() < 0.5 else np.zeros(3)
     interpolation = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
     image: NDArray[np.uint8] = np.asarray(
-        cv2.warpAffine(source, matrix, (CROP_PX, CROP_PX), flags=interpolation, borderValue=fill.tolist()),
+        cv2.warpAffine(
+            source, matrix, (CROP_PX, CROP_PX), flags=interpolation, borderValue=fill.tolist()
+        ),
         dtype=np.uint8,
     )
     covered = cv2.warpAffine(
@@ -174,10 +191,16 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
 
 def _drawn_scale(rng: np.random.Generator, sample: TrainImage) -> float:
     """Crop pixels per image pixel, so that the cars' length is log-uniform in its range."""
-    native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or float(rng.uniform(14, 40))
+    native = (
+        float(np.median(sample.boxes[:, 2]))
+        if len(sample.boxes)
+        else sample.car_px or float(rng.uniform(14, 40))
+    )
     target = float(np.exp(rng.uniform(*np.log(LENGTH_RANGE_PX))))
     if native > LENGTH_RANGE_PX[1] and rng.random() < _FINER_SHARE:
-        target = float(np.exp(rng.uniform(np.log(LENGTH_RANGE_PX[1]), np.log(min(_FINEST_PX, 1.3 * native)))))
+        target = float(
+            np.exp(rng.uniform(np.log(LENGTH_RANGE_PX[1]), np.log(min(_FINEST_PX, 1.3 * native))))
+        )
     return min(target / native, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
 
 
@@ -185,9 +208,15 @@ def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> 
     """The image point in the middle of the crop: near clutter, near a car, or anywhere."""
     height, width = sample.image.shape[:2]
     if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
-        focus = sample.clutter[rng.integers(len(sample.clutter))] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
+        focus = (
+            sample.clutter[rng.integers(len(sample.clutter))]
+            + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
+        )
     elif len(sample.boxes) and rng.random() < 0.75:
-        focus = sample.boxes[rng.integers(len(sample.boxes)), :2] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
+        focus = (
+            sample.boxes[rng.integers(len(sample.boxes)), :2]
+            + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
+        )
     else:
         focus = rng.uniform(0, 1, 2) * (width, height)
     margin = np.minimum(0.4 * CROP_PX / scale, (width / 2, height / 2))
@@ -258,7 +287,9 @@ def _hidden_by(cover: NDArray[np.bool_], crop: Crop) -> Crop:
     hidden = cover[cells[:, :, 1], cells[:, :, 0]]
     clear = ~hidden.any(axis=1)
     cut = ~clear & ~hidden.all(axis=1)
-    return crop._replace(boxes=crop.boxes[clear], ignore=np.concatenate([crop.ignore, corners[cut]]))
+    return crop._replace(
+        boxes=crop.boxes[clear], ignore=np.concatenate([crop.ignore, corners[cut]])
+    )
 
 
 def _compose(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -282,10 +313,16 @@ def photometric(rng: np.random.Generator, image: NDArray[np.uint8]) -> NDArray[n
         x = grey + (x - grey) * np.float32(rng.uniform(0.4, 1.5))
         x = x * rng.uniform(0.85, 1.15, 3).astype(np.float32)
     x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.uniform(-0.4, 0.4)))
-    x = (x - x.mean()) * np.float32(rng.uniform(0.6, 1.45)) + x.mean() + np.float32(rng.uniform(-0.15, 0.15))
+    x = (
+        (x - x.mean()) * np.float32(rng.uniform(0.6, 1.45))
+        + x.mean()
+        + np.float32(rng.uniform(-0.15, 0.15))
+    )
     if rng.random() < 0.15:  # a shadow or haze gradient across the crop
         down, right = (np.linspace(-1, 1, side, dtype=np.float32) for side in x.shape[:2])
-        field = down[:, None] * np.float32(rng.uniform(-1, 1)) + right * np.float32(rng.uniform(-1, 1))
+        field = down[:, None] * np.float32(rng.uniform(-1, 1)) + right * np.float32(
+            rng.uniform(-1, 1)
+        )
         x = x * (1 + 0.3 * field[:, :, None])
     draw = rng.random()
     if draw < 0.35:
@@ -382,7 +419,9 @@ class CropStream:
         name = self._names[rng.choice(len(self._names), p=self._share)]
 
         def draw() -> Crop:
-            return draw_crop(rng, self._by_set[name][rng.choice(len(self._by_set[name]), p=self._pick[name])])
+            return draw_crop(
+                rng, self._by_set[name][rng.choice(len(self._by_set[name]), p=self._pick[name])]
+            )
 
         crop = draw()
         for _ in range(2):

@@ -1,8 +1,8 @@
 """Distractors drawn over training crops: striped and gridded objects of every size.
 
-Zebra crossings, rows of vineyard posts with their shadows, tombs, solar panels, crates, pontoons: all are many like
-shapes in a regular pattern on ground that shows between them. They are drawn plain, each like its neighbour; a car has
-windows and neighbours of other colours.
+Zebra crossings, rows of vineyard posts with their shadows, tombs, solar panels, crates, pontoons:
+all are many like shapes in a regular pattern on ground that shows between them. They are drawn
+plain, each like its neighbour; a car has windows and neighbours of other colours.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _SHIFT = 4  # fractional bits of OpenCV's coordinates
-_Layer = tuple[NDArray[np.float32], NDArray[np.float32]]  # colour [h, w, 3] in 0..255 and opacity [h, w] in 0..1
+# colour [h, w, 3] in 0..255 and opacity [h, w] in 0..1
+_Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 def draw_distractors(
@@ -35,7 +36,9 @@ def draw_distractors(
     colour, opacity = KINDS[kind](rng, image)
     turn = float(rng.uniform(0, 180))
     matrix = cv2.getRotationMatrix2D((width / 2, height / 2), turn, 1.0)
-    colour = np.asarray(cv2.warpAffine(colour, matrix, (width, height), borderMode=cv2.BORDER_REFLECT), np.float32)
+    colour = np.asarray(
+        cv2.warpAffine(colour, matrix, (width, height), borderMode=cv2.BORDER_REFLECT), np.float32
+    )
     opacity = np.asarray(cv2.warpAffine(opacity, matrix, (width, height)), np.float32)
     sides = np.exp(rng.uniform(np.log(0.25), np.log(0.9), 2)) * (width, height)
     middle = rng.uniform(0.15, 0.85, 2) * (width, height)
@@ -44,11 +47,15 @@ def draw_distractors(
     cv2.fillPoly(patch, [np.round(corners).astype(np.int32)], 1)
     opacity = opacity * patch
     mixed = image * (1 - opacity[:, :, None]) + colour * opacity[:, :, None]
-    whole = np.asarray(cv2.dilate((opacity > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8)), bool)
+    whole = np.asarray(
+        cv2.dilate((opacity > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8)), bool
+    )
     return np.clip(mixed + 0.5, 0, 255).astype(np.uint8), whole
 
 
-def _paint(rng: np.random.Generator, low: int, high: int, chroma: float = 12.0) -> NDArray[np.float32]:
+def _paint(
+    rng: np.random.Generator, low: int, high: int, chroma: float = 12.0
+) -> NDArray[np.float32]:
     return np.clip(rng.uniform(low, high) + rng.normal(0, chroma, 3), 0, 255).astype(np.float32)
 
 
@@ -56,7 +63,9 @@ def _ground(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     """Even ground of the image's own tone, or none."""
     height, width = image.shape[:2]
     tone = image.reshape(-1, 3).mean(axis=0) * rng.uniform(0.6, 1.3)
-    colour = np.clip(tone + rng.normal(0, rng.uniform(2, 9), (height, width, 1)), 0, 255).astype(np.float32)
+    colour = np.clip(tone + rng.normal(0, rng.uniform(2, 9), (height, width, 1)), 0, 255).astype(
+        np.float32
+    )
     opacity = np.full((height, width), 1.0 if rng.random() < 0.5 else 0.0, np.float32)
     return colour, opacity
 
@@ -75,9 +84,9 @@ def _rectangles(
     sun = rng.uniform(0, 2 * np.pi)
     offset = shadow * min(size) * np.array([np.cos(sun), np.sin(sun)])
     jitter = 0.03 * min(pitch)
-    places = np.stack(np.meshgrid(np.arange(0, width, pitch[0]), np.arange(0, height, pitch[1])), axis=-1).reshape(
-        -1, 2
-    )
+    places = np.stack(
+        np.meshgrid(np.arange(0, width, pitch[0]), np.arange(0, height, pitch[1])), axis=-1
+    ).reshape(-1, 2)
     places = places + rng.normal(0, jitter, places.shape)
     corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size
 
@@ -103,14 +112,18 @@ def _zebra(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     thick = float(np.exp(rng.uniform(np.log(2.5), np.log(18))))
     long = thick * rng.uniform(3, 9)
     pitch = (long * rng.uniform(1.5, 5), thick * rng.uniform(1.7, 2.4))
-    return _rectangles(rng, _ground(rng, image), (long, thick), pitch, [_paint(rng, 180, 255, 6)], 0.0)
+    return _rectangles(
+        rng, _ground(rng, image), (long, thick), pitch, [_paint(rng, 180, 255, 6)], 0.0
+    )
 
 
 def _posts(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     thick = float(np.exp(rng.uniform(np.log(1.5), np.log(9))))
     size = (thick * rng.uniform(1.0, 2.6), thick)
     pitch = (thick * rng.uniform(2.5, 8), thick * rng.uniform(3, 10))
-    return _rectangles(rng, _ground(rng, image), size, pitch, [_paint(rng, 130, 255)], float(rng.uniform(0, 1.5)))
+    return _rectangles(
+        rng, _ground(rng, image), size, pitch, [_paint(rng, 130, 255)], float(rng.uniform(0, 1.5))
+    )
 
 
 def _slabs(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
@@ -128,7 +141,9 @@ def _panels(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     size = (thick * rng.uniform(1.3, 2.2), thick)
     pitch = (size[0] * rng.uniform(1.04, 1.4), thick * rng.uniform(1.05, 2.2))
     paint = np.array([rng.uniform(15, 60), rng.uniform(20, 70), rng.uniform(40, 110)], np.float32)
-    return _rectangles(rng, _ground(rng, image), size, pitch, [paint, paint * np.float32(1.15)], 0.0)
+    return _rectangles(
+        rng, _ground(rng, image), size, pitch, [paint, paint * np.float32(1.15)], 0.0
+    )
 
 
 def _crowns(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
@@ -137,7 +152,10 @@ def _crowns(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     height, width = opacity.shape
     radius = float(np.exp(rng.uniform(np.log(2.5), np.log(14))))
     pitch = radius * rng.uniform(2.1, 4.5, 2)
-    paint, sun = np.array([rng.uniform(30, 90), rng.uniform(60, 130), rng.uniform(25, 80)]), rng.uniform(0, 2 * np.pi)
+    paint, sun = (
+        np.array([rng.uniform(30, 90), rng.uniform(60, 130), rng.uniform(25, 80)]),
+        rng.uniform(0, 2 * np.pi),
+    )
     for y in np.arange(0, height, pitch[1]):
         for x in np.arange(0, width, pitch[0]):
             r = radius * rng.uniform(0.7, 1.15)
@@ -148,8 +166,18 @@ def _crowns(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
             ):
                 small = 0.55 * r if tone is not paint and strength == 1.0 else r
                 centre = (round((x + dx) * 2**_SHIFT), round((y + dy) * 2**_SHIFT))
-                cv2.circle(colour, centre, round(small * 2**_SHIFT), np.asarray(tone).tolist(), -1, cv2.LINE_AA, _SHIFT)
-                cv2.circle(opacity, centre, round(small * 2**_SHIFT), strength, -1, cv2.LINE_8, _SHIFT)
+                cv2.circle(
+                    colour,
+                    centre,
+                    round(small * 2**_SHIFT),
+                    np.asarray(tone).tolist(),
+                    -1,
+                    cv2.LINE_AA,
+                    _SHIFT,
+                )
+                cv2.circle(
+                    opacity, centre, round(small * 2**_SHIFT), strength, -1, cv2.LINE_8, _SHIFT
+                )
     return colour, opacity
 
 

@@ -2,8 +2,9 @@
 
 ``python -m research.training.detector.export RUN OUT.onnx``.
 
-The graph ends where Ultralytics' does, ``[1, 4 + 1 + 1, anchors]`` with cx, cy, w, h, score, angle, so one decoder
-reads both. Scores of cells that are not the highest of their 3 x 3 neighbourhood are set to zero inside the graph.
+The graph ends where Ultralytics' does, ``[1, 4 + 1 + 1, anchors]`` with cx, cy, w, h, score, angle,
+so one decoder reads both. Scores of cells that are not the highest of their 3 x 3 neighbourhood are
+set to zero inside the graph.
 """
 
 from __future__ import annotations
@@ -43,10 +44,13 @@ class LengthCorrection(nn.Module):
 class UltralyticsLayout(nn.Module):
     """The network with its dense output decoded to ``[b, 6, anchors]``, its lengths corrected by ``length_correction``.
 
-    That is pairs of a length in pixels and the factor on it, lengths rising (see ``calibrate.py``); none for no change.
+    That is pairs of a length in pixels and the factor on it, lengths rising (see ``calibrate.py``);
+    none for no change.
     """
 
-    def __init__(self, network: VehicleNet, length_correction: Sequence[tuple[float, float]] = ()) -> None:
+    def __init__(
+        self, network: VehicleNet, length_correction: Sequence[tuple[float, float]] = ()
+    ) -> None:
         super().__init__()
         self.network = network
         self.correction = LengthCorrection(length_correction)
@@ -56,11 +60,16 @@ class UltralyticsLayout(nn.Module):
         heat, shape = self.network(images)
         score = heat.sigmoid()
         score = score * (functional.max_pool2d(score, 3, 1, 1) == score)
-        rows = torch.arange(score.shape[2], device=score.device, dtype=score.dtype).view(1, 1, -1, 1)
-        cols = torch.arange(score.shape[3], device=score.device, dtype=score.dtype).view(1, 1, 1, -1)
+        rows = torch.arange(score.shape[2], device=score.device, dtype=score.dtype).view(
+            1, 1, -1, 1
+        )
+        cols = torch.arange(score.shape[3], device=score.device, dtype=score.dtype).view(
+            1, 1, 1, -1
+        )
         x = (cols + 0.5 + shape[:, 0:1]) * STRIDE_PX
         y = (rows + 0.5 + shape[:, 1:2]) * STRIDE_PX
-        # Every cell around a centre was trained to tell the same box: their mean is steadier than the peak alone.
+        # Every cell around a centre was trained to tell the same box: their mean is steadier than
+        # the peak alone.
         trust = heat.sigmoid()
         total = functional.avg_pool2d(trust, 3, 1, 1).clamp(1e-6)
         steady = functional.avg_pool2d(shape[:, 2:] * trust, 3, 1, 1) / total
@@ -76,7 +85,8 @@ def export(run: Path, out: Path, calibration: dict[str, object]) -> None:
     Args:
         run: of ``train.py``.
         out: the file.
-        calibration: of ``calibrate.py``; becomes metadata, its ``length_correction`` part of the graph.
+        calibration: of ``calibrate.py``; becomes metadata, its ``length_correction`` part of the
+            graph.
     """
     network = VehicleNet()
     load_average(network, run)
@@ -110,7 +120,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--calibration", type=Path, help="JSON of vehanchor.* metadata, written by calibrate.py")
+    parser.add_argument(
+        "--calibration", type=Path, help="JSON of vehanchor.* metadata, written by calibrate.py"
+    )
     options = parser.parse_args()
     calibration = json.loads(options.calibration.read_text()) if options.calibration else {}
     export(options.run, options.out, calibration)

@@ -14,8 +14,9 @@ _SHAPE_WEIGHT = (0.5, 0.5, 2.0, 1.0, 0.6, 0.6)  # offset x, y, log length, log w
 def detection_loss(prediction: Prediction, target: Target) -> tuple[torch.Tensor, torch.Tensor]:
     """Heat-map loss and shape loss of a batch.
 
-    The heat map follows CenterNet (Zhou et al., "Objects as Points", equation 1) with alpha 2 and beta 4. L1 on the
-    logarithm of the length has the median as its minimum, hence no bias from a skewed residual.
+    The heat map follows CenterNet (Zhou et al., "Objects as Points", equation 1) with alpha 2 and
+    beta 4. L1 on the logarithm of the length has the median as its minimum, hence no bias from a
+    skewed residual.
 
     Returns:
         The two scalar losses, to be added.

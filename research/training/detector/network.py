@@ -1,7 +1,7 @@
 """A compact one-class oriented-box network: heat map, sub-pixel offset, log length, log width, double angle.
 
-Encoder to stride 32 for context, decoder back to stride 4 for localisation; plain 3 x 3 convolutions with batch
-normalisation and ReLU, which ONNX Runtime fuses on a CPU.
+Encoder to stride 32 for context, decoder back to stride 4 for localisation; plain 3 x 3
+convolutions with batch normalisation and ReLU, which ONNX Runtime fuses on a CPU.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ class Prediction(NamedTuple):
 
     Attributes:
         heat: ``[b, 1, h, w]`` logits of "a vehicle's centre is in this cell".
-        shape: ``[b, 6, h, w]`` offset x, offset y (cells), log length, log width (log px), cos 2t, sin 2t.
+        shape: ``[b, 6, h, w]`` offset x, offset y (cells), log length, log width (log px), cos 2t,
+            sin 2t.
     """
 
     heat: Tensor
@@ -55,7 +56,9 @@ class VehicleNet(nn.Module):
             conv_block(inputs, outputs, kernel=1)
             for inputs, outputs in zip(_CHANNELS[:0:-1], (wide, wide, middle, narrow), strict=True)
         )
-        self.merges = nn.ModuleList([conv_block(wide, middle), conv_block(middle, narrow), conv_block(narrow, narrow)])
+        self.merges = nn.ModuleList(
+            [conv_block(wide, middle), conv_block(middle, narrow), conv_block(narrow, narrow)]
+        )
         self.heat_head = nn.Sequential(conv_block(narrow, 32), nn.Conv2d(32, 1, 1))
         self.shape_head = nn.Sequential(conv_block(narrow, 32), nn.Conv2d(32, 6, 1))
         heat_out, shape_out = self.heat_head[-1], self.shape_head[-1]
@@ -63,9 +66,11 @@ class VehicleNet(nn.Module):
         assert isinstance(shape_out, nn.Conv2d)
         assert heat_out.bias is not None
         assert shape_out.bias is not None
-        nn.init.constant_(heat_out.bias, -4.6)  # a cell holds a centre about once in a hundred: start there
+        # a cell holds a centre about once in a hundred: start there
+        nn.init.constant_(heat_out.bias, -4.6)
         with torch.no_grad():
-            shape_out.bias.copy_(torch.tensor([0.0, 0.0, 3.2, 2.3, 0.0, 0.0]))  # exp(3.2) = 25 px by 10 px
+            # exp(3.2) = 25 px by 10 px
+            shape_out.bias.copy_(torch.tensor([0.0, 0.0, 3.2, 2.3, 0.0, 0.0]))
 
     def forward(self, image: Tensor) -> Prediction:
         """Predict heat and shape at stride 4."""
@@ -76,7 +81,10 @@ class VehicleNet(nn.Module):
             levels.append(x)
         y = self.laterals[0](levels[3])
         for k, merge in enumerate(self.merges):
-            y = merge(self.laterals[k + 1](levels[2 - k]) + functional.interpolate(y, scale_factor=2.0, mode="nearest"))
+            y = merge(
+                self.laterals[k + 1](levels[2 - k])
+                + functional.interpolate(y, scale_factor=2.0, mode="nearest")
+            )
         return Prediction(self.heat_head(y), self.shape_head(y))
 
 
@@ -91,4 +99,6 @@ def begin_with_detector(network: nn.Module, detector: Path, chips: Tensor) -> No
     whole = VehicleNet()
     load_exported(whole, detector, chips)
     mine = network.state_dict()
-    network.load_state_dict({**mine, **{name: v for name, v in whole.state_dict().items() if name in mine}})
+    network.load_state_dict(
+        {**mine, **{name: v for name, v in whole.state_dict().items() if name in mine}}
+    )

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 _LOOKED_AT = Path(__file__).with_name("looked_at.csv")
-_FLIGHT_GSD = {"garfield": 0.047, "seneca": 0.058}  # from the GPS track, each pair of photographs within a fifth
+# from the GPS track, each pair of photographs within a fifth
+_FLIGHT_GSD = {"garfield": 0.047, "seneca": 0.058}
 _EVERY_PHOTOGRAPH = 4  # of a flight: neighbours show the same ground
 _DEV_SHARE = 10
 _HELD_OUT = 0
@@ -36,7 +37,11 @@ def places(data: Path) -> list[Place]:
     with (data / "unlabelled" / "index.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):
             path = data / "unlabelled" / row["file"]
-            kind = path.stem.removeprefix("ucm_").rstrip("0123456789") if row["set"] == "ucm_more" else row["set"]
+            kind = (
+                path.stem.removeprefix("ucm_").rstrip("0123456789")
+                if row["set"] == "ucm_more"
+                else row["set"]
+            )
             out.append(Place(path, row["set"], kind, float(row["gsd_m_per_px"]), None))
     with (data / "segments" / "index.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):

@@ -1,8 +1,9 @@
 """Write the detector in eight bits: ``python -m research.training.detector.quantise MODEL.onnx OUT.onnx``.
 
-Static quantisation after training: every convolution but the last ones of the two heads, weights a scale a channel,
-activations by what crops of train images (never of the held-out tenth, never of val) make of them. The weights have
-seven bits, so that every processor's sums are exact: x86 without dot products of bytes adds two products in 16 bits.
+Static quantisation after training: every convolution but the last ones of the two heads, weights a
+scale a channel, activations by what crops of train images (never of the held-out tenth, never of
+val) make of them. The weights have seven bits, so that every processor's sums are exact: x86
+without dot products of bytes adds two products in 16 bits.
 """
 
 from __future__ import annotations
@@ -43,8 +44,14 @@ def crops(vehicles: Path, count: int, seed: int = 0) -> Iterator[NDArray[np.floa
         image = np.asarray(cv2.imread(str(vehicles / files[rng.integers(len(files))])), np.uint8)
         factor = min(float(np.exp(rng.uniform(0, np.log(4)))), min(image.shape[:2]) / _CROP_PX)
         if factor > 1:
-            image = np.asarray(cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA))
-        image = np.pad(image, [(0, max(0, _CROP_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric")
+            image = np.asarray(
+                cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+            )
+        image = np.pad(
+            image,
+            [(0, max(0, _CROP_PX - side)) for side in image.shape[:2]] + [(0, 0)],
+            "symmetric",
+        )
         top, left = (int(rng.integers(side - _CROP_PX + 1)) for side in image.shape[:2])
         pixels = image[top : top + _CROP_PX, left : left + _CROP_PX, ::-1]
         yield np.ascontiguousarray(pixels.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
@@ -52,8 +59,15 @@ def crops(vehicles: Path, count: int, seed: int = 0) -> Iterator[NDArray[np.floa
 
 def quantised_nodes(model: onnx.ModelProto) -> list[str]:
     """Names of the nodes that get 8 bits: the network's, but the last convolutions of its heads."""
-    nodes = [node for node in model.graph.node if node.name.startswith("/network/") and node.op_type in _QUANTISED]
-    last = {max(k for k, node in enumerate(nodes) if head in node.name and node.op_type == "Conv") for head in _HEADS}
+    nodes = [
+        node
+        for node in model.graph.node
+        if node.name.startswith("/network/") and node.op_type in _QUANTISED
+    ]
+    last = {
+        max(k for k, node in enumerate(nodes) if head in node.name and node.op_type == "Conv")
+        for head in _HEADS
+    }
     return [node.name for k, node in enumerate(nodes) if k not in last]
 
 

@@ -1,8 +1,9 @@
 """Images of known scale without oriented boxes, with labels by size and by human judgement: ``scenery.csv``.
 
-The table has cars to learn, places to ignore, and clutter to look at more often; all other ground is background. It was
-made once, by three judges in this order: people's boxes and what we made of candidates on contact sheets
-(``looked_at.csv``); size in metres; a detector, by the mean score over eight symmetries.
+The table has cars to learn, places to ignore, and clutter to look at more often; all other ground
+is background. It was made once, by three judges in this order: people's boxes and what we made of
+candidates on contact sheets (``looked_at.csv``); size in metres; a detector, by the mean score over
+eight symmetries.
 """
 
 from __future__ import annotations

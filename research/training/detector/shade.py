@@ -1,6 +1,7 @@
 """Augmentations that hide cars: cast shadows, bare branches, paint as dark as asphalt.
 
-Of fifty missed cars of Estonian towns, looked at, two in three were dark, in a building's shadow or below branches.
+Of fifty missed cars of Estonian towns, looked at, two in three were dark, in a building's shadow or
+below branches.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ _AT_CAR = 0.6  # of the shadows and crowns
 _SHIFT = 4  # fractional bits of OpenCV's coordinates
 
 
-def shaded(rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.uint8]:
+def shaded(
+    rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]
+) -> NDArray[np.uint8]:
     """Apply none, one or several of the three, each with its probability.
 
     Args:
@@ -42,7 +45,9 @@ def shaded(rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np
     return image
 
 
-def _place(rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _place(
+    rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Draw a position beside a car or anywhere."""
     if len(boxes) and rng.random() < _AT_CAR:
         x, y, length, _, _ = boxes[rng.integers(len(boxes))]
@@ -50,7 +55,9 @@ def _place(rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np
     return rng.uniform(0, 1, 2) * image.shape[1::-1]
 
 
-def darken_cars(rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.uint8]:
+def darken_cars(
+    rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]
+) -> NDArray[np.uint8]:
     """Paint some of the cars dark: their form stays, its contrast shrinks."""
     brightness = np.ones(image.shape[:2], np.float32)
     for box in boxes[rng.random(len(boxes)) < _DARK_CARS]:
@@ -105,7 +112,9 @@ def _draw_branch(
     width_px = car_px * float(rng.uniform(0.015, 0.06))
     strength = float(min(1.0, width_px))
     line = np.zeros_like(cover)
-    cv2.polylines(line, [_fixed(path)], False, strength, max(1, round(width_px)), cv2.LINE_AA, _SHIFT)
+    cv2.polylines(
+        line, [_fixed(path)], False, strength, max(1, round(width_px)), cv2.LINE_AA, _SHIFT
+    )
     np.maximum(cover, line, out=cover)
 
 

@@ -1,10 +1,12 @@
 """Images to calibrate the chance of a scale on, and to report it: ``python -m research.training.fusion.cases RUN``.
 
-``fit``: the held-out tenth of the train images, whole and as windows with one to four cars at several resolutions; the
-odd numbers of ``chia/``, reduced; rendered scenes of mixed fleets. ``val``: the same of val and of the even numbers,
-with other seeds. Writes ``RUN/fit.csv`` and ``RUN/val.csv``, tables of images of known scale, and searches their images
-into ``RUN/fit.jsonl`` and ``RUN/val.jsonl`` with a copy of the networks, ``RUN/models``. The fit changes metadata of
-the shipped detector; these searches stay valid. An interrupted run resumes; other networks need another ``RUN``.
+``fit``: the held-out tenth of the train images, whole and as windows with one to four cars at
+several resolutions; the odd numbers of ``chia/``, reduced; rendered scenes of mixed fleets.
+``val``: the same of val and of the even numbers, with other seeds. Writes ``RUN/fit.csv`` and
+``RUN/val.csv``, tables of images of known scale, and searches their images into ``RUN/fit.jsonl``
+and ``RUN/val.jsonl`` with a copy of the networks, ``RUN/models``. The fit changes metadata of the
+shipped detector; these searches stay valid. An interrupted run resumes; other networks need another
+``RUN``.
 """
 
 from __future__ import annotations
@@ -70,7 +72,9 @@ def known_images(data: Path, split: str) -> list[tuple[Path, str, float]]:
     for table, folder in [*tables, (data / "unlabelled" / "index.csv", data / "unlabelled")]:
         with table.open(newline="") as handle:
             for row in csv.DictReader(handle):
-                if row.get("split", "train") == split and (split != "train" or is_dev(row["file"], row["set"])):
+                if row.get("split", "train") == split and (
+                    split != "train" or is_dev(row["file"], row["set"])
+                ):
                     rows.append((folder / row["file"], row["set"], float(row["gsd_m_per_px"])))
     return rows
 
@@ -99,14 +103,21 @@ def whole_images(data: Path, split: str) -> Iterator[Picture]:
     with (data / "segments" / "index.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):
             if (row["split"], row["category"]) == ("val", "building"):
-                yield Picture(data / "segments" / row["image"], "building", float(row["gsd_m_per_px"]), None)
+                yield Picture(
+                    data / "segments" / row["image"], "building", float(row["gsd_m_per_px"]), None
+                )
 
 
 def windows(whole: Picture, split: str, folder: Path) -> Iterator[Picture]:
     """Cut windows with one to four cars out of a labelled image, and reduce them."""
     centres = labelled_centres(whole.file)
     pixels = cv2.imread(str(whole.file))
-    if centres is None or not len(centres) or pixels is None or whole.gsd_m_per_px > _COARSEST_M_PER_PX:
+    if (
+        centres is None
+        or not len(centres)
+        or pixels is None
+        or whole.gsd_m_per_px > _COARSEST_M_PER_PX
+    ):
         return
     rng = np.random.default_rng(zlib.crc32(whole.file.name.encode()))
     size = np.array(pixels.shape[1::-1])
@@ -200,7 +211,9 @@ def search_table(table: Path, detector: Detector) -> None:
         ScaleOptions(),
         cache=table.with_suffix(".jsonl"),
         workers=1,
-        progress=lambda done, total: print(f"{table.stem}: {done} of {total}", end="\r", flush=True),
+        progress=lambda done, total: print(
+            f"{table.stem}: {done} of {total}", end="\r", flush=True
+        ),
     )
 
 

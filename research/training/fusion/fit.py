@@ -1,10 +1,11 @@
 """Fit how a detector's boxes vote: ``python -m research.training.fusion.fit RUN DETECTOR.onnx``.
 
-Reads the searches that ``research.training.fusion.cases`` has kept in ``RUN``. A box of a car's length in metres is
-taken for a car: its log odds follow from the score by logistic regression (``vehanchor.scale.density.Votes``), with
-equal weights of all photographs. The result becomes ``vehanchor.votes`` of the detector's file. Prints how often the
-answer is usable, how many usable ones are wrong, and how often the interval holds the true scale: by number of
-vehicles, and by place with votes that the other places chose. Without a detector, it only reports on the detector's own
+Reads the searches that ``research.training.fusion.cases`` has kept in ``RUN``. A box of a car's
+length in metres is taken for a car: its log odds follow from the score by logistic regression
+(``vehanchor.scale.density.Votes``), with equal weights of all photographs. The result becomes
+``vehanchor.votes`` of the detector's file. Prints how often the answer is usable, how many usable
+ones are wrong, and how often the interval holds the true scale: by number of vehicles, and by place
+with votes that the other places chose. Without a detector, it only reports on the detector's own
 votes.
 """
 
@@ -85,7 +86,10 @@ class Outcome(NamedTuple):
 def kept_searches(run: Path, split: str, detector: Detector) -> list[Searched]:
     """Read the searches of a split."""
     log = open_detection_log(run / f"{split}.jsonl", detector, ScaleOptions())
-    found = ((image, log.get(Source.of(image.path))) for image in survey_table(run / f"{split}.csv").images)
+    found = (
+        (image, log.get(Source.of(image.path)))
+        for image in survey_table(run / f"{split}.csv").images
+    )
     return [Searched(image, each) for image, each in found if each is not None]
 
 
@@ -95,7 +99,9 @@ def boxes_of(searched: Sequence[Searched]) -> Boxes:
     metres = [each.found.detections.boxes[:, 2] * each.image.gsd_m_per_px for each in searched]
     weights = [np.full(len(some), 1.0 / max(1, len(some))) for some in scores]
     joined = np.concatenate(metres)
-    return Boxes(np.concatenate(scores), (joined > _CAR_M[0]) & (joined < _CAR_M[1]), np.concatenate(weights))
+    return Boxes(
+        np.concatenate(scores), (joined > _CAR_M[0]) & (joined < _CAR_M[1]), np.concatenate(weights)
+    )
 
 
 def fit_votes(boxes: Boxes) -> Votes:
@@ -103,7 +109,11 @@ def fit_votes(boxes: Boxes) -> Votes:
 
     def surprise(odds: NDArray[np.float64]) -> float:
         log_odds = odds[0] + odds[1] * boxes.scores
-        return float(np.average(np.logaddexp(0, np.where(boxes.car, -log_odds, log_odds)), weights=boxes.weight))
+        return float(
+            np.average(
+                np.logaddexp(0, np.where(boxes.car, -log_odds, log_odds)), weights=boxes.weight
+            )
+        )
 
     found = minimize(surprise, [-3.0, 6.0], method="Nelder-Mead").x
     return Votes(float(found[0]), float(found[1]))
@@ -118,7 +128,9 @@ def outcome(analysis: ScaleAnalysis, true_gsd_m_per_px: float) -> Outcome:
     if found is None:
         return Outcome(n, False, math.nan, False)
     error = abs(found.gsd_m_per_px / true_gsd_m_per_px - 1)
-    return Outcome(n, found.usable, error, found.interval.low <= true_gsd_m_per_px <= found.interval.high)
+    return Outcome(
+        n, found.usable, error, found.interval.low <= true_gsd_m_per_px <= found.interval.high
+    )
 
 
 def outcomes(searched: Sequence[Searched], card: DetectorCard) -> list[Outcome]:
@@ -136,7 +148,8 @@ def row(name: str, some: Sequence[Outcome]) -> str:
     median = f"{np.median([each.error for each in scaled]):.1%}" if scaled else ""
     cover = f"{np.mean([each.held for each in scaled]):.3f}" if scaled else ""
     return (
-        f"| {name} | {len(some)} | {len(usable)} | {wrong} | {'' if bound is None else f'{bound:.1%}'} | {median} | "
+        f"| {name} | {len(some)} | {len(usable)} | {wrong} | "
+        f"{'' if bound is None else f'{bound:.1%}'} | {median} | "
         f"{cover} |"
     )
 
@@ -163,7 +176,9 @@ def left_out(searched: Sequence[Searched], card: DetectorCard) -> list[DetectorC
     """Make the card of each image: its votes are fitted on the other places."""
     by_place = {
         place: card.model_copy(
-            update={"votes": fit_votes(boxes_of([each for each in searched if each.place != place]))}
+            update={
+                "votes": fit_votes(boxes_of([each for each in searched if each.place != place]))
+            }
         )
         for place in {each.place for each in searched}
     }
@@ -183,7 +198,9 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
-    parser.add_argument("detectors", type=Path, nargs="*", help="files that get the votes; none: only report")
+    parser.add_argument(
+        "detectors", type=Path, nargs="*", help="files that get the votes; none: only report"
+    )
     options = parser.parse_args()
     (copy,) = (path for path in (options.run / "models").glob("*.onnx") if "." not in path.stem)
     detector = load_detector(copy)

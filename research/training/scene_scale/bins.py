@@ -16,12 +16,15 @@ LABEL_SPREAD = 0.12  # of the soft target, in log; rulers.md
 LOG_GSD = FIRST_LOG_GSD + LOG_STEP * np.arange(BINS)
 
 
-def soft_target(gsd_m_per_px: float, label_spread: float = 0.0, lost: float = 0.0) -> NDArray[np.float32]:
+def soft_target(
+    gsd_m_per_px: float, label_spread: float = 0.0, lost: float = 0.0
+) -> NDArray[np.float32]:
     """The distribution over the bins that a crop is labelled with.
 
     Args:
         gsd_m_per_px: of the crop.
-        label_spread: log standard deviation of the label itself, added to ``LABEL_SPREAD`` in quadrature.
+        label_spread: log standard deviation of the label itself, added to ``LABEL_SPREAD`` in
+            quadrature.
         lost: share of the flat distribution; 1 where the crop shows nothing that has a size.
 
     Returns:

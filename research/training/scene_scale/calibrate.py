@@ -1,8 +1,8 @@
 """Fit how a network's answers combine: ``python -m research.training.scene_scale.calibrate OUT.json CASES.npz ...``.
 
-The cases (``cases.py``) should be of networks that never saw the sets they are asked about: what the shipped network
-says of a new place is as good as that. Every set counts alike. Fitted are the mean log density at the truth and the
-share of intervals that hold it.
+The cases (``cases.py``) should be of networks that never saw the sets they are asked about: what
+the shipped network says of a new place is as good as that. Every set counts alike. Fitted are the
+mean log density at the truth and the share of intervals that hold it.
 """
 
 from __future__ import annotations
@@ -85,10 +85,15 @@ def fit(cases: Sequence[Case]) -> SceneCalibration:
 
 def report(cases: Sequence[Case], calibration: SceneCalibration) -> list[str]:
     """Accuracy and cover by set, for images as they are and for reduced ones."""
-    lines = ["set                   images  median |log error|  within 1.5  interval holds  median high/low"]
+    lines = [
+        "set                   images  median |log error|  within 1.5  interval holds  median "
+        "high/low"
+    ]
     for reduced in (False, True):
         for name in (*sorted({case.set for case in cases}), "all"):
-            chosen = [case for case in cases if case.reduced == reduced and name in (case.set, "all")]
+            chosen = [
+                case for case in cases if case.reduced == reduced and name in (case.set, "all")
+            ]
             if not chosen:
                 continue
             rows = np.array([_row(case, calibration) for case in chosen])
@@ -114,7 +119,9 @@ def _row(case: Case, calibration: SceneCalibration) -> tuple[float, float, float
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path, help="JSON; where it exists already it is used, not fitted again")
+    parser.add_argument(
+        "out", type=Path, help="JSON; where it exists already it is used, not fitted again"
+    )
     parser.add_argument("cases", type=Path, nargs="+")
     options = parser.parse_args()
     cases = [case for path in options.cases for case in load(path)]
@@ -123,7 +130,9 @@ def main() -> None:
     else:
         calibration = fit(cases)
         with whole_file(options.out) as partial:
-            fitted = {name: value for name, value in asdict(calibration).items() if name not in _OF_BINS}
+            fitted = {
+                name: value for name, value in asdict(calibration).items() if name not in _OF_BINS
+            }
             partial.write_text(json.dumps(fitted))
     print(f"{calibration}, log score {log_score(cases, calibration):.3f}")
     print("\n".join(report(cases, calibration)))

@@ -76,7 +76,9 @@ def searched_cases(
 def save(cases: Sequence[Case], path: Path) -> None:
     """Write cases as one file."""
     levels = [
-        (k, factor, len(seen)) for k, c in enumerate(cases) for factor, seen in zip(c.factors, c.log_probs, strict=True)
+        (k, factor, len(seen))
+        for k, c in enumerate(cases)
+        for factor, seen in zip(c.factors, c.log_probs, strict=True)
     ]
     with whole_file(path) as partial, partial.open("wb") as handle:
         np.savez_compressed(
@@ -91,13 +93,24 @@ def save(cases: Sequence[Case], path: Path) -> None:
 def load(path: Path) -> list[Case]:
     """Read what ``save`` wrote."""
     with np.load(path) as file:
-        text, numbers, levels, log_probs = (file[name] for name in ("text", "numbers", "levels", "log_probs"))
+        text, numbers, levels, log_probs = (
+            file[name] for name in ("text", "numbers", "levels", "log_probs")
+        )
     parts = np.split(log_probs, np.cumsum(levels[:, 2])[:-1])
     out = []
     for k, ((set_name, name), (gsd, reduced)) in enumerate(zip(text, numbers, strict=True)):
         mine = np.flatnonzero(levels[:, 0] == k)
         factors = tuple(int(levels[i, 1]) for i in mine)
-        out.append(Case(str(set_name), str(name), float(gsd), bool(reduced), factors, tuple(parts[i] for i in mine)))
+        out.append(
+            Case(
+                str(set_name),
+                str(name),
+                float(gsd),
+                bool(reduced),
+                factors,
+                tuple(parts[i] for i in mine),
+            )
+        )
     return out
 
 
@@ -119,7 +132,9 @@ def main() -> None:
         images = load_images(options.data, held_out=options.on == "held_out", without=without)
     settings = onnxruntime.SessionOptions()
     settings.intra_op_num_threads = 1
-    session = onnxruntime.InferenceSession(options.model, settings, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        options.model, settings, providers=["CPUExecutionProvider"]
+    )
     cases = searched_cases(session, images[:: options.every])
     save(cases, options.out)
     print(f"{options.out}: {len(cases)} cases")

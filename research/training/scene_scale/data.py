@@ -1,7 +1,8 @@
 """Images of known scale, and an endless stream of crops of them, each resampled to a random number of metres a pixel.
 
-No labels are needed: whatever has a scale trains. The scale of ``jekhor`` comes from its cars, the scale of ``flights``
-from its GPS track. Nothing of a val split is read, nor what is for evaluation only.
+No labels are needed: whatever has a scale trains. The scale of ``jekhor`` comes from its cars, the
+scale of ``flights`` from its GPS track. Nothing of a val split is read, nor what is for evaluation
+only.
 """
 
 from __future__ import annotations
@@ -32,8 +33,10 @@ _CAR_M = 4.6  # median length of Munich's and Minsk's cars
 _LEAST_CARS = 2  # of an image whose scale they give
 _CAR_SPREAD, _FLIGHT_SPREAD = 0.07, 0.12  # log standard deviation of these two kinds of label
 _HEIGHT_SPREAD = 0.03  # likewise, of a height above take-off
-_CHECK_ONLY = re.compile(r"harlem|DJI_\d+$")  # the latter are the photographs of tilt/, most of them oblique
-_FLIGHT_GSD = {"garfield": 0.047, "seneca": 0.058}  # m/px, from the GPS track: each pair within a fifth
+# the latter are the photographs of tilt/, most of them oblique
+_CHECK_ONLY = re.compile(r"harlem|DJI_\d+$")
+# m/px, from the GPS track: each pair within a fifth
+_FLIGHT_GSD = {"garfield": 0.047, "seneca": 0.058}
 _DOWN_DEG = -85.0  # a camera's pitch from here on looks down
 _FULL_FRAME_MM = 36.0  # width of what "35 mm" focal lengths are for
 _TILT_WIDTH_PX = 3000
@@ -46,8 +49,10 @@ _SET_WEIGHT = {
     "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0, "seneca": 0.8, "scene": 1.0,
     "chia": 1.5,
 }  # fmt: skip
-_TURNED_SHARE = 0.25  # of the crops by any angle, which softens them; the others in one of the eight symmetries
-_PHOTOMETRIC_SHARE = 0.5  # of the crops as the detector's, which blurs and sharpens; the others are retouched only
+# of the crops by any angle, which softens them; the others in one of the eight symmetries
+_TURNED_SHARE = 0.25
+# of the crops as the detector's, which blurs and sharpens; the others are retouched only
+_PHOTOMETRIC_SHARE = 0.5
 _BLURRED_SHARE, _NOISE_SHARE = 0.08, 0.05
 _BLUR_PX = (2.0, 9.0)  # standard deviations; from the upper one on a crop says nothing
 SETS = tuple(name for name in _SET_WEIGHT if name != "scene")
@@ -88,7 +93,9 @@ def sources(data: Path) -> list[Source]:
     return list({source.path: source for source in out}.values())
 
 
-def load_images(data: Path, *, held_out: bool = False, without: Collection[str] = ()) -> list[ScaledImage]:
+def load_images(
+    data: Path, *, held_out: bool = False, without: Collection[str] = ()
+) -> list[ScaledImage]:
     """Load the training part of ``shared/data``, or its held-out tenth alone; ``without`` names sets to leave out."""
     return [_load(s) for s in sources(data) if s.held_out == held_out and s.set not in without]
 
@@ -104,11 +111,27 @@ def load_scenes(folder: Path) -> list[ScaledImage]:
 
 def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[ScaledImage]:
     """Load what is for reporting: the val splits where they have a scale, and what of ``tilt/`` looks down."""
-    found = [*_listed(data, "gsd/table.csv", "val"), *_listed(data, "gsd/upright.csv", "val"), *_segments(data, "val")]
+    found = [
+        *_listed(data, "gsd/table.csv", "val"),
+        *_listed(data, "gsd/upright.csv", "val"),
+        *_segments(data, "val"),
+    ]
     for row in _rows(data / "tilt" / "table.csv"):
         if float(row["camera_pitch_deg"]) < _DOWN_DEG:
-            width_m = float(row["height_above_takeoff_m"]) * _FULL_FRAME_MM / float(row["focal_length_35mm"])
-            found.append(Source(data / "tilt" / row["file"], "tilt", width_m / _TILT_WIDTH_PX, 0.0, held_out=False))
+            width_m = (
+                float(row["height_above_takeoff_m"])
+                * _FULL_FRAME_MM
+                / float(row["focal_length_35mm"])
+            )
+            found.append(
+                Source(
+                    data / "tilt" / row["file"],
+                    "tilt",
+                    width_m / _TILT_WIDTH_PX,
+                    0.0,
+                    held_out=False,
+                )
+            )
     found += chia_photographs(data, odd=False)
     return [_load(source) for source in found if source.set not in without]
 
@@ -155,21 +178,30 @@ def _cars_as_rulers(data: Path) -> list[Source]:
         stem = Path(row["file"]).stem
         if row["set"] != "jekhor" or row["split"] != "train" or _CHECK_ONLY.search(stem):
             continue
-        corners = read_labels(data / "vehicles" / "labels" / f"{stem}.txt", []).of_class("small-vehicle")
+        corners = read_labels(data / "vehicles" / "labels" / f"{stem}.txt", []).of_class(
+            "small-vehicle"
+        )
         lengths = np.linalg.norm(np.diff(corners[:, :3], axis=1), axis=2).max(axis=1)
         if len(lengths) >= _LEAST_CARS:
             kind = "minsk" if "DJI" in stem else "munich"
             path = (data / "vehicles" / row["file"]).resolve()
-            out.append(Source(path, kind, _CAR_M / float(np.median(lengths)), _CAR_SPREAD, held_out=False))
+            out.append(
+                Source(path, kind, _CAR_M / float(np.median(lengths)), _CAR_SPREAD, held_out=False)
+            )
     return out
 
 
 def _photographs(data: Path) -> list[Source]:
     out = []
     for flight, gsd in _FLIGHT_GSD.items():
-        files = sorted(row["file"] for row in _rows(data / "flights" / "table.csv") if row["flight"] == flight)
+        files = sorted(
+            row["file"] for row in _rows(data / "flights" / "table.csv") if row["flight"] == flight
+        )
         first_held_out = len(files) - _HELD_OUT_PHOTOGRAPHS
-        for number in (*range(0, first_held_out - 1, _EVERY_PHOTOGRAPH), *range(first_held_out + 1, len(files))):
+        for number in (
+            *range(0, first_held_out - 1, _EVERY_PHOTOGRAPH),
+            *range(first_held_out + 1, len(files)),
+        ):
             path = (data / "flights" / files[number]).resolve()
             out.append(Source(path, flight, gsd, _FLIGHT_SPREAD, held_out=number >= first_held_out))
     return out
@@ -182,7 +214,9 @@ def chia_photographs(data: Path, *, odd: bool = True) -> list[Source]:
         for row in _rows(data / table):
             if row["gsd_m_per_px"] and (int(Path(row["file"]).stem.split("_")[1]) % 2 == 1) == odd:
                 path = (data / "chia" / row["file"]).resolve()
-                out.append(Source(path, "chia", float(row["gsd_m_per_px"]), _HEIGHT_SPREAD, held_out=False))
+                out.append(
+                    Source(path, "chia", float(row["gsd_m_per_px"]), _HEIGHT_SPREAD, held_out=False)
+                )
     return out
 
 
@@ -206,7 +240,9 @@ def coarsest_m_per_px(image: ScaledImage) -> float:
     return min(COARSEST_M_PER_PX, image.gsd_m_per_px * float(min(image.pixels.shape[:2])) / TILE_PX)
 
 
-def draw_crop(rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float) -> NDArray[np.uint8]:
+def draw_crop(
+    rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float
+) -> NDArray[np.uint8]:
     """Cut a square of ``TILE_PX`` pixels of the wanted size, averaged over areas, turned and flipped at random.
 
     Returns:
@@ -228,7 +264,10 @@ def draw_crop(rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float)
         middle = (outer - 1) / 2
         shift = np.array([[0, 0, 1], [0, 0, 1]]) * (middle - (TILE_PX - 1) / 2)
         matrix = cv2.getRotationMatrix2D((middle, middle), angle, 1.0) - shift
-        part = np.asarray(cv2.warpAffine(part, matrix, (TILE_PX, TILE_PX), borderMode=cv2.BORDER_REFLECT), np.uint8)
+        part = np.asarray(
+            cv2.warpAffine(part, matrix, (TILE_PX, TILE_PX), borderMode=cv2.BORDER_REFLECT),
+            np.uint8,
+        )
     part = np.rot90(part, int(rng.integers(4)))
     return np.ascontiguousarray(part[:, ::-1] if rng.random() < 0.5 else part)
 
@@ -240,7 +279,11 @@ def retouched(rng: np.random.Generator, crop: NDArray[np.uint8]) -> NDArray[np.u
     x = grey + (x - grey) * np.float32(rng.uniform(0.3, 1.4))
     x = x * rng.uniform(0.9, 1.1, 3).astype(np.float32)
     x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.uniform(-0.35, 0.35)))
-    x = (x - x.mean()) * np.float32(rng.uniform(0.65, 1.35)) + x.mean() + np.float32(rng.uniform(-0.1, 0.1))
+    x = (
+        (x - x.mean()) * np.float32(rng.uniform(0.65, 1.35))
+        + x.mean()
+        + np.float32(rng.uniform(-0.1, 0.1))
+    )
     out = np.asarray(np.clip(x * 255 + 0.5, 0, 255), np.uint8)
     if rng.random() < 0.4:
         _, coded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(60, 97))])
@@ -266,7 +309,8 @@ def featureless(rng: np.random.Generator) -> NDArray[np.uint8]:
 class CropStream:
     """An endless, seeded stream of crops; the k-th is the same whenever it is asked for.
 
-    The scale is drawn first, log-uniform, then a set among those that can show it, so that no set owns a scale.
+    The scale is drawn first, log-uniform, then a set among those that can show it, so that no set
+    owns a scale.
     """
 
     images: list[ScaledImage]
@@ -274,7 +318,9 @@ class CropStream:
 
     def __post_init__(self) -> None:
         """Sort the images by their sets."""
-        self._range = np.array([(image.finest_m_per_px, coarsest_m_per_px(image)) for image in self.images])
+        self._range = np.array(
+            [(image.finest_m_per_px, coarsest_m_per_px(image)) for image in self.images]
+        )
         self._set = np.array([image.set for image in self.images])
         self._within = np.log([self._range[:, 0].min(), self._range[:, 1].max()])
 

@@ -2,8 +2,8 @@
 
 ``python -m research.training.scene_scale.export RUN OUT.onnx --calibration FILE.json``.
 
-``tiles`` ``[n, 3, 160, 160]`` uint8 RGB to ``log_probs`` ``[n, BINS]`` float32. How the library makes one
-density of them (``vehanchor.detection.scene_scale``) is in the metadata.
+``tiles`` ``[n, 3, 160, 160]`` uint8 RGB to ``log_probs`` ``[n, BINS]`` float32. How the library
+makes one density of them (``vehanchor.detection.scene_scale``) is in the metadata.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """From a tile of 160 px to a distribution over log metres per pixel.
 
-The body is the encoder of the detector (``research/training/detector/network.py``), fewer blocks of it. Training
-begins with the encoder's weights: what the detector has learned to tell from cars also shows how big a pixel is.
+The body is the encoder of the detector (``research/training/detector/network.py``), fewer blocks of
+it. Training begins with the encoder's weights: what the detector has learned to tell from cars also
+shows how big a pixel is.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ _HIDDEN = 64
 class SceneScaleNet(nn.Module):
     """Five stride-2 stages; input ``[n, 3, 160, 160]`` RGB in 0..1.
 
-    The head sees the mean and the spread of every stage from stride 4 on, which is texture, and what attention picks
-    out of the last one, which is things.
+    The head sees the mean and the spread of every stage from stride 4 on, which is texture, and
+    what attention picks out of the last one, which is things.
     """
 
     def __init__(self, bins: int = BINS) -> None:
@@ -82,6 +83,11 @@ def begin_with_exported(network: SceneScaleNet, path: Path, tiles: Tensor) -> No
         tiles: ``[n, 3, 160, 160]`` float in 0..1, to take the normalisations' statistics from.
     """
     load_exported(network, path, tiles)
-    stored = {item.name: torch.tensor(numpy_helper.to_array(item)) for item in onnx.load(path).graph.initializer}
+    stored = {
+        item.name: torch.tensor(numpy_helper.to_array(item))
+        for item in onnx.load(path).graph.initializer
+    }
     norm = {name.rpartition(".")[2]: value for name, value in stored.items() if ".head.0." in name}
-    network.load_state_dict(network.state_dict() | {f"head.0.{name}": value for name, value in norm.items()})
+    network.load_state_dict(
+        network.state_dict() | {f"head.0.{name}": value for name, value in norm.items()}
+    )

@@ -4,9 +4,10 @@
 
 Writes JSON for ``export.py --calibration OUT``:
 
-* ``mask_smoothing`` and ``mask_offset``: the blur of the mask's logits, in cells, and what is added to them, since the
-  loss alone leaves masks ragged and too small: the pair with the best mean IoU at which no category comes out more than
-  1 % too large (an overestimated clearing is the dangerous error);
+* ``mask_smoothing`` and ``mask_offset``: the blur of the mask's logits, in cells, and what is added
+  to them, since the loss alone leaves masks ragged and too small: the pair with the best mean IoU
+  at which no category comes out more than 1 % too large (an overestimated clearing is the dangerous
+  error);
 * ``mask_area_log_sd``: the spread of the mask's area;
 * ``min_score``: the predicted IoU below which a mask is not to be trusted.
 """
@@ -52,10 +53,13 @@ _MOST_TOO_LARGE = 0.01
 def mask_area_log_sd(trials: list[Trial], least_score: float) -> float:
     """Sd of log(area / true area) whose 95 % interval holds that share of the masks scored at least ``least_score``.
 
-    The errors have heavy tails (a mask is right, or it is of something else): a plain standard deviation would be set
-    by a few failures. The 90 % quantile is used and scaled as if Gaussian when it asks for more than the 95 % one.
+    The errors have heavy tails (a mask is right, or it is of something else): a plain standard
+    deviation would be set by a few failures. The 90 % quantile is used and scaled as if Gaussian
+    when it asks for more than the 95 % one.
     """
-    error = np.array([abs(np.log(max(t.area_ratio, 1e-3))) for t in trials if t.score >= least_score])
+    error = np.array(
+        [abs(np.log(max(t.area_ratio, 1e-3))) for t in trials if t.score >= least_score]
+    )
     return float(max(np.quantile(error, 0.95) / _Z_95, np.quantile(error, 0.90) / 1.645))
 
 
@@ -68,7 +72,10 @@ def least_trusted_score(trials: list[Trial]) -> float:
 def area_bias(trials: list[Trial]) -> dict[str, float]:
     """Median of area / true area - 1 by category."""
     categories = sorted({t.category for t in trials})
-    return {name: float(np.median([t.area_ratio for t in trials if t.category == name])) - 1 for name in categories}
+    return {
+        name: float(np.median([t.area_ratio for t in trials if t.category == name])) - 1
+        for name in categories
+    }
 
 
 def see(contract: SamContract, target: Target) -> MaskLogits:
@@ -80,14 +87,21 @@ def see(contract: SamContract, target: Target) -> MaskLogits:
         return contract.predict(read_resized(raster, window, size), window, prompt)
 
 
-def finished(view: MaskLogits, smoothing: float, offset: float) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:
+def finished(
+    view: MaskLogits, smoothing: float, offset: float
+) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:
     """The mask of the whole image that smoothed and raised logits give, and its score."""
 
     def method(target: Target) -> tuple[NDArray[np.bool_], float]:
-        logits = smoothed(torch.from_numpy(view.logits)[None, None], smoothing)[0, 0].numpy() + np.float32(offset)
+        logits = smoothed(torch.from_numpy(view.logits)[None, None], smoothing)[
+            0, 0
+        ].numpy() + np.float32(offset)
         window, whole = view.window, np.zeros(target.mask.shape, bool)
         placed = place_mask(replace(view, logits=logits))
-        whole[window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px] = placed
+        whole[
+            window.y_px : window.y_px + window.height_px,
+            window.x_px : window.x_px + window.width_px,
+        ] = placed
         return whole, view.score
 
     return method
@@ -95,8 +109,16 @@ def finished(view: MaskLogits, smoothing: float, offset: float) -> Callable[[Tar
 
 def best_choice(by_choice: dict[tuple[float, float], list[Trial]]) -> tuple[float, float]:
     """Smoothing and offset of the best mean IoU at which no category is too large; none of either where all are."""
-    allowed = [choice for choice, trials in by_choice.items() if max(area_bias(trials).values()) <= _MOST_TOO_LARGE]
-    return max(allowed, key=lambda choice: float(np.mean([t.iou for t in by_choice[choice]])), default=(0.0, 0.0))
+    allowed = [
+        choice
+        for choice, trials in by_choice.items()
+        if max(area_bias(trials).values()) <= _MOST_TOO_LARGE
+    ]
+    return max(
+        allowed,
+        key=lambda choice: float(np.mean([t.iou for t in by_choice[choice]])),
+        default=(0.0, 0.0),
+    )
 
 
 def main() -> None:
@@ -109,11 +131,15 @@ def main() -> None:
     targets = list(read_targets(options.data, "train", lambda name: is_dev(group_of(name))))
     with TemporaryDirectory() as folder:
         sessions = [open_session(path) for path in export(options.run, Path(folder), {})]
-        views = [see(recognise_contract(sessions[0], sessions[1], INPUT_PX), target) for target in targets]
+        views = [
+            see(recognise_contract(sessions[0], sessions[1], INPUT_PX), target)
+            for target in targets
+        ]
     by_choice: dict[tuple[float, float], list[Trial]] = {}
     for choice in itertools.product(_SMOOTHINGS, _OFFSETS):
         by_choice[choice] = [
-            run_trial(target, finished(view, *choice)) for target, view in zip(targets, views, strict=True)
+            run_trial(target, finished(view, *choice))
+            for target, view in zip(targets, views, strict=True)
         ]
     smoothing, offset = best_choice(by_choice)
     trials = by_choice[smoothing, offset]

@@ -12,7 +12,15 @@ import numpy as np
 import torch
 
 from research.training.detector.data import photometric
-from research.training.segmenter.network import BOTTOM_RIGHT, NEGATIVE, PADDING, POSITIVE, STRIDE_PX, TOP_LEFT, Prompt
+from research.training.segmenter.network import (
+    BOTTOM_RIGHT,
+    NEGATIVE,
+    PADDING,
+    POSITIVE,
+    STRIDE_PX,
+    TOP_LEFT,
+    Prompt,
+)
 from research.training.segmenter.shapes import composite
 
 if TYPE_CHECKING:
@@ -25,7 +33,8 @@ LEAST_SIDE_PX = 10  # smaller objects are no lesson
 MAX_POINTS = 6
 _SOURCE_WEIGHT = {"swimming-pool": 0.27, "building": 0.33, "scene": 0.15, "shape": 0.25}
 _MAX_ENLARGEMENT = 5.0
-_FILLS = ((0.0, 0.0, 0.0), (123.675, 116.28, 103.53))  # black, and SAM's mean, which pads its inputs
+# black, and SAM's mean, which pads its inputs
+_FILLS = ((0.0, 0.0, 0.0), (123.675, 116.28, 103.53))
 _LEAST_SOLIDITY = 0.72
 _DEV_SHARE = 10  # one train group in ten is held out: the mask's uncertainty is measured there
 HELD_OUT = 0
@@ -84,7 +93,9 @@ def load_segments(folder: Path, split: str) -> list[MaskImage]:
             "real",
             row["category"],
             group_of(row["image"]),
-            np.ascontiguousarray(_read(folder / row["image"], cv2.IMREAD_COLOR)[:, :, ::-1]).astype(np.uint8),
+            np.ascontiguousarray(_read(folder / row["image"], cv2.IMREAD_COLOR)[:, :, ::-1]).astype(
+                np.uint8
+            ),
             _read(folder / row["mask"], cv2.IMREAD_UNCHANGED).astype(np.uint16),
         )
         for row in rows
@@ -121,7 +132,9 @@ def is_sound(sample: MaskImage, item: MaskObject) -> bool:
         return True
     inside = (sample.mask[item.y0 : item.y1, item.x0 : item.x1] == item.id).astype(np.uint8)
     outlines, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    hull = cv2.contourArea(cv2.convexHull(np.concatenate(outlines))) + 0.5 * (item.x1 - item.x0 + item.y1 - item.y0)
+    hull = cv2.contourArea(cv2.convexHull(np.concatenate(outlines))) + 0.5 * (
+        item.x1 - item.x0 + item.y1 - item.y0
+    )
     return bool(inside.sum() >= _LEAST_SOLIDITY * hull)
 
 
@@ -154,7 +167,11 @@ def cut(
     x1, y1 = int(min(width, focus[0] + reach)) + 1, int(min(height, focus[1] + reach)) + 1
     part = sample.image[y0:y1, x0:x1]
     ids = sample.mask[y0:y1, x0:x1]
-    chosen = (ids == number).astype(np.uint8) * 255 if number is not None else np.zeros(ids.shape, np.uint8)
+    chosen = (
+        (ids == number).astype(np.uint8) * 255
+        if number is not None
+        else np.zeros(ids.shape, np.uint8)
+    )
     reduce = min(1.0, scale * 1.1)
     sx = sy = 1.0
     if reduce < 0.9:  # average first, so that the warp does not alias
@@ -163,10 +180,19 @@ def cut(
         part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         chosen = np.asarray(cv2.resize(chosen, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     turn, flip = _turn(rng), -1.0 if rng.random() < 0.5 else 1.0
-    rotation = np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]]) * scale
-    matrix = np.column_stack([rotation / (sx, sy), side / 2 - rotation @ (focus[0] - x0, focus[1] - y0)])
+    rotation = (
+        np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]])
+        * scale
+    )
+    matrix = np.column_stack(
+        [rotation / (sx, sy), side / 2 - rotation @ (focus[0] - x0, focus[1] - y0)]
+    )
     matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5  # warpAffine counts from pixel centres
-    fill = _FILLS[rng.integers(len(_FILLS))] if rng.random() < 0.6 else part[::8, ::8].reshape(-1, 3).mean(axis=0)
+    fill = (
+        _FILLS[rng.integers(len(_FILLS))]
+        if rng.random() < 0.6
+        else part[::8, ::8].reshape(-1, 3).mean(axis=0)
+    )
     how = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
     image = cv2.warpAffine(part, matrix, (side, side), flags=how, borderValue=tuple(fill))
     mask = cv2.warpAffine(chosen, matrix, (side, side), flags=cv2.INTER_LINEAR)
@@ -203,11 +229,17 @@ def draw_prompt(
     depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
     deep = np.argwhere(depth >= min(2.0, float(depth.max())))
     window = np.zeros_like(inside)
-    x0, y0, x1, y1 = (int(v) for v in (*(box[:2] - 0.4 * (box[2:] - box[:2])), *(box[2:] + 0.4 * (box[2:] - box[:2]))))
+    x0, y0, x1, y1 = (
+        int(v)
+        for v in (*(box[:2] - 0.4 * (box[2:] - box[:2])), *(box[2:] + 0.4 * (box[2:] - box[:2])))
+    )
     window[max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = 1
     clear = np.argwhere((cv2.dilate(inside, np.ones((7, 7), np.uint8)) == 0) & (window > 0))
     slot = 2
-    for place, label, count in ((deep, POSITIVE, rng.integers(1, 4)), (clear, NEGATIVE, rng.integers(0, 2))):
+    for place, label, count in (
+        (deep, POSITIVE, rng.integers(1, 4)),
+        (clear, NEGATIVE, rng.integers(0, 2)),
+    ):
         for _ in range(count if len(place) else 0):
             row, col = place[rng.integers(len(place))]
             if slot == 2 and rng.random() < 0.5:
@@ -284,7 +316,9 @@ class BatchStream:
                 continue
             point, label = draw_prompt(rng, example.mask, box)
             cells = size.side_px // STRIDE_PX
-            target = np.asarray(cv2.resize(example.mask, (cells, cells), interpolation=cv2.INTER_AREA), np.float32)
+            target = np.asarray(
+                cv2.resize(example.mask, (cells, cells), interpolation=cv2.INTER_AREA), np.float32
+            )
             known = rng.random() < 0.06
             images.append(photometric(rng, example.image).transpose(2, 0, 1))
             targets.append(target[None])
@@ -292,8 +326,12 @@ class BatchStream:
             labels.append(label)
             priors.append((draw_prior(rng, target) if known else np.zeros_like(target))[None])
             has_prior.append(np.float32(known))
-        prompt = Prompt(*(torch.from_numpy(np.stack(part)) for part in (points, labels, priors, has_prior)))
-        return Batch(torch.from_numpy(np.stack(images)), prompt, torch.from_numpy(np.stack(targets)))
+        prompt = Prompt(
+            *(torch.from_numpy(np.stack(part)) for part in (points, labels, priors, has_prior))
+        )
+        return Batch(
+            torch.from_numpy(np.stack(images)), prompt, torch.from_numpy(np.stack(targets))
+        )
 
     def _draw(self, rng: np.random.Generator, name: str, size: CropSize) -> Example:
         length = float(np.exp(rng.uniform(*np.log(size.length_px))))
@@ -303,10 +341,20 @@ class BatchStream:
         item = items[rng.integers(len(items))]
         sample = self.images[item.image]
         scale = min(length / max(item.x1 - item.x0, item.y1 - item.y0), _MAX_ENLARGEMENT)
-        wander = rng.uniform(-1, 1, 2) * max(0.04, 0.5 - 0.75 * length / size.side_px) * size.side_px / scale * 0.7
+        wander = (
+            rng.uniform(-1, 1, 2)
+            * max(0.04, 0.5 - 0.75 * length / size.side_px)
+            * size.side_px
+            / scale
+            * 0.7
+        )
         height, width = sample.image.shape[:2]
-        reach = np.minimum(0.45 * size.side_px / scale, (width / 2, height / 2)) * float(rng.random() < 0.7)
-        middle = np.clip((0.5 * (item.x0 + item.x1), 0.5 * (item.y0 + item.y1)), reach, (width, height) - reach)
+        reach = np.minimum(0.45 * size.side_px / scale, (width / 2, height / 2)) * float(
+            rng.random() < 0.7
+        )
+        middle = np.clip(
+            (0.5 * (item.x0 + item.x1), 0.5 * (item.y0 + item.y1)), reach, (width, height) - reach
+        )
         limit = 0.5 * max(0.0, 0.95 * size.side_px - length) / scale  # the object stays inside
         centre = (0.5 * (item.x0 + item.x1), 0.5 * (item.y0 + item.y1))
         middle = np.clip(middle + wander, np.subtract(centre, limit), np.add(centre, limit))
@@ -316,7 +364,9 @@ class BatchStream:
         def patch() -> NDArray[np.uint8]:
             sample = self.images[rng.integers(len(self.images))]
             height, width = sample.image.shape[:2]
-            scale = max(float(np.exp(rng.uniform(-0.5, 0.9))), 1.1 * size.side_px / min(height, width))
+            scale = max(
+                float(np.exp(rng.uniform(-0.5, 0.9))), 1.1 * size.side_px / min(height, width)
+            )
             focus = (float(rng.uniform(0.3, 0.7)) * width, float(rng.uniform(0.3, 0.7)) * height)
             return cut(rng, sample, size.side_px, scale, focus, None).image
 

@@ -1,8 +1,9 @@
 """Write a run as SAM-contract ONNX: ``python -m research.training.segmenter.export RUN FOLDER [--calibration JSON]``.
 
-Makes ``segmenter-encoder.onnx`` (``input_image`` ``[256, 256, 3]`` RGB 0..255, preprocessing inside) and
-``segmenter-decoder.onnx`` with Meta's names. An image that is not square is scaled until its longer side is 256 and
-padded with zeros at the right and the bottom, as for SAM; the decoder undoes both from ``orig_im_size``.
+Makes ``segmenter-encoder.onnx`` (``input_image`` ``[256, 256, 3]`` RGB 0..255, preprocessing
+inside) and ``segmenter-decoder.onnx`` with Meta's names. An image that is not square is scaled
+until its longer side is 256 and padded with zeros at the right and the bottom, as for SAM; the
+decoder undoes both from ``orig_im_size``.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ def smoothed(logits: Tensor, sigma: float) -> Tensor:
 class DecoderGraph(nn.Module):
     """SAM's decoder signature; one mask a prompt, its logits smoothed and raised (see ``calibrate.py``)."""
 
-    def __init__(self, network: Segmenter, side_px: int, mask_offset: float, mask_smoothing: float) -> None:
+    def __init__(
+        self, network: Segmenter, side_px: int, mask_offset: float, mask_smoothing: float
+    ) -> None:
         super().__init__()
         self.decoder = network.decoder
         self.side_px = side_px
@@ -68,14 +71,20 @@ class DecoderGraph(nn.Module):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Masks are logits at the original size."""
         points = point_coords + 0.5  # SAM's coordinates are pixel indices
-        found = self.decoder(image_embeddings, Prompt(points, point_labels, mask_input, has_mask_input))
+        found = self.decoder(
+            image_embeddings, Prompt(points, point_labels, mask_input, has_mask_input)
+        )
         logits = smoothed(found.mask, self.mask_smoothing) + self.mask_offset
-        large = functional.interpolate(logits, (self.side_px, self.side_px), mode="bilinear", align_corners=False)
+        large = functional.interpolate(
+            logits, (self.side_px, self.side_px), mode="bilinear", align_corners=False
+        )
         size = orig_im_size.to(torch.float32)
         used = torch.floor(size * (self.side_px / torch.max(size)) + 0.5).to(torch.int64)
         large = large[:, :, : used[0], : used[1]]
         whole = orig_im_size.to(torch.int64)
-        masks = functional.interpolate(large, [whole[0], whole[1]], mode="bilinear", align_corners=False)  # type: ignore[list-item]  # traced
+        masks = functional.interpolate(
+            large, [whole[0], whole[1]], mode="bilinear", align_corners=False
+        )  # type: ignore[list-item]  # traced
         return masks, found.iou, logits
 
 
@@ -145,7 +154,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--calibration", type=Path, help="JSON of vehanchor.* metadata, written by calibrate.py")
+    parser.add_argument(
+        "--calibration", type=Path, help="JSON of vehanchor.* metadata, written by calibrate.py"
+    )
     options = parser.parse_args()
     calibration = json.loads(options.calibration.read_text()) if options.calibration else {}
     for path in export(options.run, options.folder, calibration):

@@ -45,5 +45,7 @@ def segmentation_loss(prediction: Segmentation, target: Tensor) -> SegmentationL
     with torch.no_grad():
         overlap = overlap_of(logits, target)
     return SegmentationLoss(
-        entropy + dice, functional.mse_loss(prediction.iou[:, 0], overlap.to(logits.dtype)), overlap.mean()
+        entropy + dice,
+        functional.mse_loss(prediction.iou[:, 0], overlap.to(logits.dtype)),
+        overlap.mean(),
     )

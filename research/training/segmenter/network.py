@@ -1,8 +1,9 @@
 """A compact promptable segmenter: convolutional encoder with a stride-2 embedding, prompt-conditioned decoder.
 
-The prompt is drawn as dense maps (signed distance to the box, its own coordinates, points, an earlier mask) at the
-embedding's resolution with ordinary operators, so the exported decoder takes SAM's ``point_coords`` and
-``point_labels``. Both halves are fully convolutional: any input side divisible by 32 works.
+The prompt is drawn as dense maps (signed distance to the box, its own coordinates, points, an
+earlier mask) at the embedding's resolution with ordinary operators, so the exported decoder takes
+SAM's ``point_coords`` and ``point_labels``. Both halves are fully convolutional: any input side
+divisible by 32 works.
 """
 
 from __future__ import annotations
@@ -72,10 +73,12 @@ class Encoder(nn.Module):
         )
         self.enter_up = conv_block(_CHANNELS[4], _UP[0], kernel=1)
         self.laterals = nn.ModuleList(
-            conv_block(inputs, outputs, kernel=1) for inputs, outputs in zip(_CHANNELS[3::-1], _UP, strict=True)
+            conv_block(inputs, outputs, kernel=1)
+            for inputs, outputs in zip(_CHANNELS[3::-1], _UP, strict=True)
         )
         self.merges = nn.ModuleList(
-            conv_block(inputs, outputs) for inputs, outputs in zip(_UP, (*_UP[1:], EMBEDDING_CHANNELS), strict=True)
+            conv_block(inputs, outputs)
+            for inputs, outputs in zip(_UP, (*_UP[1:], EMBEDDING_CHANNELS), strict=True)
         )
 
     def forward(self, image: Tensor) -> Tensor:
@@ -93,11 +96,16 @@ class Encoder(nn.Module):
 def prompt_maps(prompt: Prompt, height: int, width: int) -> Tensor:
     """Draw prompts as ``[b, 11, height, width]`` maps at the embedding's resolution.
 
-    A box's corner maps are zero without a box, a point's without points, so one network reads every combination.
+    A box's corner maps are zero without a box, a point's without points, so one network reads every
+    combination.
     """
     points, labels = prompt.points, prompt.labels
-    rows = (torch.arange(height, dtype=torch.float32, device=points.device).view(1, 1, -1, 1) + 0.5) * STRIDE_PX
-    cols = (torch.arange(width, dtype=torch.float32, device=points.device).view(1, 1, 1, -1) + 0.5) * STRIDE_PX
+    rows = (
+        torch.arange(height, dtype=torch.float32, device=points.device).view(1, 1, -1, 1) + 0.5
+    ) * STRIDE_PX
+    cols = (
+        torch.arange(width, dtype=torch.float32, device=points.device).view(1, 1, 1, -1) + 0.5
+    ) * STRIDE_PX
 
     def corner(label: float) -> tuple[Tensor, Tensor]:
         chosen = (labels == label).to(points.dtype)
@@ -105,10 +113,15 @@ def prompt_maps(prompt: Prompt, height: int, width: int) -> Tensor:
         return place[:, 0].view(-1, 1, 1, 1), place[:, 1].view(-1, 1, 1, 1)
 
     has_box = (labels == TOP_LEFT).to(points.dtype).sum(dim=1).clamp(max=1.0).view(-1, 1, 1, 1)
-    (xa, ya), (xb, yb) = corner(TOP_LEFT), corner(BOTTOM_RIGHT)  # the other way round in a mirrored image
-    (x0, y0), (x1, y1) = (torch.minimum(xa, xb), torch.minimum(ya, yb)), (torch.maximum(xa, xb), torch.maximum(ya, yb))
+    # the other way round in a mirrored image
+    (xa, ya), (xb, yb) = corner(TOP_LEFT), corner(BOTTOM_RIGHT)
+    (x0, y0), (x1, y1) = (
+        (torch.minimum(xa, xb), torch.minimum(ya, yb)),
+        (torch.maximum(xa, xb), torch.maximum(ya, yb)),
+    )
     wide, high = (x1 - x0).clamp(min=2.0), (y1 - y0).clamp(min=2.0)
-    across, down = (2 * cols - x0 - x1) / wide, (2 * rows - y0 - y1) / high  # -1 to 1 inside the box
+    # -1 to 1 inside the box
+    across, down = (2 * cols - x0 - x1) / wide, (2 * rows - y0 - y1) / high
     inside_x, inside_y = torch.minimum(cols - x0, x1 - cols), torch.minimum(rows - y0, y1 - rows)
     inside = torch.minimum(inside_x, inside_y)
     plane = has_box * torch.ones_like(inside)
@@ -121,13 +134,17 @@ def prompt_maps(prompt: Prompt, height: int, width: int) -> Tensor:
         plane,
     ]
 
-    dx, dy = cols - points[:, :, 0].unsqueeze(2).unsqueeze(3), rows - points[:, :, 1].unsqueeze(2).unsqueeze(3)
+    dx, dy = (
+        cols - points[:, :, 0].unsqueeze(2).unsqueeze(3),
+        rows - points[:, :, 1].unsqueeze(2).unsqueeze(3),
+    )
     squared = dx * dx + dy * dy
     dotted = []
     for label in (POSITIVE, NEGATIVE):
         chosen = (labels == label).to(points.dtype).unsqueeze(2).unsqueeze(3)
         dotted += [
-            (torch.exp(squared / (-2.0 * radius * radius)) * chosen).amax(dim=1, keepdim=True) for radius in _POINT_PX
+            (torch.exp(squared / (-2.0 * radius * radius)) * chosen).amax(dim=1, keepdim=True)
+            for radius in _POINT_PX
         ]
     prior = prompt.has_prior.view(-1, 1, 1, 1) * torch.tanh(prompt.prior / 4.0)
     return torch.cat([*boxed, *dotted, prior], dim=1)
@@ -142,10 +159,14 @@ class Decoder(nn.Module):
         self.enter = conv_block(EMBEDDING_CHANNELS + _PROMPT_MAPS, two)
         self.down_four = nn.Sequential(conv_block(two, four, stride=2), Residual(four, 40))
         self.down_eight = nn.Sequential(
-            conv_block(four, eight, stride=2), Residual(eight, eight, dilation=2), Residual(eight, eight)
+            conv_block(four, eight, stride=2),
+            Residual(eight, eight, dilation=2),
+            Residual(eight, eight),
         )
         self.down_sixteen = nn.Sequential(
-            conv_block(eight, sixteen, stride=2), Residual(sixteen, sixteen), Residual(sixteen, sixteen, dilation=2)
+            conv_block(eight, sixteen, stride=2),
+            Residual(sixteen, sixteen),
+            Residual(sixteen, sixteen, dilation=2),
         )
         self.up_eight = conv_block(sixteen, eight, kernel=1)
         self.merge_eight = conv_block(eight, eight)
@@ -154,7 +175,9 @@ class Decoder(nn.Module):
         self.up_two = conv_block(four, two, kernel=1)
         self.merge_two = conv_block(two, two)
         self.mask = nn.Conv2d(two, 1, 3, 1, 1)
-        self.iou = nn.Sequential(nn.Linear(sixteen + two + 2, 48), nn.ReLU(inplace=True), nn.Linear(48, 1))
+        self.iou = nn.Sequential(
+            nn.Linear(sixteen + two + 2, 48), nn.ReLU(inplace=True), nn.Linear(48, 1)
+        )
         assert self.mask.bias is not None
         nn.init.constant_(self.mask.bias, -1.5)
 
@@ -176,10 +199,13 @@ class Decoder(nn.Module):
         chosen = (mask > 0).to(mask.dtype)
         hit = (chance * chosen).sum(dim=(2, 3))
         size = chosen.sum(dim=(2, 3)) + 1.0
-        calibrated = hit / (size + (chance * (1 - chosen)).sum(dim=(2, 3)))  # the IoU if the chances were true
+        # the IoU if the chances were true
+        calibrated = hit / (size + (chance * (1 - chosen)).sum(dim=(2, 3)))
         unsure = (chance * (1 - chance)).sum(dim=(2, 3)) / size
         pooled = (fine * chance).sum(dim=(2, 3)) / (chance.sum(dim=(2, 3)) + 1.0)
-        features = torch.cat([coarse.mean(dim=(2, 3)), pooled, calibrated, unsure.clamp(max=4.0)], dim=1)
+        features = torch.cat(
+            [coarse.mean(dim=(2, 3)), pooled, calibrated, unsure.clamp(max=4.0)], dim=1
+        )
         out: Tensor = self.iou(features).sigmoid()
         return out
 

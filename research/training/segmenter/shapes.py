@@ -1,7 +1,8 @@
 """Composited shapes: something with an outline and a surface of its own, pasted on a real background.
 
-They teach "the closed thing that touches the sides of the box" beyond the two categories with real masks: irregular
-roofs, blobs, discs with rings, stadium ovals, rows of panels, with aprons, shadows and look-alikes around them.
+They teach "the closed thing that touches the sides of the box" beyond the two categories with real
+masks: irregular roofs, blobs, discs with rings, stadium ovals, rows of panels, with aprons, shadows
+and look-alikes around them.
 """
 
 from __future__ import annotations
@@ -114,23 +115,35 @@ def _surface(
     u = (cols - centre[0]) * along[0] + (rows - centre[1]) * along[1]
     v = -(cols - centre[0]) * along[1] + (rows - centre[1]) * along[0]
     if rng.random() < 0.35:  # two slopes, one in the light
-        out = np.where((v > rng.normal(0, 0.05) * size)[:, :, None], out, out * np.float32(rng.uniform(0.65, 0.92)))
+        out = np.where(
+            (v > rng.normal(0, 0.05) * size)[:, :, None],
+            out,
+            out * np.float32(rng.uniform(0.65, 0.92)),
+        )
     draw = rng.random()
     if draw < 0.22:  # panels, tiles
         pitch_u, pitch_v = rng.uniform(3, 14, 2)
         line = ((u % pitch_u) < rng.uniform(0.8, 1.8)) | ((v % pitch_v) < rng.uniform(0.8, 1.8))
         out = np.where(line[:, :, None], out + np.float32(rng.uniform(-50, 70)), out)
     elif draw < 0.37:  # corrugation, markings
-        out = out + np.float32(rng.uniform(5, 30)) * np.sin(2 * np.pi * v / rng.uniform(3, 16))[:, :, None]
+        out = (
+            out
+            + np.float32(rng.uniform(5, 30))
+            * np.sin(2 * np.pi * v / rng.uniform(3, 16))[:, :, None]
+        )
     elif draw < 0.62:  # an inner shape: islands, infields, roof lights
         inner = [(p - centre) * rng.uniform(0.3, 0.85) + centre for p in polygons]
-        out = out + _filled(inner, side)[:, :, None] * (_colour(rng) - out) * np.float32(rng.uniform(0.4, 1.0))
+        out = out + _filled(inner, side)[:, :, None] * (_colour(rng) - out) * np.float32(
+            rng.uniform(0.4, 1.0)
+        )
     if rng.random() < 0.3:
         out = out * (1 + np.float32(rng.uniform(-0.3, 0.3) / size) * u[:, :, None])
     return out.astype(np.float32)
 
 
-def _placed(rng: np.random.Generator, length_px: float, focus: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def _placed(
+    rng: np.random.Generator, length_px: float, focus: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
     """A drawn outline, turned, at its size and place."""
     outline = _outline(rng)
     turned = _turned(np.concatenate(outline), rng)
@@ -183,7 +196,10 @@ def composite(
         image = image + edge * (surface - image)
 
     if rng.random() < 0.3:  # an apron, a roof under panels, a kerb
-        apron = [(p - focus) * rng.uniform(1.15, 1.7) + focus + rng.normal(0, 0.04, 2) * length_px for p in placed]
+        apron = [
+            (p - focus) * rng.uniform(1.15, 1.7) + focus + rng.normal(0, 0.04, 2) * length_px
+            for p in placed
+        ]
         paste(apron, _filled(apron, side), rng.random() < 0.5)
     for _ in range(rng.integers(0, 4)):  # neighbours, alike or not, that stop short of the shape
         away = rng.uniform(0, 2 * np.pi)
@@ -193,6 +209,8 @@ def composite(
     paste(placed, mask, rng.random() < 0.6)
     if rng.random() < 0.25:  # a neighbour's shadow across
         strip = _turned(_rectangle(length_px, float(rng.uniform(0.1, 0.4)) * length_px), rng)
-        across = cv2.GaussianBlur(_filled([strip + focus + rng.uniform(-0.6, 0.6, 2) * length_px], side), (0, 0), 1.0)
+        across = cv2.GaussianBlur(
+            _filled([strip + focus + rng.uniform(-0.6, 0.6, 2) * length_px], side), (0, 0), 1.0
+        )
         image = image * (1 - across[:, :, None] * (1 - dark))
     return np.clip(image + 0.5, 0, 255).astype(np.uint8), mask

@@ -1,8 +1,10 @@
 """Train the segmenter.
 
-``python -m research.training.segmenter.train --steps 17500 --run runs/segmenter --scenes runs/scenes``.
+``python -m research.training.segmenter.train --steps 17500 --run runs/segmenter --scenes
+runs/scenes``.
 
-Resumes from ``RUN/checkpoint.pt`` when it exists; uses a GPU when there is one (``research/training/loop.py``).
+Resumes from ``RUN/checkpoint.pt`` when it exists; uses a GPU when there is one
+(``research/training/loop.py``).
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ def losses(network: nn.Module, batch: Batch, device: torch.device) -> Mapping[st
     prompt = Prompt(*(part.to(device) for part in batch.prompt))
     image = batch.image.to(device).float().div(255.0).contiguous(memory_format=torch.channels_last)
     found = network(image, prompt)
-    loss = segmentation_loss(Segmentation(found.mask.float(), found.iou.float()), batch.target.to(device))
+    loss = segmentation_loss(
+        Segmentation(found.mask.float(), found.iou.float()), batch.target.to(device)
+    )
     return {"mask": loss.mask, "iou": loss.iou}
 
 
@@ -39,7 +43,9 @@ def main() -> None:
     parser.add_argument("--run", type=Path, default=Path("runs/segmenter"))
     parser.add_argument("--steps", type=int, required=True)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--bfloat16", action="store_true", help="mixed precision: faster where the processor has it")
+    parser.add_argument(
+        "--bfloat16", action="store_true", help="mixed precision: faster where the processor has it"
+    )
     options = parser.parse_args()
 
     torch.manual_seed(options.seed)

@@ -1,7 +1,7 @@
 """Trials of a segmenter on real masks: prompts, comparison with the truth, tables.
 
-Each object of at least 15 px a side is prompted by its bounding box. Each side of the box is moved by up to 5 % of the
-box's extent, with a fixed seed.
+Each object of at least 15 px a side is prompted by its bounding box. Each side of the box is moved
+by up to 5 % of the box's extent, with a fixed seed.
 """
 
 from __future__ import annotations
@@ -53,7 +53,9 @@ class Trial(NamedTuple):
         return abs(self.area_ratio - 1)
 
 
-def read_targets(folder: Path, split: str, wanted: Callable[[str], bool] | None = None) -> Iterator[Target]:
+def read_targets(
+    folder: Path, split: str, wanted: Callable[[str], bool] | None = None
+) -> Iterator[Target]:
     """Objects of one split of ``shared/data/segments``; ``wanted`` chooses by the image's file name."""
     rng = np.random.default_rng(_SEED)
     with (folder / "index.csv").open(newline="") as handle:
@@ -97,7 +99,8 @@ def _row(method: str, category: str, trials: list[Trial]) -> str:
     error = np.array([t.area_error for t in trials])
     bias = np.median([t.area_ratio for t in trials]) - 1
     return (
-        f"| {category} | {method} | {len(trials)} | {iou.mean():.3f} | {np.median(iou):.3f} | {np.mean(iou < 0.5):.1%} "
+        f"| {category} | {method} | {len(trials)} | {iou.mean():.3f} | {np.median(iou):.3f} | "
+        f"{np.mean(iou < 0.5):.1%} "
         f"| {np.median(error):.1%} | {error.mean():.1%} | {bias:+.1%} |"
     )
 
@@ -106,7 +109,8 @@ def report(by_method: dict[str, list[Trial]]) -> list[str]:
     """Tables as Markdown lines."""
     ours = next(iter(by_method))
     lines = [
-        "| category | method | n | mean IoU | median IoU | IoU < 0.5 | median area error | mean | median bias |",
+        "| category | method | n | mean IoU | median IoU | IoU < 0.5 | median area error | mean "
+        "| median bias |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for category in sorted({t.category for t in by_method[ours]}):

@@ -2,9 +2,9 @@
 
 ``python -m research.training.tile_prior.fit ../shared/data``.
 
-A logistic regression of "somebody labelled a car here" on the log of the mean gradient at 1/8 of the resolution, on the
-train split of the sets of known scale; prints the two numbers of ``vehanchor.detection.scheduler``, and the area under
-the curve on train and val.
+A logistic regression of "somebody labelled a car here" on the log of the mean gradient at 1/8 of
+the resolution, on the train split of the sets of known scale; prints the two numbers of
+``vehanchor.detection.scheduler``, and the area under the curve on train and val.
 """
 
 from __future__ import annotations
@@ -37,10 +37,14 @@ def read_images(data: Path, split: str) -> tuple[NDArray[np.float64], NDArray[np
             for row in csv.DictReader(lines):
                 if row["split"] != split or row["set"] == _UNLABELLED:
                     continue
-                image = np.asarray(cv2.imread(str(data / "gsd" / row["file"])), np.uint8)[:, :, ::-1]
+                image = np.asarray(cv2.imread(str(data / "gsd" / row["file"])), np.uint8)[
+                    :, :, ::-1
+                ]
                 for reduced in (8, 16) if float(row["gsd_m_per_px"]) < _FINE_M else (8,):
                     size = image.shape[1] // reduced, image.shape[0] // reduced
-                    coarse = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+                    coarse = np.asarray(
+                        cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8
+                    )
                     logs.append(float(np.log(gradient(coarse).mean() + NOISE_GRADIENT)))
                     cars.append(int(row["labelled_small_vehicles"]) > 0)
     return np.array(logs), np.array(cars)

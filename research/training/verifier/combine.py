@@ -2,11 +2,11 @@
 
 ``python -m research.training.verifier.combine RUN OUT.onnx``, after ``train``.
 
-The logit of a candidate's combined score is ``detector * logit(score) + verifier * logit + bias``. The three numbers
-are fitted on the candidates of the held-out tenth, each set counting by the root of its number, and become the metadata
-of ``OUT.onnx``. They are scaled so that 0.5 is where ``_CHANCE`` of the candidates are cars, and so that the hits'
-median score is what the detector alone gives: whatever reads scores (confidence, weights of lengths) then
-reads the same.
+The logit of a candidate's combined score is ``detector * logit(score) + verifier * logit + bias``.
+The three numbers are fitted on the candidates of the held-out tenth, each set counting by the root
+of its number, and become the metadata of ``OUT.onnx``. They are scaled so that 0.5 is where
+``_CHANCE`` of the candidates are cars, and so that the hits' median score is what the detector
+alone gives: whatever reads scores (confidence, weights of lengths) then reads the same.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from vehanchor.detection.verifier import Weights
 _CHANCE = 0.65  # a missed car costs less than a false one
 _RIDGE = 1e-3
 _MIN_SCORE = 0.5
-_LEAST_SCORE = 0.25  # of the detector: of 1,693 hits on the held-out tenth none has less, but 44 % of the candidates
+# of the detector: of 1,693 hits on the held-out tenth none has less, but 44 % of the candidates
+_LEAST_SCORE = 0.25
 
 
 def _logit(chance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -54,10 +55,14 @@ def rescaled(weights: Weights, logits: NDArray[np.float64], found: Candidates) -
     ours = np.median(total[found.car & (total >= limit)]) - limit
     theirs = np.median(_logit(found.scores[found.car & (found.scores >= _MIN_SCORE)]))
     scale = float(theirs / ours)
-    return Weights(weights.detector * scale, weights.verifier * scale, (weights.bias - limit) * scale)
+    return Weights(
+        weights.detector * scale, weights.verifier * scale, (weights.bias - limit) * scale
+    )
 
 
-def verifier_logits(session: onnxruntime.InferenceSession, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
+def verifier_logits(
+    session: onnxruntime.InferenceSession, chips: NDArray[np.uint8]
+) -> NDArray[np.float64]:
     """Logits of ``[n, 48, 48, 3]`` chips."""
     if not len(chips):
         return np.zeros(0)
@@ -70,7 +75,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--detector", default="vehicles", help="name of the detector whose candidates these are")
+    parser.add_argument(
+        "--detector", default="vehicles", help="name of the detector whose candidates these are"
+    )
     parser.add_argument("--size-weight", type=float, default=0.3, help="of the scene-scale prior")
     options = parser.parse_args()
     found = load(options.run / "held_out.npz")
@@ -80,8 +87,12 @@ def main() -> None:
     weights = rescaled(chances, logits, found)._replace(size=options.size_weight)
     scores = weights.score(found.scores, logits)
     for name in np.unique(found.sets):
-        hits, false = (scores[(found.sets == name) & (found.car == car)] >= _MIN_SCORE for car in (True, False))
-        print(f"{name}: {hits.sum()} of {len(hits)} cars, {false.sum()} of {len(false)} false alarms")
+        hits, false = (
+            scores[(found.sets == name) & (found.car == car)] >= _MIN_SCORE for car in (True, False)
+        )
+        print(
+            f"{name}: {hits.sum()} of {len(hits)} cars, {false.sum()} of {len(false)} false alarms"
+        )
     options.out.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(options.run / "verifier.onnx", options.out)
     metadata = {

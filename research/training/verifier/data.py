@@ -27,7 +27,8 @@ _CAR_PX = (
     55.0,
     110.0,
 )  # sizes at which an image is searched: at the finer ones a car's parts look like cars
-_MAX_ENLARGEMENT = {15.0: 2.2, 28.0: 2.2, 55.0: 1.1, 110.0: 1.0}  # an enlarged image has no parts to learn from
+# an enlarged image has no parts to learn from
+_MAX_ENLARGEMENT = {15.0: 2.2, 28.0: 2.2, 55.0: 1.1, 110.0: 1.0}
 _LEAST_SCORE = 0.15
 _MOST_FALSE = 40  # of an image at one size, at random: a harbour has hundreds
 _NEAR, _AT = 0.6, 0.25  # of a label's length: beyond one, within the other
@@ -35,7 +36,8 @@ _LENGTH_RATIO = 1.35
 _PART_RATIO = 0.55  # of a car's length: what is shorter and stands on it is a part of it, no car
 _JITTER = 0.06  # of a length, of place and size
 _TURN = 0.08  # radians
-_CANDIDATE = np.array([[CHIP_PX / 2, CHIP_PX / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]])  # on its chip
+# on its chip
+_CANDIDATE = np.array([[CHIP_PX / 2, CHIP_PX / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]])
 
 
 class Candidates(NamedTuple):
@@ -54,7 +56,9 @@ class Candidates(NamedTuple):
     sets: NDArray[np.str_]
 
 
-def truth_of(boxes: NDArray[np.float64], labels: NDArray[np.float64], ignore: NDArray[np.float64]) -> NDArray[np.int8]:
+def truth_of(
+    boxes: NDArray[np.float64], labels: NDArray[np.float64], ignore: NDArray[np.float64]
+) -> NDArray[np.int8]:
     """Label candidates: 1 hit, 0 false alarm, -1 ignored (on an ignored place or beside a car).
 
     Args:
@@ -74,7 +78,9 @@ def truth_of(boxes: NDArray[np.float64], labels: NDArray[np.float64], ignore: ND
     for polygon in ignore:
         around = polygon.astype(np.float32)
         for k in np.flatnonzero(truth == 0):
-            reach = cv2.pointPolygonTest(around, (float(boxes[k, 0]), float(boxes[k, 1])), measureDist=True)
+            reach = cv2.pointPolygonTest(
+                around, (float(boxes[k, 0]), float(boxes[k, 1])), measureDist=True
+            )
             if reach > -0.3 * boxes[k, 2]:
                 truth[k] = -1
     return truth
@@ -85,17 +91,23 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
     rng = np.random.default_rng(0)
     chips, car, scores, sets = [], [], [], []
     for sample in images:
-        native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 15.0
+        native = (
+            float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 15.0
+        )
         for target in _CAR_PX:
             factor = target / native
             if factor > _MAX_ENLARGEMENT[target] or min(sample.image.shape[:2]) * factor < 48:
                 continue
             way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-            scaled = np.asarray(cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8)
+            scaled = np.asarray(
+                cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8
+            )
             found = detector.detect_tile(detector.prepared(scaled), _LEAST_SCORE).vehicles
             kept = oriented_nms(found.boxes, found.scores)
             boxes, score = found.boxes[kept], found.scores[kept]
-            truth = truth_of(boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor)
+            truth = truth_of(
+                boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor
+            )
             false = rng.permutation(np.flatnonzero(truth == 0))
             truth[false[_MOST_FALSE:]] = -1
             known = truth >= 0
@@ -103,7 +115,9 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
             car.append(truth[known] == 1)
             scores.append(score[known])
             sets += [sample.set] * int(known.sum())
-    return Candidates(np.concatenate(chips), np.concatenate(car), np.concatenate(scores), np.array(sets))
+    return Candidates(
+        np.concatenate(chips), np.concatenate(car), np.concatenate(scores), np.array(sets)
+    )
 
 
 def save(candidates: Candidates, path: Path) -> None:
@@ -145,9 +159,13 @@ class ChipStream:
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self.seed, index])
         car = int(rng.random() < 0.5)
-        chosen = min(int(np.searchsorted(self._weight[car], rng.random())), len(self.candidates.car) - 1)
+        chosen = min(
+            int(np.searchsorted(self._weight[car], rng.random())), len(self.candidates.car) - 1
+        )
         cut = photometric(rng, shaded(rng, varied(rng, self.candidates.chips[chosen]), _CANDIDATE))
-        return torch.from_numpy(np.ascontiguousarray(cut.transpose(2, 0, 1))), torch.tensor(float(car))
+        return torch.from_numpy(np.ascontiguousarray(cut.transpose(2, 0, 1))), torch.tensor(
+            float(car)
+        )
 
 
 def varied(rng: np.random.Generator, stored: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -155,13 +173,19 @@ def varied(rng: np.random.Generator, stored: NDArray[np.uint8]) -> NDArray[np.ui
     scale = np.exp(rng.normal(0, _JITTER))
     turn = rng.normal(0, _TURN)
     flip = rng.choice((-1.0, 1.0), 2)
-    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * scale * flip[None]
+    matrix = (
+        np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * scale * flip[None]
+    )
     off = rng.normal(0, _JITTER * CHIP_LENGTH_PX, 2)
     origin = STORED_PX / 2 + off - matrix @ [CHIP_PX / 2, CHIP_PX / 2]
     full = np.column_stack([matrix, origin])
     full[:, 2] += full[:, :2] @ (0.5, 0.5) - 0.5
     cut = cv2.warpAffine(
-        stored, full, (CHIP_PX, CHIP_PX), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
+        stored,
+        full,
+        (CHIP_PX, CHIP_PX),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
     )
     if rng.random() < 0.3:
         small = round(CHIP_PX * rng.uniform(0.45, 0.9))

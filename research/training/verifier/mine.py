@@ -1,10 +1,11 @@
 """Collect candidates.
 
-``python -m research.training.verifier.mine MODEL.onnx RUN``; writes ``train.npz`` and ``held_out.npz``.
+``python -m research.training.verifier.mine MODEL.onnx RUN``; writes ``train.npz`` and
+``held_out.npz``.
 
-The detector is best one that has not learned from the newer images: of what it was trained on it is surer than it
-should be, and its false alarms there are gone. ``--without estonia`` leaves sets out, as that of
-``research.training.detector.train`` does.
+The detector is best one that has not learned from the newer images: of what it was trained on it is
+surer than it should be, and its false alarms there are gone. ``--without estonia`` leaves sets out,
+as that of ``research.training.detector.train`` does.
 """
 
 from __future__ import annotations
@@ -15,7 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from research.training.detector.data import TrainImage, distracted, draw_crop, load_scenes, load_train_images
+from research.training.detector.data import (
+    TrainImage,
+    distracted,
+    draw_crop,
+    load_scenes,
+    load_train_images,
+)
 from research.training.detector.scenery import load_scenery
 from research.training.verifier.data import mined, save
 from vehanchor.detection.detector import Detector
@@ -31,7 +38,9 @@ def distracted_crops(images: Sequence[TrainImage], count: int, seed: int = 0) ->
     out = []
     for _ in range(count):
         crop = distracted(rng, draw_crop(rng, images[int(rng.integers(len(images)))]))
-        out.append(TrainImage("distracted", crop.image, crop.boxes, crop.ignore, np.zeros((0, 2)), _CAR_PX))
+        out.append(
+            TrainImage("distracted", crop.image, crop.boxes, crop.ignore, np.zeros((0, 2)), _CAR_PX)
+        )
     return out
 
 
@@ -54,7 +63,11 @@ def main() -> None:
             images += load_scenes(options.scenes) if options.scenes else []
         found = mined(images, detector)
         save(found, options.run / f"{name}.npz")
-        print(f"{name}: {found.car.sum()} cars, {(~found.car).sum()} false alarms in {len(images)} images", flush=True)
+        print(
+            f"{name}: {found.car.sum()} cars, {(~found.car).sum()} false alarms in "
+            f"{len(images)} images",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -9,7 +9,8 @@ from torch import Tensor, nn
 
 from research.training.layers import conv_block
 
-_LAYERS = ((3, 32, 2), (32, 40, 1), (40, 64, 2), (64, 88, 1), (88, 112, 2), (112, 112, 1))  # inputs, outputs, stride
+# inputs, outputs, stride
+_LAYERS = ((3, 32, 2), (32, 40, 1), (40, 64, 2), (64, 88, 1), (88, 112, 2), (112, 112, 1))
 
 
 class VerifierNet(nn.Module):
@@ -17,9 +18,13 @@ class VerifierNet(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.body = nn.Sequential(*(conv_block(inputs, outputs, stride=stride) for inputs, outputs, stride in _LAYERS))
+        self.body = nn.Sequential(
+            *(conv_block(inputs, outputs, stride=stride) for inputs, outputs, stride in _LAYERS)
+        )
         width = _LAYERS[-1][1]
-        self.head = nn.Sequential(nn.Linear(2 * width, 48), nn.ReLU(inplace=True), nn.Dropout(0.2), nn.Linear(48, 1))
+        self.head = nn.Sequential(
+            nn.Linear(2 * width, 48), nn.ReLU(inplace=True), nn.Dropout(0.2), nn.Linear(48, 1)
+        )
 
     def forward(self, chips: Tensor) -> Tensor:
         """Logits ``[b]``."""

@@ -1,6 +1,7 @@
 """Write the verifier in eight bits: ``python -m research.training.verifier.quantise RUN MODEL.onnx OUT.onnx``.
 
-Its convolutions get eight bits, the two layers at its end stay; activations by chips of ``RUN``'s training part.
+Its convolutions get eight bits, the two layers at its end stay; activations by chips of ``RUN``'s
+training part.
 """
 
 from __future__ import annotations
@@ -34,8 +35,13 @@ def main() -> None:
     chosen = parser.parse_args()
     found = load(chosen.run / "train.npz")
     rng = np.random.default_rng(0)
-    some = np.sort(rng.choice(len(found.car), min(_CHIPS, len(found.car)) // _BATCH * _BATCH, replace=False))
-    chips = np.ascontiguousarray(middle(found.chips)[some].transpose(0, 3, 1, 2)).astype(np.float32) / 255
+    some = np.sort(
+        rng.choice(len(found.car), min(_CHIPS, len(found.car)) // _BATCH * _BATCH, replace=False)
+    )
+    chips = (
+        np.ascontiguousarray(middle(found.chips)[some].transpose(0, 3, 1, 2)).astype(np.float32)
+        / 255
+    )
     batches = [chips[start : start + _BATCH] for start in range(0, len(chips), _BATCH)]
     write_eight_bits(chosen.model, chosen.out, batches, quantised_nodes, {})
     print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")

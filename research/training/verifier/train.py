@@ -1,7 +1,7 @@
 """Train the verifier: ``python -m research.training.verifier.train RUN``, after ``research.training.verifier.mine``.
 
-Writes ``RUN/verifier.onnx``: ``chips`` ``[n, 3, 48, 48]`` float32 in 0..1 to ``logit`` ``[n]``. Resumes from
-``RUN/checkpoint.pt`` when it exists.
+Writes ``RUN/verifier.onnx``: ``chips`` ``[n, 3, 48, 48]`` float32 in 0..1 to ``logit`` ``[n]``.
+Resumes from ``RUN/checkpoint.pt`` when it exists.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ _BATCH = 96
 _SMOOTHING = 0.02  # labels are wrong now and then
 
 
-def losses(network: nn.Module, batch: tuple[Tensor, Tensor], device: torch.device) -> Mapping[str, Tensor]:
+def losses(
+    network: nn.Module, batch: tuple[Tensor, Tensor], device: torch.device
+) -> Mapping[str, Tensor]:
     """Cross-entropy of the logit."""
     chips, car = (part.to(device) for part in batch)
     wanted = car * (1 - 2 * _SMOOTHING) + _SMOOTHING
@@ -39,7 +41,9 @@ def losses(network: nn.Module, batch: tuple[Tensor, Tensor], device: torch.devic
 def export(network: VerifierNet, out: Path) -> None:
     """Write a network as ONNX."""
     example = torch.zeros(2, 3, CHIP_PX, CHIP_PX)
-    write_onnx(network, (example,), out, ["chips"], ["logit"], {"chips": {0: "n"}, "logit": {0: "n"}})
+    write_onnx(
+        network, (example,), out, ["chips"], ["logit"], {"chips": {0: "n"}, "logit": {0: "n"}}
+    )
 
 
 def logits(network: VerifierNet, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -52,7 +56,9 @@ def logits(network: VerifierNet, chips: NDArray[np.uint8]) -> NDArray[np.float64
     return np.concatenate(out).astype(np.float64)
 
 
-def report(car: NDArray[np.bool_], sets: NDArray[np.str_], scores: NDArray[np.float64]) -> list[str]:
+def report(
+    car: NDArray[np.bool_], sets: NDArray[np.str_], scores: NDArray[np.float64]
+) -> list[str]:
     """Area under the ROC curve and false alarms left at 95 % of the hits, by set."""
     lines = []
     for name in (*np.unique(sets), "all"):
@@ -76,8 +82,12 @@ def main() -> None:
     options = parser.parse_args()
     torch.manual_seed(options.seed)
     candidates, held_out = (load(options.run / f"{name}.npz") for name in ("train", "held_out"))
-    recipe = Recipe(Schedule(options.steps, _RATE, warm_up=100), _BATCH, average=0.995, log_every=100)
-    network = train(VerifierNet(), ChipStream(candidates, options.seed), losses, recipe, options.run)
+    recipe = Recipe(
+        Schedule(options.steps, _RATE, warm_up=100), _BATCH, average=0.995, log_every=100
+    )
+    network = train(
+        VerifierNet(), ChipStream(candidates, options.seed), losses, recipe, options.run
+    )
     trained = cast("VerifierNet", network)
     export(trained, options.run / "verifier.onnx")
     seen = logits(trained, held_out.chips)

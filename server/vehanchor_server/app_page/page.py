@@ -80,7 +80,9 @@ def _options(names: Iterable[str]) -> str:
     return "".join(f'<option value="{name}">{name.replace("_", " ")}</option>' for name in names)
 
 
-def _assembled(styles: tuple[str, ...], scripts: tuple[str, ...], *allowed: str, before: str = "") -> str:
+def _assembled(
+    styles: tuple[str, ...], scripts: tuple[str, ...], *allowed: str, before: str = ""
+) -> str:
     style, script = "\n".join(map(_part, styles)), _in_one_function(scripts)
     policy = "; ".join(
         [

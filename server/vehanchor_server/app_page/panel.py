@@ -1,6 +1,7 @@
 """Page data besides the record: the image and the shapes over it.
 
-The data is in the result's ``_meta``, which hosts hide from the model (MCP Apps, 2026-01-26, "Data Passing").
+The data is in the result's ``_meta``, which hosts hide from the model (MCP Apps, 2026-01-26, "Data
+Passing").
 """
 
 from __future__ import annotations
@@ -36,13 +37,16 @@ class Drawing(FrozenModel):
     """Shapes over the image, in pixels of the full image.
 
     Attributes:
-        vehicles: for each vehicle, x and y of the centre, length, width, angle in degrees, 1 for a measured one or 0
-            for an outlier, its number in ``drop``, and 1 for an added one or 0; best first.
+        vehicles: for each vehicle, x and y of the centre, length, width, angle in degrees, 1 for a
+            measured one or 0 for an outlier, its number in ``drop``, and 1 for an added one or 0;
+            best first.
         vehicles_left_out: number of vehicles beyond the limit.
         lines: lines of other rulers.
     """
 
-    vehicles: Annotated[tuple[tuple[float, float, float, float, float, int, int, int], ...], FailFast()]
+    vehicles: Annotated[
+        tuple[tuple[float, float, float, float, float, int, int, int], ...], FailFast()
+    ]
     vehicles_left_out: int
     lines: Annotated[tuple[DrawnLine, ...], FailFast()]
 
@@ -59,7 +63,8 @@ def panel_meta(
         picture: the reduced image as JPEG.
         drawing: shapes over the image; None for a given scale.
         record: the whole record, if the result is compact.
-        shown: the record that the page shows; a sentence says for people what its scale rests on or what it lacks.
+        shown: the record that the page shows; a sentence says for people what its scale rests on or
+            what it lacks.
     """
     data = {
         "picture_jpeg": None if picture is None else base64.b64encode(picture).decode(),

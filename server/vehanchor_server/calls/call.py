@@ -35,9 +35,11 @@ async def run_call(
         services: the server's parts.
         ctx: the call's context.
         image: the caller's image argument.
-        work: work for a worker process, or for a thread if the server has no workers. Library errors reach the caller.
+        work: work for a worker process, or for a thread if the server has no workers. Library
+            errors reach the caller.
         question: the caller's other arguments.
-        more: other images; if any, the work gets them with their bytes as a fifth argument and opens them itself.
+        more: other images; if any, the work gets them with their bytes as a fifth argument and
+            opens them itself.
 
     Raises:
         CallError: the call was refused, failed with a remedy for the caller, or took too long.
@@ -58,7 +60,8 @@ async def run_call(
             except MemoryError as error:  # outside decoding and models
                 raise CallError(
                     "out_of_memory",
-                    "this server has too little free memory at the moment. Try again later, or send a smaller image.",
+                    "this server has too little free memory at the moment. Try again later, or "
+                    "send a smaller image.",
                 ) from error
 
         result = await services.capacity.in_thread(stop, in_thread)

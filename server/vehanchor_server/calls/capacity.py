@@ -1,7 +1,7 @@
 """Capacity: limits on concurrent calls and their duration, and stopping of calls.
 
-A call occupies a slot from its admission until its thread ends, so that the remaining work of a cancelled call
-counts. There is no queue: beyond the capacity, calls are refused at once.
+A call occupies a slot from its admission until its thread ends, so that the remaining work of a
+cancelled call counts. There is no queue: beyond the capacity, calls are refused at once.
 """
 
 from __future__ import annotations
@@ -94,7 +94,9 @@ class Capacity:
             raise CallError("server_stopping", "the server is shutting down. Try again in a while.")
         if self.running >= self.max_concurrency:
             raise CallError(
-                "busy", f"all {self.max_concurrency} slots of this server are taken. Try again in a few seconds."
+                "busy",
+                f"all {self.max_concurrency} slots of this server are taken. Try again in a few "
+                "seconds.",
             )
         stop = Stop()
         self._stops.add(stop)
@@ -105,7 +107,8 @@ class Capacity:
             self._stops.discard(stop)
         raise CallError(
             "deadline_exceeded",
-            f"the call took longer than {self.deadline_s:g} s. Send a smaller image, or fewer, or try again later.",
+            f"the call took longer than {self.deadline_s:g} s. Send a smaller image, or fewer, "
+            "or try again later.",
         )
 
     async def in_thread(self, stop: Stop, work: Callable[[], T]) -> T:
@@ -115,7 +118,8 @@ class Capacity:
             CallError: ``server_stopping``, if the work was stopped by ``close``.
         """
 
-        def guarded() -> tuple[T | None, Exception | None]:  # as a value: it must not collide with a cancellation
+        # as a value: it must not collide with a cancellation
+        def guarded() -> tuple[T | None, Exception | None]:
             try:
                 return work(), None
             except Exception as error:
@@ -127,7 +131,8 @@ class Capacity:
             was_stopped = stop.requested
             group.cancel_scope.cancel()
         await anyio.lowlevel.checkpoint_if_cancelled()
-        if error is not None and was_stopped:  # CallStoppedError, or the error of a terminated model
+        # CallStoppedError, or the error of a terminated model
+        if error is not None and was_stopped:
             raise CallError("server_stopping", "the server is shutting down. Try again in a while.")
         if error is not None:
             raise error

@@ -58,8 +58,15 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
 }
 """The fields of each record in a short record, unless null."""
 
-_ONLY_IF_OK = ("length_m", "width_m", "inscribed_diameter_m", "inscribed_diameter_ci95_low_m", "inscribed_center")
-_KEPT_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m", "scale_confidence")  # null means "no scale"
+_ONLY_IF_OK = (
+    "length_m",
+    "width_m",
+    "inscribed_diameter_m",
+    "inscribed_diameter_ci95_low_m",
+    "inscribed_center",
+)
+# null means "no scale"
+_KEPT_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m", "scale_confidence")
 _OMITTED_IN_FRAME = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
 
 
@@ -73,7 +80,11 @@ def short_record(records: Sequence[BaseModel], warnings: Sequence[str] = ()) -> 
     parts = [_short(record) for record in records]
     whole: dict[str, Any] = parts[0] if len(parts) == 1 else {"measurements": parts}
     advice = "; ".join(dict.fromkeys(filter(None, map(advice_on, records))))
-    return whole | ({"advice": advice} if advice else {}) | ({"warnings": list(warnings)} if warnings else {})
+    return (
+        whole
+        | ({"advice": advice} if advice else {})
+        | ({"warnings": list(warnings)} if warnings else {})
+    )
 
 
 def brief(message: str) -> str:
@@ -114,7 +125,8 @@ def _short(record: BaseModel) -> dict[str, Any]:
 def has_unknown_extent(record: BaseModel) -> bool:
     """Tell whether the mask may be a part of the object, or more.
 
-    Its box is not told: given back, it would pass for one that somebody drew (``research/results/notes.md``).
+    Its box is not told: given back, it would pass for one that somebody drew
+    (``research/results/notes.md``).
     """
     notices = record.warnings if isinstance(record, AreaMeasurement) else ()
     return any(notice.code == NoticeCode.EXTENT_UNKNOWN for notice in notices)

@@ -17,12 +17,16 @@ MAX_PAGE_BYTES = 120_000  # part of every result of a host with pages
 _QUALITIES = (85, 70, 55, 40)
 
 
-def small_jpeg(picture: NDArray[np.uint8], max_bytes: int = MAX_PICTURE_BYTES, side_px: int = MAX_SIDE_PX) -> bytes:
+def small_jpeg(
+    picture: NDArray[np.uint8], max_bytes: int = MAX_PICTURE_BYTES, side_px: int = MAX_SIDE_PX
+) -> bytes:
     """Encode a picture, ``[h, w, 3]`` RGB, as JPEG within the limits of bytes and of its longer side."""
     while True:
         picture = _within(picture, side_px)
         for quality in _QUALITIES:
-            _, encoded = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+            _, encoded = cv2.imencode(
+                ".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality]
+            )
             if encoded.size <= max_bytes:
                 return encoded.tobytes()
         picture = _within(picture, max(picture.shape[:2]) * 2 // 3)

@@ -1,8 +1,9 @@
 """Messages between the server and its workers.
 
-An image can compromise the worker that decodes it, so its messages are data: JSON that pydantic models validate, and
-a picture as raw bytes. Size and number of separators are checked before parsing, because an error for each of 200,000
-empty objects takes gigabytes. A task goes the other way, pickled, because workers trust the server.
+An image can compromise the worker that decodes it, so its messages are data: JSON that pydantic
+models validate, and a picture as raw bytes. Size and number of separators are checked before
+parsing, because an error for each of 200,000 empty objects takes gigabytes. A task goes the other
+way, pickled, because workers trust the server.
 """
 
 from __future__ import annotations
@@ -84,7 +85,9 @@ class Replied(FrozenModel):
 
 
 WorkerMessage: TypeAlias = Loaded | Progressed | Refused | Replied
-_WORKER_MESSAGE: TypeAdapter[WorkerMessage] = TypeAdapter(Annotated[WorkerMessage, Field(discriminator="kind")])
+_WORKER_MESSAGE: TypeAdapter[WorkerMessage] = TypeAdapter(
+    Annotated[WorkerMessage, Field(discriminator="kind")]
+)
 
 
 def send(connection: Connection, message: BaseModel) -> None:
@@ -95,7 +98,9 @@ def send(connection: Connection, message: BaseModel) -> None:
 def send_reply(connection: Connection, reply: Reply[BaseModel]) -> None:
     """Send the reply of a call."""
     picture = reply.picture
-    header = Replied(n_records=len(reply.records), drawing=reply.drawing is not None, picture=picture is not None)
+    header = Replied(
+        n_records=len(reply.records), drawing=reply.drawing is not None, picture=picture is not None
+    )
     for part in (header, *reply.records, *([reply.drawing] if reply.drawing else [])):
         send(connection, part)
     if picture is not None:
@@ -127,8 +132,12 @@ def receive_reply(connection: Connection, header: Replied, record: type[BaseMode
         MessageError: a part is not of its type.
     """
     return Reply(
-        records=tuple(_parsed(connection, RECORD, record.model_validate_json) for _ in range(header.n_records)),
-        drawing=_parsed(connection, DRAWING, Drawing.model_validate_json) if header.drawing else None,
+        records=tuple(
+            _parsed(connection, RECORD, record.model_validate_json) for _ in range(header.n_records)
+        ),
+        drawing=_parsed(connection, DRAWING, Drawing.model_validate_json)
+        if header.drawing
+        else None,
         picture=connection.recv_bytes(MAX_PICTURE_BYTES) if header.picture else None,
     )
 
@@ -141,6 +150,7 @@ def _parsed(connection: Connection, limit: Limit, parse: Callable[[bytes], Parse
     try:
         return parse(data)
     except ValidationError as error:
-        first = error.errors(include_input=False, include_url=False)[0]  # without the possibly hostile input
+        # without the possibly hostile input
+        first = error.errors(include_input=False, include_url=False)[0]
         where = ".".join(map(str, first["loc"]))[:200]
         raise MessageError(f"{error.title}: {where}: {first['type']}") from None

@@ -30,9 +30,11 @@ class PictureRequest(NamedTuple):
     """Picture that a call should make.
 
     Attributes:
-        kind: none; ``plain``, the image for a page; or ``evidence``, what the call saw, for ``view_image``.
+        kind: none; ``plain``, the image for a page; or ``evidence``, what the call saw, for
+            ``view_image``.
         long_side_px: longer side of the evidence, at most.
-        part: corners of the part that the evidence shows, in the units of ``frame``; None for the usual view.
+        part: corners of the part that the evidence shows, in the units of ``frame``; None for the
+            usual view.
         frame: coordinate system of the part.
     """
 
@@ -62,7 +64,12 @@ class Reply(Generic[Record]):
         return self.records[0]
 
     def to_result(
-        self, text: str, warnings: Sequence[str] = (), *, detail: Detail = "full", shown: PictureRequest | None = None
+        self,
+        text: str,
+        warnings: Sequence[str] = (),
+        *,
+        detail: Detail = "full",
+        shown: PictureRequest | None = None,
     ) -> CallToolResult:
         """Convert to a tool result: text and structured content that say the same, and page data.
 
@@ -79,12 +86,18 @@ class Reply(Generic[Record]):
         kind = "" if shown is None else shown.kind
         if kind == "evidence":
             assert self.picture is not None
-            return CallToolResult(content=[*content, Image(data=self.picture, format="jpeg").to_image_content()])
+            return CallToolResult(
+                content=[*content, Image(data=self.picture, format="jpeg").to_image_content()]
+            )
         whole = [record.model_dump(mode="json") for record in self.records]
         full = whole[0] if len(whole) == 1 else {"measurements": whole}
         short = None if detail == "full" else short_record(self.records, warnings)
         if kind:
-            page = panel_meta(self.picture, self.drawing, None if short is None else whole[0], self.record)
+            page = panel_meta(
+                self.picture, self.drawing, None if short is None else whole[0], self.record
+            )
         else:
             page = panel_meta()
-        return CallToolResult(content=content, structured_content=full if short is None else short, _meta=page)
+        return CallToolResult(
+            content=content, structured_content=full if short is None else short, _meta=page
+        )

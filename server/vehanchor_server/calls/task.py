@@ -61,7 +61,8 @@ class Task(Generic[Record]):
     Attributes:
         work: the kind of work.
         question: the caller's other arguments.
-        images: the caller's image arguments, each with its bytes if it was fetched; the work opens all but the first.
+        images: the caller's image arguments, each with its bytes if it was fetched; the work opens
+            all but the first.
     """
 
     work: Work[Record]

@@ -24,7 +24,9 @@ def forward_log(log: Connection, pid: int) -> threading.Thread:
         log: reading end of the pipe; the thread closes it.
         pid: process id of the worker, for the label.
     """
-    thread = threading.Thread(target=_forward, args=(log, pid), name=f"vehanchor-log-{pid}", daemon=True)
+    thread = threading.Thread(
+        target=_forward, args=(log, pid), name=f"vehanchor-log-{pid}", daemon=True
+    )
     thread.start()
     return thread
 
@@ -35,7 +37,13 @@ def _forward(log: Connection, pid: int) -> None:
         while line := stream.readline(_READ_BYTES):
             n_lines += 1
             if n_lines <= _MAX_LINES:
-                shown = on_one_line(line[:_MAX_LINE_BYTES].decode("utf-8", "replace").rstrip("\r\n"))
-                _logger.warning("worker %d: %s%s", pid, shown, " [cut]" if len(line) > _MAX_LINE_BYTES else "")
+                shown = on_one_line(
+                    line[:_MAX_LINE_BYTES].decode("utf-8", "replace").rstrip("\r\n")
+                )
+                _logger.warning(
+                    "worker %d: %s%s", pid, shown, " [cut]" if len(line) > _MAX_LINE_BYTES else ""
+                )
             elif n_lines == _MAX_LINES + 1:
-                _logger.warning("worker %d: more than %d lines; the rest is omitted", pid, _MAX_LINES)
+                _logger.warning(
+                    "worker %d: more than %d lines; the rest is omitted", pid, _MAX_LINES
+                )

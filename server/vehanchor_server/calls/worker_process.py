@@ -19,7 +19,15 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
-from vehanchor_server.calls.messages import BUG, MAX_WORDS, Loaded, Progressed, Refused, send, send_reply
+from vehanchor_server.calls.messages import (
+    BUG,
+    MAX_WORDS,
+    Loaded,
+    Progressed,
+    Refused,
+    send,
+    send_reply,
+)
 from vehanchor_server.calls.task import perform
 from vehanchor_server.errors import WORKER_KILLED, CallError
 from vehanchor_server.sandbox.confinement import Confinement, confine
@@ -32,10 +40,13 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.task import Task
     from vehanchor_server.parts import Parts
 
-_IDLE_S = 5.0  # idle time before freed memory is returned; a call after that maps it again, for some 25 ms
+# idle time before freed memory is returned; a call after that maps it again, for some 25 ms
+_IDLE_S = 5.0
 _M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3  # of malloc.h
-_MEMORY_OPTIONS = ((_M_ARENA_MAX, 1), (_M_MMAP_THRESHOLD, 8 << 20))  # one heap; freed large blocks leave the process
-_OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
+# one heap; freed large blocks leave the process
+_MEMORY_OPTIONS = ((_M_ARENA_MAX, 1), (_M_MMAP_THRESHOLD, 8 << 20))
+# OpenCV's, C++'s, ONNX's
+_OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")
 _logger = logging.getLogger(__name__)
 
 
@@ -53,7 +64,10 @@ class WorkerLimits:
 
 
 def serve_tasks(
-    connection: Connection, log: Connection, make_services: Callable[[], Parts], limits: WorkerLimits
+    connection: Connection,
+    log: Connection,
+    make_services: Callable[[], Parts],
+    limits: WorkerLimits,
 ) -> None:
     """Confine this process, load the models and run tasks until the server ends: the main function of a worker.
 
@@ -65,17 +79,24 @@ def serve_tasks(
     """
     from vehanchor_server.request_log import configure_logging
 
-    gc.freeze()  # collections would write to what the fork server made, and so copy the memory that is shared with it
+    # collections would write to what the fork server made, and so copy the memory that is shared
+    # with it
+    gc.freeze()
     for option, value in _MEMORY_OPTIONS:
         _glibc("mallopt", option, value)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the server ends its workers
+    # Ctrl-C reaches all processes; the server ends its workers
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _keep_streams(connection, log)
     configure_logging()
     try:
         services = make_services()
         readable = services.readable
-        confinement = Confinement(lacks="the operator's settings") if readable is None else confine(readable)
-        threading.Thread(target=_end_with_server, args=(connection,), name="vehanchor-server", daemon=True).start()
+        confinement = (
+            Confinement(lacks="the operator's settings") if readable is None else confine(readable)
+        )
+        threading.Thread(
+            target=_end_with_server, args=(connection,), name="vehanchor-server", daemon=True
+        ).start()
         services.models.load_all()
         _glibc("malloc_trim", 0)
     except Exception:
@@ -83,7 +104,8 @@ def serve_tasks(
         return
     _limit_memory(limits.memory_bytes)
     send(connection, Loaded(failure=services.models.failure, confinement=confinement))
-    with contextlib.suppress(EOFError, ConnectionError):  # the server ended, or released this worker
+    # the server ended, or released this worker
+    with contextlib.suppress(EOFError, ConnectionError):
         while True:
             if not connection.poll(_IDLE_S):
                 _glibc("malloc_trim", 0)
@@ -98,13 +120,15 @@ def serve_tasks(
 def _keep_streams(connection: Connection, log: Connection) -> None:
     """Keep the server's connection and the log; close all other inherited descriptors.
 
-    Standard input can be the server's protocol or the operator's terminal, and standard error can be the terminal. One
-    descriptor of ``multiprocessing`` leads to the process that removes shared memory.
+    Standard input can be the server's protocol or the operator's terminal, and standard error can
+    be the terminal. One descriptor of ``multiprocessing`` leads to the process that removes shared
+    memory.
     """
     for stream in (1, 2):
         os.dup2(log.fileno(), stream)
     log.close()
-    if sys.platform != "linux":  # elsewhere ``multiprocessing`` watches the server by its own descriptor
+    # elsewhere ``multiprocessing`` watches the server by its own descriptor
+    if sys.platform != "linux":
         return
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
@@ -152,18 +176,23 @@ def _end_with_server(connection: Connection) -> None:
 def _limit_memory(n_bytes: int) -> None:
     """Limit the data that this process can add; only on Linux, as other systems do not count all data.
 
-    The limit is relative to the current data, because threads reserve 8 MiB each and their number varies.
+    The limit is relative to the current data, because threads reserve 8 MiB each and their number
+    varies.
     """
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
 
-        has = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5]) * resource.getpagesize()
+        has = (
+            int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5])
+            * resource.getpagesize()
+        )
         resource.setrlimit(resource.RLIMIT_DATA, (has + n_bytes, has + n_bytes))
 
 
 def _glibc(function: str, *arguments: int) -> None:
     """Call a function of glibc's memory allocator, if there is one."""
-    with contextlib.suppress(OSError, TypeError, AttributeError):  # TypeError: Windows has no CDLL of itself
+    # TypeError: Windows has no CDLL of itself
+    with contextlib.suppress(OSError, TypeError, AttributeError):
         getattr(ctypes.CDLL(None), function)(*arguments)
 
 

@@ -1,13 +1,14 @@
 """Worker processes for decoding and models, which the server can kill.
 
-Each worker loads its models and waits for a call. A thread of the server sends it the call and forwards its progress.
-At the deadline, or if the call is cancelled, the server kills the worker and starts the next one. The system limits
-the worker's memory, processor time, files and system calls (``sandbox``). The server starts one worker at first, and
-another when concurrency reaches a new maximum. An idle worker returns freed memory.
+Each worker loads its models and waits for a call. A thread of the server sends it the call and
+forwards its progress. At the deadline, or if the call is cancelled, the server kills the worker and
+starts the next one. The system limits the worker's memory, processor time, files and system calls
+(``sandbox``). The server starts one worker at first, and another when concurrency reaches a new
+maximum. An idle worker returns freed memory.
 
-The processes and pipes are those of ``multiprocessing``. No existing pool fits: ``anyio.to_process`` kills, but
-reports no progress and loses log lines; in ``concurrent.futures`` and ``loky`` one killed worker breaks the whole
-pool; ``pebble`` is under the LGPL.
+The processes and pipes are those of ``multiprocessing``. No existing pool fits:
+``anyio.to_process`` kills, but reports no progress and loses log lines; in ``concurrent.futures``
+and ``loky`` one killed worker breaks the whole pool; ``pebble`` is under the LGPL.
 """
 
 from __future__ import annotations
@@ -59,7 +60,8 @@ class WorkerPool:
     """Workers of a server, at most one per concurrent call.
 
     Args:
-        make_services: creates a worker's parts: a module-level function or a ``functools.partial`` of one.
+        make_services: creates a worker's parts: a module-level function or a ``functools.partial``
+            of one.
         limits: resource limits of each worker.
 
     Attributes:
@@ -101,7 +103,9 @@ class WorkerPool:
             if not self._workers and not self.closed:
                 self._idle.append(self._new())
 
-    def run(self, task: Task[Record], stop: Stop, report: Callable[[float, str], None]) -> Reply[Record]:
+    def run(
+        self, task: Task[Record], stop: Stop, report: Callable[[float, str], None]
+    ) -> Reply[Record]:
         """Run a task in a worker; blocks, so call it in a thread.
 
         Args:
@@ -161,7 +165,8 @@ class WorkerPool:
                 break
         raise CallError(
             "worker_unavailable",
-            "this server's worker process does not start; the image is not the cause. Try again in a while; if that "
+            "this server's worker process does not start; the image is not the cause. Try again "
+            "in a while; if that "
             "does not help, its operator must check the server's log.",
         )
 
@@ -201,7 +206,8 @@ class _Worker:
                 self.process.start()
             forward_log(log, self.process.pid or 0)
             threading.Thread(target=self._load, name="vehanchor-loading", daemon=True).start()
-        except (OSError, EOFError, RuntimeError) as error:  # no memory, process or thread, or a missing fork server
+        # no memory, process or thread, or a missing fork server
+        except (OSError, EOFError, RuntimeError) as error:
             log.close()
             self._fail(f"no process can be started: {error!r}")
 
@@ -242,7 +248,9 @@ class _Worker:
             self._fail(f"it ended with exit code {self.process.exitcode} during startup")
             return
         if not isinstance(message, Loaded):
-            self._fail(message.message if isinstance(message, Refused) else f"it sent {message.kind}")
+            self._fail(
+                message.message if isinstance(message, Refused) else f"it sent {message.kind}"
+            )
             return
         self._pool.failure = message.failure
         self._pool.log_once(*_confinement_message(message.confinement))
@@ -255,7 +263,9 @@ class _Worker:
             self._pool.log_once(logging.ERROR, f"a worker cannot start: {reason}")
         self._settled.set()
 
-    def run(self, task: Task[Record], stop: Stop, report: Callable[[float, str], None]) -> Reply[Record]:
+    def run(
+        self, task: Task[Record], stop: Stop, report: Callable[[float, str], None]
+    ) -> Reply[Record]:
         """Run a task as the pool does; a stop request kills the process."""
         self._waits = False
         with stop.calling(self.kill):
@@ -263,15 +273,21 @@ class _Worker:
             try:
                 self._connection.send(task)
                 return self._listen(task, report)
-            except (EOFError, OSError, MessageError) as error:  # the process ended, or sent other bytes, or too many
+            # the process ended, or sent other bytes, or too many
+            except (EOFError, OSError, MessageError) as error:
                 self.kill()  # does not change the exit code of one that ended
                 self.process.join(_ENDS_WITHIN_S)
                 stop.check()
-                cause = error if isinstance(error, MessageError) else f"exit code {self.process.exitcode}"
+                cause = (
+                    error
+                    if isinstance(error, MessageError)
+                    else f"exit code {self.process.exitcode}"
+                )
                 _logger.warning("a worker ended during a call: %s", cause)
                 raise CallError(
                     WORKER_KILLED,
-                    "the worker process ended: it used too much memory or time, or crashed. Try again, or send another "
+                    "the worker process ended: it used too much memory or time, or crashed. Try "
+                    "again, or send another "
                     "image.",
                 ) from error
 
@@ -295,20 +311,29 @@ class _Worker:
 
 def _confinement_message(confinement: Confinement) -> tuple[int, str]:
     """Describe the confinement of workers for the log."""
-    held = [f"Landlock {confinement.landlock}"] * bool(confinement.landlock) + ["seccomp"] * confinement.seccomp
+    held = [f"Landlock {confinement.landlock}"] * bool(confinement.landlock) + [
+        "seccomp"
+    ] * confinement.seccomp
     text = f"workers are confined by {' and '.join(held)}" if held else "workers are not confined"
-    return (logging.WARNING, f"{text} ({confinement.lacks})") if confinement.lacks else (logging.INFO, text)
+    return (
+        (logging.WARNING, f"{text} ({confinement.lacks})")
+        if confinement.lacks
+        else (logging.INFO, text)
+    )
 
 
 def _start_context() -> ForkServerContext | SpawnContext:
     """Return the start method: on Linux a fork server with all modules imported, for fast replacement.
 
-    The fork server opens no models, because a fork loses their threads. It needs a directory for its socket.
+    The fork server opens no models, because a fork loses their threads. It needs a directory for
+    its socket.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError):  # a read-only file system: spawn instead
             tempfile.gettempdir()
             context = multiprocessing.get_context("forkserver")
-            context.set_forkserver_preload([serve_tasks.__module__, "vehanchor_server.services", *SLOW_IMPORTS])
+            context.set_forkserver_preload(
+                [serve_tasks.__module__, "vehanchor_server.services", *SLOW_IMPORTS]
+            )
             return context
     return multiprocessing.get_context("spawn")

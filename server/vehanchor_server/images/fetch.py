@@ -1,8 +1,8 @@
 """Fetch images from web servers that the operator allows.
 
-These checks prevent server-side request forgery. They apply to every redirect: https only, listed hosts only, public
-addresses only. The connection goes to the checked address, not to the name, so that a second DNS answer has no effect.
-The certificate is still verified for the name.
+These checks prevent server-side request forgery. They apply to every redirect: https only, listed
+hosts only, public addresses only. The connection goes to the checked address, not to the name, so
+that a second DNS answer has no effect. The certificate is still verified for the name.
 """
 
 from __future__ import annotations
@@ -38,7 +38,11 @@ _NOT_PUBLIC = tuple(
         ),
     )
 )
-_HEADERS = ((b"Accept", b"image/*, */*;q=0.5"), (b"Accept-Encoding", b"identity"), (b"User-Agent", b"vehanchor"))
+_HEADERS = (
+    (b"Accept", b"image/*, */*;q=0.5"),
+    (b"Accept-Encoding", b"identity"),
+    (b"User-Agent", b"vehanchor"),
+)
 
 
 def is_public_address(address: str) -> bool:
@@ -71,7 +75,8 @@ class Fetcher:
     """Fetcher of images by URL.
 
     Attributes:
-        hosts: allowed hosts, ``name`` (port 443) or ``name:port``; an empty tuple refuses every URL.
+        hosts: allowed hosts, ``name`` (port 443) or ``name:port``; an empty tuple refuses every
+            URL.
         max_bytes: largest image.
         timeout_s: time limit, with redirects.
         ssl_context: verification of certificates; None for the system's authorities.
@@ -90,23 +95,33 @@ class Fetcher:
         """Fetch the bytes at a URL.
 
         Raises:
-            CallError: ``source_disabled``, ``url_not_allowed``, ``fetch_failed``, or the library's ``image_too_large``.
+            CallError: ``source_disabled``, ``url_not_allowed``, ``fetch_failed``, or the library's
+                ``image_too_large``.
         """
         if not self.hosts:
             raise CallError(
                 "source_disabled",
-                "this server fetches no images by URL. Use another kind, or start it with --image-host HOST.",
+                "this server fetches no images by URL. Use another kind, or start it with "
+                "--image-host HOST.",
             )
         with anyio.move_on_after(self.timeout_s):
             backend = _PinnedBackend(self)
-            async with httpcore.AsyncConnectionPool(ssl_context=self.ssl_context, network_backend=backend) as pool:
+            async with httpcore.AsyncConnectionPool(
+                ssl_context=self.ssl_context, network_backend=backend
+            ) as pool:
                 for _ in range(MAX_REDIRECTS + 1):
                     answer = await self._request(pool, self._checked(url))
                     if isinstance(answer, bytes):
                         return answer
                     url = answer
-            raise CallError("fetch_failed", f"more than {MAX_REDIRECTS} redirects. Give the image's final address.")
-        raise CallError("fetch_failed", f"the image did not arrive within {self.timeout_s:g} s. Try again, or send it.")
+            raise CallError(
+                "fetch_failed",
+                f"more than {MAX_REDIRECTS} redirects. Give the image's final address.",
+            )
+        raise CallError(
+            "fetch_failed",
+            f"the image did not arrive within {self.timeout_s:g} s. Try again, or send it.",
+        )
 
     def _checked(self, url: str) -> SplitResult:
         """Return the URL's parts if its form and host are allowed."""
@@ -114,14 +129,23 @@ class Fetcher:
             parts = urlsplit(url)
             host, port = (parts.hostname or "").lower(), parts.port or _HTTPS_PORT
         except ValueError:
-            raise CallError("url_not_allowed", "the URL is malformed. Give https://host/path.") from None
+            raise CallError(
+                "url_not_allowed", "the URL is malformed. Give https://host/path."
+            ) from None
         if parts.scheme != "https" or parts.username is not None or parts.password is not None:
-            raise CallError("url_not_allowed", "only https:// URLs without a user name are allowed. Give such a URL.")
+            raise CallError(
+                "url_not_allowed",
+                "only https:// URLs without a user name are allowed. Give such a URL.",
+            )
         if not (url.isascii() and url.isprintable()) or " " in url:
-            raise CallError("url_not_allowed", "the URL contains characters that need percent-encoding. Encode them.")
+            raise CallError(
+                "url_not_allowed",
+                "the URL contains characters that need percent-encoding. Encode them.",
+            )
         if f"{host}:{port}" not in self.hosts and not (port == _HTTPS_PORT and host in self.hosts):
             raise CallError(
-                "url_not_allowed", f"host {shortened(host)!r} is not allowed. Allowed: {', '.join(self.hosts)}."
+                "url_not_allowed",
+                f"host {shortened(host)!r} is not allowed. Allowed: {', '.join(self.hosts)}.",
             )
         return parts
 
@@ -131,19 +155,35 @@ class Fetcher:
         try:
             async with pool.stream("GET", url, headers=_HEADERS) as response:
                 if response.status in _REDIRECTS:
-                    location = next((value for name, value in response.headers if name.lower() == b"location"), b"")
+                    location = next(
+                        (value for name, value in response.headers if name.lower() == b"location"),
+                        b"",
+                    )
                     return urljoin(url, location.decode("latin-1"))
                 if response.status != 200:
-                    raise CallError("fetch_failed", f"the host answered {response.status}. Check the URL.")
+                    raise CallError(
+                        "fetch_failed", f"the host answered {response.status}. Check the URL."
+                    )
                 return await self._body(response)
-        except (httpcore.NetworkError, httpcore.ProtocolError, httpcore.TimeoutException, OSError, ValueError) as error:
+        except (
+            httpcore.NetworkError,
+            httpcore.ProtocolError,
+            httpcore.TimeoutException,
+            OSError,
+            ValueError,
+        ) as error:
             raise CallError(
                 "fetch_failed", f"{type(error).__name__} at the host. Check the URL, or try again."
             ) from error
 
     async def _body(self, response: httpcore.Response) -> bytes:
-        declared = next((value for name, value in response.headers if name.lower() == b"content-length"), b"0")
-        too_large = CallError("image_too_large", f"the image has more than {self.max_bytes} bytes. Send a smaller one.")
+        declared = next(
+            (value for name, value in response.headers if name.lower() == b"content-length"), b"0"
+        )
+        too_large = CallError(
+            "image_too_large",
+            f"the image has more than {self.max_bytes} bytes. Send a smaller one.",
+        )
         if declared.isdigit() and int(declared) > self.max_bytes:
             raise too_large
         body = bytearray()
@@ -175,6 +215,7 @@ class _PinnedBackend(httpcore.AnyIOBackend):
         if not addresses or not all(map(self._fetcher.is_public, addresses)):
             # Refuse a mixture of public and private addresses; no image host has one.
             raise CallError(
-                "url_not_allowed", f"host {shortened(host)!r} does not resolve to public addresses. Use another URL."
+                "url_not_allowed",
+                f"host {shortened(host)!r} does not resolve to public addresses. Use another URL.",
             )
         return await super().connect_tcp(addresses[0], port, timeout, local_address, socket_options)

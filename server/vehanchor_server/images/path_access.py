@@ -1,13 +1,15 @@
 """Path access: open files below the allowed roots, and no others.
 
-The text of a path is compared with the roots. A path outside the roots is refused without access to the file system,
-so the refusal reveals nothing. Below a root, each component is opened from its parent's descriptor without following
-symbolic links. A link is read, and the walk continues at its target: below the link's directory, or from a root that
-the target names. A target above the root ends the walk, even if it returns. The library gets the checked descriptor,
-so the file cannot change between check and use.
+The text of a path is compared with the roots. A path outside the roots is refused without access to
+the file system, so the refusal reveals nothing. Below a root, each component is opened from its
+parent's descriptor without following symbolic links. A link is read, and the walk continues at its
+target: below the link's directory, or from a root that the target names. A target above the root
+ends the walk, even if it returns. The library gets the checked descriptor, so the file cannot
+change between check and use.
 
-On Linux the library gets the name of the descriptor (``/proc/self/fd/N``). The name refers to the same file whatever
-happens to its path, and supports windowed reading of large TIFFs. Elsewhere it gets the file object and reads it whole.
+On Linux the library gets the name of the descriptor (``/proc/self/fd/N``). The name refers to the
+same file whatever happens to its path, and supports windowed reading of large TIFFs. Elsewhere it
+gets the file object and reads it whole.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ if TYPE_CHECKING:
 _NOFOLLOW = getattr(os, "O_NOFOLLOW", 0)
 _CLOEXEC = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 # O_NONBLOCK: opening a FIFO in place of the file must not wait for a writer.
-_FILE_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+_FILE_FLAGS = (
+    os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+)
 _DIRECTORY_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_DIRECTORY", 0)
 
 
@@ -50,7 +54,8 @@ class PathAccess:
 
     Args:
         roots: resolved directories; an empty sequence refuses every path.
-        spellings: the roots as given by the operator, in the same order; callers may use both forms.
+        spellings: the roots as given by the operator, in the same order; callers may use both
+            forms.
     """
 
     def __init__(self, roots: Sequence[Path], spellings: Sequence[Path] = ()) -> None:
@@ -62,14 +67,16 @@ class PathAccess:
         """Open a file for the duration of the context.
 
         Args:
-            named: an absolute path, a ``file://`` URL, or a path below a root; the first root with such a file wins.
+            named: an absolute path, a ``file://`` URL, or a path below a root; the first root with
+                such a file wins.
 
         Yields:
             The name of the descriptor, or a file object on systems without such names.
 
         Raises:
-            CallError: ``source_disabled``; ``path_not_allowed``, the same for existing and missing files outside the
-                roots; ``image_not_found`` for a path below a root that is no regular file.
+            CallError: ``source_disabled``; ``path_not_allowed``, the same for existing and missing
+                files outside the roots; ``image_not_found`` for a path below a root that is no
+                regular file.
         """
         self._check_enabled()
         descriptor = self._descriptor(self._local_path(named))
@@ -79,8 +86,8 @@ class PathAccess:
     def listed(self, first: int, count: int, stop: Stop) -> tuple[list[str], int]:
         """List regular files below the roots that have an image's suffix, without links and hidden files or folders.
 
-        Names with control characters, or bytes that are not UTF-8, are left out: they would end a transport, or reach a
-        model as lines of their own.
+        Names with control characters, or bytes that are not UTF-8, are left out: they would end a
+        transport, or reach a model as lines of their own.
 
         Args:
             first: number of images to skip.
@@ -101,7 +108,9 @@ class PathAccess:
     def _check_enabled(self) -> None:
         if not self.roots:
             raise CallError(
-                "source_disabled", "this server takes no images by path. Use another kind, or start it with --root DIR."
+                "source_disabled",
+                "this server takes no images by path. Use another kind, or start it with --root "
+                "DIR.",
             )
 
     def _descriptor(self, path: Path) -> int:
@@ -125,29 +134,44 @@ class PathAccess:
     def first(self) -> str | None:
         """Return the first image, below its root, for an example; None without one."""
         found = ((root, next(_images_below(root, Stop()), None)) for root in self.roots)
-        return next((path.relative_to(root).as_posix() for root, path in found if path is not None), None)
+        return next(
+            (path.relative_to(root).as_posix() for root, path in found if path is not None), None
+        )
 
     def _nearest(self, name: str) -> list[str]:
         """Return the images below the roots with the nearest names."""
-        below = (path.relative_to(root).as_posix() for root in self.roots for path in _images_below(root, Stop()))
+        below = (
+            path.relative_to(root).as_posix()
+            for root in self.roots
+            for path in _images_below(root, Stop())
+        )
         names = {path.rpartition("/")[2].lower(): path for path in islice(below, _MAX_COMPARED)}
-        return [shortened(names[each]) for each in get_close_matches(name.lower(), names, n=_MAX_NAMED)]
+        return [
+            shortened(names[each]) for each in get_close_matches(name.lower(), names, n=_MAX_NAMED)
+        ]
 
     def _local_path(self, named: str) -> Path:
         """Convert a path or file:// URL to a path without access to the file system."""
         if named[:8].lower().startswith(("http://", "https://")):
             raise CallError(
-                "image_not_found", "this is a URL, no path. Give a file's path, or kind url if it is listed."
+                "image_not_found",
+                "this is a URL, no path. Give a file's path, or kind url if it is listed.",
             )
         if named[:5].lower() == "file:":
             try:
                 parts = urlsplit(named)
             except ValueError:  # an unclosed [
                 raise self._refused() from None
-            if parts.netloc not in ("", "localhost") or parts.query or parts.fragment or not named[5:7] == "//":
+            if (
+                parts.netloc not in ("", "localhost")
+                or parts.query
+                or parts.fragment
+                or not named[5:7] == "//"
+            ):
                 raise CallError(
                     "path_not_allowed",
-                    "a file:// URL must name this machine: file:///absolute/path, without query or fragment.",
+                    "a file:// URL must name this machine: file:///absolute/path, without query "
+                    "or fragment.",
                 )
             try:
                 named = url2pathname(parts.path)
@@ -161,10 +185,13 @@ class PathAccess:
         return path
 
     def _refused(self) -> CallError:
-        roots = " or ".join(shortened(str(name)) for name, _ in self._named[-len(self.roots) :][:_MAX_NAMED])
+        roots = " or ".join(
+            shortened(str(name)) for name, _ in self._named[-len(self.roots) :][:_MAX_NAMED]
+        )
         return CallError(
             "path_not_allowed",
-            f"the path is not below an allowed directory of this server: {roots}. Use a path below it, absolute or "
+            f"the path is not below an allowed directory of this server: {roots}. Use a path "
+            "below it, absolute or "
             "relative to it; view_image without image lists the images.",
         )
 
@@ -184,7 +211,8 @@ class PathAccess:
             return self._open_and_compare(root.joinpath(*below))
         n_links = 0
         pending = deque(below)
-        walked = [os.open(root, _DIRECTORY_FLAGS)]  # descriptors from the root to the current directory
+        # descriptors from the root to the current directory
+        walked = [os.open(root, _DIRECTORY_FLAGS)]
         try:
             while pending:
                 part = pending.popleft()
@@ -209,13 +237,17 @@ class PathAccess:
                     pending.extendleft(reversed(parts))
                 elif stat.S_ISDIR(mode):
                     walked.append(_open_part(part, _DIRECTORY_FLAGS, walked[-1]))
-                elif stat.S_ISREG(mode) and not pending:  # checked first: opening a device can have effects
+                # checked first: opening a device can have effects
+                elif stat.S_ISREG(mode) and not pending:
                     return _regular(_open_part(part, _FILE_FLAGS, walked[-1]), part)
                 else:
                     break
             named = shortened(str(root.joinpath(*below)))
             if not pending and stat.S_ISDIR(os.fstat(walked[-1]).st_mode):
-                raise CallError("image_not_found", f"{named!r} is a folder. Name a file in it; view_image lists them.")
+                raise CallError(
+                    "image_not_found",
+                    f"{named!r} is a folder. Name a file in it; view_image lists them.",
+                )
             raise _no_image(named)
         finally:
             for directory in walked:
@@ -229,7 +261,9 @@ class PathAccess:
         if not stat.S_ISREG(resolved.stat().st_mode):
             raise _no_image(str(path))
         descriptor = os.open(resolved, _FILE_FLAGS)
-        if resolved.resolve(strict=True) != resolved or not os.path.samestat(os.fstat(descriptor), resolved.stat()):
+        if resolved.resolve(strict=True) != resolved or not os.path.samestat(
+            os.fstat(descriptor), resolved.stat()
+        ):
             os.close(descriptor)
             raise OSError("the path changed while it was opened")
         return _regular(descriptor, str(path))
@@ -243,7 +277,9 @@ def _images_below(root: Path, stop: Stop) -> Iterator[Path]:
     n_seen = 0
     for folder, folders, names, *_ in walk:
         stop.check()
-        folders[:] = sorted(name for name in folders if holds_photographs(name) and name.isprintable())
+        folders[:] = sorted(
+            name for name in folders if holds_photographs(name) and name.isprintable()
+        )
         n_seen += len(folders) + len(names)
         if n_seen > _MAX_LISTED:
             return
@@ -257,7 +293,9 @@ def _images_below(root: Path, stop: Stop) -> Iterator[Path]:
 
 def _no_image(named: str, nearest: Sequence[str] = ()) -> CallError:
     remedy = f"The nearest names are {', '.join(nearest)}." if nearest else "Check the path."
-    return CallError("image_not_found", f"there is no regular file at {shortened(named)!r}. {remedy}")
+    return CallError(
+        "image_not_found", f"there is no regular file at {shortened(named)!r}. {remedy}"
+    )
 
 
 def _nfc(path: Path) -> Path:
@@ -272,7 +310,11 @@ def _present(part: str, directory: int) -> str:
         return part
     if part.isascii():
         return part
-    names = (name for name in sorted(os.listdir(directory)) if normalize("NFC", name) == normalize("NFC", part))
+    names = (
+        name
+        for name in sorted(os.listdir(directory))
+        if normalize("NFC", name) == normalize("NFC", part)
+    )
     return next(names, part)
 
 

@@ -39,7 +39,9 @@ class ImageSources:
     paths: PathAccess
     fetcher: Fetcher
 
-    async def fetched(self, images: Sequence[AnyImage]) -> tuple[tuple[AnyImage, bytes | None], ...]:
+    async def fetched(
+        self, images: Sequence[AnyImage]
+    ) -> tuple[tuple[AnyImage, bytes | None], ...]:
         """Give each image the bytes of its URL; together they share the size limit of one image.
 
         Raises:
@@ -53,7 +55,8 @@ class ImageSources:
             if n_bytes > most:
                 raise CallError(
                     "image_too_large",
-                    f"the images have more than {most} bytes together. Send fewer images, or smaller copies.",
+                    f"the images have more than {most} bytes together. Send fewer images, or "
+                    "smaller copies.",
                 )
             found.append((image, fetched))
         return tuple(found)
@@ -82,16 +85,21 @@ class ImageSources:
         if text[:5].lower() == "data:":
             head = _DATA_URI.match(text[:_MAX_URI_HEAD])
             if head is None or not head.group().lower().endswith(";base64,"):
-                raise CallError("base64_invalid", "the data: URI is not base64. Send data:image/png;base64,...")
+                raise CallError(
+                    "base64_invalid", "the data: URI is not base64. Send data:image/png;base64,..."
+                )
             text = text[head.end() :]
         if len(text) * 3 // 4 > self.fetcher.max_bytes + 2:
             raise CallError(
-                "image_too_large", f"the image has more than {self.fetcher.max_bytes} bytes. Send a smaller one."
+                "image_too_large",
+                f"the image has more than {self.fetcher.max_bytes} bytes. Send a smaller one.",
             )
         try:
             return base64.b64decode("".join(text.split()), validate=True)
         except (binascii.Error, ValueError) as error:
-            raise CallError("base64_invalid", f"the data is not base64 ({error}). Encode the file's bytes.") from None
+            raise CallError(
+                "base64_invalid", f"the data is not base64 ({error}). Encode the file's bytes."
+            ) from None
 
 
 @contextmanager
@@ -107,4 +115,6 @@ def library_errors(source: OpenedImage) -> Iterator[None]:
         message = str(error)
         if isinstance(source, str):
             message = message.replace(repr(source), "image").replace(source, "image")
-        raise CallError(error.code, on_one_line(message if message.endswith(".") else f"{message}.")) from error
+        raise CallError(
+            error.code, on_one_line(message if message.endswith(".") else f"{message}.")
+        ) from error

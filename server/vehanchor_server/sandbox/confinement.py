@@ -1,12 +1,14 @@
 """Confinement of a worker: the files that it can read and the system calls that it can make.
 
-A compromised decoder has all rights of the worker process. On Linux the process therefore drops most rights before it
-loads a model or sees an image, and cannot regain them. It drops all capabilities. Landlock limits it to reading certain
-files. Seccomp limits it to the system calls of decoders and networks (``system_calls``). A refused call fails with an
-error, like a missing permission, so that a library that merely probes continues.
+A compromised decoder has all rights of the worker process. On Linux the process therefore drops
+most rights before it loads a model or sees an image, and cannot regain them. It drops all
+capabilities. Landlock limits it to reading certain files. Seccomp limits it to the system calls of
+decoders and networks (``system_calls``). A refused call fails with an error, like a missing
+permission, so that a library that merely probes continues.
 
-``ctypes`` makes the calls. The libraries ``landlock`` and ``py-landlock`` are alphas, ``landlockpy`` is a beta;
-``pyseccomp`` needs the system's libseccomp, which slim images lack and which is under the LGPL.
+``ctypes`` makes the calls. The libraries ``landlock`` and ``py-landlock`` are alphas,
+``landlockpy`` is a beta; ``pyseccomp`` needs the system's libseccomp, which slim images lack and
+which is under the LGPL.
 """
 
 from __future__ import annotations
@@ -48,7 +50,8 @@ class Confinement:
 def confine(readable: Iterable[Path]) -> Confinement:
     """Drop, permanently, all rights of this process that decoding and models do not need.
 
-    Call it while the process has one thread: Landlock applies to the calling thread and those that it starts.
+    Call it while the process has one thread: Landlock applies to the calling thread and those that
+    it starts.
 
     Args:
         readable: files and folders to allow besides those of the system, Python and its packages.
@@ -68,7 +71,10 @@ def confine(readable: Iterable[Path]) -> Confinement:
         filter_system_calls(libc)
         seccomp = True
     except OSError as error:
-        lacks.append(f"seccomp: {error.strerror}, so that a worker can open sockets, start programs and signal others")
+        lacks.append(
+            f"seccomp: {error.strerror}, so that a worker can open sockets, start programs and "
+            "signal others"
+        )
     if lacks:
         lacks.append(f"kernel {platform.release()}")
     return Confinement(landlock, seccomp, "; ".join(lacks))
@@ -87,8 +93,18 @@ _MOST_CAPABILITIES, _CAPABILITIES_VERSION = 64, 0x20080522  # linux/capability.h
 _SYSTEM_FILES = (
     *("/usr", "/lib", "/lib64", "/nix/store", "/gnu/store", "/etc/ld.so.cache", "/etc/localtime"),
     *("/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/vm"),
-    *(f"/proc/self/{name}" for name in ("cgroup", "fd", "maps", "mountinfo", "stat", "statm", "status")),
-    *("/sys/devices/system", "/sys/fs/cgroup", "/dev/null", "/dev/zero", "/dev/random", "/dev/urandom"),
+    *(
+        f"/proc/self/{name}"
+        for name in ("cgroup", "fd", "maps", "mountinfo", "stat", "statm", "status")
+    ),
+    *(
+        "/sys/devices/system",
+        "/sys/fs/cgroup",
+        "/dev/null",
+        "/dev/zero",
+        "/dev/random",
+        "/dev/urandom",
+    ),
 )
 """Shared libraries, and the files that C libraries read for processors, memory and random numbers."""
 
@@ -97,14 +113,17 @@ def _needed_files() -> Iterator[Path]:
     """List files of the system, Python and packages, because modules and libraries load on first use."""
     yield from map(Path, _SYSTEM_FILES)
     yield from map(Path, absolute_folders(os.environ.get("LD_LIBRARY_PATH", "")))
-    yield from map(Path, {sys.prefix, sys.base_prefix, sys.exec_prefix, *sysconfig.get_paths().values()})
+    yield from map(
+        Path, {sys.prefix, sys.base_prefix, sys.exec_prefix, *sysconfig.get_paths().values()}
+    )
     for package in ("vehanchor", "vehanchor_flight", "vehanchor_server"):
         with suppress(ModuleNotFoundError):  # each but the first and the last may be missing
             found = find_spec(package)
             yield from map(Path, (found and found.submodule_search_locations) or ())
     working, home = Path.cwd(), Path.home()
     for entry in map(Path, filter(None, sys.path)):
-        if not (working.is_relative_to(entry) or home.is_relative_to(entry)):  # Python may have added them itself
+        # Python may have added them itself
+        if not (working.is_relative_to(entry) or home.is_relative_to(entry)):
             yield entry
 
 
@@ -127,7 +146,9 @@ def _restrict_files(libc: ctypes.CDLL, readable: Sequence[Path]) -> int:
     if version >= 6:
         handled.append(_SCOPES)
     attributes = struct.pack(f"={len(handled)}Q", *handled)
-    ruleset = checked(libc.syscall(_CREATE_RULESET, attributes, ctypes.c_size_t(len(attributes)), 0))
+    ruleset = checked(
+        libc.syscall(_CREATE_RULESET, attributes, ctypes.c_size_t(len(attributes)), 0)
+    )
     try:
         for path in readable:
             _allow(libc, ruleset, path)
@@ -143,7 +164,11 @@ def _allow(libc: ctypes.CDLL, ruleset: int, path: Path) -> None:
         return
     with suppress(OSError):
         descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
-        rights = _READ_FILE | (_READ_DIR if path.is_dir() else 0) | (_WRITE_FILE if path == Path(os.devnull) else 0)
+        rights = (
+            _READ_FILE
+            | (_READ_DIR if path.is_dir() else 0)
+            | (_WRITE_FILE if path == Path(os.devnull) else 0)
+        )
         rule = struct.pack("=Qi", rights, descriptor)
         checked(libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, rule, 0))
         if not path.is_relative_to("/proc/self"):  # without a descriptor the kernel drops the entry

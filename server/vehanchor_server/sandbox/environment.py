@@ -15,7 +15,8 @@ KEPT = frozenset(
     {
         *("LANG", "LC_ALL", "LC_CTYPE", "TZ", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
         *("ORT_DISABLE_TELEMETRY", "PYTHONHASHSEED", "PYTHONWARNINGS"),
-        *("SYSTEMROOT", "TEMP", "TMP", "NUMBER_OF_PROCESSORS"),  # Windows starts no process without SYSTEMROOT
+        # Windows starts no process without SYSTEMROOT
+        *("SYSTEMROOT", "TEMP", "TMP", "NUMBER_OF_PROCESSORS"),
     }
 )
 SEARCH_PATHS = ("LD_LIBRARY_PATH", "PYTHONPATH")
@@ -26,7 +27,8 @@ _one_at_a_time = threading.Lock()
 def minimal_environment() -> Iterator[None]:
     """Reduce this process's environment to a minimum while a child process starts and inherits it.
 
-    Secrets, such as tokens, are removed. Search paths for libraries and modules keep only absolute folders.
+    Secrets, such as tokens, are removed. Search paths for libraries and modules keep only absolute
+    folders.
     """
     with _one_at_a_time:
         whole = dict(os.environ)

@@ -1,8 +1,9 @@
 """System calls that a worker can make: those of decoders and networks in a trace.
 
-The seccomp filter allows the calls in ``ALLOWED``, some with certain arguments only, and refuses all others with
-an error. ``trace`` of a worker that read JPEG, PNG, WebP, AVIF, JPEG 2000, BMP and GeoTIFF, ran all networks, measured
-and drew, showed 49 of them. The others are their equivalents in other C libraries and on other processors.
+The seccomp filter allows the calls in ``ALLOWED``, some with certain arguments only, and refuses
+all others with an error. ``trace`` of a worker that read JPEG, PNG, WebP, AVIF, JPEG 2000, BMP and
+GeoTIFF, ran all networks, measured and drew, showed 49 of them. The others are their equivalents in
+other C libraries and on other processors.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from typing import NamedTuple
 _SET_MODE_FILTER, _TO_ALL_THREADS = 1, 1
 _ALLOW, _KILL_PROCESS, _REFUSE = 0x7FFF0000, 0x80000000, 0x00050000  # and the error's number
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
-_NUMBER_AT, _MACHINE_AT, _ARGUMENTS_AT = 0, 4, 16  # in struct seccomp_data; arguments have eight bytes
+# in struct seccomp_data; arguments have eight bytes
+_NUMBER_AT, _MACHINE_AT, _ARGUMENTS_AT = 0, 4, 16
 _OTHER_NUMBERS = 0x40000000  # of x32, a second set on x86_64
 _FIRST_NEW = 424  # later calls have the same number on all architectures; C libraries fall back
 _CLONE_THREAD = 0x10000
@@ -41,8 +43,10 @@ class _Rule(NamedTuple):
     bits: bool | None = None
 
 
-_TERMINAL_QUESTIONS = (0x5401, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)  # TCGETS TIOCGWINSZ FIONREAD FIONBIO FIO(N)CLEX
-_DESCRIPTOR_COMMANDS = (0, 1, 2, 3, 4, 1030)  # F_DUPFD F_GETFD F_SETFD F_GETFL F_SETFL F_DUPFD_CLOEXEC
+# TCGETS TIOCGWINSZ FIONREAD FIONBIO FIO(N)CLEX
+_TERMINAL_QUESTIONS = (0x5401, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)
+# F_DUPFD F_GETFD F_SETFD F_GETFL F_SETFL F_DUPFD_CLOEXEC
+_DESCRIPTOR_COMMANDS = (0, 1, 2, 3, 4, 1030)
 _THREAD_NAMES = (15, 16, 0x53564D41)  # PR_SET_NAME PR_GET_NAME PR_SET_VMA
 
 # Call: numbers on x86_64 and aarch64 (None if missing), and a rule on its arguments.
@@ -145,7 +149,8 @@ ALLOWED: dict[str, tuple[int | None, int | None, _Rule | None]] = {
     "prlimit64": (302, 261, _Rule(0, (0,))),
     "getrandom": (318, 278, None),
 }
-_MACHINES = {"x86_64": (0, 0xC000003E, 317), "aarch64": (1, 0xC00000B7, 277)}  # column, audit name, seccomp's number
+# column, audit name, seccomp's number
+_MACHINES = {"x86_64": (0, 0xC000003E, 317), "aarch64": (1, 0xC00000B7, 277)}
 
 
 def filter_system_calls(libc: ctypes.CDLL) -> None:
@@ -159,14 +164,19 @@ def filter_system_calls(libc: ctypes.CDLL) -> None:
         raise OSError(errno.ENOSYS, f"no system call numbers for {platform.machine()}")
     column, name, seccomp = known
     instructions = _instructions(column, name, os.getpid())
-    code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *each) for each in instructions))
+    code = ctypes.create_string_buffer(
+        b"".join(struct.pack("=HBBI", *each) for each in instructions)
+    )
     program = struct.pack("@HP", len(instructions), ctypes.addressof(code))
     checked(libc.syscall(seccomp, _SET_MODE_FILTER, _TO_ALL_THREADS, program))
 
 
 def _instructions(column: int, machine: int, pid: int) -> list[tuple[int, int, int, int]]:
     """Return the filter: code, jump offsets if true and if false, and operand of each instruction."""
-    forbidden, unknown = (_RETURN, 0, 0, _REFUSE | errno.EPERM), (_RETURN, 0, 0, _REFUSE | errno.ENOSYS)
+    forbidden, unknown = (
+        (_RETURN, 0, 0, _REFUSE | errno.EPERM),
+        (_RETURN, 0, 0, _REFUSE | errno.ENOSYS),
+    )
     allowed = (_RETURN, 0, 0, _ALLOW)
     program = [
         (_LOAD, 0, 0, _MACHINE_AT),
@@ -193,7 +203,12 @@ def _checks(rule: _Rule, pid: int) -> list[tuple[int, int, int, int]]:
         if_set, if_clear = (allowed, forbidden) if rule.bits else (forbidden, allowed)
         return [load, (_ANY_BIT, 0, 1, rule.values[0]), if_set, if_clear]
     values = [pid if value == _OWN_PROCESS else value for value in rule.values]
-    return [load, *((_EQUAL, len(values) - place, 0, value) for place, value in enumerate(values)), forbidden, allowed]
+    return [
+        load,
+        *((_EQUAL, len(values) - place, 0, value) for place, value in enumerate(values)),
+        forbidden,
+        allowed,
+    ]
 
 
 def checked(result: int) -> int:

@@ -1,7 +1,7 @@
 """Make the list of system calls anew: trace confined workers with ``strace`` while all tools run.
 
-``python -m vehanchor_server.sandbox.trace FOLDER`` prints the calls that workers made on the images of a folder but
-``system_calls`` does not allow.
+``python -m vehanchor_server.sandbox.trace FOLDER`` prints the calls that workers made on the images
+of a folder but ``system_calls`` does not allow.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ def confined_calls(lines: Iterable[str]) -> set[str]:
         if found["thread"] in confined:
             made.add(found["call"])
         started = re.search(r"= (\d+)$", found["rest"])
-        if (found["call"] == "clone" and found["thread"] in confined and started) or found["call"] == "seccomp":
+        if (found["call"] == "clone" and found["thread"] in confined and started) or found[
+            "call"
+        ] == "seccomp":
             confined.add(started[1] if started and found["call"] == "clone" else found["thread"])
     return made
 
@@ -51,9 +53,13 @@ async def _call_all_tools(folder: Path) -> None:
                 box = {"x_min": 10, "y_min": 10, "x_max": 60, "y_max": 60}
                 line = {"points": [{"x": 10, "y": 10}, {"x": 60, "y": 60}]}
                 await client.call_tool("view_image", image)
-                await client.call_tool("view_image", {"of": {"tool": "estimate_gsd", "arguments": image}})
+                await client.call_tool(
+                    "view_image", {"of": {"tool": "estimate_gsd", "arguments": image}}
+                )
                 asked = {**image, "targets": [{"box": box}]}
-                await client.call_tool("view_image", {"of": {"tool": "measure_area", "arguments": asked}})
+                await client.call_tool(
+                    "view_image", {"of": {"tool": "measure_area", "arguments": asked}}
+                )
                 await client.call_tool("measure_distance", {**image, "lines": [line]})
     finally:
         services.close()

@@ -32,7 +32,9 @@ class _Mistake(NamedTuple):
     words: str
 
 
-def complaints(error: ValidationError, arguments: Any, schema: Mapping[str, Any], required: Sequence[str]) -> str:
+def complaints(
+    error: ValidationError, arguments: Any, schema: Mapping[str, Any], required: Sequence[str]
+) -> str:
     """Describe the mistakes, without their values, which may be base64 images.
 
     Args:
@@ -44,16 +46,23 @@ def complaints(error: ValidationError, arguments: Any, schema: Mapping[str, Any]
     found: dict[tuple[str, ...], _Mistake] = {}
     whole: dict[tuple[str, ...], Mapping[str, Any]] = {}  # objects around the mistakes
     for each in error.errors(include_url=False, include_context=False, include_input=False):
-        place, node, around = _place(each["loc"], arguments, schema, missing=each["type"] == _MISSING)
+        place, node, around = _place(
+            each["loc"], arguments, schema, missing=each["type"] == _MISSING
+        )
         words = _in_words(each["type"], each["msg"], place, node, around)
         found.setdefault(place, _Mistake(each["type"], words[:_SHOWN_CHARS]))
         whole[place[:-1]] = around
     for place, node in whole.items():
         _join_names(found, place, node)
     # A wrong part also makes its whole wrong, as a list that is then too short.
-    own = [place for place in found if not any(other[: len(place)] == place != other for other in found)]
+    own = [
+        place
+        for place in found
+        if not any(other[: len(place)] == place != other for other in found)
+    ]
     lines = [
-        f"{'.'.join(map(shortened, place)) or 'arguments'}: {found[place].words}" for place in own[:_MAX_COMPLAINTS]
+        f"{'.'.join(map(shortened, place)) or 'arguments'}: {found[place].words}"
+        for place in own[:_MAX_COMPLAINTS]
     ]
     more = f" (and {len(own) - _MAX_COMPLAINTS} more)" if len(own) > _MAX_COMPLAINTS else ""
     example = example_call(schema, (*required, *(place[0] for place in own if place)))
@@ -65,7 +74,11 @@ def example_call(schema: Mapping[str, Any], names: Sequence[str]) -> str:
     arguments = schema["properties"]
     examples = {name: _example(arguments.get(name, {})) for name in dict.fromkeys(names)}
     return json.dumps(
-        {name: _in_order(example, arguments[name]) for name, example in examples.items() if example is not None}
+        {
+            name: _in_order(example, arguments[name])
+            for name, example in examples.items()
+            if example is not None
+        }
     )
 
 
@@ -81,18 +94,31 @@ def _in_order(value: Any, node: Mapping[str, Any]) -> Any:
         return [_in_order(each, _part(node, 0)) for each in value]
     if not isinstance(value, dict):
         return value
-    names = dict.fromkeys(name for option in _options(node) for name in option.get("properties", {}))
+    names = dict.fromkeys(
+        name for option in _options(node) for name in option.get("properties", {})
+    )
     return {name: _in_order(value[name], _part(node, name)) for name in names if name in value}
 
 
-def _join_names(found: dict[tuple[str, ...], _Mistake], place: tuple[str, ...], node: Mapping[str, Any]) -> None:
+def _join_names(
+    found: dict[tuple[str, ...], _Mistake], place: tuple[str, ...], node: Mapping[str, Any]
+) -> None:
     """Join the missing and unknown names of one object to one mistake."""
-    wrong = {at: each.kind for at, each in found.items() if at[:-1] == place and each.kind in (_MISSING, _UNKNOWN)}
+    wrong = {
+        at: each.kind
+        for at, each in found.items()
+        if at[:-1] == place and each.kind in (_MISSING, _UNKNOWN)
+    }
     if len(wrong) < 2:
         return
-    names = {kind: [shortened(at[-1]) for at, each in wrong.items() if each == kind] for kind in (_MISSING, _UNKNOWN)}
+    names = {
+        kind: [shortened(at[-1]) for at, each in wrong.items() if each == kind]
+        for kind in (_MISSING, _UNKNOWN)
+    }
     missing, unknown = names[_MISSING], names[_UNKNOWN][:_MAX_COMPLAINTS]
-    words = [f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"] if missing else []
+    words = (
+        [f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"] if missing else []
+    )
     words += [f"there is no {', '.join(unknown)}"] if unknown else []
     for at in wrong:
         del found[at]
@@ -113,7 +139,11 @@ def _place(
     for i, part in enumerate(location):
         if isinstance(value, dict) and i + 1 < len(location) and part == value.get("kind"):
             continue  # the variant of the image
-        known = part in value if isinstance(value, dict) else isinstance(value, list) and part in range(len(value))
+        known = (
+            part in value
+            if isinstance(value, dict)
+            else isinstance(value, list) and part in range(len(value))
+        )
         if known:
             value = value[part]
         elif not (missing and i == len(location) - 1):
@@ -132,16 +162,28 @@ def _options(node: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 def _part(node: Mapping[str, Any], part: int | str) -> Mapping[str, Any]:
     for option in _options(node):
-        found = option.get("items") if isinstance(part, int) else option.get("properties", {}).get(part)
+        found = (
+            option.get("items") if isinstance(part, int) else option.get("properties", {}).get(part)
+        )
         if found is not None:
             return dict(found)
     return {}
 
 
-def _in_words(kind: str, message: str, place: Sequence[str], node: Mapping[str, Any], around: Mapping[str, Any]) -> str:
+def _in_words(
+    kind: str,
+    message: str,
+    place: Sequence[str],
+    node: Mapping[str, Any],
+    around: Mapping[str, Any],
+) -> str:
     if kind == _UNKNOWN:
         names = [name for option in _options(around) for name in option.get("properties", ())]
-        close = [name for name in get_close_matches(place[-1][:_SHOWN_CHARS], names, n=1) if name != place[-1]]
+        close = [
+            name
+            for name in get_close_matches(place[-1][:_SHOWN_CHARS], names, n=1)
+            if name != place[-1]
+        ]
         return f"there is no such argument{f', but {close[0]}' if close else ''}"
     expected = expectation(node)
     if kind in _OWN_WORDS or not expected or kind == "string_too_long":
@@ -154,7 +196,11 @@ def _in_words(kind: str, message: str, place: Sequence[str], node: Mapping[str, 
 def expectation(node: Mapping[str, Any]) -> str:
     """Describe the values of a schema in a few words; empty without a type."""
     options = _options(node)
-    kinds = [option["properties"]["kind"]["const"] for option in options if "kind" in option.get("properties", {})]
+    kinds = [
+        option["properties"]["kind"]["const"]
+        for option in options
+        if "kind" in option.get("properties", {})
+    ]
     if kinds:
         return f"an object with kind {' or '.join(kinds)} and a field for it, as in the example"
     return " or ".join(dict.fromkeys(filter(None, map(_expectation, options))))

@@ -1,8 +1,9 @@
 """Elicitation: ask the user for data that would make a scale usable.
 
-Protocol revision 2026-07-28 has a result that requests input. The client asks its user and repeats the call with the
-answer. The server keeps nothing between the two calls; the second call repeats the search with the answer among its
-arguments. Clients of older revisions, and those without forms, get the low-confidence result at once.
+Protocol revision 2026-07-28 has a result that requests input. The client asks its user and repeats
+the call with the answer. The server keeps nothing between the two calls; the second call repeats
+the search with the answer among its arguments. Clients of older revisions, and those without forms,
+get the low-confidence result at once.
 """
 
 from __future__ import annotations
@@ -41,13 +42,19 @@ class _ScaleInput(BaseModel):
 
     model_config = ConfigDict(extra="forbid", str_strip_whitespace=True)
 
-    region: Literal[REGIONS] | None = Field(None, title="Region", description="Where the image was taken.")  # type: ignore[valid-type]
+    region: Literal[REGIONS] | None = Field(
+        None, title="Region", description="Where the image was taken."
+    )  # type: ignore[valid-type]
     height_m: Height | None = Field(
         None, title="Height, m", description="Camera height above ground, for a nadir view."
     )
-    height_basis: Basis | None = Field(None, title="Height known by", description="measured: above this ground.")
+    height_basis: Basis | None = Field(
+        None, title="Height known by", description="measured: above this ground."
+    )
     focal_35mm: FocalLength | None = Field(
-        None, title="Focal length, mm", description="With the height: 35 mm equivalent, if missing in the file."
+        None,
+        title="Focal length, mm",
+        description="With the height: 35 mm equivalent, if missing in the file.",
     )
     known_length: str | None = Field(
         None,
@@ -75,7 +82,8 @@ def request_scale_input(
         return None
     form = _form(given, estimate)
     message = (
-        f"{answer} Do you know any of these values? Leave unknown fields empty. Without an answer, this result stands."
+        f"{answer} Do you know any of these values? Leave unknown fields empty. Without "
+        "an answer, this result stands."
     )
     request = ElicitRequest(params=ElicitRequestFormParams(message=message, requested_schema=form))
     return InputRequiredResult(input_requests={_KEY: request}) if form["properties"] else None
@@ -90,7 +98,9 @@ def with_user_input(ctx: Context[Any, Any], given: Given) -> Given:
     answered = (ctx.input_responses or {}).get(_KEY)
     if not isinstance(answered, ElicitResult) or answered.action != "accept":
         return given
-    content = {name: value for name, value in (answered.content or {}).items() if value not in (None, "")}
+    content = {
+        name: value for name, value in (answered.content or {}).items() if value not in (None, "")
+    }
     try:
         answers = _ScaleInput.model_validate(content)
         given_line: Any = answers.known_length
@@ -106,7 +116,10 @@ def with_user_input(ctx: Context[Any, Any], given: Given) -> Given:
 
 
 def _invalid_answer(complaint: str) -> CallError:
-    return CallError("invalid_answer", f"{complaint}. Repeat the call with it as an argument, or correct the answer.")
+    return CallError(
+        "invalid_answer",
+        f"{complaint}. Repeat the call with it as an argument, or correct the answer.",
+    )
 
 
 def _form(given: Given, estimate: GsdEstimate) -> dict[str, Any]:
@@ -124,7 +137,9 @@ def _form(given: Given, estimate: GsdEstimate) -> dict[str, Any]:
     else:
         size = given.get("frame")
         width_px, height_px = (
-            (size.width_px, size.height_px) if size else (estimate.image_width_px, estimate.image_height_px)
+            (size.width_px, size.height_px)
+            if size
+            else (estimate.image_width_px, estimate.image_height_px)
         )
         places = _PLACES[given.get("coordinates", "pixels")].format(width_px, height_px)
         fields["known_length"]["description"] += f", its ends in {places}."

@@ -1,6 +1,7 @@
 """The tool ``estimate_gsd``: estimate the scale of an image.
 
-The call imports the library, because importing OpenCV and ONNX Runtime would delay the server's first answer.
+The call imports the library, because importing OpenCV and ONNX Runtime would delay the server's
+first answer.
 """
 
 # No postponed annotations here: the SDK reads the arguments' schema from them.
@@ -38,17 +39,30 @@ if TYPE_CHECKING:
 _KNOWN = (
     "railway_gauge",
     *("iso_container_20ft", "iso_container_40ft", "semi_trailer", "city_bus"),
-    *("parking_bay_width", "parking_bay_length", "motorway_lane_width", "lane_dash_cycle", "zebra_period"),
+    *(
+        "parking_bay_width",
+        "parking_bay_length",
+        "motorway_lane_width",
+        "lane_dash_cycle",
+        "zebra_period",
+    ),
     *("football_penalty_area_width", "football_centre_circle", "handball_court_length"),
     *("beach_volleyball_court_length", "padel_court_length", "tennis_court_length"),
-    *("basketball_court_length", "baseball_base_distance", "american_football_field_width", "running_track_lane"),
+    *(
+        "basketball_court_length",
+        "baseball_base_distance",
+        "american_football_field_width",
+        "running_track_lane",
+    ),
     *("pool_25m", "pool_50m"),
 )
 """Things of known size that can be seen from above; an error lists all."""
 
 _DESCRIPTION = (
-    "Measures the scale (metres per pixel) of a near-nadir aerial or satellite image from cars, known lengths, camera "
-    "height or metadata. Call it before any metric statement; never estimate the scale by eye. Needs cars at "
+    "Measures the scale (metres per pixel) of a near-nadir aerial or satellite image from cars, "
+    "known lengths, camera "
+    "height or metadata. Call it before any metric statement; never estimate the scale by eye. "
+    "Needs cars at "
     f"0.3 m/px or finer, or another ruler. {POLICY} Names for known_lengths: {', '.join(_KNOWN)}."
 )
 
@@ -56,7 +70,12 @@ _DESCRIPTION = (
 def estimate_gsd_tool(services: Services) -> "StrictTool":
     """Create the tool for a server."""
     from vehanchor_server.tools.elicitation import request_scale_input, with_user_input
-    from vehanchor_server.tools.strict_tool import CallToolResult, Context, InputRequiredResult, StrictTool
+    from vehanchor_server.tools.strict_tool import (
+        CallToolResult,
+        Context,
+        InputRequiredResult,
+        StrictTool,
+    )
 
     @with_options("estimate")
     async def estimate_gsd(
@@ -72,7 +91,9 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
         if more_images:
             check_flight_question(question.given)
         chosen = estimate_with_flight if more_images else _estimate
-        reply, told = await answered(services, ctx, image, chosen, question, more=more_images or (), detail=detail)
+        reply, told = await answered(
+            services, ctx, image, chosen, question, more=more_images or (), detail=detail
+        )
         if not (more_images or services.settings.never_ask or wanted.kind == "evidence"):
             asked = request_scale_input(ctx, question.given, reply.record, told.text)
             if asked is not None:
@@ -91,7 +112,9 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
 
 
 @work(GsdEstimate)
-def _estimate(services: Services, job: Job, source: OpenedImage, asked: Question[bool]) -> Reply[GsdEstimate]:
+def _estimate(
+    services: Services, job: Job, source: OpenedImage, asked: Question[bool]
+) -> Reply[GsdEstimate]:
     """Search the image and estimate its scale."""
     from vehanchor.analysis.pipeline import checked_detector
     from vehanchor.imagery.sources.opening import open_raster

@@ -34,10 +34,14 @@ MAX_MORE_IMAGES = 32
 
 MoreImagesArgument: TypeAlias = Annotated[
     tuple[ImageArgument, ...] | None,
-    Field(max_length=MAX_MORE_IMAGES, description="Other photographs of the same flight; the answer is for image."),
+    Field(
+        max_length=MAX_MORE_IMAGES,
+        description="Other photographs of the same flight; the answer is for image.",
+    ),
 ]
 SameScaleArgument: TypeAlias = Annotated[
-    Flag, Field(description="With more_images: all have one scale; otherwise their overlaps link them.")
+    Flag,
+    Field(description="With more_images: all have one scale; otherwise their overlaps link them."),
 ]
 
 
@@ -49,7 +53,10 @@ def check_flight_question(given: Given) -> None:
     """
     single = next((name for name in ("known_lengths", "drop", "add") if given.get(name)), None)
     if single is not None:
-        raise CallError("invalid_arguments", f"{single} belongs to a single image. Omit more_images or {single}.")
+        raise CallError(
+            "invalid_arguments",
+            f"{single} belongs to a single image. Omit more_images or {single}.",
+        )
 
 
 @work(GsdEstimate)
@@ -77,7 +84,9 @@ def estimate_with_flight(
     opened: list[OpenedImage] = []
     images = _open_each(services, source, more, opened)
     photographs = search_flight(images, detector, options, featured=not question.subject)
-    members = [_require_readable(found, each) for found, each in zip(photographs, opened, strict=True)]
+    members = [
+        _require_readable(found, each) for found, each in zip(photographs, opened, strict=True)
+    ]
     _refuse_duplicates(members)
     flight = conclude(photographs, detector.card, same_scale=question.subject)
     analysis = replace(members[0].analysis, estimate=_estimate_of_image(flight, asked))
@@ -86,7 +95,10 @@ def estimate_with_flight(
 
 
 def _open_each(
-    services: Services, source: OpenedImage, more: Sequence[tuple[AnyImage, bytes | None]], opened: list[OpenedImage]
+    services: Services,
+    source: OpenedImage,
+    more: Sequence[tuple[AnyImage, bytes | None]],
+    opened: list[OpenedImage],
 ) -> Iterator[InputPhotograph]:
     """Open the image and the others, one after the other."""
     from vehanchor_flight.inputs import InputPhotograph
@@ -127,7 +139,10 @@ def _refuse_duplicates(members: Sequence[Photograph]) -> None:
     for member in members:
         first = seen.setdefault(member.view.image.image_id, member.name)
         if first != member.name:
-            raise CallError("invalid_arguments", f"{member.name} is the same image as {first}. Give each image once.")
+            raise CallError(
+                "invalid_arguments",
+                f"{member.name} is the same image as {first}. Give each image once.",
+            )
 
 
 def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
@@ -145,7 +160,10 @@ def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstima
         interval = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
     warnings = record.warnings
     if first.component is not None and flight.components[first.component].n_photographs == 1:
-        message = "None of the other images overlaps this one enough for a link: the scale rests on this image alone."
+        message = (
+            "None of the other images overlaps this one enough for a link: the scale "
+            "rests on this image alone."
+        )
         warnings = (*warnings, Notice(code=NoticeCode.NOT_LINKED, message=message))
     frame = frame_scale(asked.frame, record.image_width_px, record.gsd_m_per_px, interval)
     return record.model_copy(update={"frame": frame, "warnings": warnings})

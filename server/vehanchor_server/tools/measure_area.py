@@ -31,9 +31,12 @@ if TYPE_CHECKING:
     from vehanchor_server.tools.strict_tool import StrictTool
 
 _DESCRIPTION = (
-    "Measures the area (square metres) and size of objects in a near-nadir aerial or satellite image: roof, pool, "
-    "field, landing site. Give a tight box around each whole object; never estimate an area by eye. Also "
-    "returns length, width, and inscribed_diameter_m, the largest circle inside, for landings. ok needs a usable scale "
+    "Measures the area (square metres) and size of objects in a near-nadir aerial or satellite "
+    "image: roof, pool, "
+    "field, landing site. Give a tight box around each whole object; never estimate an area by "
+    "eye. Also "
+    "returns length, width, and inscribed_diameter_m, the largest circle inside, for landings. "
+    "ok needs a usable scale "
     f"and a mask without doubts; 20 % of the scale is 44 % of an area. {STATUS_RULES}"
 )
 
@@ -50,7 +53,12 @@ def measure_area_tool(services: Services) -> "StrictTool":
         image: ImageArgument,
         targets: Annotated[
             tuple[Target, ...],
-            Field(min_length=1, max_length=MAX_TARGETS, description="Box or points of each.", examples=[_EXAMPLE]),
+            Field(
+                min_length=1,
+                max_length=MAX_TARGETS,
+                description="Box or points of each.",
+                examples=[_EXAMPLE],
+            ),
         ],
         ctx: Context[Any, Any],
         given: Given,
@@ -59,7 +67,9 @@ def measure_area_tool(services: Services) -> "StrictTool":
     ) -> CallToolResult:
         places = [place for target in targets for place in target.places]
         question = Question(given, wanted, targets)
-        reply, told = await answered(services, ctx, image, _measure, question, places, detail=detail)
+        reply, told = await answered(
+            services, ctx, image, _measure, question, places, detail=detail
+        )
         return reply.to_result(*told, detail=detail, shown=wanted)
 
     return StrictTool.read_only(
@@ -83,7 +93,8 @@ def _measure(
     from vehanchor.pictures.measured import cut_to_objects, draw_area
     from vehanchor_server.app_page.panel import drawing_of
 
-    prompts = [_prompt(target) for target in asked.subject]  # refuse invalid prompts before the work
+    # refuse invalid prompts before the work
+    prompts = [_prompt(target) for target in asked.subject]
     segmenter = services.models.segmenter(job.runtime)
     options, scale = resolve_source(asked.given, services, job)
     wanted, height = asked.wanted, asked.given.get("object_height_m")
@@ -99,7 +110,11 @@ def _measure(
             scale=found[0].scale,
             usual=cut_to_objects(found).part,
         )
-    drawing = drawing_of(found[0].scale) if wanted.kind == "plain" and found[0].scale is not None else None
+    drawing = (
+        drawing_of(found[0].scale)
+        if wanted.kind == "plain" and found[0].scale is not None
+        else None
+    )
     return Reply(tuple(each.measurement for each in found), picture, drawing)
 
 
@@ -109,4 +124,6 @@ def _prompt(target: Target) -> "Prompt":
     if target.box is not None:
         (left, top), (right, bottom) = target.box.corners
         return read_prompt((left, top, right, bottom), None)
-    return read_prompt(None, [(point.x, point.y, point.label == "include") for point in target.points or ()])
+    return read_prompt(
+        None, [(point.x, point.y, point.label == "include") for point in target.points or ()]
+    )

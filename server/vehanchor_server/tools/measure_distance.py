@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from vehanchor_server.tools.strict_tool import StrictTool
 
 _DESCRIPTION = (
-    "Measures ground distances (metres) in a near-nadir aerial or satellite image: how wide, how long, how far. "
+    "Measures ground distances (metres) in a near-nadir aerial or satellite image: how wide, "
+    "how long, how far. "
     f"Give two points, or the vertices of a path in order. {STATUS_RULES}"
 )
 
@@ -62,7 +63,10 @@ def measure_distance_tool(services: Services) -> "StrictTool":
         lines: Annotated[
             tuple[Line, ...],
             Field(
-                min_length=1, max_length=MAX_TARGETS, description="Each is measured separately.", examples=[_EXAMPLE]
+                min_length=1,
+                max_length=MAX_TARGETS,
+                description="Each is measured separately.",
+                examples=[_EXAMPLE],
             ),
         ],
         ctx: Context[Any, Any],
@@ -72,7 +76,9 @@ def measure_distance_tool(services: Services) -> "StrictTool":
     ) -> CallToolResult:
         places = [(point.x, point.y) for line in lines for point in line.points]
         question = Question(given, wanted, lines)
-        reply, told = await answered(services, ctx, image, _measure, question, places, detail=detail)
+        reply, told = await answered(
+            services, ctx, image, _measure, question, places, detail=detail
+        )
         return reply.to_result(*told, detail=detail, shown=wanted)
 
     return StrictTool.read_only(

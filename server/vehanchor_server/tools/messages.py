@@ -16,19 +16,23 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.reply import Detail
 
 POLICY = (
-    "Act on the scale only if status is ok: it is right within 20 % in at least 9 of 10 such photographs. "
-    "Otherwise use another ruler. no_scale: no ruler was found, gsd_m_per_px is null, never a guess."
+    "Act on the scale only if status is ok: it is right within 20 % in at least 9 of 10 such "
+    "photographs. "
+    "Otherwise use another ruler. no_scale: no ruler was found, gsd_m_per_px is null, never a "
+    "guess."
 )
 """The rule for planners in the description of ``estimate_gsd``."""
 
 STATUS_RULES = (
-    "status ok: use it, but compare the interval's low end with what you need. low_confidence: do not act on it. "
+    "status ok: use it, but compare the interval's low end with what you need. low_confidence: "
+    "do not act on it. "
     "no_scale: only pixels. Scale arguments: see estimate_gsd."
 )
 """The meaning of ``status`` in the descriptions of the measuring tools."""
 
 AnyRecord: TypeAlias = GsdEstimate | AreaMeasurement | DistanceMeasurement
-_ESTIMATE_CHARS, _MEASUREMENT_CHARS = 320, 520  # of a short answer; a token of a model has about four characters
+# of a short answer; a token of a model has about four characters
+_ESTIMATE_CHARS, _MEASUREMENT_CHARS = 320, 520
 _PREFIX = "Warning "
 
 
@@ -47,8 +51,8 @@ class Answer(NamedTuple):
 def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail) -> Answer:
     """Say the records of an image in words, numbered if there are several, then their warnings, then the hints.
 
-    A short answer has the first sentence of each warning, and its code alone where it would become too long. A full one
-    has all sentences, and those of the rulers.
+    A short answer has the first sentence of each warning, and its code alone where it would become
+    too long. A full one has all sentences, and those of the rulers.
 
     Args:
         records: of one kind.
@@ -60,9 +64,15 @@ def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail
         words = ["\n".join(f"{number}. {sentence}" for number, sentence in enumerate(words, 1))]
     if detail == "full" and isinstance(records[0], GsdEstimate):
         words += [ruler.explanation for ruler in records[0].rulers if ruler.explanation is not None]
-    most = _ESTIMATE_CHARS if isinstance(records[0], GsdEstimate) else _MEASUREMENT_CHARS * len(records)
+    most = (
+        _ESTIMATE_CHARS
+        if isinstance(records[0], GsdEstimate)
+        else _MEASUREMENT_CHARS * len(records)
+    )
     warnings = _warnings(records, detail, most - len(" ".join([*words, *hints])))
-    return Answer(" ".join([*words, *(f"{_PREFIX}{each}" for each in warnings), *hints]), (*warnings, *hints))
+    return Answer(
+        " ".join([*words, *(f"{_PREFIX}{each}" for each in warnings), *hints]), (*warnings, *hints)
+    )
 
 
 def _warnings(records: Sequence[AnyRecord], detail: Detail, most_chars: int) -> list[str]:
@@ -71,7 +81,10 @@ def _warnings(records: Sequence[AnyRecord], detail: Detail, most_chars: int) -> 
     for number, record in enumerate(records, 1):
         for notice in record.warnings:
             found.setdefault(notice, []).append(number)
-    names = [f"{notice.code}{'' if len(at) == len(records) else f' ({_targets(at)})'}" for notice, at in found.items()]
+    names = [
+        f"{notice.code}{'' if len(at) == len(records) else f' ({_targets(at)})'}"
+        for notice, at in found.items()
+    ]
     room = most_chars - len(f" {_PREFIX}{', '.join(names)}.")
     told, rest = [], []
     for name, notice in zip(names, found, strict=True):
@@ -89,13 +102,19 @@ def _targets(numbers: Sequence[int]) -> str:
     return f"target{'' if len(numbers) == 1 else 's'} {', '.join(map(str, numbers))}"
 
 
-# --- Records ---------------------------------------------------------------------------------------------------------
+# --- Records
+#
+# ---------------------------------------------------------------------------------------------------------
 
 
 def _in_words(record: AnyRecord) -> str:
     if isinstance(record, GsdEstimate):
         return _estimate_in_words(record)
-    return _area_in_words(record) if isinstance(record, AreaMeasurement) else _distance_in_words(record)
+    return (
+        _area_in_words(record)
+        if isinstance(record, AreaMeasurement)
+        else _distance_in_words(record)
+    )
 
 
 def _estimate_in_words(estimate: GsdEstimate) -> str:
@@ -104,11 +123,15 @@ def _estimate_in_words(estimate: GsdEstimate) -> str:
     else:
         scale = f"{significant(estimate.gsd_m_per_px)} m/px"
         scale += _interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
-        words = [f"{scale}, confidence {estimate.confidence:.2f} from {ruler_names(estimate)}: {_verdict(estimate)}"]
+        words = [
+            f"{scale}, confidence {estimate.confidence:.2f} from {ruler_names(estimate)}: "
+            f"{_verdict(estimate)}"
+        ]
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
         words.append(
-            f"In your {frame.width_px} x {frame.height_px} copy that is {significant(frame.gsd_m_per_px)} m/px."
+            f"In your {frame.width_px} x {frame.height_px} copy that is "
+            f"{significant(frame.gsd_m_per_px)} m/px."
         )
     if by_hand := by_hand_text(estimate):
         words.append(f"Vehicles corrected {by_hand}.")
@@ -122,12 +145,17 @@ def _area_in_words(area: AreaMeasurement) -> str:
     if area.area_m2 is None:
         words = f"No area: the object covers {area.mask_area_px} px, but {_no_scale(area)}"
     else:
-        size = f"{significant(area.area_m2)} m2{_interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
+        size = (
+            f"{significant(area.area_m2)} "
+            f"m2{_interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
+        )
         if area.status == "ok" and area.length_m and area.width_m and area.inscribed_diameter_m:
             size += f", {significant(area.length_m)} x {significant(area.width_m)} m"
             size += f", largest circle inside {significant(area.inscribed_diameter_m)} m across"
         words = f"{size}; {_scale_origin(area)}: {_verdict(area)}"
-    box, copy = (area.bounding_box, "image") if area.frame is None else (area.frame.bounding_box, "copy")
+    box, copy = (
+        (area.bounding_box, "image") if area.frame is None else (area.frame.bounding_box, "copy")
+    )
     if box is not None and not has_unknown_extent(area):
         span = f"x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f}"
         words += f" Mask: {span} in your {copy}."
@@ -136,19 +164,28 @@ def _area_in_words(area: AreaMeasurement) -> str:
 
 
 def _size(other: OtherObject) -> str:
-    return f"{other.mask_area_px} px" if other.area_m2 is None else f"{significant(other.area_m2)} m2"
+    return (
+        f"{other.mask_area_px} px" if other.area_m2 is None else f"{significant(other.area_m2)} m2"
+    )
 
 
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
         return f"No distance: the line is {record.length_px:.0f} px long, but {_no_scale(record)}"
-    size = f"{significant(record.distance_m)} m{_interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
+    size = (
+        f"{significant(record.distance_m)} "
+        f"m{_interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
+    )
     return f"{size}; {_scale_origin(record)}: {_verdict(record)}"
 
 
 def _interval(low: float | None, high: float | None) -> str:
     """Format an interval in brackets; empty without one."""
-    return "" if low is None or high is None else f" (95 % interval {significant(low)} to {significant(high)})"
+    return (
+        ""
+        if low is None or high is None
+        else f" (95 % interval {significant(low)} to {significant(high)})"
+    )
 
 
 def _verdict(record: AnyRecord) -> str:

@@ -40,7 +40,8 @@ def draw_picture(
         wanted: the requested picture.
         draw: draws the evidence on the image, its part or a reduced copy, ``[h, w, 3]`` RGB.
         scale: the analysis with the vehicles; None for a stated scale.
-        usual: the part that the evidence shows unless another is asked for; None for all of the image.
+        usual: the part that the evidence shows unless another is asked for; None for all of the
+            image.
 
     Raises:
         PromptError: the part is outside the image, or too small.
@@ -66,14 +67,18 @@ def draw_picture(
     return small_jpeg(picture, side_px=wanted.long_side_px)
 
 
-def scale_reply(raster: Raster | None, analysis: ScaleEvidence, wanted: PictureRequest, job: Job) -> Reply[GsdEstimate]:
+def scale_reply(
+    raster: Raster | None, analysis: ScaleEvidence, wanted: PictureRequest, job: Job
+) -> Reply[GsdEstimate]:
     """Combine the record of a scale with the requested picture; without one, the image need not be open."""
     from vehanchor.pictures.scale import draw_overlay
     from vehanchor_server.app_page.panel import drawing_of
 
     picture = None
     if raster is not None:
-        picture = draw_picture(raster, job, wanted, lambda seen, cut: draw_overlay(seen, analysis, cut), scale=analysis)
+        picture = draw_picture(
+            raster, job, wanted, lambda seen, cut: draw_overlay(seen, analysis, cut), scale=analysis
+        )
     drawing = drawing_of(analysis) if wanted.kind == "plain" else None
     return Reply((analysis.estimate,), picture, drawing)
 
@@ -93,13 +98,16 @@ def part_window(raster: Raster, wanted: PictureRequest) -> Window:
     coordinates = CoordinateFrame(wanted.frame, raster.width_px, raster.height_px)
     if not coordinates.inside(ends):
         numbers = ", ".join(f"{value:g}" for end in ends for value in end)
-        raise PromptError(f"part {numbers} is not inside the {coordinates.name}{coordinates.other_reading(ends)}")
+        raise PromptError(
+            f"part {numbers} is not inside the {coordinates.name}{coordinates.other_reading(ends)}"
+        )
     (left, top), (right, bottom) = (coordinates.in_image(*end) for end in ends)
     x, y = int(left), int(top)
     width, height = round(right) - x, round(bottom) - y
     if min(width, height) < _LEAST_PART_PX:
         raise PromptError(
-            f"the part is {width} x {height} px of the full image: give at least {_LEAST_PART_PX} px per side"
+            f"the part is {width} x {height} px of the full image: give at least "
+            f"{_LEAST_PART_PX} px per side"
             f"{coordinates.other_reading(ends)}"
         )
     return Window(x, y, width, height)

@@ -1,7 +1,7 @@
 """JSON Schemas in the subset that all hosts support.
 
-pydantic writes references, ``oneOf`` with ``discriminator``, and titles that repeat names. Some hosts and
-validators reject the first two; the titles waste the model's context.
+pydantic writes references, ``oneOf`` with ``discriminator``, and titles that repeat names. Some
+hosts and validators reject the first two; the titles waste the model's context.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ def _plain(node: Any, definitions: dict[str, Any]) -> Any:
         if key in ("$defs", "discriminator") or (key == "title" and isinstance(value, str)):
             continue
         if key == "properties":  # a property may be named like a keyword
-            result[key] = {name: _plain(property_, definitions) for name, property_ in value.items()}
+            result[key] = {
+                name: _plain(property_, definitions) for name, property_ in value.items()
+            }
         elif key in ("const", "enum", "default", "examples"):
             result[key] = value
         else:
@@ -47,24 +49,39 @@ def _plain(node: Any, definitions: dict[str, Any]) -> Any:
     return result
 
 
-_NOT_LISTED = {"default", "examples", "exclusiveMinimum", "minimum", "maximum", "minLength", "maxLength", "pattern"}
+_NOT_LISTED = {
+    "default",
+    "examples",
+    "exclusiveMinimum",
+    "minimum",
+    "maximum",
+    "minLength",
+    "maxLength",
+    "pattern",
+}
 _UNLISTED = {"detail", "tolerance_m", "object_height_m"}
 _UNLISTED |= {name for name, each in declared_options().items() if not each.option.listed}
 
 
-def listed(node: dict[str, Any], kinds: Collection[str] = (), *, described: bool = True) -> dict[str, Any]:
+def listed(
+    node: dict[str, Any], kinds: Collection[str] = (), *, described: bool = True
+) -> dict[str, Any]:
     """Reduce a portable schema to what a model needs: names, types, required fields, numbers of items.
 
-    Arguments for programs are left out, at any depth. Optional arguments lose their null type. A union of an object
-    and a text becomes the text, which every host passes unchanged. The server still checks the limits that are dropped
-    here; what has the listed shape has a valid shape.
+    Arguments for programs are left out, at any depth. Optional arguments lose their null type. A
+    union of an object and a text becomes the text, which every host passes unchanged. The server
+    still checks the limits that are dropped here; what has the listed shape has a valid shape.
 
     Args:
         node: the portable schema.
         kinds: kinds of images that the server accepts from models; an empty collection lists all.
         described: whether to keep the description.
     """
-    options = [option for option in node.get("anyOf", ()) if option != {"type": "null"} and _accepted(option, kinds)]
+    options = [
+        option
+        for option in node.get("anyOf", ())
+        if option != {"type": "null"} and _accepted(option, kinds)
+    ]
     if {"object", "string"} == {option.get("type") for option in options}:
         options = [option for option in options if option["type"] == "string"]
     if len(options) == 1:
@@ -74,11 +91,16 @@ def listed(node: dict[str, Any], kinds: Collection[str] = (), *, described: bool
     for key, value in node.items():
         if key in _NOT_LISTED or (key == "description" and not described):
             continue
-        if key == "additionalProperties" and not {"image", "kind"} & set(node.get("properties", ())):
-            continue  # below the arguments, only an image with fields of two kinds would be ambiguous
+        if key == "additionalProperties" and not {"image", "kind"} & set(
+            node.get("properties", ())
+        ):
+            # below the arguments, only an image with fields of two kinds would be ambiguous
+            continue
         if key == "properties":
             result[key] = {
-                name: listed(each, kinds, described=described) for name, each in value.items() if name not in _UNLISTED
+                name: listed(each, kinds, described=described)
+                for name, each in value.items()
+                if name not in _UNLISTED
             }
         elif key == "anyOf":
             result[key] = [listed(option, kinds, described=False) for option in options]

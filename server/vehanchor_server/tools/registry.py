@@ -1,7 +1,8 @@
 """The tools of a server, in the order of the listing.
 
-To add a tool, write a module beside this one with a function like ``estimate_gsd_tool``, and add it to ``TOOLS``.
-The server's instructions, the published schemas and the definitions for agents' APIs follow.
+To add a tool, write a module beside this one with a function like ``estimate_gsd_tool``, and add it
+to ``TOOLS``. The server's instructions, the published schemas and the definitions for agents' APIs
+follow.
 """
 
 from __future__ import annotations
@@ -19,7 +20,11 @@ if TYPE_CHECKING:
     from vehanchor_server.services import Services
     from vehanchor_server.tools.strict_tool import StrictTool
 
-TOOLS: tuple[Callable[[Services], StrictTool], ...] = (estimate_gsd_tool, measure_area_tool, measure_distance_tool)
+TOOLS: tuple[Callable[[Services], StrictTool], ...] = (
+    estimate_gsd_tool,
+    measure_area_tool,
+    measure_distance_tool,
+)
 """The tools beside ``view_image``, which shows their calls."""
 
 

@@ -59,7 +59,9 @@ class Question(Generic[Subject]):
     subject: Subject
 
 
-def with_options(kind: str, *, paged: bool = True) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def with_options(
+    kind: str, *, paged: bool = True
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Add the options of all measuring tools, and those of a kind, to the arguments of a tool.
 
     Args:
@@ -67,25 +69,40 @@ def with_options(kind: str, *, paged: bool = True) -> Callable[[Callable[..., An
         paged: whether hosts show the results on the page.
 
     Returns:
-        A decorator for a function with the parameters ``given``, which gets the options that the caller gave, and
-        ``wanted``, the picture: the evidence for ``view_image``, or the image for a host with pages.
+        A decorator for a function with the parameters ``given``, which gets the options that the
+        caller gave, and ``wanted``, the picture: the evidence for ``view_image``, or the image for
+        a host with pages.
     """
     from mcp.server.apps import client_supports_apps
 
     def decorate(tool: Callable[..., Any]) -> Callable[..., Any]:
         own = inspect.signature(tool).parameters
-        options = {name: each for name, each in declared_options().items() if each.option.tools in ("all", kind)}
-        arguments = {name: _optional(each.annotation, each.option) for name, each in options.items()}
+        options = {
+            name: each
+            for name, each in declared_options().items()
+            if each.option.tools in ("all", kind)
+        }
+        arguments = {
+            name: _optional(each.annotation, each.option) for name, each in options.items()
+        }
         if kind == "measure":
             arguments["object_height_m"] = _optional(ObjectHeight, OBJECT_HEIGHT)
         added = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation
+            )
             for name, annotation in arguments.items()
         ]
-        kept = [each.replace(kind=each.KEYWORD_ONLY) for name, each in own.items() if name not in ("given", "wanted")]
+        kept = [
+            each.replace(kind=each.KEYWORD_ONLY)
+            for name, each in own.items()
+            if name not in ("given", "wanted")
+        ]
 
         @functools.wraps(tool)
-        async def with_given(*, ctx: Context[Any, Any], shown: PictureRequest | None = None, **values: Any) -> Any:
+        async def with_given(
+            *, ctx: Context[Any, Any], shown: PictureRequest | None = None, **values: Any
+        ) -> Any:
             told = {name: values.pop(name) for name in arguments}
             given = {name: value for name, value in told.items() if value is not None}
             wanted = shown or PictureRequest("plain" if paged and client_supports_apps(ctx) else "")
@@ -93,7 +110,9 @@ def with_options(kind: str, *, paged: bool = True) -> Callable[[Callable[..., An
 
         signature = inspect.signature(tool).replace(parameters=[*kept, *added])
         with_given.__signature__ = signature  # type: ignore[attr-defined] # what the SDK reads
-        with_given.__annotations__ = {each.name: each.annotation for each in signature.parameters.values()}
+        with_given.__annotations__ = {
+            each.name: each.annotation for each in signature.parameters.values()
+        }
         return with_given
 
     return decorate
@@ -104,7 +123,9 @@ def _optional(annotation: Any, option: Option) -> Any:
     kind, *metadata = get_args(annotation)
     rest = [each for each in metadata if not isinstance(each, Option)]
     bare: Any = Annotated[(kind, *rest)] if rest else kind
-    return Annotated[bare | None, BeforeValidator(lambda value: None if value == "" else value), option]
+    return Annotated[
+        bare | None, BeforeValidator(lambda value: None if value == "" else value), option
+    ]
 
 
 def scale_options(given: Given, settings: Settings, models: Models | None) -> ScaleOptions:
@@ -126,7 +147,9 @@ def scale_options(given: Given, settings: Settings, models: Models | None) -> Sc
         reference=Reference(calibration=models.calibration() if models and fleet_unknown else None),
         reading=Reading(limits=settings.image_limits),
     )
-    return operator.with_keywords({name: value for name, value in given.items() if name != "object_height_m"})
+    return operator.with_keywords(
+        {name: value for name, value in given.items() if name != "object_height_m"}
+    )
 
 
 def resolve_source(given: Given, services: Services, job: Job) -> tuple[ScaleOptions, ScaleInput]:
@@ -176,15 +199,22 @@ def _check_coordinates(places: Iterable[tuple[float, float]], given: Given) -> N
         CallError: ``invalid_prompt``.
     """
     found = _all_places(places, given)
-    if found and "coordinates" not in given and all(0 <= value <= 1 for place in found for value in place):
+    if (
+        found
+        and "coordinates" not in given
+        and all(0 <= value <= 1 for place in found for value in place)
+    ):
         raise CallError(
             "invalid_prompt",
-            'all coordinates lie in 0 to 1. For shares of the sides give coordinates: "fraction", for pixels "pixels".',
+            "all coordinates lie in 0 to 1. For shares of the sides give coordinates: "
+            '"fraction", for pixels "pixels".',
         )
 
 
 def _hints(
-    places: Iterable[tuple[float, float]], given: Given, record: GsdEstimate | AreaMeasurement | DistanceMeasurement
+    places: Iterable[tuple[float, float]],
+    given: Given,
+    record: GsdEstimate | AreaMeasurement | DistanceMeasurement,
 ) -> list[str]:
     """Return warnings about the call: what was made of a region or a stated scale, and doubtful coordinates.
 
@@ -193,17 +223,26 @@ def _hints(
     estimate = record if isinstance(record, GsdEstimate) else record.estimate
     said = []
     if "region" in given and estimate is not None and estimate.details.reference_source == "region":
-        said.append(f"Region {given['region']}: cars of {estimate.details.reference_length_m:.2f} m.")
+        said.append(
+            f"Region {given['region']}: cars of {estimate.details.reference_length_m:.2f} m."
+        )
     if "gsd_m_per_px" in given and "gsd_tolerance" not in given:
         said.append("The stated scale is taken as +- 10 %.")
     found, longest = _all_places(places, given), max(record.image_width_px, record.image_height_px)
     if not found or "frame" in given or "coordinates" in given:
         return said
-    size, factor = f"The image has {record.image_width_px} x {record.image_height_px} px", MAX_SIDE_PX / longest
+    size, factor = (
+        f"The image has {record.image_width_px} x {record.image_height_px} px",
+        MAX_SIDE_PX / longest,
+    )
     if longest > _LARGE_PX and all(value <= _PER_CENT for place in found for value in place):
-        said.append(f'{size}, all coordinates lie in 0 to 100. If they are pixels, give coordinates: "pixels".')
+        said.append(
+            f"{size}, all coordinates lie in 0 to 100. If they are pixels, give coordinates: "
+            '"pixels".'
+        )
     elif factor < 1 and all(
-        x <= record.image_width_px * factor and y <= record.image_height_px * factor for x, y in found
+        x <= record.image_width_px * factor and y <= record.image_height_px * factor
+        for x, y in found
     ):
         said.append(f"{size}. If you used a smaller copy, give its size as frame.")
     return said

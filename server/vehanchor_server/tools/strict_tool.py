@@ -21,7 +21,8 @@ from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.complaints import complaints
 from vehanchor_server.tools.portable_schema import listed, portable_schema
 
-__all__ = ["CallToolResult", "Context", "InputRequiredResult", "StrictTool"]  # what a tool needs of the SDK, too
+# what a tool needs of the SDK, too
+__all__ = ["CallToolResult", "Context", "InputRequiredResult", "StrictTool"]
 
 MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120
 _EXACT = 2.0**53  # above, floats are no counts
@@ -35,8 +36,10 @@ class StrictTool(Tool):
     """The SDK's tool with strict arguments.
 
     Attributes:
-        full_parameters: complete schema of the arguments; ``parameters`` is the reduced one for models.
-        record: type of the record in full answers; ``output_schema`` has the fields of every answer.
+        full_parameters: complete schema of the arguments; ``parameters`` is the reduced one for
+            models.
+        record: type of the record in full answers; ``output_schema`` has the fields of every
+            answer.
         first_image: finds an image of this server for examples in errors.
     """
 
@@ -59,30 +62,39 @@ class StrictTool(Tool):
         """Create a read-only, idempotent tool.
 
         Args:
-            function: the implementation; its name and parameters define the tool, as for ``Tool.from_function``.
+            function: the implementation; its name and parameters define the tool, as for
+                ``Tool.from_function``.
             title: title for people.
             description: description for planners; clients keep 2 KB of it.
             meta: the tool's ``_meta``.
             record: type of the record in the structured content; None without any.
-            answered: fields of the record in the listed schema; other fields need full detail. Default: all fields.
+            answered: fields of the record in the listed schema; other fields need full detail.
+                Default: all fields.
             kinds: kinds of images in the listed schema; default: all.
         """
         annotations = ToolAnnotations(
             read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
         )
         words: dict[str, Any] = {"title": title, "description": description}
-        tool = cls.from_function(function, **words, annotations=annotations, meta=meta, structured_output=False)
+        tool = cls.from_function(
+            function, **words, annotations=annotations, meta=meta, structured_output=False
+        )
         assert isinstance(tool, StrictTool)
         arguments = tool.fn_metadata.arg_model  # which drops unknown arguments silently
-        tool.fn_metadata.arg_model = types.new_class(arguments.__name__, (arguments,), {"extra": "forbid"})
+        tool.fn_metadata.arg_model = types.new_class(
+            arguments.__name__, (arguments,), {"extra": "forbid"}
+        )
         tool.full_parameters = portable_schema({"additionalProperties": False, **tool.parameters})
         tool.parameters = listed(tool.full_parameters, kinds)
         if record is not None:
             tool.record = record
-            tool.fn_metadata.output_schema = _answered(record, answered)  # records validate short and full answers
+            # records validate short and full answers
+            tool.fn_metadata.output_schema = _answered(record, answered)
         return tool
 
-    async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:
+    async def run(
+        self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False
+    ) -> Any:
         """Run the tool.
 
         Raises:
@@ -107,7 +119,8 @@ class StrictTool(Tool):
                 raise ReportedError(status, self._complaints(cause, arguments)) from cause
             status = "internal_error"
             raise UnexpectedToolError(
-                "internal_error: the server failed on this call; its log has the cause. Report it to the operator."
+                "internal_error: the server failed on this call; its log has the cause. Report "
+                "it to the operator."
             ) from cause
         finally:
             record = result.structured_content if isinstance(result, CallToolResult) else None
@@ -130,9 +143,13 @@ class StrictTool(Tool):
         return result
 
     def _complaints(self, error: ValidationError, arguments: dict[str, Any]) -> str:
-        words = complaints(error, arguments, self.full_parameters, self.parameters.get("required") or ["image"])
+        words = complaints(
+            error, arguments, self.full_parameters, self.parameters.get("required") or ["image"]
+        )
         found = self.first_image() if self.first_image is not None else None
-        return words if found is None else words.replace(json.dumps(EXAMPLE_PATH), json.dumps(found))
+        return (
+            words if found is None else words.replace(json.dumps(EXAMPLE_PATH), json.dumps(found))
+        )
 
 
 def _answered(record: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:
@@ -142,7 +159,9 @@ def _answered(record: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:
         kind: Any = record.model_fields[name].annotation
         field = TypeAdapter(kind).json_schema()
         kinds = [option["type"] for option in field.get("anyOf", [field])]
-        fields[name] = {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
+        fields[name] = (
+            {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
+        )
     return {"type": "object", "properties": fields}
 
 
@@ -152,7 +171,11 @@ def _with_integers(value: Any) -> Any:
         return {name: _with_integers(each) for name, each in value.items() if each is not None}
     if isinstance(value, list):
         return [_with_integers(each) for each in value]
-    return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT else value
+    return (
+        int(value)
+        if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT
+        else value
+    )
 
 
 def _more_values_than(arguments: Any, limit: int) -> bool:

@@ -38,7 +38,9 @@ class Point(FrozenModel):
 
     x: Number
     y: Number
-    label: Literal["include", "exclude"] = Field(default="include", description="exclude: beside the object.")
+    label: Literal["include", "exclude"] = Field(
+        default="include", description="exclude: beside the object."
+    )
 
 
 class Target(FrozenModel):
@@ -54,12 +56,20 @@ class Target(FrozenModel):
     @property
     def places(self) -> tuple[tuple[float, float], ...]:
         """Corners of the box, or points."""
-        return self.box.corners if self.box is not None else tuple((each.x, each.y) for each in self.points or ())
+        return (
+            self.box.corners
+            if self.box is not None
+            else tuple((each.x, each.y) for each in self.points or ())
+        )
 
     @model_validator(mode="before")
     @classmethod
     def _one_form(cls, value: Any) -> Any:
-        named = sum(value.get(name) is not None for name in ("box", "points")) if isinstance(value, dict) else 0
+        named = (
+            sum(value.get(name) is not None for name in ("box", "points"))
+            if isinstance(value, dict)
+            else 0
+        )
         if named != 1 and not isinstance(value, Target):
             raise PydanticCustomError("target_form", _FORMS)
         return value

@@ -1,8 +1,8 @@
 """The tool ``view_image``: show an image with a coordinate grid or what a call saw, or list the images.
 
-Models need it to give coordinates in an image that they know by path only, and to check vehicles and masks. It has no
-structured content, because several hosts show a model nothing beside it. The page has a tool of its own with the same
-work.
+Models need it to give coordinates in an image that they know by path only, and to check vehicles
+and masks. It has no structured content, because several hosts show a model nothing beside it. The
+page has a tool of its own with the same work.
 """
 
 # No postponed annotations here: the SDK reads the arguments' schema from them.
@@ -36,8 +36,10 @@ if TYPE_CHECKING:
     from vehanchor_server.tools.strict_tool import CallToolResult, StrictTool
 
 _DESCRIPTION = (
-    "Shows an image, or a part of it, with a grid of pixel coordinates. View it before you give coordinates, and a "
-    "part for precise ones. With of, shows what a call of another tool saw: numbered vehicles, masks, "
+    "Shows an image, or a part of it, with a grid of pixel coordinates. View it before you give "
+    "coordinates, and a "
+    "part for precise ones. With of, shows what a call of another tool saw: numbered vehicles, "
+    "masks, "
     "lines. Without both, lists the images."
 )
 _LEAST_SIDE_PX, _USUAL_SIDE_PX, _LONGEST_SIDE_PX = 256, 1024, 1568
@@ -77,7 +79,9 @@ class PageImages(FrozenModel):
     """A page of the list of images; empty beside a picture."""
 
     images: tuple[str, ...] = Field(default=(), description="Paths.")
-    next_page: int | None = Field(default=None, description="Number of the next page; null on the last.")
+    next_page: int | None = Field(
+        default=None, description="Number of the next page; null on the last."
+    )
 
 
 def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -> "StrictTool":
@@ -87,7 +91,9 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
     async def view_image(
         ctx: Context[Any, Any],
         image: ImageArgument | None = None,
-        of: Annotated[PastCall | None, Field(description="Call to show, with its arguments.")] = None,
+        of: Annotated[
+            PastCall | None, Field(description="Call to show, with its arguments.")
+        ] = None,
         part: _Part = None,
         coordinates: Annotated[Coordinates, declared_options()["coordinates"].option] = "pixels",
         long_side_px: _Side = _USUAL_SIDE_PX,
@@ -106,7 +112,10 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
         return _with_picture(_words(seen.record, long_side_px), seen.picture)
 
     return StrictTool.read_only(
-        view_image, title="View an aerial image", description=_DESCRIPTION, kinds=services.settings.image_kinds
+        view_image,
+        title="View an aerial image",
+        description=_DESCRIPTION,
+        kinds=services.settings.image_kinds,
     )
 
 
@@ -124,10 +133,17 @@ def page_image_tool(services: Services) -> "StrictTool":
         if image is None:
             names, total = await _list_images(services, page)
             more = names and (page - 1) * _IMAGES_A_PAGE + len(names) < total
-            listed, picture = PageImages(images=tuple(names), next_page=page + 1 if more else None), None
+            listed, picture = (
+                PageImages(images=tuple(names), next_page=page + 1 if more else None),
+                None,
+            )
         else:
             seen = await run_call(
-                services, ctx, image, _view, PictureRequest("plain", long_side_px, part.corners if part else None)
+                services,
+                ctx,
+                image,
+                _view,
+                PictureRequest("plain", long_side_px, part.corners if part else None),
             )
             listed, picture = PageImages(), seen.picture
         return _with_picture("For the page.", picture, listed.model_dump(mode="json"))
@@ -143,7 +159,9 @@ def page_image_tool(services: Services) -> "StrictTool":
     )
 
 
-def _with_picture(words: str, jpeg: bytes | None, data: dict[str, Any] | None = None) -> "CallToolResult":
+def _with_picture(
+    words: str, jpeg: bytes | None, data: dict[str, Any] | None = None
+) -> "CallToolResult":
     from mcp.server.mcpserver import Image
     from mcp.types import CallToolResult, TextContent
 
@@ -180,7 +198,9 @@ def _by_folder(paths: Iterable[str]) -> list[str]:
 
 
 @work(ViewedImage)
-def _view(services: Services, job: Job, source: OpenedImage, wanted: PictureRequest) -> Reply[ViewedImage]:
+def _view(
+    services: Services, job: Job, source: OpenedImage, wanted: PictureRequest
+) -> Reply[ViewedImage]:
     """Draw the picture; a plain one has no grid."""
     import cv2
     import numpy as np
@@ -194,7 +214,9 @@ def _view(services: Services, job: Job, source: OpenedImage, wanted: PictureRequ
     with open_raster(source, reading) as raster:
         window = part_window(raster, wanted)
         job.stop.check()
-        rgb, step_px = draw_grid(raster, window, wanted.long_side_px, _MAX_ENLARGEMENT, wanted.kind == "evidence")
+        rgb, step_px = draw_grid(
+            raster, window, wanted.long_side_px, _MAX_ENLARGEMENT, wanted.kind == "evidence"
+        )
         jpeg = small_jpeg(rgb)
         shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
         assert shown is not None
@@ -214,15 +236,29 @@ def _view(services: Services, job: Job, source: OpenedImage, wanted: PictureRequ
 def _words(seen: ViewedImage, long_side_px: int) -> str:
     part, size = seen.part, f"{seen.picture_width_px} x {seen.picture_height_px}"
     factor = (part.x_max - part.x_min) / seen.picture_width_px
-    words = f"Image of {seen.image_width_px} x {seen.image_height_px} px. The picture of {size} px shows "
-    if (part.x_max - part.x_min, part.y_max - part.y_min) == (seen.image_width_px, seen.image_height_px):
+    words = (
+        f"Image of {seen.image_width_px} x {seen.image_height_px} px. The picture of {size} "
+        "px shows "
+    )
+    if (part.x_max - part.x_min, part.y_max - part.y_min) == (
+        seen.image_width_px,
+        seen.image_height_px,
+    ):
         words += "all of it: give that size as frame if you use the picture's pixels"
     else:
         words += (
-            f"x {part.x_min:.0f} to {part.x_max:.0f}, y {part.y_min:.0f} to {part.y_max:.0f}: in the image, "
-            f"x = {part.x_min:.0f} + {factor:.4g} * column, y = {part.y_min:.0f} + {factor:.4g} * row"
+            f"x {part.x_min:.0f} to {part.x_max:.0f}, y {part.y_min:.0f} to {part.y_max:.0f}: "
+            "in the image, "
+            f"x = {part.x_min:.0f} + {factor:.4g} * column, y = {part.y_min:.0f} + {factor:.4g} "
+            "* row"
         )
     if max(seen.picture_width_px, seen.picture_height_px) < long_side_px - 1:
-        limit = f"enlarged {_MAX_ENLARGEMENT:g} times, the most" if factor < 1 else "as large as a result may be"
+        limit = (
+            f"enlarged {_MAX_ENLARGEMENT:g} times, the most"
+            if factor < 1
+            else "as large as a result may be"
+        )
         words += f". It is smaller than the {long_side_px} px asked for: it is {limit}"
-    return f"{words}. Grid lines are {seen.grid_px} image pixels apart and numbered in image pixels."
+    return (
+        f"{words}. Grid lines are {seen.grid_px} image pixels apart and numbered in image pixels."
+    )

@@ -29,7 +29,18 @@ KEYS_REFRESH_S = 3600.0  # age at which keys are fetched again, beside the calls
 KEYS_RETRY_S = 30.0  # minimum interval between fetches, also for unknown keys and after a failure
 FETCH_S = 5.0  # for both documents together
 MAX_DOCUMENT_BYTES = 64 << 10
-_ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "EdDSA")
+_ALGORITHMS = (
+    "RS256",
+    "RS384",
+    "RS512",
+    "PS256",
+    "PS384",
+    "PS512",
+    "ES256",
+    "ES384",
+    "ES512",
+    "EdDSA",
+)
 _LEEWAY_S = 30
 
 _logger = logging.getLogger(__name__)
@@ -63,11 +74,18 @@ def read_tokens(path: Path) -> list[str]:
         raise SettingsError(f"token file {path} cannot be read: {error}") from None
     tokens = [line for line in lines if line and not line.startswith("#")]
     if not tokens:
-        raise SettingsError(f"token file {path} has no token; write one with: openssl rand -hex 32 > {path}")
+        raise SettingsError(
+            f"token file {path} has no token; write one with: openssl rand -hex 32 > {path}"
+        )
     if any(len(token) < MIN_TOKEN_CHARS for token in tokens):
-        raise SettingsError(f"token file {path}: a token is shorter than {MIN_TOKEN_CHARS} characters; use longer ones")
+        raise SettingsError(
+            f"token file {path}: a token is shorter than {MIN_TOKEN_CHARS} characters; use "
+            "longer ones"
+        )
     if readable_by_all:
-        _logger.warning("every user of this machine can read the token file %s: chmod o-rwx it", path)
+        _logger.warning(
+            "every user of this machine can read the token file %s: chmod o-rwx it", path
+        )
     return tokens
 
 
@@ -114,11 +132,12 @@ async def _get_json(url: str) -> dict[str, Any]:
 class OidcVerifier(TokenVerifier):
     """Verifier of JWTs that an OpenID Connect issuer signed for this server.
 
-    A caller whose key is known never waits for the issuer. An unknown key makes its caller wait for a fetch, unless one
-    runs or ran a moment ago.
+    A caller whose key is known never waits for the issuer. An unknown key makes its caller wait for
+    a fetch, unless one runs or ran a moment ago.
 
     Args:
-        issuer: the issuer's URL; ``/.well-known/openid-configuration`` below it has the address of the keys.
+        issuer: the issuer's URL; ``/.well-known/openid-configuration`` below it has the address of
+            the keys.
         audience: required member of ``aud``.
         max_key_age_s: seconds after which keys end if they cannot be fetched again.
         get_json: fetches a JSON document.
@@ -160,7 +179,9 @@ class OidcVerifier(TokenVerifier):
         except (jwt.PyJWTError, ValueError, TypeError, OverflowError) as error:
             _logger.info("bearer token refused: %s", type(error).__name__)
             return None
-        return AccessToken(token=token, client_id=str(claims.get("sub")), scopes=[], expires_at=expires_at)
+        return AccessToken(
+            token=token, client_id=str(claims.get("sub")), scopes=[], expires_at=expires_at
+        )
 
     async def _key(self, kid: str | None) -> jwt.PyJWK:
         """Return the issuer's key.
@@ -169,12 +190,19 @@ class OidcVerifier(TokenVerifier):
             jwt.InvalidKeyError: the issuer has no such key, or its keys ended.
         """
         if self._keys and time.monotonic() - self._fetched_at > self._max_key_age_s:
-            _logger.warning("the keys of %s ended %g s after their last fetch", self._issuer, self._max_key_age_s)
+            _logger.warning(
+                "the keys of %s ended %g s after their last fetch",
+                self._issuer,
+                self._max_key_age_s,
+            )
             self._keys = {}
         known, fetch, now = kid in self._keys, self._fetch, time.monotonic()
-        if now - self._tried_at > KEYS_RETRY_S and (not known or now - self._fetched_at > KEYS_REFRESH_S):
+        if now - self._tried_at > KEYS_RETRY_S and (
+            not known or now - self._fetched_at > KEYS_REFRESH_S
+        ):
             self._tried_at = now
-            fetch = self._fetch = asyncio.create_task(self._fetch_keys())  # goes on if its caller hangs up
+            # goes on if its caller hangs up
+            fetch = self._fetch = asyncio.create_task(self._fetch_keys())
         elif self._keys:
             fetch = None
         if fetch is not None and not known:

@@ -25,7 +25,8 @@ from vehanchor_server.transport.request_guard import RequestGuard
 MCP_PATH = "/mcp"
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 _SHUTDOWN_S = 5  # time for running calls after a stop
-_KEEP_ALIVE_S = 5  # above the proxy's 3 s in examples/deploy/nginx.conf, so that no call meets a closed connection
+# above the proxy's 3 s in examples/deploy/nginx.conf, so that no call meets a closed connection
+_KEEP_ALIVE_S = 5
 _MAX_HEAD_BYTES = 32 << 10
 _SPARE_BODIES = 2  # besides one per call: a call's slot is free shortly before its body
 
@@ -42,7 +43,9 @@ def create_app(settings: Settings) -> Starlette:
     settings.check_exposure()
     services = create_services(settings)
     verifier = token_verifier(settings)
-    server = create_server(services, auth=_auth(settings) if verifier else None, token_verifier=verifier)
+    server = create_server(
+        services, auth=_auth(settings) if verifier else None, token_verifier=verifier
+    )
 
     async def healthz(_: Request) -> Response:
         return JSONResponse({"status": "alive"})
@@ -60,7 +63,8 @@ def create_app(settings: Settings) -> Starlette:
     )
     max_large_bodies = services.capacity.max_concurrency + _SPARE_BODIES
     app.add_middleware(RequestGuard, path=MCP_PATH, max_large_bodies=max_large_bodies)
-    app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # probes have no token
+    # probes have no token
+    app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]
     end_with(app, services)
     return app
 
@@ -109,10 +113,15 @@ def serve_http(settings: Settings) -> None:
 
 def _auth(settings: Settings) -> AuthSettings:
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    address = settings.public_urls[0] if settings.public_urls else f"http://{host}:{settings.port}{MCP_PATH}"
+    address = (
+        settings.public_urls[0]
+        if settings.public_urls
+        else f"http://{host}:{settings.port}{MCP_PATH}"
+    )
     if settings.oidc is None:  # the operator's own tokens have no authorization server
         return AuthSettings.model_validate({"issuer_url": address, "resource_server_url": None})
-    return AuthSettings.model_validate(  # from strings, so that an issuer without a path gains no slash
+    # from strings, so that an issuer without a path gains no slash
+    return AuthSettings.model_validate(
         {
             "issuer_url": settings.issuer[0],
             "resource_server_url": address,

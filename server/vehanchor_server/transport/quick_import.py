@@ -1,8 +1,9 @@
 """Quick import of the MCP SDK.
 
-The SDK defines some 550 pydantic models: the wire types of two revisions of the protocol. pydantic builds a validator
-for each at import, and one session uses a few dozen. ``import_sdk`` lets pydantic build the SDK's validators at first
-use, which saves a tenth of the processor time up to the first ``tools/list``.
+The SDK defines some 550 pydantic models: the wire types of two revisions of the protocol. pydantic
+builds a validator for each at import, and one session uses a few dozen. ``import_sdk`` lets
+pydantic build the SDK's validators at first use, which saves a tenth of the processor time up to
+the first ``tools/list``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ _SDK = "mcp.server.apps"  # imports all that the server uses of the SDK
 def import_sdk() -> None:
     """Import the SDK; its pydantic models inherit ``defer_build`` from ``BaseModel``, which has it meanwhile.
 
-    Models that are defined later are built at once, as usual, unless their base is one of the SDK's.
+    Models that are defined later are built at once, as usual, unless their base is one of the
+    SDK's.
     """
     usual = BaseModel.model_config
     BaseModel.model_config = ConfigDict(defer_build=True)

@@ -1,8 +1,9 @@
 """Middleware: limits on bodies, and no streams without an end.
 
-The SDK reads the whole body and parses it on the event loop; pydantic then records each fault. The caller determines
-both costs. This middleware limits them by the number of large bodies in memory, and by the number of JSON separators
-and brackets, which it counts as they arrive. A base64 image has none of these, whatever its size.
+The SDK reads the whole body and parses it on the event loop; pydantic then records each fault. The
+caller determines both costs. This middleware limits them by the number of large bodies in memory,
+and by the number of JSON separators and brackets, which it counts as they arrive. A base64 image
+has none of these, whatever its size.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ from starlette.responses import Response
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-MAX_SEPARATORS = 10_000  # commas and colons; a path has up to 4,096, a call with 32 points about 250
-MAX_NESTED = 150  # opening braces and brackets; a call with 32 points has about 40, pydantic's limit is 200
+# commas and colons; a path has up to 4,096, a call with 32 points about 250
+MAX_SEPARATORS = 10_000
+# opening braces and brackets; a call with 32 points has about 40, pydantic's limit is 200
+MAX_NESTED = 150
 _SMALL_BYTES = 64 << 10  # a body that needs no slot; uvicorn buffers as much in any case
 _INVALID_REQUEST, _BUSY = -32600, -32000  # of JSON-RPC
 
@@ -44,8 +47,10 @@ class _Body:
             raise _refusal(
                 400,
                 _INVALID_REQUEST,
-                f"invalid_arguments: the request has more than {MAX_SEPARATORS} commas and colons, or more than "
-                f"{MAX_NESTED} braces and brackets. Send one call with arguments of the tool's input schema.",
+                f"invalid_arguments: the request has more than {MAX_SEPARATORS} commas and "
+                "colons, or more than "
+                f"{MAX_NESTED} braces and brackets. Send one call with arguments of the tool's "
+                "input schema.",
             )
 
 
@@ -53,7 +58,8 @@ class RequestGuard:
     """ASGI middleware of the MCP endpoint. Other paths pass.
 
     Args:
-        app: the application, which answers an ``HTTPException`` of its ``receive``, as Starlette's do.
+        app: the application, which answers an ``HTTPException`` of its ``receive``, as Starlette's
+            do.
         path: path of the endpoint.
         max_large_bodies: maximum number of bodies above 64 KiB in memory.
     """
@@ -69,8 +75,11 @@ class RequestGuard:
         if scope["type"] != "http" or scope["path"].rstrip("/") != self._path:
             await self._app(scope, receive, send)
             return
-        if scope.get("method") == "GET":  # a stream without an end, on which a stateless server has nothing to send
-            await Response("POST only", status_code=405, headers={"Allow": "POST"})(scope, receive, send)
+        # a stream without an end, on which a stateless server has nothing to send
+        if scope.get("method") == "GET":
+            await Response("POST only", status_code=405, headers={"Allow": "POST"})(
+                scope, receive, send
+            )
             return
         declared = Headers(scope=scope).get("content-length", "0")
         body = _Body(int(declared) if declared.isdigit() else 0)

@@ -1,7 +1,7 @@
 """Local viewer: ``vehanchor view`` serves the page and the tools to one browser, without an agent.
 
-Access is limited to that browser: the address has a random token, Host must be this address, and requests with the
-Origin or Sec-Fetch-Site of another page are refused.
+Access is limited to that browser: the address has a random token, Host must be this address, and
+requests with the Origin or Sec-Fetch-Site of another page are refused.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ if TYPE_CHECKING:
 _LOOPBACK = "127.0.0.1"
 _TOKEN_BYTES = 24
 _MAX_DROPPED = 500  # photographs per session, in a temporary folder
-_MAX_CALLS = 8  # one person's: a measurement, a thumbnail, a part in full resolution, and calls that are ending
+# one person's: a measurement, a thumbnail, a part in full resolution, and calls that are ending
+_MAX_CALLS = 8
 _SHUTDOWN_S = 2
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -101,14 +102,20 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
     app = create_server(services).streamable_http_app(
         streamable_http_path=below + MCP_PATH,
         stateless_http=True,
-        transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),  # checked below
+        # checked below
+        transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),
     )
-    app.router.routes += [Route(f"{below}/", page), Route(f"{below}/photographs", photographs, methods=["POST"])]
+    app.router.routes += [
+        Route(f"{below}/", page),
+        Route(f"{below}/photographs", photographs, methods=["POST"]),
+    ]
     end_with(app, services)
     return _OwnPageOnly(app, address)
 
 
-def serve_viewer(settings: Settings, photograph: Path | None, port: int, opened: Callable[[str], object]) -> None:
+def serve_viewer(
+    settings: Settings, photograph: Path | None, port: int, opened: Callable[[str], object]
+) -> None:
     """Serve the page until a stop signal.
 
     Args:
@@ -121,11 +128,16 @@ def serve_viewer(settings: Settings, photograph: Path | None, port: int, opened:
         SettingsError: the port is taken.
     """
     signal.signal(signal.SIGTERM, _end)  # uvicorn raises the signal again; remove the folder first
-    with tempfile.TemporaryDirectory(prefix="vehanchor-view-") as folder, socket.socket() as listening:
+    with (
+        tempfile.TemporaryDirectory(prefix="vehanchor-view-") as folder,
+        socket.socket() as listening,
+    ):
         try:
             listening.bind((_LOOPBACK, port))
         except OSError as error:
-            raise SettingsError(f"cannot listen on port {port}: {error.strerror}; use another --port") from None
+            raise SettingsError(
+                f"cannot listen on port {port}: {error.strerror}; use another --port"
+            ) from None
         listening.listen()
         address = Address(listening.getsockname()[1])
         dropped = Path(folder).resolve()
@@ -134,7 +146,11 @@ def serve_viewer(settings: Settings, photograph: Path | None, port: int, opened:
         app = create_viewer(settings, address, dropped)
         logging.disable(logging.INFO)  # a person reads this terminal
         config = uvicorn.Config(
-            app, log_config=None, access_log=False, server_header=False, timeout_graceful_shutdown=_SHUTDOWN_S
+            app,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=_SHUTDOWN_S,
         )
         uvicorn.Server(config).run(sockets=[listening])
 
@@ -161,7 +177,8 @@ class _OwnPageOnly:
         headers, origin = Headers(scope=scope), self._address.origin
         token = scope["path"].lstrip("/").partition("/")[0].encode()
         return (
-            headers.getlist("host") == [origin.removeprefix("http://")]  # another name suggests DNS rebinding
+            # another name suggests DNS rebinding
+            headers.getlist("host") == [origin.removeprefix("http://")]
             and headers.getlist("origin") in ([], [origin])
             and headers.getlist("sec-fetch-site") in ([], ["none"], ["same-origin"])
             and secrets.compare_digest(token, self._address.token.encode())
@@ -178,14 +195,18 @@ async def _keep(request: Request, folder: Path, limits: ImageLimits) -> Response
     async for chunk in request.stream():
         data += chunk
         if len(data) > limits.max_bytes:
-            return PlainTextResponse(f"{name} has more than {limits.max_bytes >> 20} MiB: reduce it", 413)
+            return PlainTextResponse(
+                f"{name} has more than {limits.max_bytes >> 20} MiB: reduce it", 413
+            )
     try:
         read_checked_header(lambda offset, count: bytes(data[offset : offset + count]), limits)
     except VehAnchorError as error:
         return PlainTextResponse(f"{name} is no photograph to measure: {error}", 415)
     below = folder / hashlib.sha256(data).hexdigest()[:16]
     if len(list(folder.iterdir())) >= _MAX_DROPPED and not below.exists():
-        return PlainTextResponse(f"more than {_MAX_DROPPED} photographs: open their folder with 'vehanchor view'", 413)
+        return PlainTextResponse(
+            f"more than {_MAX_DROPPED} photographs: open their folder with 'vehanchor view'", 413
+        )
 
     def write() -> None:
         below.mkdir(exist_ok=True)

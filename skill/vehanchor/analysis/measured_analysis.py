@@ -38,7 +38,8 @@ class AreaAnalysis(Analysis, AreaEvidence):
         width, height = self.measurement.image_width_px, self.measurement.image_height_px
         if width * height > self.reading.limits.max_pixels:
             raise OutputError(
-                f"a mask of {width} x {height} px has more than {self.reading.limits.max_pixels} pixels: take the "
+                f"a mask of {width} x {height} px has more than "
+                f"{self.reading.limits.max_pixels} pixels: take the "
                 "outline from the record"
             )
         window, full = self.segmentation.window, np.zeros((height, width), dtype=bool)
@@ -50,8 +51,9 @@ class AreaAnalysis(Analysis, AreaEvidence):
         """Convert the object for supervision.
 
         Returns:
-            ``supervision.Detections`` of one object: its box, its mask, the mask's score as ``confidence``, and in
-            ``data`` its ``area_m2``, NaN without a scale. Empty for an empty mask.
+            ``supervision.Detections`` of one object: its box, its mask, the mask's score as
+            ``confidence``, and in ``data`` its ``area_m2``, NaN without a scale. Empty for an empty
+            mask.
 
         Raises:
             MissingExtraError: supervision is not installed.
@@ -66,7 +68,10 @@ class AreaAnalysis(Analysis, AreaEvidence):
             mask=self.full_mask()[None],
             confidence=np.array([record.mask_score], np.float32),
             class_id=np.zeros(1, dtype=int),
-            data={"class_name": np.array(["object"]), "area_m2": np.array([record.area_m2], dtype=float)},
+            data={
+                "class_name": np.array(["object"]),
+                "area_m2": np.array([record.area_m2], dtype=float),
+            },
         )
 
     @property
@@ -89,10 +94,15 @@ class DistanceAnalysis(Analysis, DistanceEvidence):
     @property
     def __geo_interface__(self) -> dict[str, Any]:
         """Line as a GeoJSON Feature with its length, for geopandas; pixels, y down."""
-        return _feature(self.measurement, "distance_m", "distance_ci95_low_m", "distance_ci95_high_m")
+        return _feature(
+            self.measurement, "distance_m", "distance_ci95_low_m", "distance_ci95_high_m"
+        )
 
 
 def _feature(record: AreaMeasurement | DistanceMeasurement, *names: str) -> dict[str, Any]:
     """Make a GeoJSON Feature of a measurement; ``names`` are the fields of the size and its interval."""
-    properties = {name: getattr(record, name) for name in ("status", *names, "gsd_m_per_px", "scale_confidence")}
+    properties = {
+        name: getattr(record, name)
+        for name in ("status", *names, "gsd_m_per_px", "scale_confidence")
+    }
     return {"type": "Feature", "geometry": record.__geo_interface__, "properties": properties}

@@ -1,6 +1,7 @@
 """Memory of analyses, so that an area after an estimate of the same image costs no second search.
 
-An analysis is a pure function of image, detector and options: the memory changes the time, never the result.
+An analysis is a pure function of image, detector and options: the memory changes the time, never
+the result.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     image -> raster -> tilt -> prior -> search -> rulers -> decision -> record
 
-Stateless except for loaded models, and deterministic: the same image and model give the same record for any number of
-threads.
+Stateless except for loaded models, and deterministic: the same image and model give the same record
+for any number of threads.
 """
 
 from __future__ import annotations
@@ -80,7 +80,9 @@ def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions)
         return analyse_raster(detector, raster, options).drawn_over(image, raster, options.reading)
 
 
-def estimate_each(images: Sequence[ImageSource], detector: Detector, options: ScaleOptions) -> list[GsdEstimate]:
+def estimate_each(
+    images: Sequence[ImageSource], detector: Detector, options: ScaleOptions
+) -> list[GsdEstimate]:
     """Estimate the scale of each image; one that fails does not end the work on the others.
 
     Raises:
@@ -98,7 +100,9 @@ def estimate_each(images: Sequence[ImageSource], detector: Detector, options: Sc
     return records
 
 
-def _failures_text(images: Sequence[ImageSource], results: Sequence[GsdEstimate | VehAnchorError]) -> str:
+def _failures_text(
+    images: Sequence[ImageSource], results: Sequence[GsdEstimate | VehAnchorError]
+) -> str:
     """Name the failed images, the first of them with their errors."""
     failures = [
         f"image {number} ({_image_name(image)}): {error}"
@@ -106,9 +110,12 @@ def _failures_text(images: Sequence[ImageSource], results: Sequence[GsdEstimate 
         if isinstance(error, VehAnchorError)
     ]
     shown = "; ".join(failures[:_SHOWN_FAILURES])
-    more = f"; and {len(failures) - _SHOWN_FAILURES} more" if len(failures) > _SHOWN_FAILURES else ""
+    more = (
+        f"; and {len(failures) - _SHOWN_FAILURES} more" if len(failures) > _SHOWN_FAILURES else ""
+    )
     return (
-        f"{len(failures)} of {len(results)} images cannot be used: {shown}{more}. Leave them out; results of this "
+        f"{len(failures)} of {len(results)} images cannot be used: {shown}{more}. Leave them "
+        "out; results of this "
         "error has the records of the others"
     )
 
@@ -148,10 +155,14 @@ def search_raster(
     if prior is None and SceneScale.kind in kinds:
         prior = load_scene_scale(detector.runtime).predict(raster)
     resolved = partial(resolved_share, raster)
-    view = View(facts, NOT_SEARCHED, detector.card, options, resolved, raster, detector.runtime, prior, tilt)
+    view = View(
+        facts, NOT_SEARCHED, detector.card, options, resolved, raster, detector.runtime, prior, tilt
+    )
     if not any(ruler.needs_search for ruler in rulers):
         if options.by_hand.given:
-            raise InvalidParameterError(f"{options.by_hand.given} needs the ruler vehicles: add it to rulers")
+            raise InvalidParameterError(
+                f"{options.by_hand.given} needs the ruler vehicles: add it to rulers"
+            )
         return view
     work = ImageSearch(raster, detector, options.search, prior)
     if tilt is None:
@@ -179,10 +190,14 @@ def analyse_view(view: View, known: Sequence[Witness] | None = None) -> ScaleAna
     witnesses = measure_all(view, known)
     vehicles = measured_vehicles(witnesses)
     doubtful = view.tilt is None and vehicles is not None and vehicles.found
-    return conclude(view, witnesses, tilt_notice(view.image, view.options, view.detections) if doubtful else ())
+    return conclude(
+        view, witnesses, tilt_notice(view.image, view.options, view.detections) if doubtful else ()
+    )
 
 
-def conclude(view: View, measured: tuple[Witness, ...], notices: Sequence[Notice] = ()) -> ScaleAnalysis:
+def conclude(
+    view: View, measured: tuple[Witness, ...], notices: Sequence[Notice] = ()
+) -> ScaleAnalysis:
     """Decide on the scale, and make the record.
 
     Args:
@@ -201,7 +216,9 @@ def conclude(view: View, measured: tuple[Witness, ...], notices: Sequence[Notice
         decided = _no_scale(witnesses) if found is None else _Decided.of(found, witnesses)
     warnings = [*notices_of(view.image.notices), *own, *notices]
     warnings += [] if found is None else disagreements(witnesses, found)
-    warnings += georeference_notice(view.image.georeference_gsd_m_per_px, decided.gsd_m_per_px, "the rulers say")
+    warnings += georeference_notice(
+        view.image.georeference_gsd_m_per_px, decided.gsd_m_per_px, "the rulers say"
+    )
     record = _record(view, witnesses, decided, tuple(warnings))
     shown = NOT_SEARCHED if vehicles is None else view.detections
     return ScaleAnalysis(record, measured, shown, answer=found)
@@ -209,7 +226,9 @@ def conclude(view: View, measured: tuple[Witness, ...], notices: Sequence[Notice
 
 def _without_repetition(witnesses: tuple[Witness, ...]) -> tuple[Witness, ...]:
     """Leave out a stated scale that repeats the answer of the others: the same number is one witness."""
-    stated = next((each for each in witnesses if each.kind == StatedScale.kind and each.found), None)
+    stated = next(
+        (each for each in witnesses if each.kind == StatedScale.kind and each.found), None
+    )
     rest = tuple(each for each in witnesses if each is not stated)
     found = None if stated is None else judged(rest)
     if stated is None or stated.gsd_m_per_px is None or found is None:
@@ -231,7 +250,9 @@ class _Decided(NamedTuple):
     @classmethod
     def of(cls, found: Answer, witnesses: Sequence[Witness]) -> _Decided:
         heard = [each for each in witnesses if each.found]
-        rulers = tuple(_ruler_scale(each, p_right) for each, p_right in zip(heard, found.p_right, strict=True))
+        rulers = tuple(
+            _ruler_scale(each, p_right) for each, p_right in zip(heard, found.p_right, strict=True)
+        )
         kind = heard[found.leading].kind
         return cls(found.gsd_m_per_px, found.interval, found.chance, found.reason, kind, rulers)
 
@@ -243,17 +264,23 @@ def _by_paper(vehicles: VehicleWitness | None) -> _Decided:
     paper = vehicles.paper
     rulers = (_ruler_scale(replace(vehicles, gsd_m_per_px=paper.gsd_m_per_px), paper.confidence),)
     reason = paper.reason(vehicles.n)
-    return _Decided(paper.gsd_m_per_px, paper.interval, paper.confidence, reason, vehicles.kind, rulers)
+    return _Decided(
+        paper.gsd_m_per_px, paper.interval, paper.confidence, reason, vehicles.kind, rulers
+    )
 
 
 def _no_scale(witnesses: Sequence[Witness]) -> _Decided:
     """Say why there is no scale: the scene looks too coarse for cars, or no ruler found anything."""
-    priors = [each.interval for each in witnesses if not each.sets_scale and each.interval is not None]
+    priors = [
+        each.interval for each in witnesses if not each.sets_scale and each.interval is not None
+    ]
     coarse = any(interval.low > GUARD_GSD_M_PER_PX for interval in priors)
     return _Decided(None, None, 0.0, "too_coarse" if coarse else "too_few")
 
 
-def _record(view: View, witnesses: Sequence[Witness], decided: _Decided, warnings: tuple[Notice, ...]) -> GsdEstimate:
+def _record(
+    view: View, witnesses: Sequence[Witness], decided: _Decided, warnings: tuple[Notice, ...]
+) -> GsdEstimate:
     image, vehicles = view.image, measured_vehicles(witnesses)
     gsd, interval = decided.gsd_m_per_px, decided.interval
     return GsdEstimate(
@@ -277,13 +304,17 @@ def _record(view: View, witnesses: Sequence[Witness], decided: _Decided, warning
     )
 
 
-def _details(view: View, vehicles: VehicleWitness | None, witnesses: Sequence[Witness]) -> EstimateDetails:
+def _details(
+    view: View, vehicles: VehicleWitness | None, witnesses: Sequence[Witness]
+) -> EstimateDetails:
     searched, told = view.detections, view.detections.corrections
     scene = next((each for each in witnesses if each.kind == SceneScale.kind and each.found), None)
     paper, reference = (None, None) if vehicles is None else (vehicles.paper, vehicles.reference)
     return EstimateDetails(
         preset=view.options.method.preset,
-        scene_scale=None if scene is None else SceneScaleEstimate(**_with_ci95(scene.gsd_m_per_px, scene.interval)),
+        scene_scale=None
+        if scene is None
+        else SceneScaleEstimate(**_with_ci95(scene.gsd_m_per_px, scene.interval)),
         n_detections=None if vehicles is None else len(vehicles.fleet.detections.boxes),
         by_hand=told and VehiclesByHand(dropped=told.n_dropped, added=told.n_added),
         working_scale=None if vehicles is None else vehicles.fleet.working_scale,
@@ -332,7 +363,9 @@ def known_scale(
     )
 
 
-def _with_ci95(gsd: float | None, interval: tuple[float, float] | None, factor: float = 1.0) -> dict[str, Any]:
+def _with_ci95(
+    gsd: float | None, interval: tuple[float, float] | None, factor: float = 1.0
+) -> dict[str, Any]:
     """Fields of a scale and its interval, times a factor; all None without a scale."""
     low, high = interval or (None, None)
     values = {"gsd_m_per_px": gsd, "gsd_ci95_low_m_per_px": low, "gsd_ci95_high_m_per_px": high}
@@ -344,7 +377,9 @@ def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
     return tuple(Notice(code=note.code, message=note.message) for note in notes)
 
 
-def georeference_notice(own: float | None, gsd_m_per_px: float | None, who_says: str) -> list[Notice]:
+def georeference_notice(
+    own: float | None, gsd_m_per_px: float | None, who_says: str
+) -> list[Notice]:
     """Warn if the file's own scale differs from another by more than a tenth.
 
     Args:
@@ -355,13 +390,18 @@ def georeference_notice(own: float | None, gsd_m_per_px: float | None, who_says:
     Returns:
         One notice, or none.
     """
-    if own is None or gsd_m_per_px is None or abs(gsd_m_per_px - own) <= GEOREFERENCE_TOLERANCE * own:
+    if (
+        own is None
+        or gsd_m_per_px is None
+        or abs(gsd_m_per_px - own) <= GEOREFERENCE_TOLERANCE * own
+    ):
         return []
     return [
         Notice(
             code=NoticeCode.GEOREFERENCE_DIFFERS,
             message=f"The file's own scale is {own:.4g} m/px, {who_says} {gsd_m_per_px:.4g} m/px: "
-            f"{100 * (gsd_m_per_px / own - 1):+.0f} %. Check which of the two is wrong before using either.",
+            f"{100 * (gsd_m_per_px / own - 1):+.0f} %. Check which of the two is wrong before "
+            "using either.",
         )
     ]
 

@@ -55,7 +55,9 @@ class Analysis:
         """
         source = self.image if image is None else image
         if source is None:
-            raise InvalidParameterError("the analysis does not have its image: give it, as overlay(image)")
+            raise InvalidParameterError(
+                "the analysis does not have its image: give it, as overlay(image)"
+            )
         with open_raster(source, self.reading) as raster:
             return self._draw(raster)
 
@@ -82,7 +84,9 @@ def import_supervision() -> Any:
     try:
         import supervision
     except ImportError as error:
-        raise MissingExtraError(f"to_supervision needs supervision ({error}): pip install supervision") from None
+        raise MissingExtraError(
+            f"to_supervision needs supervision ({error}): pip install supervision"
+        ) from None
     return supervision
 
 
@@ -115,9 +119,9 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
         """Convert the vehicles for supervision.
 
         Returns:
-            ``supervision.Detections``: upright boxes, scores as ``confidence``, and in ``data`` the corners of the
-            oriented boxes (``xyxyxyxy``, for its oriented annotators), ``number``, and ``kept``, the vehicles behind
-            the scale.
+            ``supervision.Detections``: upright boxes, scores as ``confidence``, and in ``data`` the
+            corners of the oriented boxes (``xyxyxyxy``, for its oriented annotators), ``number``,
+            and ``kept``, the vehicles behind the scale.
 
         Raises:
             MissingExtraError: supervision is not installed.
@@ -125,7 +129,9 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
         sv = import_supervision()
         corners = box_corners(self.detections.boxes)
         return sv.Detections(
-            xyxy=np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).astype(np.float32),
+            xyxy=np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).astype(
+                np.float32
+            ),
             confidence=self.detections.scores.astype(np.float32),
             class_id=np.zeros(len(corners), dtype=int),
             data={
@@ -143,7 +149,10 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
         features = [
             {
                 "type": "Feature",
-                "geometry": {"type": "Polygon", "coordinates": [[*map(list, ring.tolist()), ring[0].tolist()]]},
+                "geometry": {
+                    "type": "Polygon",
+                    "coordinates": [[*map(list, ring.tolist()), ring[0].tolist()]],
+                },
                 "properties": {
                     "number": int(number),
                     "kept": bool(kept),
@@ -152,7 +161,12 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
                 },
             }
             for ring, number, kept, score, length in zip(
-                box_corners(boxes), self.detections.numbers, self.kept, scores, boxes[:, 2], strict=True
+                box_corners(boxes),
+                self.detections.numbers,
+                self.kept,
+                scores,
+                boxes[:, 2],
+                strict=True,
             )
         ]
         return {"type": "FeatureCollection", "features": features}

@@ -25,7 +25,11 @@ COLUMNS: dict[str, type] = {
 }
 """Columns of a table and the types of their values, in order; see ``vehanchor.records.flat``."""
 
-ALL_COLUMNS: dict[str, type] = {"file": str, **flat_columns(GsdEstimate, without=_NOT_IN_TABLES), **_ERROR}
+ALL_COLUMNS: dict[str, type] = {
+    "file": str,
+    **flat_columns(GsdEstimate, without=_NOT_IN_TABLES),
+    **_ERROR,
+}
 """Columns of a table with details."""
 
 

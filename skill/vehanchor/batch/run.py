@@ -75,14 +75,15 @@ def run_batch(
 ) -> BatchSummary:
     """Estimate the scales of many images, and write a table with a row for each.
 
-    Rows do not depend on the engine or the number of workers; their order is that of ``find_images``. Until the table
-    is complete, rows are kept in ``<output>.journal``, from which an interrupted call goes on. An unreadable image has
-    a row with ``error_code`` and ``error``.
+    Rows do not depend on the engine or the number of workers; their order is that of
+    ``find_images``. Until the table is complete, rows are kept in ``<output>.journal``, from which
+    an interrupted call goes on. An unreadable image has a row with ``error_code`` and ``error``.
 
     Args:
         inputs: directories, patterns and files; see ``find_images``.
         output: the table; its suffix selects the format (``write_table``).
-        engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with a model per actor.
+        engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with a
+            model per actor.
         address: of a Ray cluster; None starts one on this machine.
         workers: number of models; default one per CPU of the machine or cluster.
         detector: name of a bundled model or path of an ONNX file; default the bundled one.
@@ -91,22 +92,29 @@ def run_batch(
         known_lengths: CSV with lines of known length by image; see ``lines_in``.
         details: write all columns.
         overwrite: start again; a table stays until the new one is complete.
-        runtime: providers of the models, each on one thread; its progress gets (images done, images in all).
+        runtime: providers of the models, each on one thread; its progress gets (images done, images
+            in all).
 
     Raises:
         ImageNotFoundError: a directory does not exist, or it or a pattern has no image.
-        InvalidParameterError: an option is invalid, or an unfinished run at ``output`` had other options.
+        InvalidParameterError: an option is invalid, or an unfinished run at ``output`` had other
+            options.
         KnownLengthError: the CSV cannot be used, or names another image.
-        OutputError, ModelError: the table exists or cannot be written, or the detector cannot be used.
-        MissingExtraError: Ray or pyarrow is not installed.
+        OutputError, ModelError: the table exists or cannot be written, or the detector cannot be
+        used. MissingExtraError: Ray or pyarrow is not installed.
         WorkerDiedError: a worker was killed.
     """
-    table, chosen, told = _unfinished(Path(output), overwrite), options or ScaleOptions(), runtime or Runtime()
+    table, chosen, told = (
+        _unfinished(Path(output), overwrite),
+        options or ScaleOptions(),
+        runtime or Runtime(),
+    )
     _check(engine, address, workers, chosen)
     tasks = list(map(Task.of, find_images(inputs)))
     job = _job(detector, classes, chosen, replace(told.idle, threads=1))
     job = replace(job, known_lengths=lines_in(known_lengths, [task.path for task in tasks]))
-    with open_journal(table, job, anew=overwrite) as journal:  # the table itself stays until the new one is complete
+    # the table itself stays until the new one is complete
+    with open_journal(table, job, anew=overwrite) as journal:
         keys = {task.file: task.key() for task in tasks}
         missing = [task for task in tasks if keys[task.file] not in journal]
         with closing(_rows(engine, job, missing, workers, address)) as rows:
@@ -114,7 +122,9 @@ def run_batch(
             for number, row in enumerate(rows, start=n_resumed + 1):
                 journal.add(keys[row.file], row)
                 told.tell(number, len(tasks))
-        counts = _write_counted(table, (journal.get(keys[task.file]) for task in tasks), details=details)
+        counts = _write_counted(
+            table, (journal.get(keys[task.file]) for task in tasks), details=details
+        )
         journal.remove()
     return BatchSummary(table, len(tasks), n_resumed, *counts)
 
@@ -147,7 +157,9 @@ def _settings(job: BatchJob) -> dict[str, Any]:
     options = asdict(job.options)
     del options["frame"]
     if job.known_lengths:
-        options["lines_of"] = {name: [asdict(line) for line in lines] for name, lines in job.known_lengths.items()}
+        options["lines_of"] = {
+            name: [asdict(line) for line in lines] for name, lines in job.known_lengths.items()
+        }
     return {
         "vehanchor": version("vehanchor"),
         "schema_version": SCHEMA_VERSION,
@@ -167,7 +179,8 @@ def _job(
     named = tuple(classes) if classes else None
     path = resolve_model(None if detector is None else str(detector))
     model = checked_detector(Detector(path, classes=named, runtime=runtime), options)
-    bundled = model.path in bundled_models().values()  # its path may differ on other machines of a cluster
+    # its path may differ on other machines of a cluster
+    bundled = model.path in bundled_models().values()
     name = model.path.stem if bundled else str(model.path.resolve())
     return BatchJob(name, networks_sha256(model.card), named, options, runtime)
 
@@ -190,7 +203,9 @@ def _unfinished(output: Path, overwrite: bool) -> Path:
     """Check the path of a table: of a known format, and not yet complete."""
     table = check_table_path(output)
     if table.exists() and not journal_path(table).exists() and not overwrite:
-        raise OutputError(f"{str(table)!r} exists and is complete: name another file, or pass --overwrite")
+        raise OutputError(
+            f"{str(table)!r} exists and is complete: name another file, or pass --overwrite"
+        )
     return table
 
 

@@ -30,10 +30,13 @@ def check_table_path(path: Path) -> Path:
         OutputError: the suffix is unknown, the folder does not exist, or the path is a folder.
         MissingExtraError: pyarrow is not installed (Parquet).
     """
-    check_output_path(path, tuple(_WRITERS), kind="a table", also=".geojson holds the targets of --measure")
+    check_output_path(
+        path, tuple(_WRITERS), kind="a table", also=".geojson holds the targets of --measure"
+    )
     if path.suffix.lower() == ".parquet" and find_spec("pyarrow") is None:
         raise MissingExtraError(
-            "writing Parquet needs pyarrow: pip install 'vehanchor[parquet]', or write .csv or .jsonl"
+            "writing Parquet needs pyarrow: pip install 'vehanchor[parquet]', or write .csv or "
+            ".jsonl"
         )
     return path
 

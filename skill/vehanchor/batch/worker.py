@@ -29,11 +29,13 @@ class BatchJob:
 
     Attributes:
         detector: name of a bundled model, or the absolute path of a file.
-        networks_sha256: expected checksum of the detector and its auxiliary models; other machines may have others.
+        networks_sha256: expected checksum of the detector and its auxiliary models; other machines
+            may have others.
         classes: classes of the model that count as vehicles; None for the model's own.
         options: all options of the method, without a frame.
         runtime: runtime of each worker's models; rows do not depend on the number of threads.
-        known_lengths: lines by image, in pixels of the image; lines in the options apply to every image.
+        known_lengths: lines by image, in pixels of the image; lines in the options apply to every
+            image.
     """
 
     detector: str
@@ -78,12 +80,16 @@ class Worker:
     def __init__(self, job: BatchJob) -> None:
         self._options, self._known_lengths = job.options, job.known_lengths
         path = resolve_model(job.detector)
-        self._detector = checked_detector(Detector(path, classes=job.classes, runtime=job.runtime), job.options)
+        self._detector = checked_detector(
+            Detector(path, classes=job.classes, runtime=job.runtime), job.options
+        )
         here = networks_sha256(self._detector.card)
         if here != job.networks_sha256:
             raise ModelContractError(
-                f"{job.detector} and its auxiliary models on this machine (sha256 {here[:12]}) differ from those where "
-                f"the run was started ({job.networks_sha256[:12]}): install one version of vehanchor everywhere"
+                f"{job.detector} and its auxiliary models on this machine (sha256 {here[:12]}) "
+                "differ from those where "
+                f"the run was started ({job.networks_sha256[:12]}): install one version of "
+                "vehanchor everywhere"
             )
 
     @classmethod
@@ -103,5 +109,9 @@ class Worker:
         except MemoryError:
             return BatchRow.failed(task.file, OutOfMemoryError("too little memory was left"))
         except Exception as error:  # a defect in one image must not end a run over a million
-            return BatchRow(file=task.file, error_code="internal_error", error=f"{type(error).__name__}: {error}")
+            return BatchRow(
+                file=task.file,
+                error_code="internal_error",
+                error=f"{type(error).__name__}: {error}",
+            )
         return BatchRow(file=task.file, estimate=estimate)

@@ -31,7 +31,8 @@ TargetsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.csv",
-        help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; files relative to the "
+        help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; "
+        "files relative to the "
         "table). The output may also be .geojson.",
     ),
 ]
@@ -40,25 +41,34 @@ TargetsFile: TypeAlias = Annotated[
 @scale_command(without=(*OF_ONE_IMAGE, "threads"))
 def batch(
     inputs: Inputs,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Table to write, such as scales.csv.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", help="Table to write, such as scales.csv."),
+    ],
     engine: Annotated[
         str,
-        typer.Option(metavar="local|ray", help="Processes of this machine, or Ray Data (extra 'ray'). Same rows."),
+        typer.Option(
+            metavar="local|ray",
+            help="Processes of this machine, or Ray Data (extra 'ray'). Same rows.",
+        ),
     ] = "local",
     address: Annotated[
         str | None,
         typer.Option(
-            metavar="HOST:PORT", help="Ray cluster: 'auto', host:6379, ray://host:10001. Default: a local one."
+            metavar="HOST:PORT",
+            help="Ray cluster: 'auto', host:6379, ray://host:10001. Default: a local one.",
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(metavar="N", help="Number of parallel models. Default: one per CPU.")
+        int | None,
+        typer.Option(metavar="N", help="Number of parallel models. Default: one per CPU."),
     ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
     ] = False,
     details: Annotated[
-        bool, typer.Option("--details", help="Write all columns, also of the search and of each ruler.")
+        bool,
+        typer.Option("--details", help="Write all columns, also of the search and of each ruler."),
     ] = False,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
@@ -67,13 +77,16 @@ def batch(
 ) -> None:
     """Estimate the scales of many images, and write a table with one row per image, errors included.
 
-    After an interruption, the same command resumes the run. With --measure, the table has one row per target.
+    After an interruption, the same command resumes the run. With --measure, the table has one row
+    per target.
     """
     started = time.monotonic()
     with work_progress("images") as progress:
         if measure is not None:
             if engine != "local" or workers or known_lengths or details:
-                raise InvalidParameterError("--measure excludes --engine, --workers, --known-lengths and --details")
+                raise InvalidParameterError(
+                    "--measure excludes --engine, --workers, --known-lengths and --details"
+                )
             from vehanchor.cli.batch_targets import measure_table
 
             measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
@@ -102,10 +115,13 @@ def _summarise(summary: BatchSummary, seconds: float) -> None:
     """Print what would help images without a usable scale, and the summary; fail if every image did."""
     for n_rows, first in summary.causes:
         advice = "; ".join(filter(None, first.advice or ()))
-        print(f"{n_rows} x {first.reason}, as in {printable(first.file)}: {advice}", file=sys.stderr)
+        print(
+            f"{n_rows} x {first.reason}, as in {printable(first.file)}: {advice}", file=sys.stderr
+        )
     resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""
     print(
-        f"{printable(str(summary.table))}: {count(summary.n_rows, 'row')} ({counts_text(summary.statuses)}){resumed}; "
+        f"{printable(str(summary.table))}: {count(summary.n_rows, 'row')} "
+        f"({counts_text(summary.statuses)}){resumed}; "
         f"{count(summary.n_rows - summary.n_resumed, 'image')} in {seconds:.1f} s",
         file=sys.stderr,
     )

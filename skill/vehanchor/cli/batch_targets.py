@@ -58,7 +58,8 @@ def measure_table(
     strangers = sorted(set(wanted) - {where_it_is(image) for image in images})
     if strangers:
         raise PromptError(
-            f"a target is in {strangers[0]!r}, which is not one of the images: files are named relative to the table"
+            f"a target is in {strangers[0]!r}, which is not one of the images: files are named "
+            "relative to the table"
         )
     options, rows = engine.options, []
     detector, segmenter = checked_detector(engine.detector, options), engine.segmenter
@@ -80,7 +81,10 @@ def _summarise(output: Path, rows: Sequence[TargetRow]) -> None:
     for target, error in errors[:_SHOWN_ERRORS]:
         report(error, f"{target.file} {target.name}".strip())
     counts = Counter("error" if row.record is None else row.record.status for row in rows)
-    print(f"{printable(str(output))}: {count(len(rows), 'target')} ({counts_text(counts)})", file=sys.stderr)
+    print(
+        f"{printable(str(output))}: {count(len(rows), 'target')} ({counts_text(counts)})",
+        file=sys.stderr,
+    )
     if len(errors) == len(rows):
         print("no target could be measured", file=sys.stderr)
         raise typer.Exit(FAILED)

@@ -4,9 +4,9 @@
     def estimate(images: ..., chosen: ParsedOptions) -> None:
         engine = chosen.engine()
 
-``estimate`` then has the options of ``ScaleOptions``, of the detector and of its runtime beside its own: the usual
-ones in ``--help``, all of them in a TOML file with the keywords of the library. The options check the values,
-so that the command can report errors.
+``estimate`` then has the options of ``ScaleOptions``, of the detector and of its runtime beside its
+own: the usual ones in ``--help``, all of them in a TOML file with the keywords of the library. The
+options check the values, so that the command can report errors.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ if TYPE_CHECKING:
 
 Photograph: TypeAlias = Annotated[
     str,
-    typer.Argument(metavar="IMAGE", help=f"Photograph: {', '.join(IMAGE_FORMATS)}.", show_default=False),
+    typer.Argument(
+        metavar="IMAGE", help=f"Photograph: {', '.join(IMAGE_FORMATS)}.", show_default=False
+    ),
 ]
 OF_ONE_IMAGE = ("frame", "coordinates", "known_lengths", "drop", "add")
 """Options that belong to one image."""
@@ -72,14 +74,17 @@ class ParsedOptions:
         """All values; those of the command line take precedence.
 
         Raises:
-            InvalidParameterError: the file cannot be read, or has an option that the command does not have.
+            InvalidParameterError: the file cannot be read, or has an option that the command does
+                not have.
         """
         if self.file is None:
             return self.typed
         try:
             of_file = tomllib.loads(self.file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise InvalidParameterError(f"--options {str(self.file)!r} cannot be read: {error}") from None
+            raise InvalidParameterError(
+                f"--options {str(self.file)!r} cannot be read: {error}"
+            ) from None
         unknown = next((name for name in of_file if name not in self.names), None)
         if unknown is not None:
             raise InvalidParameterError(
@@ -95,7 +100,9 @@ class ParsedOptions:
             InvalidParameterError: a value is invalid.
             CalibrationFileError: the calibration cannot be read.
         """
-        return ScaleOptions.of({name: value for name, value in self.values.items() if name in declared_options()})
+        return ScaleOptions.of(
+            {name: value for name, value in self.values.items() if name in declared_options()}
+        )
 
     @property
     def detector(self) -> str | None:
@@ -114,11 +121,16 @@ class ParsedOptions:
         Raises:
             InvalidParameterError: the threads or the providers are invalid.
         """
-        given = {name: self.values[name] for name in ("threads", "providers") if name in self.values}
+        given = {
+            name: self.values[name] for name in ("threads", "providers") if name in self.values
+        }
         return Runtime(**given, progress=progress)
 
     def engine(
-        self, *, segmenter: tuple[str | Path, str | Path] | None = None, progress: Progress | None = None
+        self,
+        *,
+        segmenter: tuple[str | Path, str | Path] | None = None,
+        progress: Progress | None = None,
     ) -> Engine:
         """Make the engine; it loads each model on first use.
 
@@ -129,7 +141,9 @@ class ParsedOptions:
         from vehanchor.engine import Engine
 
         options, runtime = self.options(), self.runtime(progress)
-        return Engine(self.detector, segmenter, classes=self.classes, options=options, runtime=runtime)
+        return Engine(
+            self.detector, segmenter, classes=self.classes, options=options, runtime=runtime
+        )
 
 
 def read_classes(values: Iterable[object]) -> list[str | int] | None:
@@ -137,7 +151,9 @@ def read_classes(values: Iterable[object]) -> list[str | int] | None:
     return [int(each) if each.isdecimal() else each for each in map(str, values)] or None
 
 
-def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def scale_command(
+    *, without: Collection[str] = ()
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Add the options of all groups to a command, which receives them as the argument ``chosen``; report its errors.
 
     Args:
@@ -148,15 +164,22 @@ def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., N
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        own = dict(inspect.signature(command, eval_str=True).parameters)  # Typer needs types, not their names
+        # Typer needs types, not their names
+        own = dict(inspect.signature(command, eval_str=True).parameters)
         del own["chosen"]
-        shown = [(name, option, each) for name, option, each in _parameters() if name not in {*without, *own}]
+        shown = [
+            (name, option, each)
+            for name, option, each in _parameters()
+            if name not in {*without, *own}
+        ]
         added = [each for _, _, each in sorted(shown, key=lambda one: not one[1].first)]
         names = frozenset(each.name for each in added)
 
         @functools.wraps(command)
         def with_choices(**arguments: Any) -> None:
-            typed = {name: value for name in names if (value := arguments.pop(name)) not in (None, [])}
+            typed = {
+                name: value for name in names if (value := arguments.pop(name)) not in (None, [])
+            }
             file = arguments.pop(_FILE)
             with exit_on_error():
                 command(**arguments, chosen=ParsedOptions(typed, file, names))
@@ -179,7 +202,8 @@ _FILE_PARAMETER = inspect.Parameter(
         typer.Option(
             "--options",
             metavar="FILE.toml",
-            help="Further options of the method by keyword, such as effort = 'full'; see the reference.",
+            help="Further options of the method by keyword, such as effort = 'full'; see the "
+            "reference.",
         ),
     ],
 )
@@ -197,7 +221,9 @@ def _parameters() -> Iterator[tuple[str, Option, inspect.Parameter]]:
 def _parameter(name: str, option: Option, bare: Any, default: Any) -> inspect.Parameter:
     """Make a parameter that takes texts, which the option reads; a flag; or a list of texts."""
     flag = option.flag or re.sub("_(px|m)$", "", name).replace("_", "-")
-    metavar = option.metavar or ("|".join(typing.get_args(bare)) if typing.get_origin(bare) is Literal else "")
+    metavar = option.metavar or (
+        "|".join(typing.get_args(bare)) if typing.get_origin(bare) is Literal else ""
+    )
     n_values = len(metavar.split())
     kind: Any
     if bare is bool:
@@ -211,8 +237,13 @@ def _parameter(name: str, option: Option, bare: Any, default: Any) -> inspect.Pa
         help=rulers_help() if name == "rulers" else option.help,
         metavar=metavar or None,
         hidden=not option.first,
-        show_default=str(default) if default not in (None, (), "assumed") and bare is not bool else False,
+        show_default=str(default)
+        if default not in (None, (), "assumed") and bare is not bool
+        else False,
     )
     return inspect.Parameter(
-        name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind | None, declared]
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=None,
+        annotation=Annotated[kind | None, declared],
     )

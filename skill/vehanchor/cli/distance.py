@@ -35,14 +35,18 @@ def distance(
         Path | None,
         typer.Option(
             metavar="OUT.geojson",
-            help="Write the line with its length as GeoJSON: degrees if georeferenced, else pixels.",
+            help="Write the line with its length as GeoJSON: degrees if georeferenced, else "
+            "pixels.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
+    ] = False,
     overlay: Annotated[
         Path | None,
         typer.Option(
-            metavar="OUT.png", help="Write the line and its surroundings with length, vehicles and scale bar."
+            metavar="OUT.png",
+            help="Write the line and its surroundings with length, vehicles and scale bar.",
         ),
     ] = None,
     strict: Strict = False,
@@ -52,9 +56,17 @@ def distance(
     """Measure the distance (metres) between two points, or along a line, with the scale from cars in the image."""
 
     def analyse(progress: Callable[[int, int], None]) -> DistanceAnalysis:
-        path, known = [parse_point("--point", text) for text in point or ()], read_scale(scale, image)
+        path, known = (
+            [parse_point("--point", text) for text in point or ()],
+            read_scale(scale, image),
+        )
         return chosen.engine().analyse_distance(
-            image, path, gsd_m_per_px=gsd, scale=known, object_height_m=object_height, progress=progress
+            image,
+            path,
+            gsd_m_per_px=gsd,
+            scale=known,
+            object_height_m=object_height,
+            progress=progress,
         )
 
     files = {"line": line, "overlay": overlay}
@@ -65,4 +77,7 @@ def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:
     """List the facts of the record without its scale."""
     low, high = record.distance_ci95_low_m, record.distance_ci95_high_m
     distance = with_interval(record.distance_m, low, high, "m", "none: there is no scale")
-    return [("distance", distance), ("line", f"{len(record.path)} points, {record.length_px:.1f} px")]
+    return [
+        ("distance", distance),
+        ("line", f"{len(record.path)} points, {record.length_px:.1f} px"),
+    ]

@@ -45,7 +45,8 @@ OverlayFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="OUT.png",
-        help="Write the image with vehicles and scale bar. '{stem}' in the name stands for the image's name without "
+        help="Write the image with vehicles and scale bar. '{stem}' in the name stands for the "
+        "image's name without "
         "suffix; it is required for several images.",
     ),
 ]
@@ -61,14 +62,16 @@ BoxesFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="OUT.geojson",
-        help="Write the vehicles as GeoJSON: degrees if georeferenced, else pixels; '{stem}' as above.",
+        help="Write the vehicles as GeoJSON: degrees if georeferenced, else pixels; '{stem}' as "
+        "above.",
     ),
 ]
 ScaleBarFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="OUT.png",
-        help="Write the photograph with a scale bar alone; without a single usable scale nothing, and exit status "
+        help="Write the photograph with a scale bar alone; without a single usable scale "
+        "nothing, and exit status "
         f"{NOT_OK}.",
     ),
 ]
@@ -76,7 +79,8 @@ GeotiffFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="OUT.tif",
-        help="Write the photograph in full size as a GeoTIFF in local metres, as --scale-bar; needs the extra 'geo'.",
+        help="Write the photograph in full size as a GeoTIFF in local metres, as --scale-bar; "
+        "needs the extra 'geo'.",
     ),
 ]
 
@@ -85,10 +89,13 @@ GeotiffFile: TypeAlias = Annotated[
 def estimate(
     images: Annotated[
         list[str],
-        typer.Argument(metavar="IMAGE", help=f"Photographs: {', '.join(IMAGE_FORMATS)}.", show_default=False),
+        typer.Argument(
+            metavar="IMAGE", help=f"Photographs: {', '.join(IMAGE_FORMATS)}.", show_default=False
+        ),
     ],
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object per image and line, and nothing else.")
+        bool,
+        typer.Option("--json", help="Print one JSON object per image and line, and nothing else."),
     ] = False,
     overlay: OverlayFile = None,
     plot: PlotFile = None,
@@ -104,11 +111,18 @@ def estimate(
         folder = next((source for source in images if Path(source).is_dir()), None)
         if folder is not None:
             raise ImageNotFoundError(
-                f"{folder!r} is a folder: 'vehanchor batch {folder} -o scales.csv' measures all images in it"
+                f"{folder!r} is a folder: 'vehanchor batch {folder} -o scales.csv' measures all "
+                "images in it"
             )
         if len(images) > 1:
             chosen.options().by_hand.check_single()
-        files = {"overlay": overlay, "plot": plot, "boxes": boxes, "scale_bar": scale_bar, "geotiff": geotiff}
+        files = {
+            "overlay": overlay,
+            "plot": plot,
+            "boxes": boxes,
+            "scale_bar": scale_bar,
+            "geotiff": geotiff,
+        }
         outputs = _outputs(images, files)
         engine = chosen.engine()
         engine.load()
@@ -132,7 +146,9 @@ def _estimate_all(
         for number, source in enumerate(images):
             try:
                 with failures_as_json([source], as_json):
-                    name = (f"{number + 1}/{len(images)} " if len(images) > 1 else "") + Path(source).name
+                    name = (f"{number + 1}/{len(images)} " if len(images) > 1 else "") + Path(
+                        source
+                    ).name
                     analysis = engine.analyse_scale(source, progress=partial(tell, name=name))
                 if as_json:
                     print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
@@ -150,7 +166,11 @@ def _estimate_all(
 
 def _outputs(images: Sequence[str], patterns: Mapping[str, str | None]) -> list[dict[str, Path]]:
     """Choose the output files of each image by their options, and check them before the work."""
-    named = {name: _names(images, f"--{name.replace('_', '-')}", each) for name, each in patterns.items() if each}
+    named = {
+        name: _names(images, f"--{name.replace('_', '-')}", each)
+        for name, each in patterns.items()
+        if each
+    }
     check_outputs(images, ((name, path) for name, paths in named.items() for path in paths))
     return [{name: paths[number] for name, paths in named.items()} for number in range(len(images))]
 
@@ -158,7 +178,8 @@ def _outputs(images: Sequence[str], patterns: Mapping[str, str | None]) -> list[
 def _names(images: Sequence[str], option: str, pattern: str) -> list[Path]:
     if len(images) > 1 and _STEM not in pattern:
         raise InvalidParameterError(
-            f"{option} {pattern!r} names one file for {len(images)} images: add {_STEM} to the name, as in "
+            f"{option} {pattern!r} names one file for {len(images)} images: add {_STEM} to the "
+            "name, as in "
             f"{option} '{_STEM}_{option.lstrip('-')}{Path(pattern).suffix}'"
         )
     return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
@@ -175,14 +196,18 @@ def _facts(record: GsdEstimate) -> list[tuple[str, str]]:
     if fused:
         for row, each in enumerate(record.rulers):
             scale = f"{each.label} {significant(each.gsd_m_per_px, 4)} m/px"
-            facts.append(("" if row else "rulers", f"{scale}, right with a chance of {each.p_right:.2f}"))
+            facts.append(
+                ("" if row else "rulers", f"{scale}, right with a chance of {each.p_right:.2f}")
+            )
     if advice := advice_for(record, "look at --overlay, then --drop what is no car"):
         facts.append(("not usable", f"{advice.why}: {advice.helps}"))
     size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is not None and record.mode_length_px is not None:
         facts.append(("modal length", _length_text(record.mode_length_px, record.details)))
     if record.gsd_m_per_px is not None and record.tilt is None:
-        width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
+        width_m, height_m = (
+            side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px)
+        )
         size += f" = {significant(width_m, 4)} x {significant(height_m, 4)} m"
     if record.tilt is not None:
         facts.append(("tilt", _tilt_text(record.tilt)))
@@ -191,7 +216,9 @@ def _facts(record: GsdEstimate) -> list[tuple[str, str]]:
         seen = record.frame
         facts.append(("your frame", f"{seen.width_px} x {seen.height_px} px: {scale_text(seen)}"))
     if record.georeference_gsd_m_per_px is not None:
-        facts.append(("file's own scale", f"{significant(record.georeference_gsd_m_per_px, 4)} m/px"))
+        facts.append(
+            ("file's own scale", f"{significant(record.georeference_gsd_m_per_px, 4)} m/px")
+        )
     facts.append(("model", f"{record.model} ({record.details.model_sha256[:_SHORT_SHA]})"))
     return facts
 
@@ -205,17 +232,26 @@ def _length_text(mode_px: float, details: EstimateDetails) -> str:
 
 
 def _tilt_text(tilt: TiltEstimate) -> str:
-    text = f"{tilt.tilt_deg:.0f} degrees (95 %: {tilt.tilt_ci95_low_deg:.0f} to {tilt.tilt_ci95_high_deg:.0f}), "
+    text = (
+        f"{tilt.tilt_deg:.0f} degrees (95 %: {tilt.tilt_ci95_low_deg:.0f} to "
+        f"{tilt.tilt_ci95_high_deg:.0f}), "
+    )
     text += f"by {tilt.source}"
     if tilt.gsd_least_m_per_px is None or tilt.gsd_largest_m_per_px is None:
         return text
-    least, largest = (significant(each, 4) for each in (tilt.gsd_least_m_per_px, tilt.gsd_largest_m_per_px))
+    least, largest = (
+        significant(each, 4) for each in (tilt.gsd_least_m_per_px, tilt.gsd_largest_m_per_px)
+    )
     return f"{text}; the scale is that of the centre, {least} to {largest} m/px over the image"
 
 
 def _print_summary(rows: Sequence[tuple[str, GsdEstimate]]) -> None:
     folder, names = under_one_folder([source for source, _ in rows])
-    columns = {"image": "text", **dict.fromkeys(("m/px", "95 %", "confidence", "vehicles"), "number"), "status": "word"}
+    columns = {
+        "image": "text",
+        **dict.fromkeys(("m/px", "95 %", "confidence", "vehicles"), "number"),
+        "status": "word",
+    }
     cells = [(name, *_cells(record)) for name, (_, record) in zip(names, rows, strict=True)]
     print_rows(columns, cells, f"{count(len(rows), 'image')} in {folder}" if folder else "")
 

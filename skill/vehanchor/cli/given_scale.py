@@ -24,7 +24,8 @@ GivenGsd: TypeAlias = Annotated[
 KnownLengthsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE.csv", help="CSV of known lengths: file,x1,y1,x2,y2,metres; files relative to the table."
+        metavar="FILE.csv",
+        help="CSV of known lengths: file,x1,y1,x2,y2,metres; files relative to the table.",
     ),
 ]
 
@@ -38,7 +39,8 @@ ScaleFile: TypeAlias = Annotated[
     typer.Option(
         "--scale",
         metavar="FILE",
-        help="Output of 'vehanchor estimate --json' for this image, or of 'vehanchor flight --out': use its scale, "
+        help="Output of 'vehanchor estimate --json' for this image, or of 'vehanchor flight "
+        "--out': use its scale, "
         "without a search for cars.",
     ),
 ]
@@ -63,9 +65,11 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
         if isinstance(record, dict) and "photographs" in record:
             record = _scale_in(record["photographs"], image)
         return known_scale(record)
-    except (OSError, ValueError, TypeError, KeyError) as error:  # InvalidParameterError is a ValueError
+    # InvalidParameterError is a ValueError
+    except (OSError, ValueError, TypeError, KeyError) as error:
         raise InvalidParameterError(
-            f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor estimate IMAGE --json'"
+            f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor "
+            "estimate IMAGE --json'"
         ) from None
 
 
@@ -81,5 +85,7 @@ def _scale_in(photographs: Sequence[Mapping[str, Any]], image: str) -> Any:
     found = found or [scale for path, scale in scales if path.name == wanted.name]
     if len(found) != 1:
         count = f"there {len(found)} times" if found else "not there"
-        raise InvalidParameterError(f"{image!r} is {count} in the flight: name a photograph of it by its path")
+        raise InvalidParameterError(
+            f"{image!r} is {count} in the flight: name a photograph of it by its path"
+        )
     return found[0]

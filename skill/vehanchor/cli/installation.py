@@ -15,18 +15,27 @@ if TYPE_CHECKING:
 
 _NEEDED = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pydantic", "mcp")
 _EXTRAS = {"rasterio": "geo", "matplotlib": "plots", "pyarrow": "parquet", "ray": "ray"}
-_PICTURE, GSD_M_PER_PX = "bundled/check.jpg", 0.15  # a rendered car park: python -m research.scenes, seed 5
+# a rendered car park: python -m research.scenes, seed 5
+_PICTURE, GSD_M_PER_PX = "bundled/check.jpg", 0.15
 
 
 def installed() -> list[tuple[str, str]]:
     """List packages and versions; for missing ones, the extra to install."""
-    rows = [("vehanchor", version("vehanchor")), ("python", f"{platform.python_version()} on {platform.platform()}")]
+    rows = [
+        ("vehanchor", version("vehanchor")),
+        ("python", f"{platform.python_version()} on {platform.platform()}"),
+    ]
     for name in (*_NEEDED, *_EXTRAS):
         try:
             rows.append((name, version(name)))
         except PackageNotFoundError:
             extra = _EXTRAS.get(name)
-            rows.append((name, f"missing: pip install 'vehanchor[{extra}]'" if extra else "missing: reinstall"))
+            rows.append(
+                (
+                    name,
+                    f"missing: pip install 'vehanchor[{extra}]'" if extra else "missing: reinstall",
+                )
+            )
     return [*rows, ("providers", ", ".join(onnxruntime.get_available_providers()))]
 
 

@@ -29,7 +29,8 @@ SegmenterFiles: TypeAlias = Annotated[
 ]
 
 MaskFile: TypeAlias = Annotated[
-    Path | None, typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, in full size.")
+    Path | None,
+    typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, in full size."),
 ]
 OutlineFile: TypeAlias = Annotated[
     Path | None,
@@ -45,10 +46,13 @@ def measure(
     image: Photograph,
     box: Annotated[
         tuple[float, float, float, float] | None,
-        typer.Option(metavar="X1 Y1 X2 Y2", help="A box around the object, pixels; or give points."),
+        typer.Option(
+            metavar="X1 Y1 X2 Y2", help="A box around the object, pixels; or give points."
+        ),
     ] = None,
     point: Annotated[
-        list[str] | None, typer.Option(metavar="X Y", help="A point on the object, pixels; repeatable.")
+        list[str] | None,
+        typer.Option(metavar="X Y", help="A point on the object, pixels; repeatable."),
     ] = None,
     negative: Annotated[
         list[str] | None, typer.Option(metavar="X Y", help="A point beside the object; repeatable.")
@@ -56,10 +60,14 @@ def measure(
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
     object_height: ObjectHeight = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
+    ] = False,
     overlay: Annotated[
         Path | None,
-        typer.Option(metavar="OUT.png", help="Write the object with outline, vehicles and scale bar."),
+        typer.Option(
+            metavar="OUT.png", help="Write the object with outline, vehicles and scale bar."
+        ),
     ] = None,
     mask: MaskFile = None,
     outline: OutlineFile = None,
@@ -86,21 +94,37 @@ def measure(
     show_measured(image, analyse, _facts, files, as_json=as_json, strict=strict)
 
 
-def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tuple[float, float, bool]] | None:
+def _points(
+    on: Sequence[str] | None, beside: Sequence[str] | None
+) -> list[tuple[float, float, bool]] | None:
     """Join the points of both options; None without any."""
     given = (("--point", on, True), ("--negative", beside, False))
-    return [(*parse_point(option, text), kind) for option, texts, kind in given for text in texts or ()] or None
+    return [
+        (*parse_point(option, text), kind) for option, texts, kind in given for text in texts or ()
+    ] or None
 
 
 def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
     """List the facts of the record without its scale."""
-    none, low, high = "none: there is no scale, or no mask", record.area_ci95_low_m2, record.area_ci95_high_m2
+    none, low, high = (
+        "none: there is no scale, or no mask",
+        record.area_ci95_low_m2,
+        record.area_ci95_high_m2,
+    )
     facts = [("area", with_interval(record.area_m2, low, high, "m2", none))]
     if record.area_m2 is not None:
-        length, width, perimeter = (record.length_m or 0, record.width_m or 0, record.perimeter_m or 0)
+        length, width, perimeter = (
+            record.length_m or 0,
+            record.width_m or 0,
+            record.perimeter_m or 0,
+        )
         low, high = record.inscribed_diameter_ci95_low_m, record.inscribed_diameter_ci95_high_m
         facts += [
-            ("size", f"{significant(length, 4)} x {significant(width, 4)} m, perimeter {significant(perimeter, 4)} m"),
+            (
+                "size",
+                f"{significant(length, 4)} x {significant(width, 4)} m, perimeter "
+                f"{significant(perimeter, 4)} m",
+            ),
             ("largest circle", with_interval(record.inscribed_diameter_m, low, high, "m")),
         ]
     facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
@@ -110,6 +134,8 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
 
 def _other_object(other: OtherObject) -> str:
     box = other.bounding_box
-    size = f"{other.mask_area_px} px" if other.area_m2 is None else f"{significant(other.area_m2)} m2"
+    size = (
+        f"{other.mask_area_px} px" if other.area_m2 is None else f"{significant(other.area_m2)} m2"
+    )
     place = f"x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f}"
     return f"of {size}, score {other.mask_score:.2f}, at {place}: draw a box by eye"

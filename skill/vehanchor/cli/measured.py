@@ -62,7 +62,10 @@ def show_measured(
 def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> list[tuple[str, str]]:
     """List the facts of the scale behind a measurement."""
     if record.estimate is not None:
-        facts = [("scale", scale_text(record.estimate)), ("vehicles", vehicles_text(record.estimate))]
+        facts = [
+            ("scale", scale_text(record.estimate)),
+            ("vehicles", vehicles_text(record.estimate)),
+        ]
     else:
         facts = [("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}")]
     if record.scale_confidence is not None:

@@ -22,15 +22,26 @@ models = typer.Typer(no_args_is_help=True, add_completion=False)
 @models.callback(invoke_without_command=True)
 def _show(
     sizes: Annotated[
-        bool, typer.Option("--sizes", help="List the things of known size for --known-length, then exit.")
+        bool,
+        typer.Option(
+            "--sizes", help="List the things of known size for --known-length, then exit."
+        ),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="With --sizes: one JSON object per thing and line.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="With --sizes: one JSON object per thing and line.")
+    ] = False,
     check: Annotated[
-        bool, typer.Option("--check", help="List installed versions, and measure a bundled picture of known scale.")
+        bool,
+        typer.Option(
+            "--check", help="List installed versions, and measure a bundled picture of known scale."
+        ),
     ] = False,
     provider: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Where --check runs models, as for `estimate`; repeatable. Default: cpu."),
+        typer.Option(
+            metavar="NAME",
+            help="Where --check runs models, as for `estimate`; repeatable. Default: cpu.",
+        ),
     ] = None,
 ) -> None:
     """Show bundled models, your own model files and the things of known size, and check the installation."""
@@ -46,14 +57,20 @@ def _print_sizes(*, as_json: bool) -> None:
 
     for each in standards().values():
         if as_json:
-            print_json({**each._asdict(), "variants": [variant._asdict() for variant in each.variants]})
+            print_json(
+                {**each._asdict(), "variants": [variant._asdict() for variant in each.variants]}
+            )
             continue
         facts = [("between", each.between)]
         for variant in each.variants:
             countries = f": {', '.join(variant.countries)}" if variant.countries else ""
-            facts.append(("length", f"{variant.metres:g} m +- {100 * variant.log_sd:.2g} %{countries}"))
+            facts.append(
+                ("length", f"{variant.metres:g} m +- {100 * variant.log_sd:.2g} %{countries}")
+            )
         mistaken = f"{100 * each.chance_wrong:.0f} %"
-        print_facts(each.name, [*facts, ("chance of another thing", mistaken), ("source", each.source)])
+        print_facts(
+            each.name, [*facts, ("chance of another thing", mistaken), ("source", each.source)]
+        )
 
 
 def _check_installation(providers: list[str] | None) -> None:
@@ -63,7 +80,9 @@ def _check_installation(providers: list[str] | None) -> None:
     from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 
     print_facts("installed", installation.installed())
-    record = installation.check_picture(Engine(runtime=Runtime(providers=providers or DEFAULT_PROVIDERS)))
+    record = installation.check_picture(
+        Engine(runtime=Runtime(providers=providers or DEFAULT_PROVIDERS))
+    )
     gsd, true = record.gsd_m_per_px or 0.0, installation.GSD_M_PER_PX
     passed = record.status == "ok" and abs(gsd / true - 1) <= _TOLERANCE
     facts = [
@@ -77,7 +96,9 @@ def _check_installation(providers: list[str] | None) -> None:
 
 @models.command("list")
 def list_models(
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per model and line.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object per model and line.")
+    ] = False,
 ) -> None:
     """List the bundled detectors and the segmenter."""
     with exit_on_error():
@@ -87,7 +108,9 @@ def list_models(
         for name, path in bundled_models().items():
             default = name == DEFAULT_DETECTOR
             title = f"{name} (default)" if default else name
-            _print_detector(Engine(path), title, {"kind": "detector", "default": default}, as_json=as_json)
+            _print_detector(
+                Engine(path), title, {"kind": "detector", "default": default}, as_json=as_json
+            )
         _print_segmenter(Engine(), as_json=as_json)
 
 
@@ -109,11 +132,19 @@ def _print_segmenter(engine: Engine, *, as_json: bool) -> None:
 
 @models.command("info")
 def show_model(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="An ONNX file, or the name of a bundled model.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="An ONNX file, or the name of a bundled model.")
+    ],
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
+    ] = False,
     classes: Annotated[
         list[str] | None,
-        typer.Option("--class", metavar="NAME", help="Class that counts as a vehicle, if the model does not name one."),
+        typer.Option(
+            "--class",
+            metavar="NAME",
+            help="Class that counts as a vehicle, if the model does not name one.",
+        ),
     ] = None,
 ) -> None:
     """Show the metadata of a detector's file; missing values are the paper's."""
@@ -134,12 +165,21 @@ def _print_detector(engine: Engine, title: str, about: dict[str, object], *, as_
         print_json({**about, **file, **card.model_dump(mode="json")})
         return
     (shortest, longest), of_lengths = card.length_range_px, card.bodies or card
-    unbiased = f"; measured without bias from {card.min_length_px:g} px" if card.min_length_px else ""
-    regions = (f"{name} {length:.4g} m" for name, length in sorted(of_lengths.region_lengths_m.items()))
+    unbiased = (
+        f"; measured without bias from {card.min_length_px:g} px" if card.min_length_px else ""
+    )
+    regions = (
+        f"{name} {length:.4g} m" for name, length in sorted(of_lengths.region_lengths_m.items())
+    )
     mean, sd = of_lengths.reference_length_m, of_lengths.reference_length_sd_m
     facts = [
         ("file", str(model.path)),
-        ("input", "any" if model.fixed_size is None else f"{model.fixed_size[1]} x {model.fixed_size[0]} px"),
+        (
+            "input",
+            "any"
+            if model.fixed_size is None
+            else f"{model.fixed_size[1]} x {model.fixed_size[0]} px",
+        ),
         ("classes", ", ".join(card.class_names.values()) or "not named"),
         ("sha256", card.sha256),
         ("reference length", f"{mean:.4g} m, sd {sd:.2g} m between regions"),

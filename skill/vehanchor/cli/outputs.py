@@ -36,9 +36,13 @@ def check_outputs(images: Iterable[str], outputs: Iterable[tuple[str, Path]]) ->
         _check(name, path)
         resolved = path.resolve()
         if resolved in inputs:
-            raise InvalidParameterError(f"{str(path)!r} is one of the images: writing there would destroy it")
+            raise InvalidParameterError(
+                f"{str(path)!r} is one of the images: writing there would destroy it"
+            )
         if resolved in seen:
-            raise InvalidParameterError(f"two files would both be written to {str(path)!r}: choose other names")
+            raise InvalidParameterError(
+                f"two files would both be written to {str(path)!r}: choose other names"
+            )
         seen.add(resolved)
 
 
@@ -103,7 +107,10 @@ def refusal(record: GsdEstimate) -> str | None:
     if record.status != "ok":
         return "the scale is not usable"
     if record.scale.plane is not None:
-        return f"the camera was tilted by {record.scale.plane.tilt_deg:.0f} degrees, and the scale varies"
+        return (
+            f"the camera was tilted by {record.scale.plane.tilt_deg:.0f} degrees, and the "
+            "scale varies"
+        )
     return None
 
 

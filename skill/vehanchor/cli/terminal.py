@@ -27,7 +27,10 @@ _LINE_EVERY_S = 10.0  # if stderr is not a terminal
 
 Strict: TypeAlias = Annotated[
     bool,
-    typer.Option("--strict", help=f"Exit with status {NOT_OK} if a result is not ok: low confidence or no scale."),
+    typer.Option(
+        "--strict",
+        help=f"Exit with status {NOT_OK} if a result is not ok: low confidence or no scale.",
+    ),
 ]
 
 
@@ -64,7 +67,8 @@ def exit_on_error() -> Iterator[None]:
             raise
         reason = printable(f"{type(error).__name__}: {error}".splitlines()[0])
         print(
-            f"error[internal_error]: {reason}. This is a defect of vehanchor; for details, set VEHANCHOR_TRACEBACK=1",
+            f"error[internal_error]: {reason}. This is a defect of vehanchor; for details, set "
+            "VEHANCHOR_TRACEBACK=1",
             file=sys.stderr,
         )
         raise typer.Exit(UNFORESEEN) from None
@@ -87,7 +91,11 @@ def work_progress(unit: str, *, lines: bool = False) -> Iterator[Callable[..., N
             nonlocal last
             if time.monotonic() - last >= _LINE_EVERY_S:
                 last = time.monotonic()
-                print(printable(f"{name} {done} of {total} {unit}".lstrip()), file=sys.stderr, flush=True)
+                print(
+                    printable(f"{name} {done} of {total} {unit}".lstrip()),
+                    file=sys.stderr,
+                    flush=True,
+                )
 
         yield tell
         return
@@ -95,10 +103,18 @@ def work_progress(unit: str, *, lines: bool = False) -> Iterator[Callable[..., N
     from rich.console import Console
     from rich.markup import escape
 
-    columns = (progress.TextColumn("{task.description}"), progress.BarColumn(), progress.MofNCompleteColumn())
+    columns = (
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+    )
     # By default, rich redirects stdout to stderr.
     with progress.Progress(
-        *columns, progress.TimeRemainingColumn(), console=Console(stderr=True), transient=True, redirect_stdout=False
+        *columns,
+        progress.TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        redirect_stdout=False,
     ) as bar:
         task = bar.add_task("", total=None)
         yield lambda done, total, name="": bar.update(
@@ -133,13 +149,17 @@ def print_facts(title: str, facts: Iterable[tuple[str, str]]) -> None:
 
 
 def print_rows(
-    columns: Mapping[str, str], rows: Iterable[Sequence[str]], title: str = "", *, heading: bool = True
+    columns: Mapping[str, str],
+    rows: Iterable[Sequence[str]],
+    title: str = "",
+    *,
+    heading: bool = True,
 ) -> None:
     """Print a table on stdout, as wide as the terminal.
 
     Args:
-        columns: their kinds by heading: ``text`` is folded, ``number`` is on the right, ``word`` on the left, ``name``
-            is coloured.
+        columns: their kinds by heading: ``text`` is folded, ``number`` is on the right, ``word`` on
+            the left, ``name`` is coloured.
         rows: the cells of each row.
         title: title of the table; empty for none.
         heading: print the headings of the columns.
@@ -197,7 +217,10 @@ def resumable(journal: object, kept: str = "photographs") -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         if journal is not None:
-            print(f"interrupted: finished {kept} are kept; run the same command to resume", file=sys.stderr)
+            print(
+                f"interrupted: finished {kept} are kept; run the same command to resume",
+                file=sys.stderr,
+            )
         raise typer.Exit(INTERRUPTED) from None
 
 
@@ -220,4 +243,7 @@ def vehicles_text(record: GsdEstimate) -> str:
     if record.n_vehicles is None:
         return "not searched"
     by_hand = by_hand_text(record)
-    return f"{record.n_vehicles} kept of {record.details.n_detections} found{by_hand and f'; {by_hand}'}"
+    return (
+        f"{record.n_vehicles} kept of {record.details.n_detections} "
+        f"found{by_hand and f'; {by_hand}'}"
+    )

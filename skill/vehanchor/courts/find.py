@@ -1,6 +1,7 @@
 """Courts of an image: proposed by a small network at low resolution, then matched, fitted and verified by their lines.
 
-The network sees the image at 0.38 to 0.88 m/px, where a court is 27 to 62 px long and its lines are hardly visible.
+The network sees the image at 0.38 to 0.88 m/px, where a court is 27 to 62 px long and its lines are
+hardly visible.
 """
 
 from __future__ import annotations
@@ -37,34 +38,44 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
 
 # Ranges of sizes and places; proposals lie at a court's end as often as at its centre.
-_FAR: tuple[NDArray[np.float64], NDArray[np.intp]] = np.arange(-10.0, 11.0) * 0.04, np.arange(-27, 28, 3)
+_FAR: tuple[NDArray[np.float64], NDArray[np.intp]] = (
+    np.arange(-10.0, 11.0) * 0.04,
+    np.arange(-27, 28, 3),
+)
 _THERE: tuple[NDArray[np.float64], NDArray[np.intp]] = np.arange(-1.0, 2.0) * 0.01, np.arange(-1, 2)
 _MOST_COURTS = 4
 _MOST_PROPOSALS, _MOST_OF_ONE_SIZE = 20, 6  # best proposals to try; fewer if the scale is known
 _MOST_REJECTED = 4  # rejected candidates in a row before the search ends
-_FITTED_PX = 220.0  # a court is fitted at the coarsest resolution that makes it this long, if there is one
+# a court is fitted at the coarsest resolution that makes it this long, if there is one
+_FITTED_PX = 220.0
 _AROUND = 0.6  # of a court's length: radius for the directions of its lines
-_LEAST_PX = 60.0  # least length of a court; in shorter ones the lines are a pixel or two apart, as in many textures
+# least length of a court; in shorter ones the lines are a pixel or two apart, as in many textures
+_LEAST_PX = 60.0
 _MATCHED_PX = 72.0  # least length of a court for matching, if the image has that resolution
 _MARGIN = 1.5  # half side of the patch, in half diagonals of the court
 
 _WORTH_A_FIT = 0.3
 _LEAST_SCORE = 0.55  # the maximum over 232 training images without a court is 0.50
-_LEAST_COVERAGE = 0.68  # roofs with grids reached 0.63; straight lines also form grids in yards and car parks
+# roofs with grids reached 0.63; straight lines also form grids in yards and car parks
+_LEAST_COVERAGE = 0.68
 _SEEN_ARCS = 0.5
 _MOST_DISTORTION = 0.06
 _QUARTER = math.pi / 2
 _BINS = 45  # of a quarter turn: 2 degrees each
 _SMOOTH_PX = 1.2  # the pixel steps of a thin line have spurious directions
-_CLEAREST = 160.0  # in Scharr sums, about ten grey levels: one shadow's edge must not outweigh all painted lines
-_NO_EDGE = 0.7  # share of the patch that is texture and noise; rounded grey levels have spurious directions
+# in Scharr sums, about ten grey levels: one shadow's edge must not outweigh all painted lines
+_CLEAREST = 160.0
+# share of the patch that is texture and noise; rounded grey levels have spurious directions
+_NO_EDGE = 0.7
 _SECOND = 0.8  # share of the strongest direction that a second one needs
 _APART_BINS = 5
-_CELL_PX = 8  # side of the network's cells, and the unit of its lengths: research/training/courts/network.py
+# side of the network's cells, and the unit of its lengths: research/training/courts/network.py
+_CELL_PX = 8
 _LENGTH_PX = 44.0
 _BEST_GSD_M_PER_PX = 0.58  # the middle of its training range: research/training/courts/data.py
 _FACTORS = (2, 4, 8, 16)  # one octave of scales each: images of 0.02 to 0.44 m/px
-_MOST_PIXELS_ALL_FACTORS = 1_500_000  # up to this image size all factors are searched, whatever the scene-scale prior
+# up to this image size all factors are searched, whatever the scene-scale prior
+_MOST_PIXELS_ALL_FACTORS = 1_500_000
 _TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image; tiles overlap by two courts
 _LEAST_SHARE = 0.25
 _MIN_SIDE_PX = 24
@@ -90,7 +101,9 @@ class _Patch(NamedTuple):
 
     def outside(self, pose: Pose) -> Pose:
         """Convert a pose from the patch to the image."""
-        x, y = ((value + 0.5) * self.factor - 0.5 for value in (pose.x + self.left, pose.y + self.top))
+        x, y = (
+            (value + 0.5) * self.factor - 0.5 for value in (pose.x + self.left, pose.y + self.top)
+        )
         return Pose(x, y, pose.angle, pose.px_per_m * self.factor)
 
 
@@ -103,7 +116,9 @@ class _Match(NamedTuple):
     game: tuple[Template, ...]
 
 
-def find_courts(raster: Raster, prior: SceneScalePrior | None = None, runtime: Runtime | None = None) -> list[Court]:
+def find_courts(
+    raster: Raster, prior: SceneScalePrior | None = None, runtime: Runtime | None = None
+) -> list[Court]:
     """Find and measure the courts that lie completely inside an image taken at nadir.
 
     Args:
@@ -112,7 +127,8 @@ def find_courts(raster: Raster, prior: SceneScalePrior | None = None, runtime: R
         runtime: of the network that proposes courts; None for the defaults.
 
     Returns:
-        At most four courts, the highest score first. Half hidden courts and courts at the image's edge are left out.
+        At most four courts, the highest score first. Half hidden courts and courts at the image's
+        edge are left out.
     """
     network = load_court_network(runtime)
     factors = coarse_factors(raster, prior)
@@ -139,7 +155,9 @@ def courts_among(raster: Raster, proposals: Sequence[Proposal], *, n_sizes: int 
             continue
         court = _measured(raster, one)
         rejected = 0 if court else rejected + 1
-        if court is not None and not any(_lies_in(court.corners.mean(axis=0).tolist(), other) for other in found):
+        if court is not None and not any(
+            _lies_in(court.corners.mean(axis=0).tolist(), other) for other in found
+        ):
             found.append(court)
     return sorted(found, key=lambda court: -court.score)
 
@@ -153,7 +171,8 @@ def _distinct(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
     for one in sorted(proposals, key=lambda each: -each.share):
         near = TENNIS.length_m / 4 * one.pose.px_per_m
         if not any(
-            other.factor == one.factor and math.hypot(one.pose.x - other.pose.x, one.pose.y - other.pose.y) < near
+            other.factor == one.factor
+            and math.hypot(one.pose.x - other.pose.x, one.pose.y - other.pose.y) < near
             for other in kept
         ):
             kept.append(one)
@@ -165,14 +184,19 @@ def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
     games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
     firsts = [game[0] for game in games]  # the first template represents its game in the search
     length_px = LENGTHS_M[proposal.which] * proposal.pose.px_per_m
-    factor = 2 ** max(0, math.floor(math.log2(length_px / _MATCHED_PX)))  # the largest that still shows the lines
+    # the largest that still shows the lines
+    factor = 2 ** max(0, math.floor(math.log2(length_px / _MATCHED_PX)))
     patch = _read(raster, proposal.pose, firsts[0], factor)
     start = patch.inside(proposal.pose)
     turned = axes(patch.grey, start.x, start.y, _AROUND * firsts[0].length_m * start.px_per_m)
     angles = [axis + quarter for axis in turned for quarter in (0.0, math.pi / 2)]
     matched = match(patch.grey, firsts, start, *_FAR, angles)
-    matches = [_Match(score, patch, pose, game) for (score, pose), game in zip(matched, games, strict=True)]
-    return sorted((each for each in matches if each.score >= _WORTH_A_FIT), key=lambda each: -each.score)
+    matches = [
+        _Match(score, patch, pose, game) for (score, pose), game in zip(matched, games, strict=True)
+    ]
+    return sorted(
+        (each for each in matches if each.score >= _WORTH_A_FIT), key=lambda each: -each.score
+    )
 
 
 def _measured(raster: Raster, found: _Match) -> Court | None:
@@ -182,7 +206,9 @@ def _measured(raster: Raster, found: _Match) -> Court | None:
     if templates[0].length_m * first.px_per_m * patch.factor < _LEAST_PX:
         return None
     there = _pose(first.matrix)
-    score, pose = max(match(patch.grey, templates, there, *_THERE, [there.angle]), key=lambda each: each[0])
+    score, pose = max(
+        match(patch.grey, templates, there, *_THERE, [there.angle]), key=lambda each: each[0]
+    )
     if score < _LEAST_SCORE:
         return None
     fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in templates]
@@ -191,12 +217,18 @@ def _measured(raster: Raster, found: _Match) -> Court | None:
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
         return None
     arcs = seen.line_coverage[len(template.lines) :]
-    if seen.coverage < _LEAST_COVERAGE or (len(arcs) and arcs.mean() < _SEEN_ARCS) or not math.isfinite(seen.log_sd):
+    if (
+        seen.coverage < _LEAST_COVERAGE
+        or (len(arcs) and arcs.mean() < _SEEN_ARCS)
+        or not math.isfinite(seen.log_sd)
+    ):
         return None
     if not fit(patch.grey, template, seen.matrix, AFFINE).distortion <= _MOST_DISTORTION:
         return None
     gsd = float(1.0 / (seen.px_per_m * patch.factor))
-    return Court(template.kind, corners, template.length_m, template.width_m, gsd, seen.log_sd, score)
+    return Court(
+        template.kind, corners, template.length_m, template.width_m, gsd, seen.log_sd, score
+    )
 
 
 def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, _Patch]:
@@ -204,19 +236,30 @@ def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tu
     seen = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
     while patch.factor > 1 and template.length_m * seen.px_per_m < _FITTED_PX:
         finer = _read(raster, patch.outside(_pose(seen.matrix)), template, patch.factor // 2)
-        seen = fit(finer.grey, template, pose_matrix(finer.inside(patch.outside(_pose(seen.matrix)))), SIMILARITY)
+        seen = fit(
+            finer.grey,
+            template,
+            pose_matrix(finer.inside(patch.outside(_pose(seen.matrix)))),
+            SIMILARITY,
+        )
         patch = finer
     return seen, patch
 
 
 def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch:
     """Read the patch that covers the whole search range of a court, clipped to the image."""
-    half = math.hypot(template.length_m, template.width_m) / 2 * pose.px_per_m / factor * _MARGIN + _FAR[1][-1]
+    half = (
+        math.hypot(template.length_m, template.width_m) / 2 * pose.px_per_m / factor * _MARGIN
+        + _FAR[1][-1]
+    )
     x, y = (pose.x + 0.5) / factor, (pose.y + 0.5) / factor
     width, height = raster.width_px // factor, raster.height_px // factor
-    left, top = (int(np.clip(value - half, 0, size - 1)) for value, size in ((x, width), (y, height)))
+    left, top = (
+        int(np.clip(value - half, 0, size - 1)) for value, size in ((x, width), (y, height))
+    )
     right, bottom = (
-        int(np.clip(value + half, low + 1, size)) for value, low, size in ((x, left, width), (y, top, height))
+        int(np.clip(value + half, low + 1, size))
+        for value, low, size in ((x, left, width), (y, top, height))
     )
     pixels = read_reduced_window(raster, Window(left, top, right - left, bottom - top), factor)
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
@@ -246,12 +289,15 @@ def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[f
         radius: radius of the neighbourhood, pixels.
 
     Returns:
-        One or two angles, radians from 0 to a quarter turn, the strongest first; each includes its perpendicular.
+        One or two angles, radians from 0 to a quarter turn, the strongest first; each includes its
+        perpendicular.
     """
     rows, columns = np.ogrid[: grey.shape[0], : grey.shape[1]]
     near = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
     smoothed = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX)
-    across, down = (np.asarray(cv2.Scharr(smoothed, cv2.CV_32F, *order))[near] for order in ((1, 0), (0, 1)))
+    across, down = (
+        np.asarray(cv2.Scharr(smoothed, cv2.CV_32F, *order))[near] for order in ((1, 0), (0, 1))
+    )
     steepness = np.hypot(across, down)
     clear = steepness > np.quantile(steepness, _NO_EDGE)
     weights = np.minimum(steepness[clear], _CLEAREST)
@@ -279,8 +325,8 @@ class Court:
 
     Attributes:
         kind: ``tennis``, ``basketball_fiba``, ``basketball_nba`` or ``basketball_ncaa``.
-        corners: ``[4, 2]`` corners of its outline, pixels of the image (0 is the left and upper edge); the first two
-            bound a long side.
+        corners: ``[4, 2]`` corners of its outline, pixels of the image (0 is the left and upper
+            edge); the first two bound a long side.
         length_m: length of the long sides by the rules of the game.
         width_m: length of the short sides by the rules of the game.
         gsd_m_per_px: GSD from its area.
@@ -330,16 +376,20 @@ def coarse_factors(raster: Raster, prior: SceneScalePrior | None) -> list[int]:
     if prior is None or raster.width_px * raster.height_px <= _MOST_PIXELS_ALL_FACTORS:
         return factors
     median = quantile(prior.density, 0.5)
-    return [min(factors, key=lambda factor: abs(math.log(median * factor / _BEST_GSD_M_PER_PX)))] if factors else []
+    return (
+        [min(factors, key=lambda factor: abs(math.log(median * factor / _BEST_GSD_M_PER_PX)))]
+        if factors
+        else []
+    )
 
 
 class CourtNetwork(LoadedModel):
     """Network that proposes courts.
 
     Args:
-        path: ONNX file with an input ``tiles`` ``[n, 3, h, w]`` uint8 RGB, sides multiples of 8, and an output
-            ``courts`` ``[n, 5, h / 8, w / 8]``: scores of tennis and basketball, cosine and sine of twice the angle,
-            log of the length divided by 44 px.
+        path: ONNX file with an input ``tiles`` ``[n, 3, h, w]`` uint8 RGB, sides multiples of 8,
+            and an output ``courts`` ``[n, 5, h / 8, w / 8]``: scores of tennis and basketball,
+            cosine and sine of twice the angle, log of the length divided by 44 px.
         runtime: how to open it; None for the defaults.
 
     Raises:
@@ -352,7 +402,9 @@ class CourtNetwork(LoadedModel):
         self._session = open_session(path, content=read_model(path).content, runtime=self.runtime)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "courts"]:
-            raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles and the output courts")
+            raise ModelContractError(
+                f"{path} has {', '.join(names)}: expected the input tiles and the output courts"
+            )
 
     def propose(self, raster: Raster, factor: int) -> list[Proposal]:
         """Propose courts in an image reduced by a factor; large images are read from the file's overviews if possible.
@@ -365,7 +417,11 @@ class CourtNetwork(LoadedModel):
             Proposals in no order; a court in the overlap of two tiles can occur twice.
         """
         width, height = raster.width_px // factor, raster.height_px // factor
-        read = read_reduced_window if raster.width_px * raster.height_px < WINDOWED_PIXELS else read_preview
+        read = (
+            read_reduced_window
+            if raster.width_px * raster.height_px < WINDOWED_PIXELS
+            else read_preview
+        )
         found = []
         for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
             pixels = read(raster, window, factor)
@@ -393,7 +449,9 @@ def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[
     found = []
     for which, shares in enumerate(seen[:2]):
         highest = cv2.dilate(shares, np.ones((3, 3)))
-        for row, column in zip(*np.nonzero((shares >= highest) & (shares >= _LEAST_SHARE)), strict=True):
+        for row, column in zip(
+            *np.nonzero((shares >= highest) & (shares >= _LEAST_SHARE)), strict=True
+        ):
             cos, sin, log_length = (float(value) for value in seen[2:, row, column])
             length_px = _LENGTH_PX * math.exp(min(max(log_length, -1.0), 1.0)) * factor
             x, y = ((left, top) + (np.array((column, row)) + 0.5) * _CELL_PX) * factor - 0.5

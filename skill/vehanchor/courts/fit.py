@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
     from vehanchor.courts.match import Pose, Template
 
-_PIECE_M = 2.4  # length of line over which the profile is averaged; a player hides one piece, not all
+# length of line over which the profile is averaged; a player hides one piece, not all
+_PIECE_M = 2.4
 _STEP_PX = 0.25
 _FLANK_PX = 2.0
 _REACHES_PX = (4.0, 3.0, 2.5, 2.0, 2.0, 2.0)
@@ -60,7 +61,9 @@ class Fit(NamedTuple):
         """Deviation from the shape in the rules: the larger of log stretch and shear."""
         local = self.matrix[:2, :2]
         along, across = np.hypot(*local[:, 0]), np.hypot(*local[:, 1])
-        return float(max(abs(math.log(along / across)), abs(local[:, 0] @ local[:, 1]) / (along * across)))
+        return float(
+            max(abs(math.log(along / across)), abs(local[:, 0] @ local[:, 1]) / (along * across))
+        )
 
 
 def pose_matrix(pose: Pose) -> NDArray[np.float64]:
@@ -98,7 +101,9 @@ def _cut(template: Template) -> _Pieces:
     return _Pieces(first, last, (first + last) / 2, np.hypot(*(last - first).T), np.array(which))
 
 
-def fit(grey: NDArray[np.float32], template: Template, matrix: NDArray[np.float64], freedom: int) -> Fit:
+def fit(
+    grey: NDArray[np.float32], template: Template, matrix: NDArray[np.float64], freedom: int
+) -> Fit:
     """Fit a template to the lines of an image.
 
     Args:
@@ -139,7 +144,8 @@ def _seen(
     points = (1 - at) * starts + at * ends  # [count, pieces, 2]
     across = np.arange(-reach_px - _FLANK_PX, reach_px + _FLANK_PX + _STEP_PX / 2, _STEP_PX)
     normals = _normals(starts, ends)
-    where = np.empty((2, count, len(starts), len(across)), np.float32)  # planes take a third of the time of pairs
+    # planes take a third of the time of pairs
+    where = np.empty((2, count, len(starts), len(across)), np.float32)
     for axis, plane in enumerate(where):
         np.add(points[:, :, None, axis], across * normals[:, None, axis], out=plane)
     x, y = where.reshape(2, count, -1)
@@ -151,7 +157,10 @@ def _seen(
     peak = ridge.argmax(axis=1)
     each = np.arange(len(peak))
     height = ridge[each, peak]
-    left, right = ridge[each, np.maximum(peak - 1, 0)], ridge[each, np.minimum(peak + 1, ridge.shape[1] - 1)]
+    left, right = (
+        ridge[each, np.maximum(peak - 1, 0)],
+        ridge[each, np.minimum(peak + 1, ridge.shape[1] - 1)],
+    )
     bend = np.minimum(left - 2 * height + right, -1e-6)
     shift = np.clip((left - right) / (2 * bend), -0.5, 0.5)
     offsets = across[flank:-flank][peak] + shift * _STEP_PX

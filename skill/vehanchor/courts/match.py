@@ -1,8 +1,8 @@
 """Templates of courts, and their matching: a whole template is tried at every nearby position, angle and size.
 
-A template has the painted lines in metres, by the rules of the game. The origin is the centre of the court, and x runs
-along it. Rules measure to the outside of lines, a fit finds their middle. The templates are therefore smaller by half a
-line's usual width.
+A template has the painted lines in metres, by the rules of the game. The origin is the centre of
+the court, and x runs along it. Rules measure to the outside of lines, a fit finds their middle. The
+templates are therefore smaller by half a line's usual width.
 """
 
 from __future__ import annotations
@@ -52,7 +52,9 @@ def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.f
     Returns:
         Two ``[h, w]`` maps in 0..1: lines along rows, and lines along columns.
     """
-    texture = cv2.blur(cv2.absdiff(grey, cv2.blur(grey, (_SMOOTH_PX, _SMOOTH_PX))), (_TEXTURE_PX, _TEXTURE_PX))
+    texture = cv2.blur(
+        cv2.absdiff(grey, cv2.blur(grey, (_SMOOTH_PX, _SMOOTH_PX))), (_TEXTURE_PX, _TEXTURE_PX)
+    )
     contrast = np.maximum(texture * np.float32(_CONTRAST_PER_TEXTURE), np.float32(_LEAST_CONTRAST))
     d = _HALF_LINE_PX
     wide = cv2.copyMakeBorder(grey, d, d, d, d, cv2.BORDER_REPLICATE)
@@ -74,23 +76,30 @@ def match(
     Args:
         grey: ``[h, w]`` grey levels around the pose.
         templates: templates of the possible courts.
-        start: centre of the search; its size belongs to the first template, the others are scaled to the same length.
+        start: centre of the search; its size belongs to the first template, the others are scaled
+            to the same length.
         log_sizes: logarithms of the size ratios to try, rising.
         places: pixels to try to either side, along and across, rising.
         angles: to try, radians.
 
     Returns:
-        The best score and pose for each template. The score, at most 1, is the share of the template that lies on
-        lines, minus the share of its blank segments that does.
+        The best score and pose for each template. The score, at most 1, is the share of the
+        template that lies on lines, minus the share of its blank segments that does.
     """
     best = [(-1.0, start)] * len(templates)
-    sizes = [start.px_per_m * templates[0].length_m / template.length_m * np.exp(log_sizes) for template in templates]
+    sizes = [
+        start.px_per_m * templates[0].length_m / template.length_m * np.exp(log_sizes)
+        for template in templates
+    ]
     halves = [
         (np.array([template.length_m, template.width_m]) / 2 + _MARGIN_M) * each[-1]
         for template, each in zip(templates, sizes, strict=True)
     ]
     half_x, half_y = (int(half) for half in np.ceil(np.max(halves, axis=0)) + places[-1] + 2)
-    ends = [_Ends.of(template, each, places, half_x, half_y) for template, each in zip(templates, sizes, strict=True)]
+    ends = [
+        _Ends.of(template, each, places, half_x, half_y)
+        for template, each in zip(templates, sizes, strict=True)
+    ]
     for angle in angles:
         sums = _turned_sums(grey, start, angle, half_x, half_y)
         cos, sin = np.cos(angle), np.sin(angle)
@@ -103,11 +112,13 @@ def match(
     return best
 
 
-def _turned_sums(grey: NDArray[np.float32], start: Pose, angle: float, half_x: int, half_y: int) -> NDArray[np.float32]:
+def _turned_sums(
+    grey: NDArray[np.float32], start: Pose, angle: float, half_x: int, half_y: int
+) -> NDArray[np.float32]:
     """Compute cumulative sums of the lines around a pose, rotated so that the court lies along rows; flattened.
 
-    Rows have ``2 half_x + 2`` values. The first ``2 half_y + 1`` rows hold lines along rows, the next ``2 half_y + 2``
-    lines across, whose last column is empty.
+    Rows have ``2 half_x + 2`` values. The first ``2 half_y + 1`` rows hold lines along rows, the
+    next ``2 half_y + 2`` lines across, whose last column is empty.
     """
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = start.x - cos * half_x + sin * half_y, start.y - sin * half_x - cos * half_y
@@ -121,7 +132,8 @@ def _turned_sums(grey: NDArray[np.float32], start: Pose, angle: float, half_x: i
     along, across = ridges(np.asarray(turned, np.float32))
     rows, columns = along.shape
     sums = np.zeros((2 * rows + 1, columns + 1), np.float32)
-    np.cumsum(cv2.dilate(along, np.ones((3, 1))), axis=1, out=sums[:rows, 1:])  # tolerates an offset of one pixel
+    # tolerates an offset of one pixel
+    np.cumsum(cv2.dilate(along, np.ones((3, 1))), axis=1, out=sums[:rows, 1:])
     np.cumsum(cv2.dilate(across, np.ones((1, 3))), axis=0, out=sums[rows + 1 :, :-1])
     return sums.ravel()
 
@@ -132,7 +144,8 @@ class _Ends(NamedTuple):
     Attributes:
         first: ``[sizes, lines]`` index of each segment's start.
         last: ``[sizes, lines]`` index of each segment's end.
-        weights: ``[sizes, lines]`` share of the score divided by the length in pixels; negative for blanks.
+        weights: ``[sizes, lines]`` share of the score divided by the length in pixels; negative for
+            blanks.
         shift: ``[places, places]`` offsets of the indices for a court that far down and across.
     """
 
@@ -143,7 +156,12 @@ class _Ends(NamedTuple):
 
     @classmethod
     def of(
-        cls, template: Template, sizes: NDArray[np.float64], places: NDArray[np.intp], half_x: int, half_y: int
+        cls,
+        template: Template,
+        sizes: NDArray[np.float64],
+        places: NDArray[np.intp],
+        half_x: int,
+        half_y: int,
     ) -> _Ends:
         """Compute the indices of a template for every size."""
         lines = np.concatenate([template.lines, template.blank])
@@ -163,7 +181,9 @@ class _Ends(NamedTuple):
         """Find the best score over all positions, and the indices of its size, row and column."""
         scores = np.zeros((len(self.first), *self.shift.shape), np.float32)
         for line, first, last in zip(self.weights.T, self.first.T, self.last.T, strict=True):
-            seen = sums.take(last[:, None, None] + self.shift) - sums.take(first[:, None, None] + self.shift)
+            seen = sums.take(last[:, None, None] + self.shift) - sums.take(
+                first[:, None, None] + self.shift
+            )
             scores += line[:, None, None] * seen
         size, row, column = np.unravel_index(int(scores.argmax()), scores.shape)
         return float(scores[size, row, column]), int(size), int(row), int(column)
@@ -178,7 +198,8 @@ class Template:
         length_m: length to the outside of the lines.
         width_m: width to the outside of the lines.
         lines: ``[n, 4]`` straight lines along or across the court, used to find it.
-        blank: ``[n, 4]`` segments without paint between and around the lines; lines there are a car park's or a roof's.
+        blank: ``[n, 4]`` segments without paint between and around the lines; lines there are a car
+            park's or a roof's.
         arcs: ``[n, 4]`` all other paint, as short straight pieces.
     """
 
@@ -192,7 +213,10 @@ class Template:
     @property
     def outline(self) -> NDArray[np.float64]:
         """Corners ``[4, 2]`` in metres; the first two bound a long side."""
-        return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * [self.length_m / 2, self.width_m / 2]
+        return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * [
+            self.length_m / 2,
+            self.width_m / 2,
+        ]
 
 
 def _tennis() -> Template:
@@ -231,7 +255,9 @@ def _basketball(kind: str) -> Template:
     basket = length / 2 - 1.575
     arcs = [np.stack([1.8 * np.cos(a := np.linspace(0, 2 * np.pi, 20)), 1.8 * np.sin(a)], axis=1)]
     for end in (-1.0, 1.0):
-        arcs.append(np.stack([end * (basket - reach * np.cos(angles)), reach * np.sin(angles)], axis=1))
+        arcs.append(
+            np.stack([end * (basket - reach * np.cos(angles)), reach * np.sin(angles)], axis=1)
+        )
     pieces = np.concatenate([np.hstack([arc[:-1], arc[1:]]) for arc in arcs])
     return Template(kind, length, width, np.array(lines), np.array(blank), pieces)
 
@@ -240,5 +266,7 @@ TENNIS = _tennis()
 """ITF, Rules of Tennis, rule 1: 23.77 x 10.97 m for doubles, 8.23 m wide for singles, service lines 6.40 m from the
 net."""
 
-BASKETBALL = tuple(_basketball(kind) for kind in ("basketball_fiba", "basketball_nba", "basketball_ncaa"))
+BASKETBALL = tuple(
+    _basketball(kind) for kind in ("basketball_fiba", "basketball_nba", "basketball_ncaa")
+)
 """FIBA, Official Basketball Rules, article 2: 28 x 15 m; NBA and NCAA rule books, rule 1: 94 x 50 ft."""

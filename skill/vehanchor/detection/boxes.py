@@ -1,7 +1,8 @@
 """Oriented boxes: geometry, exact IoU and non-maximum suppression.
 
-A box is a row ``(x, y, length, width, angle)``: centre in pixels, the two sides in pixels with ``length >= width``, and
-the angle of the long side in radians, counted from +x towards +y (image axes: x right, y down), in [0, pi).
+A box is a row ``(x, y, length, width, angle)``: centre in pixels, the two sides in pixels with
+``length >= width``, and the angle of the long side in radians, counted from +x towards +y (image
+axes: x right, y down), in [0, pi).
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from vehanchor.scale.defaults import NMS_IOU
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-_PARALLEL_RAD = 2e-4  # at smaller angles the closed form for parallel boxes errs by less than 0.001 in IoU
+# at smaller angles the closed form for parallel boxes errs by less than 0.001 in IoU
+_PARALLEL_RAD = 2e-4
 _BLOCK_OVERLAPS = 16_384  # pairs whose overlaps are computed at once, in 30 MiB
 _FEW_PAIRS = 1 << 20  # that are compared at once, in 30 MiB
 _MOST_CELLS = 1 << 20  # of a column, and columns
@@ -28,7 +30,8 @@ def canonical_boxes(boxes: ArrayLike) -> NDArray[np.float64]:
     """Convert boxes to canonical form: the long side first, the angle in [0, pi).
 
     Args:
-        boxes: ``[n, 5]`` rows ``(x, y, w, h, angle)``, the angle of the ``w`` side in radians; ``w >= h`` not required.
+        boxes: ``[n, 5]`` rows ``(x, y, w, h, angle)``, the angle of the ``w`` side in radians; ``w
+            >= h`` not required.
 
     Returns:
         ``[n, 5]`` float64, the same rectangles as ``(x, y, length, width, angle)``.
@@ -56,7 +59,13 @@ def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
     across = rows[:, 3:4] / 2 * np.stack([-np.sin(rows[:, 4]), np.cos(rows[:, 4])], axis=1)
     centre = rows[:, :2]
     return np.stack(
-        [centre - along - across, centre + along - across, centre + along + across, centre - along + across], axis=1
+        [
+            centre - along - across,
+            centre + along - across,
+            centre + along + across,
+            centre - along + across,
+        ],
+        axis=1,
     )
 
 
@@ -93,11 +102,14 @@ def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray
     cosine, sine = np.cos(turn), np.sin(turn)
     shift = _turned((second[:, :2] - first[:, :2]).T, np.cos(first[:, 4]), -np.sin(first[:, 4]))
     half_a, half_b = first[:, 2:4].T / 2, second[:, 2:4].T / 2
-    along_b = np.where(np.abs(cosine) < np.abs(sine), half_b[::-1], half_b)  # of parallel boxes, in the frames of a
+    # of parallel boxes, in the frames of a
+    along_b = np.where(np.abs(cosine) < np.abs(sine), half_b[::-1], half_b)
     sides = np.clip(half_a + along_b - np.abs(shift), 0, 2 * np.minimum(half_a, along_b))
     parallel = np.minimum(np.abs(cosine), np.abs(sine)) < _PARALLEL_RAD
     with np.errstate(divide="ignore", invalid="ignore"):  # of boxes without a width
-        shared = np.where(parallel, sides[0] * sides[1], _slanted_overlap(half_a, half_b, shift, cosine, sine))
+        shared = np.where(
+            parallel, sides[0] * sides[1], _slanted_overlap(half_a, half_b, shift, cosine, sine)
+        )
         iou = shared / (4 * (half_a.prod(axis=0) + half_b.prod(axis=0)) - shared)
     return np.asarray(np.clip(np.nan_to_num(iou, nan=0.0), 0.0, 1.0))
 
@@ -119,8 +131,8 @@ def _slanted_overlap(
 ) -> NDArray[np.float64]:
     """Compute the area that boxes with no parallel sides share, by Green's theorem.
 
-    The shared polygon is bounded by the parts of each box's edges that lie in the other box. Each part adds half the
-    cross product of its ends about the first centre.
+    The shared polygon is bounded by the parts of each box's edges that lie in the other box. Each
+    part adds half the cross product of its ends about the first centre.
 
     Args:
         half_a: ``[2, k]`` half sides of the first boxes.
@@ -132,15 +144,21 @@ def _slanted_overlap(
     Returns:
         ``[k]`` areas.
     """
-    signs = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]])[:, :, None]  # of the corners, in order around the box
+    # of the corners, in order around the box
+    signs = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]])[:, :, None]
     corners_b = shift[:, None] + _turned(signs * half_b[:, None], cosine, sine)
     corners_a = _turned(signs * half_a[:, None] - shift[:, None], cosine, -sine)
     edges_b = np.roll(corners_b, -1, axis=1) - corners_b
     edges_a = np.roll(corners_a, -1, axis=1) - corners_a
     cross_b = corners_b[0] * edges_b[1] - corners_b[1] * edges_b[0]
     cross_a = 2 * half_a.prod(axis=0)  # of every edge
-    shares_b, shares_a = _share_inside(corners_b, edges_b, half_a), _share_inside(corners_a, edges_a, half_b)
-    area: NDArray[np.float64] = ((shares_b * cross_b).sum(axis=0) + shares_a.sum(axis=0) * cross_a) / 2
+    shares_b, shares_a = (
+        _share_inside(corners_b, edges_b, half_a),
+        _share_inside(corners_a, edges_a, half_b),
+    )
+    area: NDArray[np.float64] = (
+        (shares_b * cross_b).sum(axis=0) + shares_a.sum(axis=0) * cross_a
+    ) / 2
     return area
 
 
@@ -149,8 +167,13 @@ def _share_inside(
 ) -> NDArray[np.float64]:
     """Compute the share ``[4, k]`` of each edge ``[2, 4, k]`` from its corner that lies in a box around the origin."""
     sides = half[:, None]
-    enter, leave = (-np.copysign(sides, edges) - corners) / edges, (np.copysign(sides, edges) - corners) / edges
-    inside: NDArray[np.float64] = np.minimum(leave.min(axis=0), 1) - np.maximum(enter.max(axis=0), 0)
+    enter, leave = (
+        (-np.copysign(sides, edges) - corners) / edges,
+        (np.copysign(sides, edges) - corners) / edges,
+    )
+    inside: NDArray[np.float64] = np.minimum(leave.min(axis=0), 1) - np.maximum(
+        enter.max(axis=0), 0
+    )
     return np.maximum(inside, 0)
 
 
@@ -168,12 +191,15 @@ def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     out = np.zeros((len(first), len(second)))
     radii_a, radii_b = (np.hypot(rows[:, 2], rows[:, 3]) / 2 for rows in (first, second))
     for column, box, radius in zip(out.T, second, radii_b, strict=True):
-        near = np.hypot(*(first[:, :2] - box[:2]).T) < radii_a + radius  # no other circumscribed circles intersect
+        # no other circumscribed circles intersect
+        near = np.hypot(*(first[:, :2] - box[:2]).T) < radii_a + radius
         column[near] = pair_iou(first[near], np.broadcast_to(box, first[near].shape))
     return out
 
 
-def box_axes(boxes: NDArray[np.float64]) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
+def box_axes(
+    boxes: NDArray[np.float64],
+) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
     """Compute the ends of the long and of the short axis of boxes.
 
     Args:
@@ -188,13 +214,16 @@ def box_axes(boxes: NDArray[np.float64]) -> tuple[tuple[NDArray[np.float64], NDA
     return tuple((boxes[:, :2] - reach, boxes[:, :2] + reach) for reach in reaches)
 
 
-def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = NMS_IOU) -> NDArray[np.intp]:
+def oriented_nms(
+    boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = NMS_IOU
+) -> NDArray[np.intp]:
     """Suppress non-maximum boxes greedily with exact oriented IoU.
 
-    Boxes are visited by falling score; equal scores by position and size, independent of the input's order. A box is
-    dropped if its IoU with a kept box exceeds ``iou_threshold``. Two upper bounds of the IoU preselect pairs: the
-    distance of the centres (within and between size classes), and the ratio of areas. The exact IoU is computed only
-    for the remaining pairs with kept boxes.
+    Boxes are visited by falling score; equal scores by position and size, independent of the
+    input's order. A box is dropped if its IoU with a kept box exceeds ``iou_threshold``. Two upper
+    bounds of the IoU preselect pairs: the distance of the centres (within and between size
+    classes), and the ratio of areas. The exact IoU is computed only for the remaining pairs with
+    kept boxes.
 
     Args:
         boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``.
@@ -205,7 +234,8 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
         Indices into ``boxes`` of those kept, from the highest score down.
 
     Raises:
-        ModelContractError: too many boxes overlap; time and memory grow with the square of their number.
+        ModelContractError: too many boxes overlap; time and memory grow with the square of their
+            number.
     """
     rows = canonical_boxes(boxes)
     score = np.asarray(scores, dtype=np.float64).reshape(-1)
@@ -229,20 +259,35 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
 
 
 def _overlapping(
-    rows: NDArray[np.float64], better: NDArray[np.intp], worse: NDArray[np.intp], iou_threshold: float
+    rows: NDArray[np.float64],
+    better: NDArray[np.intp],
+    worse: NDArray[np.intp],
+    iou_threshold: float,
 ) -> NDArray[np.intp]:
     """List the worse boxes of the pairs whose IoU exceeds the threshold."""
-    blocks = [slice(start, start + _BLOCK_OVERLAPS) for start in range(0, len(better), _BLOCK_OVERLAPS)]
+    blocks = [
+        slice(start, start + _BLOCK_OVERLAPS) for start in range(0, len(better), _BLOCK_OVERLAPS)
+    ]
     return np.concatenate(
-        [worse[:0], *(worse[each][pair_iou(rows[better[each]], rows[worse[each]]) > iou_threshold] for each in blocks)]
+        [
+            worse[:0],
+            *(
+                worse[each][pair_iou(rows[better[each]], rows[worse[each]]) > iou_threshold]
+                for each in blocks
+            ),
+        ]
     )
 
 
-def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _overlap_candidates(
+    rows: NDArray[np.float64], iou_threshold: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """List the pairs, the earlier box first, that may exceed the threshold, by distance and area ratio."""
     area, radius = rows[:, 2] * rows[:, 3], np.maximum(np.hypot(rows[:, 2], rows[:, 3]) / 2, 1e-6)
-    share = iou_threshold / (1 + iou_threshold) * (1 - 1e-9)  # of both areas, which the boxes share at least
-    # Two boxes share at most 2 r min(r) of their circles, where r is the overlap along the line of the centres.
+    # of both areas, which the boxes share at least
+    share = iou_threshold / (1 + iou_threshold) * (1 - 1e-9)
+    # Two boxes share at most 2 r min(r) of their circles, where r is the overlap along the line of
+    # the centres.
     reach = radius - share * area / (2 * radius)
     size_class = np.floor(np.log2(reach)).astype(int)
     members = [np.flatnonzero(size_class == each) for each in np.unique(size_class)]
@@ -252,7 +297,9 @@ def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> tupl
         pairs = np.stack([c[i], d[j]])
         found.append(pairs[:, i < j] if c is d else pairs)
     first, second = np.concatenate(found, axis=1)
-    possible = np.minimum(area[first], area[second]) > iou_threshold * np.maximum(area[first], area[second])
+    possible = np.minimum(area[first], area[second]) > iou_threshold * np.maximum(
+        area[first], area[second]
+    )
     possible &= np.hypot(*(rows[second, :2] - rows[first, :2]).T) <= reach[first] + reach[second]
     better, worse = np.sort([first[possible], second[possible]], axis=0)
     return better, worse
@@ -263,7 +310,8 @@ def _near_pairs(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Find all pairs with a distance of at most ``reach``.
 
-    Points are numbered by cells that are as wide as the reach; a k-d tree of ``scipy`` takes 0.3 s to import.
+    Points are numbered by cells that are as wide as the reach; a k-d tree of ``scipy`` takes 0.3 s
+    to import.
 
     Args:
         first: ``[n, 2]`` x, y.
@@ -274,23 +322,28 @@ def _near_pairs(
         Indices ``[k]`` into ``first`` and into ``second``, in no particular order.
 
     Raises:
-        ModelContractError: too many points are near each other; time and memory grow with the square of their number.
+        ModelContractError: too many points are near each other; time and memory grow with the
+            square of their number.
     """
     points = np.concatenate([first, second]) - np.minimum(first.min(axis=0), second.min(axis=0))
     cells = (points / max(reach, points.max() / _MOST_CELLS)).astype(np.int64) + 1
     own, others = np.split(cells @ (2 * _MOST_CELLS, 1), [len(first)])
     order = np.argsort(others)
-    middles = (own[:, None] + np.array([-2, 0, 2]) * _MOST_CELLS).ravel()  # of three cells in each of three columns
+    # of three cells in each of three columns
+    middles = (own[:, None] + np.array([-2, 0, 2]) * _MOST_CELLS).ravel()
     low = np.searchsorted(others, middles - 1, sorter=order)
     n = np.searchsorted(others, middles + 1, "right", order) - low
     found = []
-    for k in np.split(np.arange(len(n)), np.searchsorted(np.cumsum(n), np.arange(_FEW_PAIRS, n.sum(), _FEW_PAIRS))):
+    for k in np.split(
+        np.arange(len(n)), np.searchsorted(np.cumsum(n), np.arange(_FEW_PAIRS, n.sum(), _FEW_PAIRS))
+    ):
         i = np.repeat(k // 3, n[k])
         j = order[np.arange(len(i)) + np.repeat(low[k] - np.cumsum(n[k]) + n[k], n[k])]
         found.append(np.stack([i, j])[:, np.hypot(*(first[i] - second[j]).T) <= reach])
         if sum(each.shape[1] for each in found) > _MOST_PAIRS:
             raise ModelContractError(
-                f"more than {_MOST_PAIRS} pairs of the detector's {len(first)} boxes may overlap: it is not a vehicle "
+                f"more than {_MOST_PAIRS} pairs of the detector's {len(first)} boxes may "
+                "overlap: it is not a vehicle "
                 "detector, or min_score is too low"
             )
     i, j = np.concatenate(found, axis=1)

@@ -16,7 +16,8 @@ from vehanchor.scale.density import Votes
 
 MIN_SCORE = 0.1  # paper, section III-B
 REFERENCE_LENGTH_M = 5.045  # paper, section III-F: KDE mode of the DOTA v1.5 training labels
-REFERENCE_LENGTH_SD_M = 0.25  # the paper's +-0.5 m sweep taken as two standard deviations between regions
+# the paper's +-0.5 m sweep taken as two standard deviations between regions
+REFERENCE_LENGTH_SD_M = 0.25
 LENGTH_RANGE_PX = (9.0, 120.0)  # small vehicles in DOTA's training tiles of 1024 px
 _REGION_RATIOS = {"europe": 4.5 / 5.045, "north_america": 5.5 / 5.045}  # paper, section IV-D
 _STRIDE_PX = 32  # of every YOLO's coarsest layer
@@ -33,7 +34,8 @@ def _literal(text: Any) -> Any:
         return text
     try:
         value = ast.literal_eval(text or "{}")
-    except (SyntaxError, TypeError, MemoryError, RecursionError):  # the last two for too many brackets
+    # the last two for too many brackets
+    except (SyntaxError, TypeError, MemoryError, RecursionError):
         raise ValueError("no Python value") from None
     return dict(enumerate(value)) if isinstance(value, (list, tuple)) else value
 
@@ -45,7 +47,9 @@ def _rising(value: tuple[float, float]) -> tuple[float, float]:
 
 
 _LENGTHS = f"{LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m"
-_JSON = BeforeValidator(lambda text: from_json(text.encode(errors="replace")) if isinstance(text, str) else text)
+_JSON = BeforeValidator(
+    lambda text: from_json(text.encode(errors="replace")) if isinstance(text, str) else text
+)
 _LIST = BeforeValidator(lambda text: text.split(",") if isinstance(text, str) else text)
 _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
 _VehicleSpread = Annotated[float, Field(ge=0, le=LARGEST_VEHICLE_M)]
@@ -58,7 +62,9 @@ _ClassIndex = Annotated[int, Field(ge=0)]
 class _Card(BaseModel):
     """Frozen record of finite numbers; fields with a description are in the metadata, as text."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, coerce_numbers_to_str=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, coerce_numbers_to_str=True
+    )
 
 
 _CardT = TypeVar("_CardT", bound=_Card)
@@ -95,36 +101,51 @@ class DetectorCard(_Card):
         search_scales: whether the model should also run at reduced resolutions.
         aggregation: default rule for the modal length.
         stride_px: the sides of the input are multiples of it.
-        bodies: lengths of cars' bodies; None without a chip network, when the lengths are those of boxes.
-        verifier_sha256: checksum of the verifier's file; None without one. With a verifier, ``min_score`` is the
-            verifier's.
+        bodies: lengths of cars' bodies; None without a chip network, when the lengths are those of
+            boxes.
+        verifier_sha256: checksum of the verifier's file; None without one. With a verifier,
+            ``min_score`` is the verifier's.
         chips_sha256: checksum of the chip network's file; None without one.
-        votes: calibration of the boxes' votes; None if it was never fitted, as for other people's models.
+        votes: calibration of the boxes' votes; None if it was never fitted, as for other people's
+            models.
     """
 
     name: Annotated[str, Field(description="a name")]
     sha256: str
     class_names: Annotated[
-        dict[_ClassIndex, str], BeforeValidator(_literal), Field(description="a Python dict of class names")
+        dict[_ClassIndex, str],
+        BeforeValidator(_literal),
+        Field(description="a Python dict of class names"),
     ] = {}
     reference_length_m: Annotated[_VehicleLength, Field(description=_LENGTHS)] = REFERENCE_LENGTH_M
-    reference_length_sd_m: Annotated[_VehicleSpread, Field(description="metres >= 0")] = REFERENCE_LENGTH_SD_M
+    reference_length_sd_m: Annotated[_VehicleSpread, Field(description="metres >= 0")] = (
+        REFERENCE_LENGTH_SD_M
+    )
     region_lengths_m: Annotated[
         dict[str, _VehicleLength], _JSON, Field(description=f"a JSON object of lengths, {_LENGTHS}")
     ] = {}
     length_range_px: Annotated[
-        tuple[_LengthPx, _LengthPx], _LIST, AfterValidator(_rising), Field(description="pixels, 'shortest,longest'")
+        tuple[_LengthPx, _LengthPx],
+        _LIST,
+        AfterValidator(_rising),
+        Field(description="pixels, 'shortest,longest'"),
     ] = LENGTH_RANGE_PX
     min_length_px: Annotated[float, Field(ge=0, le=_MAX_LENGTH_PX, description="pixels >= 0")] = 0.0
     min_score: _Share = MIN_SCORE
     licence: Annotated[str | None, Field(description="a name")] = None
     search_scales: Annotated[bool, Field(description="0 or 1")] = False
-    aggregation: Annotated[Aggregation, Field(description=f"one of {', '.join(get_args(Aggregation))}")] = "kde"
-    stride_px: Annotated[int, Field(ge=1, le=_MAX_STRIDE_PX, description="a whole number >= 1")] = _STRIDE_PX
+    aggregation: Annotated[
+        Aggregation, Field(description=f"one of {', '.join(get_args(Aggregation))}")
+    ] = "kde"
+    stride_px: Annotated[int, Field(ge=1, le=_MAX_STRIDE_PX, description="a whole number >= 1")] = (
+        _STRIDE_PX
+    )
     bodies: BodyLengths | None = None
     verifier_sha256: str | None = None
     chips_sha256: str | None = None
-    votes: Annotated[Votes | None, _JSON, Field(description="a JSON object of the fields of Votes")] = None
+    votes: Annotated[
+        Votes | None, _JSON, Field(description="a JSON object of the fields of Votes")
+    ] = None
 
 
 class AuxiliaryCard(_Card):
@@ -143,8 +164,8 @@ class VerifierCard(AuxiliaryCard):
     """Model card of a verifier.
 
     Attributes:
-        weights: terms of the combined score's logit: weight of the detector's logit, weight of the verifier's logit,
-            bias, and weight of the size odds (0 if it is missing).
+        weights: terms of the combined score's logit: weight of the detector's logit, weight of the
+            verifier's logit, bias, and weight of the size odds (0 if it is missing).
         least_score: detections with at least this detector score are candidates.
         min_score: candidates with a lower combined score are dropped.
     """
@@ -162,22 +183,31 @@ class ChipCard(AuxiliaryCard):
     """Model card of a chip network.
 
     Attributes:
-        weights: terms of the combined score's logit: weight of the search's logit, weight of the chip network's logit,
-            and bias. The search's logit includes the size odds.
+        weights: terms of the combined score's logit: weight of the search's logit, weight of the
+            chip network's logit, and bias. The search's logit includes the size odds.
         least_score: detections with at least this score of the search are candidates.
         bodies: lengths of cars' bodies.
     """
 
-    weights: Annotated[tuple[_Weight, _Weight, float], _LIST, Field(description="three numbers, 'search,chips,bias'")]
+    weights: Annotated[
+        tuple[_Weight, _Weight, float],
+        _LIST,
+        Field(description="three numbers, 'search,chips,bias'"),
+    ]
     least_score: _Share
     bodies: Annotated[
         BodyLengths,
         _JSON,
-        Field(description=f"a JSON object of {', '.join(BodyLengths.model_fields)}: lengths of {_LENGTHS}"),
+        Field(
+            description=f"a JSON object of {', '.join(BodyLengths.model_fields)}: lengths of "
+            f"{_LENGTHS}"
+        ),
     ]
 
 
-def read_card(kind: type[_CardT], path: Path, sha256: str, metadata: Mapping[str, str], **defaults: str) -> _CardT:
+def read_card(
+    kind: type[_CardT], path: Path, sha256: str, metadata: Mapping[str, str], **defaults: str
+) -> _CardT:
     """Read the model card of a file.
 
     Args:
@@ -194,7 +224,9 @@ def read_card(kind: type[_CardT], path: Path, sha256: str, metadata: Mapping[str
         ModelContractError: an entry is missing or invalid.
     """
     keys = {
-        name: _KEYS.get(name, f"vehanchor.{name}") for name, field in kind.model_fields.items() if field.description
+        name: _KEYS.get(name, f"vehanchor.{name}")
+        for name, field in kind.model_fields.items()
+        if field.description
     }
     stated = {name: metadata[key] for name, key in keys.items() if key in metadata}
     wrong = next((name for name, text in stated.items() if len(text) > _MAX_TEXT), None)
@@ -203,7 +235,11 @@ def read_card(kind: type[_CardT], path: Path, sha256: str, metadata: Mapping[str
             return kind(**{**defaults, **stated, "sha256": sha256})
         except ValidationError as error:
             wrong = str(error.errors()[0]["loc"][0])
-    found = f"metadata {keys[wrong]!r} is {stated[wrong][:80]!r}" if wrong in stated else f"no metadata {keys[wrong]!r}"
+    found = (
+        f"metadata {keys[wrong]!r} is {stated[wrong][:80]!r}"
+        if wrong in stated
+        else f"no metadata {keys[wrong]!r}"
+    )
     raise ModelContractError(f"{path}: {found}: expected {kind.model_fields[wrong].description}")
 
 
@@ -231,12 +267,17 @@ def read_detector_card(
     """
     card = read_card(DetectorCard, path, sha256, metadata, name=path.stem)
     lengths = {name: card.reference_length_m * ratio for name, ratio in _REGION_RATIOS.items()}
-    regions = {name: length for name, length in lengths.items() if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M}
+    regions = {
+        name: length
+        for name, length in lengths.items()
+        if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M
+    }
     values: dict[str, Any] = {"region_lengths_m": regions | card.region_lengths_m}
     for network, kind in ((verifier, "verifier"), (chips, "chip network")):
         if network is not None and network.detector != card.name:
             raise ModelContractError(
-                f"the {kind} of {path} was made for the detector {network.detector!r}, and this is {card.name!r}: "
+                f"the {kind} of {path} was made for the detector {network.detector!r}, and this "
+                f"is {card.name!r}: "
                 "remove its file, or state this name in its metadata 'vehanchor.detector'"
             )
     if verifier is not None:

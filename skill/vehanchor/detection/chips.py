@@ -1,7 +1,8 @@
 """Chip network: an auxiliary model that looks at candidates, and says whether each is a car, and how large its body is.
 
-A chip shows 2.7 candidate lengths along the axis and 1.8 across. A candidate's box says where a car is. The edges say
-how long and how wide its body is in pixels; the appearance says how long and how wide it is in metres.
+A chip shows 2.7 candidate lengths along the axis and 1.8 across. A candidate's box says where a car
+is. The edges say how long and how wide its body is in pixels; the appearance says how long and how
+wide it is in metres.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ _REACH = 2.1  # candidate lengths from the centre to the farthest pixel that the
 _LEAST_LENGTH_PX = 1.5 * CHIP_LENGTH_PX  # of a candidate where it is read; more detail is averaged
 _MIRRORS = ((1, 1), (-1, -1), (1, -1), (-1, 1))  # along and across the candidate's axis
 _BATCH = 16  # chips per run: bounds the memory
-_LEAST_SIZE, _MOST_SIZE = (0.5, 0.15), (1.6, 0.9)  # length and width in candidate lengths: the limits of the training
+# length and width in candidate lengths: the limits of the training
+_LEAST_SIZE, _MOST_SIZE = (0.5, 0.15), (1.6, 0.9)
 _CUT_LOG_SD = 1.0  # of a length or width that the image's border cuts: it tells nothing; a choice
 
 
@@ -40,11 +42,12 @@ class ChipAnswers(NamedTuple):
     Attributes:
         logit: ``[n]`` log odds of a small vehicle in a fitting box, before calibration.
         kinds: ``[n, 10]`` probabilities of ``KINDS``.
-        edges: ``[n, 4]`` both ends along and both sides across the body's axis, from the candidate's centre, in
-            candidate lengths; without mirrors and shadow.
+        edges: ``[n, 4]`` both ends along and both sides across the body's axis, from the
+            candidate's centre, in candidate lengths; without mirrors and shadow.
         edge_sd: ``[n, 4]`` their standard deviations.
         turn: ``[n]`` angle from the candidate's axis to the body's, radians.
-        log_metres: ``[n, 2]`` log of the body's length and width in metres that the appearance suggests.
+        log_metres: ``[n, 2]`` log of the body's length and width in metres that the appearance
+            suggests.
         metres_sd: ``[n, 2]`` their standard deviations.
     """
 
@@ -59,7 +62,9 @@ class ChipAnswers(NamedTuple):
     @property
     def sizes(self) -> NDArray[np.float64]:
         """``[n, 2]`` length and width in candidate lengths."""
-        return np.asarray(np.clip(self.edges[:, 1::2] - self.edges[:, ::2], _LEAST_SIZE, _MOST_SIZE))
+        return np.asarray(
+            np.clip(self.edges[:, 1::2] - self.edges[:, ::2], _LEAST_SIZE, _MOST_SIZE)
+        )
 
     @property
     def log_size_sd(self) -> NDArray[np.float64]:
@@ -80,7 +85,9 @@ def bodies(boxes: NDArray[np.float64], answers: ChipAnswers) -> NDArray[np.float
     length, angle = boxes[:, 2], boxes[:, 4] + answers.turn
     along, across = ((answers.edges[:, k] + answers.edges[:, k + 1]) / 2 * length for k in (0, 2))
     cosine, sine = np.cos(angle), np.sin(angle)
-    centre = boxes[:, :2] + np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=1)
+    centre = boxes[:, :2] + np.stack(
+        [cosine * along - sine * across, sine * along + cosine * across], axis=1
+    )
     return canonical_boxes(np.column_stack([centre, answers.sizes * length[:, None], angle]))
 
 
@@ -93,7 +100,8 @@ def looked_at(
         network: looks at their chips.
         raster: the image.
         found: candidates of a search, best first.
-        most: number of candidates to look at; the boxes of the others change by the medians of these.
+        most: number of candidates to look at; the boxes of the others change by the medians of
+            these.
         mirrored: whether to look at each in four mirrored views, which are steadier than one.
 
     Returns:
@@ -115,8 +123,8 @@ def looked_at(
 def looks(boxes: NDArray[np.float64], answers: ChipAnswers, image_px: tuple[int, int]) -> Looks:
     """Compare the sizes of bodies in pixels with their metres by appearance.
 
-    Length and width count by the precision of their edges. The image's border cuts a body's length, its width or both;
-    what is cut counts as unknown.
+    Length and width count by the precision of their edges. The image's border cuts a body's length,
+    its width or both; what is cut counts as unknown.
 
     Args:
         boxes: ``[n, 5]`` candidates, pixels and radians.

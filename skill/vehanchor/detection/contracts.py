@@ -1,11 +1,13 @@
 """Output layouts of oriented-box detectors, recognised by the shapes of the outputs, and the classes of vehicles.
 
-=============  ==============================  =========================================================================
-contract       output                          exported by
-=============  ==============================  =========================================================================
-``Raw``        ``[1, 4+classes+1, anchors]``   Ultralytics (YOLOv8, YOLO11 OBB), and the bundled detector
-``EndToEnd``   ``[1, n, 7]``                   Ultralytics with ``nms=True``, or YOLO26 OBB
-=============  ==============================  =========================================================================
+=============  ==============================
+========================================================================= contract       output
+exported by =============  ==============================
+========================================================================= ``Raw``        ``[1,
+4+classes+1, anchors]``   Ultralytics (YOLOv8, YOLO11 OBB), and the bundled detector ``EndToEnd``
+``[1, n, 7]``                   Ultralytics with ``nms=True``, or YOLO26 OBB =============
+==============================
+=========================================================================
 
 To add one, write a subclass of ``DetectorContract`` and add it to ``CONTRACTS``.
 """
@@ -27,8 +29,10 @@ if TYPE_CHECKING:
 
 _VEHICLE_NAMES = ("small vehicle", "car", "vehicle")  # the first that the model has is used
 _DOTA_NAMES = (
-    "plane", "ship", "storage tank", "baseball diamond", "tennis court", "basketball court", "ground track field",
-    "harbor", "bridge", "large vehicle", "small vehicle", "helicopter", "roundabout", "soccer ball field",
+    "plane", "ship", "storage "
+        "tank", "baseball diamond", "tennis court", "basketball court", "ground track field",
+    "harbor", "bridge", "large "
+        "vehicle", "small vehicle", "helicopter", "roundabout", "soccer ball field",
     "swimming pool",
 )  # fmt: skip
 _FIRST_SCORE = 4  # after cx, cy, w, h
@@ -51,7 +55,9 @@ class DetectorContract(ABC):
 
     @classmethod
     @abstractmethod
-    def recognise(cls, shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]) -> Self | None:
+    def recognise(
+        cls, shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]
+    ) -> Self | None:
         """Create the contract for a model with outputs of these shapes; None for another layout.
 
         Args:
@@ -61,14 +67,18 @@ class DetectorContract(ABC):
 
     @abstractmethod
     def objects(
-        self, outputs: Sequence[NDArray[Any]], min_score: float, classes: NDArray[np.intp] | None = None
+        self,
+        outputs: Sequence[NDArray[Any]],
+        min_score: float,
+        classes: NDArray[np.intp] | None = None,
     ) -> Objects:
         """Read the objects from the outputs for one image; sides may be in any order, angles unbounded.
 
         Args:
             outputs: in the order of the shapes.
             min_score: objects with a lower score are left out.
-            classes: each object gets the best of these classes with its score; None for all classes.
+            classes: each object gets the best of these classes with its score; None for all
+                classes.
         """
 
     def ran_out(self, outputs: Sequence[NDArray[Any]]) -> bool:
@@ -90,19 +100,27 @@ class Raw(DetectorContract):
         self.n_classes: int = n_classes
 
     @classmethod
-    def recognise(cls, shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]) -> Raw | None:
+    def recognise(
+        cls, shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]
+    ) -> Raw | None:
         """Recognise the layout by the class names in the metadata, else because anchors outnumber the scores."""
         shape = shapes[0]
         if len(shape) != 3:
             return None
         n_classes = shape[1] - _FEATURES
         if named_classes:
-            # A column has one score for every class from 0 on; any other index would address another value.
+            # A column has one score for every class from 0 on; any other index would address
+            # another value.
             return cls(n_classes) if set(named_classes) == set(range(n_classes)) else None
-        return cls(n_classes) if n_classes >= 1 and shape[1] < shape[2] != _END_TO_END_WIDTH else None
+        return (
+            cls(n_classes) if n_classes >= 1 and shape[1] < shape[2] != _END_TO_END_WIDTH else None
+        )
 
     def objects(
-        self, outputs: Sequence[NDArray[Any]], min_score: float, classes: NDArray[np.intp] | None = None
+        self,
+        outputs: Sequence[NDArray[Any]],
+        min_score: float,
+        classes: NDArray[np.intp] | None = None,
     ) -> Objects:
         """Read the columns; see ``DetectorContract.objects``."""
         output = outputs[0][0]
@@ -123,17 +141,24 @@ class EndToEnd(DetectorContract):
     layout = "[1, n, 7]"
 
     @classmethod
-    def recognise(cls, shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]) -> EndToEnd | None:
+    def recognise(
+        cls, shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]
+    ) -> EndToEnd | None:
         """Recognise rows of seven values; see ``DetectorContract.recognise``."""
         del named_classes
         return cls() if len(shapes[0]) == 3 and shapes[0][2] == _END_TO_END_WIDTH else None
 
     def objects(
-        self, outputs: Sequence[NDArray[Any]], min_score: float, classes: NDArray[np.intp] | None = None
+        self,
+        outputs: Sequence[NDArray[Any]],
+        min_score: float,
+        classes: NDArray[np.intp] | None = None,
     ) -> Objects:
         """Read the rows; see ``DetectorContract.objects``."""
         table = outputs[0][0].astype(np.float64)
-        found = table[(table[:, 4] >= max(min_score, _LEAST_SCORE)) & (np.abs(table[:, 5]) < _MOST_CLASSES)]
+        found = table[
+            (table[:, 4] >= max(min_score, _LEAST_SCORE)) & (np.abs(table[:, 5]) < _MOST_CLASSES)
+        ]
         if classes is not None:
             found = found[np.isin(found[:, 5].astype(np.intp), classes)]
         return Objects(found[:, [0, 1, 2, 3, 6]], found[:, 4], found[:, 5].astype(np.intp))
@@ -147,7 +172,9 @@ class EndToEnd(DetectorContract):
 CONTRACTS: tuple[type[DetectorContract], ...] = (Raw, EndToEnd)
 
 
-def recognise_contract(shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]) -> DetectorContract:
+def recognise_contract(
+    shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]
+) -> DetectorContract:
     """Recognise the contract of a model by its outputs; arguments as in ``DetectorContract.recognise``.
 
     Returns:
@@ -161,7 +188,8 @@ def recognise_contract(shapes: Sequence[tuple[int, ...]], named_classes: Collect
         if contract is not None:
             return contract
     raise ModelContractError(
-        f"its outputs have shapes {', '.join(str(list(shape)) for shape in shapes)}, with {len(named_classes)} class "
+        f"its outputs have shapes {', '.join(str(list(shape)) for shape in shapes)}, with "
+        f"{len(named_classes)} class "
         f"names in the metadata; expected {' or '.join(kind.layout for kind in CONTRACTS)}"
     )
 
@@ -172,10 +200,11 @@ def vehicle_classes(
     """Find the indices of the classes that count as vehicles.
 
     Args:
-        class_names: class index to name, from the model's file; fifteen classes without names are taken as DOTA's.
+        class_names: class index to name, from the model's file; fifteen classes without names are
+            taken as DOTA's.
         n_classes: number of classes of the model; None if its outputs do not show it.
-        wanted: names (in either spelling) or indices; None takes "small vehicle", else "car" or "vehicle", else the
-            only class under any name.
+        wanted: names (in either spelling) or indices; None takes "small vehicle", else "car" or
+            "vehicle", else the only class under any name.
 
     Returns:
         ``[n]`` int, n >= 1, rising.
@@ -190,7 +219,11 @@ def vehicle_classes(
     if wanted is not None:
         if not wanted:
             raise InvalidParameterError("classes is empty: name at least one, or leave it out")
-        return np.unique(np.array([i for each in wanted for i in _indices_of(each, names, n_classes)], dtype=np.intp))
+        return np.unique(
+            np.array(
+                [i for each in wanted for i in _indices_of(each, names, n_classes)], dtype=np.intp
+            )
+        )
     for name in _VEHICLE_NAMES:
         matching = [index for index, known in names.items() if known == name]
         if matching:
@@ -209,12 +242,15 @@ def _canonical_name(name: str) -> str:
 
 def _indices_of(wanted: str | int, names: Mapping[int, str], n_classes: int | None) -> list[int]:
     if isinstance(wanted, int):
-        known = wanted in names if names else wanted >= 0 and (n_classes is None or wanted < n_classes)
+        known = (
+            wanted in names if names else wanted >= 0 and (n_classes is None or wanted < n_classes)
+        )
         found = [wanted] if known else []
     else:
         found = [index for index, name in names.items() if name == _canonical_name(wanted)]
     if not found:
         raise InvalidParameterError(
-            f"class {wanted!r} is not in the model; it has {dict(names) or f'{n_classes or 0} without names'}"
+            f"class {wanted!r} is not in the model; it has "
+            f"{dict(names) or f'{n_classes or 0} without names'}"
         )
     return found

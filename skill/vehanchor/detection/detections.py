@@ -58,8 +58,10 @@ class Looks(NamedTuple):
     """Sizes of vehicles by their appearance.
 
     Attributes:
-        log_lengths: ``[n]`` float64, log of the metres that each body's length in pixels stands for.
-        log_sds: ``[n]`` float64, their standard deviations as the network states them (see ``looks_error``).
+        log_lengths: ``[n]`` float64, log of the metres that each body's length in pixels stands
+            for.
+        log_sds: ``[n]`` float64, their standard deviations as the network states them (see
+            ``looks_error``).
         logits: ``[n]`` float64, log odds of a small vehicle in a fitting box, before calibration.
     """
 
@@ -84,8 +86,10 @@ class Corrections(NamedTuple):
     """Vehicles of a search after the caller's corrections.
 
     Attributes:
-        numbers: ``[n]`` int, numbers of the vehicles in pictures; added ones follow the last detection.
-        pointed_log_sds: ``[n]`` float64, standard deviation of the log of each length by pointing; 0 for detections.
+        numbers: ``[n]`` int, numbers of the vehicles in pictures; added ones follow the last
+            detection.
+        pointed_log_sds: ``[n]`` float64, standard deviation of the log of each length by pointing;
+            0 for detections.
         n_dropped: number of dropped vehicles.
         n_added: number of added vehicles.
     """
@@ -101,22 +105,24 @@ class Detections:
     """Vehicles in an image, and objects of the detector's other classes.
 
     Attributes:
-        boxes: ``[n, 5]`` float64 rows ``(x, y, length, width, angle)`` of the vehicles, in image pixels and radians,
-            those with looks first, then best score first, then vehicles that the caller added.
+        boxes: ``[n, 5]`` float64 rows ``(x, y, length, width, angle)`` of the vehicles, in image
+            pixels and radians, those with looks first, then best score first, then vehicles that
+            the caller added.
         scores: ``[n]`` float64 in [0, 1].
         n_tiles: number of tiles that were searched.
-        n_capped_tiles: number of tiles in which an end-to-end model filled all its rows, so that vehicles may be
-            missing.
-        scales: ``[n]`` float64, scale of the image in which each was found: 1, 0.5, 0.25 or 0.125; None for a search
-            at full resolution only.
-        looks: sizes of the first m = min(n, 64) vehicles by their appearance; None without a chip network.
-        others: objects of the model's other classes, in image pixels, best score first; overlapping boxes are merged
-            within a class, not between classes.
+        n_capped_tiles: number of tiles in which an end-to-end model filled all its rows, so that
+            vehicles may be missing.
+        scales: ``[n]`` float64, scale of the image in which each was found: 1, 0.5, 0.25 or 0.125;
+            None for a search at full resolution only.
+        looks: sizes of the first m = min(n, 64) vehicles by their appearance; None without a chip
+            network.
+        others: objects of the model's other classes, in image pixels, best score first; overlapping
+            boxes are merged within a class, not between classes.
         n_tiles_total: number of tiles of the image at all resolutions; None if it was not counted.
         stopped_because: reason for the end of the search; None without a search.
-        stretch: above 1 if the vehicles say that the image is too wide, below -1 if it is too high, see
-            ``vehanchor.detection.proportions``; None for a single vehicle, without a verifier, or before the end of the
-            search.
+        stretch: above 1 if the vehicles say that the image is too wide, below -1 if it is too high,
+            see ``vehanchor.detection.proportions``; None for a single vehicle, without a verifier,
+            or before the end of the search.
         corrections: by the caller; None without any.
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
     """
@@ -137,7 +143,11 @@ class Detections:
     @property
     def numbers(self) -> NDArray[np.intp]:
         """``[n]`` int, numbers of the vehicles in pictures and options."""
-        return np.arange(1, len(self.boxes) + 1) if self.corrections is None else self.corrections.numbers
+        return (
+            np.arange(1, len(self.boxes) + 1)
+            if self.corrections is None
+            else self.corrections.numbers
+        )
 
     @property
     def stated(self) -> NDArray[np.bool_]:
@@ -176,7 +186,9 @@ def corrected(
     missing = [each for each in by_hand.drop if each > found]
     if missing:
         have = f"they are 1 to {found}" if found else "none was found"
-        raise InvalidParameterError(f"drop has number {missing[0]}, which is no vehicle of this image: {have}")
+        raise InvalidParameterError(
+            f"drop has number {missing[0]}, which is no vehicle of this image: {have}"
+        )
     numbers = np.arange(1, found + 1)
     added, pointed_log_sds = _added_boxes(by_hand, frame, size_px)
     overlaps = oriented_iou(detections.boxes, added).max(axis=1, initial=0.0) > nms_iou
@@ -188,7 +200,9 @@ def corrected(
         detections,
         boxes=np.concatenate([detections.boxes[kept], added]),
         scores=np.concatenate([detections.scores[kept], np.full(n_added, _STATED_SCORE)]),
-        scales=None if detections.scales is None else np.concatenate([detections.scales[kept], np.ones(n_added)]),
+        scales=None
+        if detections.scales is None
+        else np.concatenate([detections.scales[kept], np.ones(n_added)]),
         looks=None if looks is None else looks.take(kept[: len(looks)]),
         corrections=Corrections(
             numbers=np.concatenate([numbers[kept], found + 1 + np.arange(n_added)]),
@@ -213,10 +227,17 @@ def _added_boxes(
     along = ends[:, 1] - ends[:, 0]
     lengths = np.hypot(along[:, 0], along[:, 1])
     boxes = np.column_stack(
-        [ends.mean(axis=1), lengths, lengths / CAR_LENGTH_OVER_WIDTH, np.arctan2(along[:, 1], along[:, 0]) % np.pi]
+        [
+            ends.mean(axis=1),
+            lengths,
+            lengths / CAR_LENGTH_OVER_WIDTH,
+            np.arctan2(along[:, 1], along[:, 0]) % np.pi,
+        ]
     )
     twice = np.argwhere(np.triu(oriented_iou(boxes, boxes) > 0.5, 1))
     if len(twice):
         one, other = twice[0] + 1
-        raise InvalidParameterError(f"add {one} and add {other} are one vehicle: give each vehicle once")
+        raise InvalidParameterError(
+            f"add {one} and add {other} are one vehicle: give each vehicle once"
+        )
     return boxes, np.sqrt(2) * _POINTED_SD_PX * unit.mean() / lengths

@@ -1,6 +1,7 @@
 """Oriented-box detector: an ONNX model that runs on one tile, and its model card.
 
-One code path reads the bundled model and any YOLOv8, YOLO11 or YOLO26 OBB file that a user exports with Ultralytics.
+One code path reads the bundled model and any YOLOv8, YOLO11 or YOLO26 OBB file that a user exports
+with Ultralytics.
 """
 
 from __future__ import annotations
@@ -16,7 +17,12 @@ import numpy as np
 from vehanchor.detection.boxes import canonical_boxes
 from vehanchor.detection.card import read_detector_card
 from vehanchor.detection.chips import ChipNetwork
-from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract, vehicle_classes
+from vehanchor.detection.contracts import (
+    CONTRACTS,
+    DetectorContract,
+    recognise_contract,
+    vehicle_classes,
+)
 from vehanchor.detection.detections import Objects
 from vehanchor.detection.verifier import Verifier
 from vehanchor.errors import ModelContractError
@@ -72,12 +78,13 @@ class Detector(LoadedModel):
 
     Args:
         path: the ONNX file.
-        classes: class names (in either spelling) or indices that count as vehicles; by default "small vehicle", else
-            "car" or "vehicle", else the only class under any name.
-        verifier: file of the verifier; by default the file beside the detector, ``<stem>.verifier.onnx`` (the bundled
-            one for a bundled detector). Without one, the detector's scores are used unchanged.
-        chips: file of the chip network; by default the file beside the detector, ``<stem>.chips.onnx``. Without one,
-            the detector's boxes are used unchanged.
+        classes: class names (in either spelling) or indices that count as vehicles; by default
+            "small vehicle", else "car" or "vehicle", else the only class under any name.
+        verifier: file of the verifier; by default the file beside the detector,
+            ``<stem>.verifier.onnx`` (the bundled one for a bundled detector). Without one, the
+            detector's scores are used unchanged.
+        chips: file of the chip network; by default the file beside the detector,
+            ``<stem>.chips.onnx``. Without one, the detector's boxes are used unchanged.
         runtime: how to open the detector and its auxiliary models; None for the defaults.
 
     Attributes:
@@ -108,7 +115,9 @@ class Detector(LoadedModel):
         file = read_model(self.path)
         self._session = open_session(self.path, content=file.content, runtime=self.runtime)
         verifier_path = verifier if verifier is not None else auxiliary_model(self.path, "verifier")
-        self.verifier = None if verifier_path is None else Verifier(verifier_path, runtime=self.runtime)
+        self.verifier = (
+            None if verifier_path is None else Verifier(verifier_path, runtime=self.runtime)
+        )
         chips_path = chips if chips is not None else auxiliary_model(self.path, "chips")
         self.chips = None if chips_path is None else ChipNetwork(chips_path, runtime=self.runtime)
         self.card = read_detector_card(
@@ -123,7 +132,9 @@ class Detector(LoadedModel):
         self.fixed_size = self._fixed_size()
         self._contract = self._recognised_contract()
         try:
-            self._vehicle_classes = vehicle_classes(self.card.class_names, self._contract.n_classes, classes)
+            self._vehicle_classes = vehicle_classes(
+                self.card.class_names, self._contract.n_classes, classes
+            )
         except ModelContractError as error:
             raise ModelContractError(f"{self.path}: {error}") from None
 
@@ -138,7 +149,8 @@ class Detector(LoadedModel):
     def _refuse(self, found: str) -> ModelContractError:
         outputs = " or ".join(kind.layout for kind in CONTRACTS)
         return ModelContractError(
-            f"{self.path} is not an oriented-box detector: {found}. Expected one float input [1, 3, h, w] and an "
+            f"{self.path} is not an oriented-box detector: {found}. Expected one float input "
+            "[1, 3, h, w] and an "
             f"output {outputs}, as 'yolo export model=yolo11l-obb.pt format=onnx' writes it"
         )
 
@@ -149,18 +161,24 @@ class Detector(LoadedModel):
         first = inputs[0]
         if first.type not in ("tensor(float)", "tensor(float16)"):
             raise self._refuse(f"input {first.name!r} is {first.type}")
-        if len(first.shape) != 4 or (first.shape[1] not in (3, None) and not isinstance(first.shape[1], str)):
+        if len(first.shape) != 4 or (
+            first.shape[1] not in (3, None) and not isinstance(first.shape[1], str)
+        ):
             raise self._refuse(f"input {first.name!r} has shape {first.shape}")
         return first
 
     def _fixed_size(self) -> tuple[int, int] | None:
-        batch, _, height, width = (side if isinstance(side, int) else None for side in self._input.shape)
+        batch, _, height, width = (
+            side if isinstance(side, int) else None for side in self._input.shape
+        )
         if batch not in (None, 1):
             raise ModelContractError(
                 f"{self.path}: batch size is fixed at {batch}; export with batch=1 or dynamic=True"
             )
         if max(height or 0, width or 0) > _MAX_INPUT_PX:
-            raise self._refuse(f"its input is fixed at {width} x {height} px, more than {_MAX_INPUT_PX} px a side")
+            raise self._refuse(
+                f"its input is fixed at {width} x {height} px, more than {_MAX_INPUT_PX} px a side"
+            )
         return (height, width) if height and width else None
 
     def _recognised_contract(self) -> DetectorContract:
@@ -171,7 +189,9 @@ class Detector(LoadedModel):
             try:
                 outputs = self._run(np.zeros((1, 3, height, width), dtype=self._dtype))
             except ModelContractError as error:
-                raise self._refuse(f"it does not take a blank {width} x {height} image ({error})") from None
+                raise self._refuse(
+                    f"it does not take a blank {width} x {height} image ({error})"
+                ) from None
             shapes = [output.shape for output in outputs]
         try:
             return recognise_contract(shapes, self.card.class_names)
@@ -180,7 +200,9 @@ class Detector(LoadedModel):
 
     def _run(self, batch: NDArray[Any]) -> list[NDArray[Any]]:
         described = f"the detector {self.path} fails on {list(batch.shape)}"
-        outputs = run_session(self._session, None, {self._input.name: batch}, self.runtime, described)
+        outputs = run_session(
+            self._session, None, {self._input.name: batch}, self.runtime, described
+        )
         return [np.asarray(output) for output in outputs]
 
     def prepared(self, pixels: NDArray[np.uint8]) -> PreparedTile:
@@ -188,7 +210,9 @@ class Detector(LoadedModel):
         tile = pixels
         height, width = tile.shape[:2]
         stride = self.card.stride_px
-        full_h, full_w = self.fixed_size or (-(-side // stride) * stride for side in (height, width))
+        full_h, full_w = self.fixed_size or (
+            -(-side // stride) * stride for side in (height, width)
+        )
         if (full_h, full_w) != (height, width):
             padded = np.full((full_h, full_w, 3), _PADDING_LEVEL, dtype=np.uint8)
             padded[:height, :width] = tile
@@ -216,10 +240,15 @@ class Detector(LoadedModel):
                 anything = self._contract.objects(outputs, min_score)
                 others = anything.take(~np.isin(anything.classes, self._vehicle_classes))
             ran_out = self._contract.ran_out(outputs)
-        except (LookupError, ValueError, TypeError) as error:  # other shapes than for the blank image
+        # other shapes than for the blank image
+        except (LookupError, ValueError, TypeError) as error:
             shapes = ", ".join(str(list(output.shape)) for output in outputs)
-            raise ModelContractError(f"the detector {self.path} puts out {shapes}, no layout of its") from error
-        return TileDetections(self._checked(vehicles, tile.pixels), self._checked(others, tile.pixels), ran_out)
+            raise ModelContractError(
+                f"the detector {self.path} puts out {shapes}, no layout of its"
+            ) from error
+        return TileDetections(
+            self._checked(vehicles, tile.pixels), self._checked(others, tile.pixels), ran_out
+        )
 
     def _checked(self, found: Objects, tile: NDArray[np.uint8]) -> Objects:
         """Select the boxes that are no larger than a tile and centred in it, and convert them to canonical form.
@@ -231,14 +260,21 @@ class Detector(LoadedModel):
         most = _LEAST_BOXES + height * width // _PX_PER_BOX
         if len(found) > most:
             raise ModelContractError(
-                f"the detector {self.path} puts out {len(found)} boxes for {width} x {height} px: at most {most} have "
+                f"the detector {self.path} puts out {len(found)} boxes for {width} x {height} "
+                f"px: at most {most} have "
                 "place there"
             )
         boxes = found.boxes
-        sane = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:4] > 0).all(axis=1) & (np.abs(boxes[:, 4]) < _ANGLE_LIMIT)
+        sane = (
+            np.isfinite(boxes).all(axis=1)
+            & (boxes[:, 2:4] > 0).all(axis=1)
+            & (np.abs(boxes[:, 4]) < _ANGLE_LIMIT)
+        )
         sane &= (boxes[:, 2:4] <= math.hypot(width, height)).all(axis=1)
         sane &= ((boxes[:, :2] >= 0) & (boxes[:, :2] <= [width, height])).all(axis=1)
-        return Objects(canonical_boxes(boxes[sane]), np.clip(found.scores[sane], 0.0, 1.0), found.classes[sane])
+        return Objects(
+            canonical_boxes(boxes[sane]), np.clip(found.scores[sane], 0.0, 1.0), found.classes[sane]
+        )
 
 
 _opened = file_cached(max_models=4)(Detector)

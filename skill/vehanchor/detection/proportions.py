@@ -1,8 +1,8 @@
 """Proportions of an image, from its vehicles: whether its width and height have different scales.
 
-Boxes cannot tell: the detector draws a car's proportions into a stretched image, too. The networks that score them can.
-Their chips are cut with the image's width reduced and enlarged by a factor of 1.4. In an image of true proportions
-neither suits cars better.
+Boxes cannot tell: the detector draws a car's proportions into a stretched image, too. The networks
+that score them can. Their chips are cut with the image's width reduced and enlarged by a factor of
+1.4. In an image of true proportions neither suits cars better.
 """
 
 from __future__ import annotations
@@ -27,13 +27,16 @@ if TYPE_CHECKING:
 _LEAST_VEHICLES, _LEAST_VERIFIED = 5, 2
 _MOST_VEHICLES, _MOST_VERIFIED = 32, 5  # the most certain ones; more do not change the result
 _FACTOR = 1.4  # an error of 18 % in each direction
-_REACH = 1.4  # halves of a chip's diagonal from the centre to the farthest pixel that a stretched chip needs
+# halves of a chip's diagonal from the centre to the farthest pixel that a stretched chip needs
+_REACH = 1.4
 _MOST_LOGIT = 6.0  # limits the weight of one vehicle
 _SD_OF_ONE = 0.7  # least standard deviation of the preferences of single vehicles
 _SD_OF_PLACES = 0.55  # of the mean preference between images of true proportions, train split
-_LIMIT_SIGMAS = 2.75  # 0 of 243 images of true proportions have more; 87 of 100 of those stretched by 1.4
+# 0 of 243 images of true proportions have more; 87 of 100 of those stretched by 1.4
+_LIMIT_SIGMAS = 2.75
 _PARALLEL = 0.75  # least mean resultant length of doubled headings of vehicles that stand alike
-_LIMIT_PARALLEL, _LIMIT_CROSSED = 0.7, 0.28  # 1 of 172 images of true proportions has more; 176 of 294 stretched by 1.4
+# 1 of 172 images of true proportions has more; 176 of 294 stretched by 1.4
+_LIMIT_PARALLEL, _LIMIT_CROSSED = 0.7, 0.28
 
 
 def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> float | None:
@@ -43,13 +46,13 @@ def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> fl
 
     Args:
         raster: the image.
-        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)`` of the detector's vehicles in image pixels, centred
-            inside the image, best first.
+        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)`` of the detector's vehicles in image
+            pixels, centred inside the image, best first.
         network: scores their chips.
 
     Returns:
-        The preference over its limit: above 1 if the image is too wide, below -1 if it is too high; None for fewer
-        than five vehicles.
+        The preference over its limit: above 1 if the image is too wide, below -1 if it is too high;
+        None for fewer than five vehicles.
     """
     if len(boxes) < _LEAST_VEHICLES:
         return None
@@ -64,12 +67,15 @@ def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> fl
     return float(gains.mean()) / math.sqrt(variance) / _LIMIT_SIGMAS
 
 
-def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: ChipNetwork) -> float | None:
+def stretch_of_few(
+    raster: Raster, boxes: NDArray[np.float64], network: ChipNetwork
+) -> float | None:
     """Compute how surely a few vehicles prefer a narrower or a wider image, by the chip network.
 
-    A stretched image suits cars worse than one of the two others, and better than the other one. The measure is the
-    smaller of both differences of the mean logits, where the second one counts a third. Parallel vehicles must say it
-    more clearly: they can also be long vehicles, or show their flanks.
+    A stretched image suits cars worse than one of the two others, and better than the other one.
+    The measure is the smaller of both differences of the mean logits, where the second one counts a
+    third. Parallel vehicles must say it more clearly: they can also be long vehicles, or show their
+    flanks.
 
     Args:
         raster: the image.
@@ -77,15 +83,20 @@ def stretch_of_few(raster: Raster, boxes: NDArray[np.float64], network: ChipNetw
         network: scores their chips.
 
     Returns:
-        The preference over its limit, as for ``stretch``; None for a single vehicle, which can tell nothing.
+        The preference over its limit, as for ``stretch``; None for a single vehicle, which can tell
+        nothing.
     """
     if len(boxes) < _LEAST_VERIFIED:
         return None
     chosen = boxes[:_MOST_VERIFIED]
     side = chips.CHIP_COLUMNS, chips.CHIP_LENGTH_PX
     narrower, same, wider = (
-        float(np.clip(network.answers(chips.middle(squares)).logit, -_MOST_LOGIT, _MOST_LOGIT).mean())
-        for squares in (_chips(raster, chosen, width, *side) for width in (1 / _FACTOR, 1.0, _FACTOR))
+        float(
+            np.clip(network.answers(chips.middle(squares)).logit, -_MOST_LOGIT, _MOST_LOGIT).mean()
+        )
+        for squares in (
+            _chips(raster, chosen, width, *side) for width in (1 / _FACTOR, 1.0, _FACTOR)
+        )
     )
     too_wide = max(0.0, min(narrower - same, (narrower - wider) / 3))
     too_high = max(0.0, min(wider - same, (wider - narrower) / 3))
@@ -107,7 +118,9 @@ def _chips(
         columns = max(1, round(pixels.shape[1] * width))
         across = columns / pixels.shape[1]
         method = cv2.INTER_AREA if across < 1 else cv2.INTER_LINEAR
-        resized = np.asarray(cv2.resize(pixels, (columns, pixels.shape[0]), interpolation=method), np.uint8)
+        resized = np.asarray(
+            cv2.resize(pixels, (columns, pixels.shape[0]), interpolation=method), np.uint8
+        )
         turned = math.atan2(math.sin(angle), math.cos(angle) * across)
         size = math.sqrt(across)
         moved = [[x * across, y, length * size, breadth * size, turned]]

@@ -1,8 +1,8 @@
 """Scene-scale prior: a small network predicts the GSD from tiles of an image.
 
-The network predicts a density of the GSD for a tile of 160 px. It runs on tiles spread over the image at full
-resolution and at 1/2, 1/4 and 1/8. Where a tile at full resolution shows only grass, a reduced one shows houses and
-roads.
+The network predicts a density of the GSD for a tile of 160 px. It runs on tiles spread over the
+image at full resolution and at 1/2, 1/4 and 1/8. Where a tile at full resolution shows only grass,
+a reduced one shows houses and roads.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ _SIZES_LOG_SD = 0.1  # of cars' lengths and of their measurement
 _OPEN_LOG_WIDTH = 2.0  # a prior that is flat over this width neither raises nor lowers a score
 _MOST_SIZE_ODDS = 2.0  # in either direction, because the prior may be wrong
 _BATCH = 8  # tiles per run: 24 take three times the memory and as much time
-_SHARP_GSD_M_PER_PX, _SHARP_LOG_WIDTH = 0.15, 0.15  # few places below this scale are in the training data
+# few places below this scale are in the training data
+_SHARP_GSD_M_PER_PX, _SHARP_LOG_WIDTH = 0.15, 0.15
 _FINER_LOG_REACH = 0.8  # by which a new place is finer at most
 _Share = Annotated[float, Field(ge=0, lt=1)]
 
@@ -57,11 +58,11 @@ class SceneCalibration:
         log_step: difference between neighbouring bins.
         temperature: exponent on the mean of a level's tiles.
         doubt: outlier probability of a level, so that no level can veto the others.
-        levels: power of the number of levels in the exponent on their geometric mean: 0 if the levels are fully
-            dependent, 1 if they are independent.
+        levels: power of the number of levels in the exponent on their geometric mean: 0 if the
+            levels are fully dependent, 1 if they are independent.
         floor: outlier probability of all levels together.
-        finer: probability that a sharp image shows a place unlike the training data, which then looks coarser than it
-            is.
+        finer: probability that a sharp image shows a place unlike the training data, which then
+            looks coarser than it is.
     """
 
     first_log_gsd: float
@@ -102,9 +103,14 @@ class SceneScalePrior:
             lengths_px: ``[n]`` pixels of the image.
 
         Returns:
-            ``[n]`` log odds from -2 to 2, relative to a prior that is flat over a factor of 7.4; -1.2 for a flat prior.
+            ``[n]`` log odds from -2 to 2, relative to a prior that is flat over a factor of 7.4;
+            -1.2 for a flat prior.
         """
-        return np.asarray(np.interp(np.log(CAR_LENGTH_M / np.asarray(lengths_px, np.float64)), GRID, self._size_odds))
+        return np.asarray(
+            np.interp(
+                np.log(CAR_LENGTH_M / np.asarray(lengths_px, np.float64)), GRID, self._size_odds
+            )
+        )
 
 
 def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]]:
@@ -112,7 +118,8 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
 
     Args:
         width_px: width of the image.
-        height_px: height of the image. If either side is below 160 px, there is one level with smaller tiles.
+        height_px: height of the image. If either side is below 160 px, there is one level with
+            smaller tiles.
 
     Returns:
         Reduction factors and tiles in pixels of the reduced image, the finest first.
@@ -124,12 +131,16 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
             break
         columns, rows = -(-width // TILE_PX), -(-height // TILE_PX)
         if columns * rows > MOST_TILES:
-            columns = int(np.clip(round(np.sqrt(MOST_TILES * width / height)), 1, min(columns, MOST_TILES)))
+            columns = int(
+                np.clip(round(np.sqrt(MOST_TILES * width / height)), 1, min(columns, MOST_TILES))
+            )
             rows = min(rows, MOST_TILES // columns)
         lefts = np.linspace(0, max(0, width - TILE_PX), columns).astype(int)
         tops = np.linspace(0, max(0, height - TILE_PX), rows).astype(int)
         tile = min(TILE_PX, width), min(TILE_PX, height)
-        levels.append((factor, [Window(int(left), int(top), *tile) for top in tops for left in lefts]))
+        levels.append(
+            (factor, [Window(int(left), int(top), *tile) for top in tops for left in lefts])
+        )
     return levels
 
 
@@ -138,13 +149,13 @@ def scene_density(
 ) -> NDArray[np.float64]:
     """Combine the predictions at all resolutions into one density.
 
-    Each level is mixed with a flat density. The log-probabilities are shifted by the reduction factors and averaged.
-    A share of a sharp result moves to finer scales, and the result is mixed with the flat density again. The first and
-    the last bin stand for all finer and coarser scales.
+    Each level is mixed with a flat density. The log-probabilities are shifted by the reduction
+    factors and averaged. A share of a sharp result moves to finer scales, and the result is mixed
+    with the flat density again. The first and the last bin stand for all finer and coarser scales.
 
     Args:
-        levels: reduction factor of each level of an image, and ``[bins]`` mean of its tiles' log-probabilities, flat if
-            the tiles disagree; at least one level.
+        levels: reduction factor of each level of an image, and ``[bins]`` mean of its tiles'
+            log-probabilities, flat if the tiles disagree; at least one level.
         calibration: calibration of the network.
 
     Returns:
@@ -155,7 +166,9 @@ def scene_density(
         centres = calibration.first_log_gsd + calibration.log_step * np.arange(len(log_probs))
         seen = np.exp(calibration.temperature * (log_probs - log_probs.max()))
         seen = (1 - calibration.doubt) * seen / seen.sum() + calibration.doubt / len(seen)
-        total += np.interp(GRID + np.log(factor), centres, np.log(np.maximum(seen, _LEAST_PROBABILITY)))
+        total += np.interp(
+            GRID + np.log(factor), centres, np.log(np.maximum(seen, _LEAST_PROBABILITY))
+        )
     total *= float(len(levels)) ** (calibration.levels - 1)
     density = np.exp(total - total.max())
     seen = _with_finer(density / density.sum(), calibration.finer)
@@ -166,8 +179,8 @@ class SceneScaleNetwork(LoadedModel):
     """Network that predicts the GSD of tiles.
 
     Args:
-        path: ONNX file with an input ``tiles`` ``[n, 3, 160, 160]`` uint8 RGB and an output ``log_probs``
-            ``[n, bins]``, and its calibration in the metadata.
+        path: ONNX file with an input ``tiles`` ``[n, 3, 160, 160]`` uint8 RGB and an output
+            ``log_probs`` ``[n, bins]``, and its calibration in the metadata.
         runtime: how to open it; None for the defaults.
 
     Raises:
@@ -180,8 +193,12 @@ class SceneScaleNetwork(LoadedModel):
         self._session = open_session(path, content=read_model(path).content, runtime=self.runtime)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "log_probs"]:
-            raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs")
-        self.calibration = _read_calibration(path, self._session.get_modelmeta().custom_metadata_map)
+            raise ModelContractError(
+                f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs"
+            )
+        self.calibration = _read_calibration(
+            path, self._session.get_modelmeta().custom_metadata_map
+        )
 
     def predict(self, raster: Raster) -> SceneScalePrior:
         """Predict the scale of an image from tiles at every resolution.
@@ -197,7 +214,13 @@ class SceneScaleNetwork(LoadedModel):
             tiles = np.stack([read_tile(raster, window, factor) for window in windows])
             described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
             seen = [
-                run_session(self._session, None, {"tiles": tiles[start : start + _BATCH]}, self.runtime, described)[0]
+                run_session(
+                    self._session,
+                    None,
+                    {"tiles": tiles[start : start + _BATCH]},
+                    self.runtime,
+                    described,
+                )[0]
                 for start in range(0, len(tiles), _BATCH)
             ]
             levels.append((factor, np.concatenate(seen).astype(np.float64).mean(axis=0)))
@@ -235,7 +258,11 @@ def read_tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
 
 def _read_calibration(path: Path, metadata: Mapping[str, str]) -> SceneCalibration:
     try:
-        bins, stated = (json.loads(metadata[f"vehanchor.scene_{name}"]) for name in ("bins", "calibration"))
+        bins, stated = (
+            json.loads(metadata[f"vehanchor.scene_{name}"]) for name in ("bins", "calibration")
+        )
         return SceneCalibration(*bins, **stated)
     except (KeyError, ValueError, TypeError) as error:
-        raise ModelContractError(f"{path}: the metadata vehanchor.scene_* cannot be used: {error}") from None
+        raise ModelContractError(
+            f"{path}: the metadata vehanchor.scene_* cannot be used: {error}"
+        ) from None

@@ -1,8 +1,9 @@
 """Levels and tiles of a search, and the order in which they are visited, so that cars are found early.
 
-Each resolution continues with its most likely tile: first by the tile prior (towns have many edges, fields few), later
-by the vehicles in neighbouring tiles. Every fourth tile comes from a fixed order that spreads over the image. A
-resolution's share of the tiles follows from the probability that cars fit it. The order depends only on the image.
+Each resolution continues with its most likely tile: first by the tile prior (towns have many edges,
+fields few), later by the vehicles in neighbouring tiles. Every fourth tile comes from a fixed order
+that spreads over the image. A resolution's share of the tiles follows from the probability that
+cars fit it. The order depends only on the image.
 """
 
 from __future__ import annotations
@@ -36,24 +37,30 @@ WINDOWED_PIXELS = 16_000_000
 
 _FAST_TILES, _FAST_LEAST_TILES = 0.05, 24  # at most, of all tiles; in small images
 _FIRST_PAUSE, _FIRST_PAUSE_LARGE = 4, 16  # tiles
-_GROWTH = 1.25  # of the number of visited tiles between pauses, so that few checks can end a search by chance
+# of the number of visited tiles between pauses, so that few checks can end a search by chance
+_GROWTH = 1.25
 _SPREAD_EVERY = 4  # one tile in four comes from the fixed order
 _PRIOR_TILES = 2.0  # weight of the tile prior, in neighbours
 _FULL_TILE = 4  # number of vehicles at which a tile counts in full
 _NEAR_TILES = 1.1  # largest distance between the corners of neighbours, in tile sides
-_CELL_LENGTHS = 3.0  # side of a cell in median lengths: nearly all boxes of one vehicle are in one cell
+# side of a cell in median lengths: nearly all boxes of one vehicle are in one cell
+_CELL_LENGTHS = 3.0
 _PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 """Roberts' sequence R2, of the plastic number: multiples of the two modulo 1 spread evenly over a plane."""
 SEARCH_FACTORS = (1, 2, 4, 8)  # the levels 1/2, 1/4 and 1/8 add a third to the pixels
-_SHARE_OF_ALL = 0.2  # share of the tiles that is split evenly, because the scene-scale prior may be wrong
-MIN_LEVEL_SIDE_PX = 96  # reduced images with a shorter side are not searched: they would show one or two cars
-LEVEL_OVERLAP = 1.25  # factor by which the length ranges of two levels overlap, for cars at their limit
+# share of the tiles that is split evenly, because the scene-scale prior may be wrong
+_SHARE_OF_ALL = 0.2
+# reduced images with a shorter side are not searched: they would show one or two cars
+MIN_LEVEL_SIDE_PX = 96
+# factor by which the length ranges of two levels overlap, for cars at their limit
+LEVEL_OVERLAP = 1.25
 CELL_PX = 512
 """Side of the cells of a tile-prior map, pixels of the image."""
 _PREVIEW_FACTOR = 8  # reduction factor of the preview
 _CELL = CELL_PX // _PREVIEW_FACTOR
 _BLOCK = 4 * _CELL  # pixels of the preview that are read at once: 2048 px of the image
-_ODDS_AT_ONE, _ODDS_PER_LOG = -7.2, 3.08  # of a car, over the log gradient: research/training/tile_prior/fit.py
+# of a car, over the log gradient: research/training/tile_prior/fit.py
+_ODDS_AT_ONE, _ODDS_PER_LOG = -7.2, 3.08
 NOISE_GRADIENT = 0.5
 """Grey levels per pixel, the gradient of noise, added before the log is taken."""
 
@@ -82,17 +89,26 @@ class TileScheduler:
     """Chooses the next tiles from the vehicles in the visited ones.
 
     Args:
-        tiles: reduction factor of each tile of the image, and its window in pixels of the reduced image.
+        tiles: reduction factor of each tile of the image, and its window in pixels of the reduced
+            image.
         priors: ``[n]`` probability that each tile shows cars, from a preview of the image.
-        shares: share of the tiles for each resolution, by factor; tiles of other resolutions are never taken.
+        shares: share of the tiles for each resolution, by factor; tiles of other resolutions are
+            never taken.
     """
 
     def __init__(
-        self, tiles: Sequence[tuple[int, Window]], priors: NDArray[np.float64], shares: Mapping[int, float]
+        self,
+        tiles: Sequence[tuple[int, Window]],
+        priors: NDArray[np.float64],
+        shares: Mapping[int, float],
     ) -> None:
         self._factors = np.array([factor for factor, _ in tiles])
-        self._corners = np.array([(window.x_px, window.y_px) for _, window in tiles], dtype=np.float64)
-        self._reach = np.array([max(window.width_px, window.height_px) for _, window in tiles]) * _NEAR_TILES
+        self._corners = np.array(
+            [(window.x_px, window.y_px) for _, window in tiles], dtype=np.float64
+        )
+        self._reach = (
+            np.array([max(window.width_px, window.height_px) for _, window in tiles]) * _NEAR_TILES
+        )
         self._hits, self._seen = _PRIOR_TILES * priors, np.full(len(tiles), _PRIOR_TILES)
         self._shares = dict(shares)
         self._waiting = np.isin(self._factors, list(self._shares))
@@ -100,7 +116,9 @@ class TileScheduler:
         self._rank = np.zeros(len(tiles))  # in the fixed order of a resolution
         for factor in self._shares:
             members = self._factors == factor
-            at = np.column_stack([np.unique(side, return_inverse=True)[1] for side in self._corners[members].T])
+            at = np.column_stack(
+                [np.unique(side, return_inverse=True)[1] for side in self._corners[members].T]
+            )
             self._rank[members] = (0.5 + at @ _PLASTIC) % 1.0
 
     def next_tiles(self, count: int) -> list[int]:
@@ -132,8 +150,12 @@ class TileScheduler:
 
     def _next(self) -> int:
         """Choose a tile of the resolution that is furthest behind its share."""
-        open_factors = [factor for factor in self._shares if (self._waiting & (self._factors == factor)).any()]
-        factor = min(open_factors, key=lambda each: ((self._taken[each] + 1) / self._shares[each], each))
+        open_factors = [
+            factor for factor in self._shares if (self._waiting & (self._factors == factor)).any()
+        ]
+        factor = min(
+            open_factors, key=lambda each: ((self._taken[each] + 1) / self._shares[each], each)
+        )
         self._taken[factor] += 1
         chosen = np.flatnonzero(self._waiting & (self._factors == factor))
         if self._taken[factor] % _SPREAD_EVERY:
@@ -145,8 +167,8 @@ class TileScheduler:
 def position_sample(boxes: NDArray[np.float64], least: int) -> NDArray[np.intp]:
     """Choose the candidates of some small cells, which spread evenly over a tile.
 
-    The choice depends on the positions alone, so that it favours no score and no size. Boxes of one vehicle stay
-    together, so that non-maximum suppression sees them all.
+    The choice depends on the positions alone, so that it favours no score and no size. Boxes of one
+    vehicle stay together, so that non-maximum suppression sees them all.
 
     Args:
         boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)`` in pixels of the tile.
@@ -194,10 +216,11 @@ def search_levels(
 ) -> list[SearchLevel]:
     """List the resolutions at which an image is searched, finest first.
 
-    A vehicle is measured at the finest level at which it is within the model's training range: there it has the most
-    pixels. Each coarser level therefore accepts lengths from half of that limit up, with an overlap, so that no fleet
-    is split between two levels. Non-maximum suppression merges a vehicle found twice. The finest level has no lower
-    limit and the coarsest no upper limit.
+    A vehicle is measured at the finest level at which it is within the model's training range:
+    there it has the most pixels. Each coarser level therefore accepts lengths from half of that
+    limit up, with an overlap, so that no fleet is split between two levels. Non-maximum suppression
+    merges a vehicle found twice. The finest level has no lower limit and the coarsest no upper
+    limit.
 
     Args:
         width_px: width of the image.
@@ -213,7 +236,8 @@ def search_levels(
     factors = [
         factor
         for factor in SEARCH_FACTORS
-        if factor == 1 or (search_scales and min(width_px, height_px) // factor >= MIN_LEVEL_SIDE_PX)
+        if factor == 1
+        or (search_scales and min(width_px, height_px) // factor >= MIN_LEVEL_SIDE_PX)
     ]
     return [
         SearchLevel(
@@ -233,12 +257,13 @@ def level_chances(
     """Compute the probability that cars fit each resolution.
 
     Args:
-        length_ranges_px: shortest and longest accepted vehicle at each resolution, pixels of the reduced image.
+        length_ranges_px: shortest and longest accepted vehicle at each resolution, pixels of the
+            reduced image.
         density: ``[g]`` probabilities of the scale on ``vehanchor.scale.density.GRID``.
 
     Returns:
-        Probabilities by factor. They need not sum to 1: neighbouring resolutions overlap, and at some scales cars fit
-        none.
+        Probabilities by factor. They need not sum to 1: neighbouring resolutions overlap, and at
+        some scales cars fit none.
     """
     lengths = CAR_LENGTH_M / np.exp(GRID)
     return {
@@ -264,7 +289,10 @@ def level_shares(
     total = sum(chances.values())
     if total <= 0:
         return dict.fromkeys(length_ranges_px, even)
-    return {factor: (1 - _SHARE_OF_ALL) * mass / total + _SHARE_OF_ALL * even for factor, mass in chances.items()}
+    return {
+        factor: (1 - _SHARE_OF_ALL) * mass / total + _SHARE_OF_ALL * even
+        for factor, mass in chances.items()
+    }
 
 
 def gradient(coarse: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -277,7 +305,10 @@ def gradient(coarse: NDArray[np.uint8]) -> NDArray[np.float32]:
         ``[h, w]`` grey levels per pixel.
     """
     grey = cv2.cvtColor(coarse, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    return np.asarray(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8, np.float32)
+    return np.asarray(
+        np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8,
+        np.float32,
+    )
 
 
 def car_prior(coarse: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -295,7 +326,9 @@ def car_prior(coarse: NDArray[np.uint8]) -> NDArray[np.float64]:
         [[change[y : y + _CELL, x : x + _CELL].mean() for x in lefts] for y in tops],
         dtype=np.float64,
     )
-    return np.asarray(1 / (1 + np.exp(-(_ODDS_AT_ONE + _ODDS_PER_LOG * np.log(means + NOISE_GRADIENT)))))
+    return np.asarray(
+        1 / (1 + np.exp(-(_ODDS_AT_ONE + _ODDS_PER_LOG * np.log(means + NOISE_GRADIENT))))
+    )
 
 
 def tile_prior_map(raster: Raster) -> NDArray[np.float64]:
@@ -305,7 +338,8 @@ def tile_prior_map(raster: Raster) -> NDArray[np.float64]:
         raster: the image; at most 2048 x 2048 px of it are in memory.
 
     Returns:
-        ``[rows, columns]`` of cells of 512 px in 0..1; one cell of 0 for an image with a side below 8 px.
+        ``[rows, columns]`` of cells of 512 px in 0..1; one cell of 0 for an image with a side below
+        8 px.
     """
     width, height = raster.width_px // _PREVIEW_FACTOR, raster.height_px // _PREVIEW_FACTOR
     if not width or not height:
@@ -329,7 +363,10 @@ def tile_prior_of(cells: NDArray[np.float64], window: Window, factor: int) -> fl
         factor: reduction factor of the tile's level.
     """
     rows, columns = cells.shape
-    top, left = min(window.y_px * factor // CELL_PX, rows - 1), min(window.x_px * factor // CELL_PX, columns - 1)
+    top, left = (
+        min(window.y_px * factor // CELL_PX, rows - 1),
+        min(window.x_px * factor // CELL_PX, columns - 1),
+    )
     bottom = -(-(window.y_px + window.height_px) * factor // CELL_PX)
     right = -(-(window.x_px + window.width_px) * factor // CELL_PX)
     return float(cells[top : max(bottom, top + 1), left : max(right, left + 1)].mean())

@@ -1,10 +1,10 @@
 """Search of an image: overlapping tiles at one or more resolutions, merged into one ``Detections``.
 
-Tiles are visited where cars are likely first. Resolutions that the scene-scale prior excludes come last, and only if
-the others show few vehicles. The caller ends the search of a photograph or a larger image when more tiles cannot change
-its scale. In crowded tiles the verifier scores a sample of the candidates. At the end the chip network looks at the
-best vehicles, scores them again and replaces their boxes by those of their bodies; if they are few, it looks at weaker
-candidates, too.
+Tiles are visited where cars are likely first. Resolutions that the scene-scale prior excludes come
+last, and only if the others show few vehicles. The caller ends the search of a photograph or a
+larger image when more tiles cannot change its scale. In crowded tiles the verifier scores a sample
+of the candidates. At the end the chip network looks at the best vehicles, scores them again and
+replaces their boxes by those of their bodies; if they are few, it looks at weaker candidates, too.
 """
 
 from __future__ import annotations
@@ -52,34 +52,45 @@ if TYPE_CHECKING:
 
 _MIN_TILE_PX = 32
 _LEAST_CHANCE = 0.01  # of cars at a resolution; most of it is the floor of the scene-scale prior
-_EXCLUDED_CHANCE = 0.03  # of cars at a resolution, by the vehicles found at others; one clear car leaves 2 to 3 %
-_FEW_VEHICLES = 12  # up to this number, the chip network looks at weaker candidates and at mirrored chips
+# of cars at a resolution, by the vehicles found at others; one clear car leaves 2 to 3 %
+_EXCLUDED_CHANCE = 0.03
+# up to this number, the chip network looks at weaker candidates and at mirrored chips
+_FEW_VEHICLES = 12
 _MOST_CANDIDATES = 24  # then, best scores first
 _MOST_LOOKED_AT = 64  # vehicles; 100 give the same answers to 1,957 photographs
-_MOST_VERIFIED = 128  # candidates of a tile, chosen by position; more cost as much as another tile and add less
-_MANY_VEHICLES, _LEAST_VERIFIED = 500, 32  # from so many vehicles on, candidates of a tile: they hardly move the scale
+# candidates of a tile, chosen by position; more cost as much as another tile and add less
+_MOST_VERIFIED = 128
+# from so many vehicles on, candidates of a tile: they hardly move the scale
+_MANY_VEHICLES, _LEAST_VERIFIED = 500, 32
 _ENOUGH_VEHICLES = 5  # at the other resolutions, to skip an unlikely one; the prior may be wrong
-_TILES_AT_ONCE = 4  # tiles that are scheduled together; each is read while the model runs on the one before
+# tiles that are scheduled together; each is read while the model runs on the one before
+_TILES_AT_ONCE = 4
 
 
 class ImageSearch:
     """Search of an image (paper, section III-B), which visits tiles while it is iterated over.
 
-    An iteration yields the expected share of the vehicles in the tiles that are not visited, at growing intervals; its
-    caller may then ask for the ``result`` so far, ``leave_out`` resolutions, or ``stop``.
+    An iteration yields the expected share of the vehicles in the tiles that are not visited, at
+    growing intervals; its caller may then ask for the ``result`` so far, ``leave_out`` resolutions,
+    or ``stop``.
 
     Args:
         raster: the image; at most two of its tiles are in memory.
         detector: the model; the search reports its tiles to the progress of the detector's runtime.
         options: how to search; None for the defaults.
-        prior: scene-scale prior, which orders the resolutions and weighs the boxes' sizes; None without one.
+        prior: scene-scale prior, which orders the resolutions and weighs the boxes' sizes; None
+            without one.
 
     Raises:
         InvalidParameterError: a tile larger than the model's fixed input, a stride beyond the tile.
     """
 
     def __init__(
-        self, raster: Raster, detector: Detector, options: Search | None = None, prior: SceneScalePrior | None = None
+        self,
+        raster: Raster,
+        detector: Detector,
+        options: Search | None = None,
+        prior: SceneScalePrior | None = None,
     ) -> None:
         options = options or Search()
         card = detector.card
@@ -93,18 +104,28 @@ class ImageSearch:
         self._least_score = self._min_score  # of the candidates that are kept
         if self._chips:
             self._least_score = min(self._min_score, self._chips.card.least_score)
-        self._search_scales = card.search_scales if options.search_scales is None else options.search_scales
+        self._search_scales = (
+            card.search_scales if options.search_scales is None else options.search_scales
+        )
         self._card_range_px = card.length_range_px
         self.levels = search_levels(
-            raster.width_px, raster.height_px, card.length_range_px, search_scales=self._search_scales
+            raster.width_px,
+            raster.height_px,
+            card.length_range_px,
+            search_scales=self._search_scales,
         )
         self.visits = [
             (level, tile)
             for level in self.levels
-            for tile in tile_grid(level.width_px, level.height_px, tile_px=tile_px, stride_px=stride_px)
+            for tile in tile_grid(
+                level.width_px, level.height_px, tile_px=tile_px, stride_px=stride_px
+            )
         ]
         n_pixels = raster.width_px * raster.height_px
-        self._every_level, self._max_seconds = options.effort == "full", options.max_seconds or math.inf
+        self._every_level, self._max_seconds = (
+            options.effort == "full",
+            options.max_seconds or math.inf,
+        )
         self._most = most_tiles(options, n_pixels, len(self.visits))
         self._pause = first_pause(options, n_pixels)
         self._found: dict[int, TileDetections] = {}
@@ -181,7 +202,11 @@ class ImageSearch:
         tiles = [(level.factor, tile) for level, tile in self.visits]
         priors = np.array([tile_prior_of(self._cells, tile, factor) for factor, tile in tiles])
         density = None if self._prior is None else self._prior.density
-        ranges = {factor: lengths for factor, lengths in self._length_ranges_px().items() if factor in factors}
+        ranges = {
+            factor: lengths
+            for factor, lengths in self._length_ranges_px().items()
+            if factor in factors
+        }
         return TileScheduler(tiles, priors, level_shares(ranges, density))
 
     @cached_property
@@ -201,8 +226,9 @@ class ImageSearch:
     def leave_out(self, density: NDArray[np.float64]) -> None:
         """Leave out the resolutions that the scale found so far makes superfluous; none without a prior.
 
-        Cars there have a length that the detector does not know, or, in a photograph, that a finer resolution accepts
-        as well. In larger images the tiles of a coarser one show more cars, and few are visited.
+        Cars there have a length that the detector does not know, or, in a photograph, that a finer
+        resolution accepts as well. In larger images the tiles of a coarser one show more cars, and
+        few are visited.
 
         Args:
             density: ``[g]`` of the scale on ``vehanchor.scale.density.GRID``.
@@ -215,17 +241,25 @@ class ImageSearch:
                 shortest, longest = ranges[level.factor]
                 ranges[level.factor] = max(shortest, level.shortest_own_px), longest
         chances = level_chances(ranges, density)
-        self._left_out = frozenset(factor for factor, chance in chances.items() if chance < _EXCLUDED_CHANCE)
+        self._left_out = frozenset(
+            factor for factor, chance in chances.items() if chance < _EXCLUDED_CHANCE
+        )
 
     def _length_ranges_px(self) -> dict[int, tuple[float, float]]:
         shortest = self._card_range_px[0]
-        return {level.factor: (max(shortest, level.shortest_px), level.longest_px) for level in self.levels}
+        return {
+            level.factor: (max(shortest, level.shortest_px), level.longest_px)
+            for level in self.levels
+        }
 
     def _reading_order(self) -> list[int]:
         """List all tiles; in a large image a coarse tile follows the fine ones under it, which are still decoded."""
         if self._raster.width_px * self._raster.height_px < WINDOWED_PIXELS:
             return list(range(len(self.visits)))
-        ends = [(level.factor * (tile.y_px + tile.height_px), k) for k, (level, tile) in enumerate(self.visits)]
+        ends = [
+            (level.factor * (tile.y_px + tile.height_px), k)
+            for k, (level, tile) in enumerate(self.visits)
+        ]
         return [k for _, k in sorted(ends)]
 
     def _read(self, tiles: Sequence[int]) -> Iterator[tuple[int, PreparedTile]]:
@@ -247,7 +281,10 @@ class ImageSearch:
         """Detect objects in a tile; return its number of vehicles."""
         level, tile = self.visits[k]
         seen = self._detect(prepared, level)
-        vehicles, others = (_in_image(found, tile, level, self._overlap_px) for found in (seen.vehicles, seen.others))
+        vehicles, others = (
+            _in_image(found, tile, level, self._overlap_px)
+            for found in (seen.vehicles, seen.others)
+        )
         self._found[k] = seen._replace(vehicles=vehicles, others=others)
         return self._count(vehicles)
 
@@ -264,18 +301,25 @@ class ImageSearch:
                 most = _MOST_VERIFIED if self.n_vehicles < _MANY_VEHICLES else _LEAST_VERIFIED
                 vehicles = vehicles.take(position_sample(vehicles.boxes, most))
             self._n_skipped += candidates - len(vehicles)
-            size_odds = 0.0 if self._prior is None else self._prior.size_odds(vehicles.boxes[:, 2] * level.factor)
+            size_odds = (
+                0.0
+                if self._prior is None
+                else self._prior.size_odds(vehicles.boxes[:, 2] * level.factor)
+            )
             vehicles = verifier.scored(prepared.pixels, vehicles, size_odds=size_odds)
         vehicles = vehicles.take(vehicles.scores >= self._least_score)
         # The range of lengths applies to vehicles only.
-        return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= self._min_score))
+        return seen._replace(
+            vehicles=vehicles, others=seen.others.take(seen.others.scores >= self._min_score)
+        )
 
     def result(self, *, ended: bool = True, check_stretch: bool = True) -> Detections:
         """Merge the detections of all visited tiles, independent of the order of the visits.
 
         Args:
             ended: whether the search has ended; before, the chip network is not asked.
-            check_stretch: whether to test that width and height have one scale; a running camera needs it now and then.
+            check_stretch: whether to test that width and height have one scale; a running camera
+                needs it now and then.
         """
         parts = [self._found[k] for k in sorted(self._found)]
         visited = [self.visits[k][0].factor for k in sorted(self._found)]
@@ -318,7 +362,9 @@ class ImageSearch:
 def _merged(vehicles: Objects, min_score: float, nms_iou: float) -> NDArray[np.intp]:
     """Suppress non-maximum vehicles with a sufficient score; return the indices of the others, best first."""
     enough = np.flatnonzero(vehicles.scores >= min_score)
-    return enough[oriented_nms(vehicles.boxes[enough], vehicles.scores[enough], iou_threshold=nms_iou)]
+    return enough[
+        oriented_nms(vehicles.boxes[enough], vehicles.scores[enough], iou_threshold=nms_iou)
+    ]
 
 
 def _tile_and_stride(fixed_size: tuple[int, int] | None, options: Search) -> tuple[int, int]:
@@ -327,11 +373,16 @@ def _tile_and_stride(fixed_size: tuple[int, int] | None, options: Search) -> tup
     if tile_px is None:
         tile_px = min(fixed_size) if fixed_size else TILE_SIZE_PX
     if fixed_size and tile_px > min(fixed_size):
-        raise InvalidParameterError(f"tile_px is {tile_px}, but the model's input is fixed at {fixed_size}")
-    stride_px = round(tile_px * (1 - TILE_OVERLAP)) if options.stride_px is None else options.stride_px
+        raise InvalidParameterError(
+            f"tile_px is {tile_px}, but the model's input is fixed at {fixed_size}"
+        )
+    stride_px = (
+        round(tile_px * (1 - TILE_OVERLAP)) if options.stride_px is None else options.stride_px
+    )
     if tile_px < _MIN_TILE_PX or not 1 <= stride_px <= tile_px:
         raise InvalidParameterError(
-            f"tile_px {tile_px}, stride_px {stride_px}: use a tile >= {_MIN_TILE_PX} and a stride within it"
+            f"tile_px {tile_px}, stride_px {stride_px}: use a tile >= {_MIN_TILE_PX} and a "
+            "stride within it"
         )
     return tile_px, stride_px
 
@@ -357,6 +408,8 @@ def _merged_by_class(found: Objects, nms_iou: float) -> Objects:
     parts = []
     for index in np.unique(found.classes):
         members = found.take(found.classes == index)
-        parts.append(members.take(oriented_nms(members.boxes, members.scores, iou_threshold=nms_iou)))
+        parts.append(
+            members.take(oriented_nms(members.boxes, members.scores, iou_threshold=nms_iou))
+        )
     merged = Objects.joined(parts)
     return merged.take(np.argsort(-merged.scores, kind="stable"))

@@ -1,8 +1,8 @@
 """Auxiliary models, which run on chips of a detector's boxes, and the verifier, which scores each candidate again.
 
-A candidate's *chip* shows it and its surroundings, rotated along its axis and resized to one length. From the chip a
-small network predicts the logit of a car. The score combines the detector's logit, this logit and, with a scene-scale
-prior, how well the candidate's size fits a car.
+A candidate's *chip* shows it and its surroundings, rotated along its axis and resized to one
+length. From the chip a small network predicts the logit of a car. The score combines the detector's
+logit, this logit and, with a scene-scale prior, how well the candidate's size fits a car.
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 CHIP_PX = 48  # rows and columns
-CHIP_LENGTH_PX = 20.0  # candidate's length on its chip, along the columns; leaves 0.7 lengths on either side
-_SHARPNESS = 1.5  # resolution to which the image is averaged before sampling, in units of the chip's
+# candidate's length on its chip, along the columns; leaves 0.7 lengths on either side
+CHIP_LENGTH_PX = 20.0
+# resolution to which the image is averaged before sampling, in units of the chip's
+_SHARPNESS = 1.5
 _BATCH = 64  # chips per run: a car park has a thousand candidates
 _MARGIN = 1e-4  # scores are clipped: 0 and 1 have no logit
 _CardT = TypeVar("_CardT", bound=AuxiliaryCard)
@@ -35,19 +37,23 @@ _INPUT = "chips"
 
 
 def surroundings(
-    pixels: NDArray[np.uint8], boxes: ArrayLike, side_px: int = CHIP_PX, length_px: float = CHIP_LENGTH_PX
+    pixels: NDArray[np.uint8],
+    boxes: ArrayLike,
+    side_px: int = CHIP_PX,
+    length_px: float = CHIP_LENGTH_PX,
 ) -> NDArray[np.uint8]:
     """Cut chips of candidates with their surroundings.
 
     Args:
         pixels: ``[h, w, 3]`` uint8 RGB.
-        boxes: ``[n, 5]``, ``(x, y, length, width, angle)`` in their pixels and radians; the width is not used.
+        boxes: ``[n, 5]``, ``(x, y, length, width, angle)`` in their pixels and radians; the width
+            is not used.
         side_px: rows and columns of a chip.
         length_px: a candidate's length on its chip.
 
     Returns:
-        ``[n, side, side, 3]`` uint8: the box is centred, its axis along the columns. Outside the pixels their border
-        is repeated.
+        ``[n, side, side, 3]`` uint8: the box is centred, its axis along the columns. Outside the
+        pixels their border is repeated.
     """
     rows = np.asarray(boxes, np.float64).reshape(-1, 5)
     bounds, sizes, matrices = _parts(rows, pixels.shape[1], pixels.shape[0], side_px, length_px)
@@ -57,9 +63,13 @@ def surroundings(
     ):
         part = pixels[top:bottom, left:right]
         if (height, width) != part.shape[:2]:
-            part = np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+            part = np.asarray(
+                cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.uint8
+            )
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        cv2.warpAffine(part, matrix, (side_px, side_px), dst=chip, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        cv2.warpAffine(
+            part, matrix, (side_px, side_px), dst=chip, flags=flags, borderMode=cv2.BORDER_REPLICATE
+        )
     return chips
 
 
@@ -69,8 +79,8 @@ def _parts(
     """Compute the parts of the image from which chips are cut, at once; a loop over boxes takes longer than the cuts.
 
     Returns:
-        ``[n, 4]`` left, top, right and bottom of each part; ``[n, 2]`` width and height to which it is reduced; and
-        ``[n, 2, 3]`` matrices from the chip to the reduced part.
+        ``[n, 4]`` left, top, right and bottom of each part; ``[n, 2]`` width and height to which it
+        is reduced; and ``[n, 2, 3]`` matrices from the chip to the reduced part.
     """
     centres, angles = boxes[:, :2], boxes[:, 4]
     step = boxes[:, 2] / length_px  # pixels per pixel of the chip
@@ -79,10 +89,13 @@ def _parts(
     first = np.clip(centres - reach, 0, ends - 1).astype(np.intp)
     last = np.maximum(np.clip(centres + reach + 1, 1, ends).astype(np.intp), first + 1)
     extent = last - first
-    sizes = np.maximum(1, np.rint(extent * np.minimum(1.0, _SHARPNESS / step)[:, None])).astype(np.intp)
+    sizes = np.maximum(1, np.rint(extent * np.minimum(1.0, _SHARPNESS / step)[:, None])).astype(
+        np.intp
+    )
     ratio = sizes / extent
     cosine, sine = np.cos(angles), np.sin(angles)
-    turn = step[:, None, None] * np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)  # chip -> pixels
+    # chip -> pixels
+    turn = step[:, None, None] * np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)
     origin = centres - first - turn @ [side_px / 2, side_px / 2]
     matrices = np.concatenate([turn * ratio[:, :, None], (origin * ratio)[:, :, None]], axis=2)
     # Continuous coordinates have pixel centres at +0.5.
@@ -105,10 +118,16 @@ class Weights(NamedTuple):
     bias: float
     size: float = 0.0
 
-    def score(self, scores: ArrayLike, logits: ArrayLike, size_odds: ArrayLike = 0.0) -> NDArray[np.float64]:
+    def score(
+        self, scores: ArrayLike, logits: ArrayLike, size_odds: ArrayLike = 0.0
+    ) -> NDArray[np.float64]:
         """Combine the detector's scores, the verifier's logits and the size odds into scores ``[n]`` in [0, 1]."""
         first = np.clip(np.asarray(scores, np.float64), _MARGIN, 1 - _MARGIN)
-        total = self.detector * np.log(first / (1 - first)) + self.verifier * np.asarray(logits, np.float64) + self.bias
+        total = (
+            self.detector * np.log(first / (1 - first))
+            + self.verifier * np.asarray(logits, np.float64)
+            + self.bias
+        )
         total = total + self.size * np.asarray(size_odds, np.float64)
         return np.asarray(1 / (1 + np.exp(-np.clip(total, -50, 50))))
 
@@ -147,7 +166,8 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
         if names != [_INPUT, *self.outputs] or tuple(inputs[0].shape[1:]) != self.chip_shape:
             channels, height, width = self.chip_shape
             raise ModelContractError(
-                f"{self.path} has {', '.join(names)}: expected {_INPUT} [n, {channels}, {height}, {width}] and "
+                f"{self.path} has {', '.join(names)}: expected {_INPUT} [n, {channels}, "
+                f"{height}, {width}] and "
                 f"{', '.join(self.outputs)}, as {self.trained_by} writes them"
             )
         metadata = self._session.get_modelmeta().custom_metadata_map
@@ -169,11 +189,17 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
         planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
         batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
         described = f"the {self.named} {self.path} fails on {list(batch.shape)}"
-        results = run_session(self._session, list(self.outputs), {_INPUT: batch}, self.runtime, described)
+        results = run_session(
+            self._session, list(self.outputs), {_INPUT: batch}, self.runtime, described
+        )
         numbers = [np.asarray(each, np.float64) for each in results]
         shapes = [(len(chips), *shape) for shape in self.outputs.values()]
-        if [each.shape for each in numbers] != shapes or not all(np.isfinite(each).all() for each in numbers):
-            raise ModelContractError(f"the {self.named} {self.path} does not give numbers for each of its chips")
+        if [each.shape for each in numbers] != shapes or not all(
+            np.isfinite(each).all() for each in numbers
+        ):
+            raise ModelContractError(
+                f"the {self.named} {self.path} does not give numbers for each of its chips"
+            )
         return numbers
 
 
@@ -186,13 +212,16 @@ class Verifier(AuxiliaryModel[VerifierCard]):
     outputs: ClassVar = {"logit": ()}
     card_type = VerifierCard
 
-    def scored(self, pixels: NDArray[np.uint8], found: Objects, *, size_odds: ArrayLike = 0.0) -> Objects:
+    def scored(
+        self, pixels: NDArray[np.uint8], found: Objects, *, size_odds: ArrayLike = 0.0
+    ) -> Objects:
         """Replace the scores of candidates by the combined scores.
 
         Args:
             pixels: ``[h, w, 3]`` uint8 RGB, the tile in which they were found.
             found: candidates, in its pixels.
-            size_odds: ``[n]`` how well their sizes fit (see ``SceneScalePrior.size_odds``); 0 without a prior.
+            size_odds: ``[n]`` how well their sizes fit (see ``SceneScalePrior.size_odds``); 0
+                without a prior.
         """
         logits = [np.zeros(0)]
         for start in range(0, len(found), _BATCH):

@@ -1,7 +1,7 @@
 """GeoTIFF copy of an image in local metres: GIS programs measure in it with the estimated scale.
 
-The position on Earth is unknown. The reference system is a local plane with the upper left corner at 0, 0, x to the
-right and y upwards.
+The position on Earth is unknown. The reference system is a local plane with the upper left corner
+at 0, 0, x to the right and y upwards.
 """
 
 from __future__ import annotations

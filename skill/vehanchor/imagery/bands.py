@@ -20,7 +20,9 @@ BandChoice: TypeAlias = tuple[int, int, int] | None
 """Bands that the caller wants as red, green and blue, counted from 1; None for the default of ``choose_bands``."""
 
 
-def choose_bands(n_bands: int, wanted: BandChoice) -> tuple[tuple[int, int, int], tuple[RasterNote, ...]]:
+def choose_bands(
+    n_bands: int, wanted: BandChoice
+) -> tuple[tuple[int, int, int], tuple[RasterNote, ...]]:
     """Choose three of an image's bands.
 
     Returns:
@@ -31,19 +33,26 @@ def choose_bands(n_bands: int, wanted: BandChoice) -> tuple[tuple[int, int, int]
     """
     if wanted is not None:
         if max(wanted) > n_bands:
-            raise InvalidParameterError(f"bands={wanted!r} names a band above {n_bands}, the image's number of bands")
+            raise InvalidParameterError(
+                f"bands={wanted!r} names a band above {n_bands}, the image's number of bands"
+            )
         return (wanted[0] - 1, wanted[1] - 1, wanted[2] - 1), ()
     if n_bands < 3:  # the second of two is alpha
         return (0, 0, 0), ()
     if n_bands <= 4:  # the fourth is alpha or near infrared
         return (0, 1, 2), ()
-    message = f"the image has {n_bands} bands; the first three are read as red, green and blue: set bands for others"
+    message = (
+        f"the image has {n_bands} bands; the first three are read as red, green and blue: "
+        "set bands for others"
+    )
     return (0, 1, 2), (RasterNote("bands_selected", message),)
 
 
 def is_alpha(values: NDArray[Any]) -> bool:
     """Test whether a band of unknown meaning holds only 0 and one other value, as alpha does and near infrared not."""
-    return bool(np.array_equal(np.unique(values), np.unique([0, values.max()]))) and bool(values.any())
+    return bool(np.array_equal(np.unique(values), np.unique([0, values.max()]))) and bool(
+        values.any()
+    )
 
 
 def merge_bands(planes: list[NDArray[Any]]) -> NDArray[Any]:
@@ -58,7 +67,9 @@ def check_dtype(dtype: np.dtype[Any]) -> None:
         ImageFormatError: the type is unsupported.
     """
     if dtype not in DTYPES:
-        raise ImageFormatError(f"pixels of {dtype} cannot be measured; convert them to uint8, uint16 or float32")
+        raise ImageFormatError(
+            f"pixels of {dtype} cannot be measured; convert them to uint8, uint16 or float32"
+        )
 
 
 def check_finite(values: NDArray[Any]) -> None:
@@ -70,4 +81,6 @@ def check_finite(values: NDArray[Any]) -> None:
     if values.dtype.kind == "f":
         n_bad = values.size - int(np.count_nonzero(np.isfinite(values)))
         if n_bad:
-            raise ImageFormatError(f"{n_bad} of {values.size} pixels are NaN or infinite; fill them before measuring")
+            raise ImageFormatError(
+                f"{n_bad} of {values.size} pixels are NaN or infinite; fill them before measuring"
+            )

@@ -1,7 +1,7 @@
 """Resolved detail: the share of an image's resolution that holds real detail, which upsampling reduces.
 
-An image enlarged by r has no power above 1 / (2 r) cycles per pixel, whatever the interpolation. Its spectrum drops in
-a step there, while that of a photograph falls slowly.
+An image enlarged by r has no power above 1 / (2 r) cycles per pixel, whatever the interpolation.
+Its spectrum drops in a step there, while that of a photograph falls slowly.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ if TYPE_CHECKING:
 
 PATCH_PX = 64
 _MAX_PATCHES = 16
-_LEAST_POWER = 1e-3  # per cell of the spectrum, grey levels squared: far below the rounding noise of 8 bits
+# per cell of the spectrum, grey levels squared: far below the rounding noise of 8 bits
+_LEAST_POWER = 1e-3
 _LOWEST_CUT = 5  # cycles per patch; lower frequencies have too few cycles
-_EMPTY = -2.2  # decades below the usual decline; 2 % of the photographs in the train split are lower
+# decades below the usual decline; 2 % of the photographs in the train split are lower
+_EMPTY = -2.2
 
 
 def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
@@ -55,9 +57,10 @@ def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
 def spectrum_share(spectrum: NDArray[np.float64]) -> float:
     """Compute the share of the resolution that holds detail.
 
-    For each frequency c, from low to high, compare the power in c .. 1.5 c with the power in c/4 .. c/2. In photographs
-    power falls slightly faster than the square of the frequency. In an enlarged image it falls a hundred times lower
-    where the original's detail ends. Blur has the same effect, and the same detail is missing.
+    For each frequency c, from low to high, compare the power in c .. 1.5 c with the power in c/4 ..
+    c/2. In photographs power falls slightly faster than the square of the frequency. In an enlarged
+    image it falls a hundred times lower where the original's detail ends. Blur has the same effect,
+    and the same detail is missing.
 
     Args:
         spectrum: result of ``ring_spectrum``.
@@ -70,7 +73,9 @@ def spectrum_share(spectrum: NDArray[np.float64]) -> float:
     for cut in range(_LOWEST_CUT, highest):
         first, last = min(cut, highest - 2), min(highest, math.ceil(1.5 * cut))
         fine = float(np.mean(logs[first : last + 1]))
-        coarse = float(np.log10(np.mean(spectrum[round(cut / 4) : round(cut / 2) + 1]) + _LEAST_POWER))
+        coarse = float(
+            np.log10(np.mean(spectrum[round(cut / 4) : round(cut / 2) + 1]) + _LEAST_POWER)
+        )
         usual_decline = 2 * math.log10(math.sqrt(first * last) / (cut * math.sqrt(1 / 8)))
         if fine - coarse + usual_decline < _EMPTY:
             return cut / highest
@@ -92,11 +97,14 @@ def resolved_share(raster: Raster, centres: NDArray[np.float64], scale: float = 
     width, height = raster.width_px // factor, raster.height_px // factor
     if len(centres) == 0 or min(width, height) < PATCH_PX:
         return 1.0
-    chosen = np.unique(np.linspace(0, len(centres) - 1, min(_MAX_PATCHES, len(centres))).round().astype(int))
+    chosen = np.unique(
+        np.linspace(0, len(centres) - 1, min(_MAX_PATCHES, len(centres))).round().astype(int)
+    )
     corners = np.rint(centres[chosen] / factor).astype(int) - PATCH_PX // 2
     corners = np.clip(corners, 0, (width - PATCH_PX, height - PATCH_PX))
     return spectrum_share(
         ring_spectrum(
-            read_reduced_window(raster, Window(int(x), int(y), PATCH_PX, PATCH_PX), factor) for x, y in corners
+            read_reduced_window(raster, Window(int(x), int(y), PATCH_PX, PATCH_PX), factor)
+            for x, y in corners
         )
     )

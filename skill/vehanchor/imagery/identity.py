@@ -1,7 +1,8 @@
 """Image identity: a checksum of the image, equal for a path and its bytes.
 
-Up to 4096 px per side, and for every image that is decoded whole, the checksum covers all pixels, so that it equals
-that of the array. For a larger image that is read by windows it covers 64 windows and the encoded file.
+Up to 4096 px per side, and for every image that is decoded whole, the checksum covers all pixels,
+so that it equals that of the array. For a larger image that is read by windows it covers 64 windows
+and the encoded file.
 """
 
 from __future__ import annotations
@@ -27,15 +28,18 @@ _BLOCKS, _BLOCK_BYTES = 512, 1 << 20
 def image_id(raster: Raster) -> str:
     """Hash size and content to 16 hexadecimal digits.
 
-    Of a file of more than 512 MiB that is read by windows, 512 evenly spaced blocks of 1 MiB count; of the caller's
-    rasterio dataset the windows alone.
+    Of a file of more than 512 MiB that is read by windows, 512 evenly spaced blocks of 1 MiB count;
+    of the caller's rasterio dataset the windows alone.
     """
     if raster.known_id:
         return raster.known_id
     digest = hashlib.sha256(f"{raster.width_px} x {raster.height_px}".encode())
     step = _WINDOW_PX if raster.in_memory else None
     rows, columns = _spans(raster.height_px, step), _spans(raster.width_px, step)
-    if not raster.in_memory and max(raster.width_px, raster.height_px) > _WINDOWS_PER_SIDE * _WINDOW_PX:
+    if (
+        not raster.in_memory
+        and max(raster.width_px, raster.height_px) > _WINDOWS_PER_SIDE * _WINDOW_PX
+    ):
         _update_with_file(digest, raster.encoded)
     for y, height in rows:
         for x, width in columns:
@@ -56,7 +60,9 @@ def _update_with_file(digest: hashlib._Hash, encoded: str | bytes | None) -> Non
                 file.seek(start)
                 digest.update(file.read(_BLOCK_BYTES))
     except OSError as error:
-        raise ImageDecodeError(f"cannot read the image {encoded!r} again: {error.strerror}") from error
+        raise ImageDecodeError(
+            f"cannot read the image {encoded!r} again: {error.strerror}"
+        ) from error
 
 
 def _spans(side_px: int, step: int | None = None) -> list[tuple[int, int]]:

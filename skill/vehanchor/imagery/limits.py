@@ -40,7 +40,8 @@ def check_side(width_px: int, height_px: int, hint: str = "") -> None:
     """
     if min(width_px, height_px) < MIN_SIDE_PX:
         raise ImageFormatError(
-            f"the image is {width_px} x {height_px} px; at least {MIN_SIDE_PX} px a side are needed{hint}"
+            f"the image is {width_px} x {height_px} px; at least {MIN_SIDE_PX} px a side are "
+            f"needed{hint}"
         )
 
 
@@ -53,12 +54,15 @@ def check_windowed_size(name: str, width_px: int, height_px: int, limits: ImageL
     """
     if width_px * height_px > limits.max_windowed_pixels:
         raise ImageTooLargeError(
-            f"the {name} declares {width_px} x {height_px} px, the limit is {limits.max_windowed_pixels} pixels"
+            f"the {name} declares {width_px} x {height_px} px, the limit is "
+            f"{limits.max_windowed_pixels} pixels"
         )
     check_side(width_px, height_px)
 
 
-def check_block(name: str, block_px: int, samples: int, sample_bytes: int, limits: ImageLimits) -> None:
+def check_block(
+    name: str, block_px: int, samples: int, sample_bytes: int, limits: ImageLimits
+) -> None:
     """Check the size of a strip or tile, because decoders decode it whole.
 
     Args:
@@ -72,10 +76,15 @@ def check_block(name: str, block_px: int, samples: int, sample_bytes: int, limit
         ImageTooLargeError: decoding the block would exceed the limits.
     """
     decoded = _BLOCK_COPIES * block_px * samples * sample_bytes
-    if block_px * samples > _SAMPLES_PER_PIXEL * limits.max_pixels or decoded > limits.max_decoded_bytes:
+    if (
+        block_px * samples > _SAMPLES_PER_PIXEL * limits.max_pixels
+        or decoded > limits.max_decoded_bytes
+    ):
         raise ImageTooLargeError(
-            f"the {name} is stored in blocks of {block_px} pixels with {samples} bands of {sample_bytes} bytes, too "
-            f"large to read by windows under the limits of {limits.max_pixels} pixels and {limits.max_decoded_bytes} "
+            f"the {name} is stored in blocks of {block_px} pixels with {samples} bands of "
+            f"{sample_bytes} bytes, too "
+            f"large to read by windows under the limits of {limits.max_pixels} pixels and "
+            f"{limits.max_decoded_bytes} "
             "bytes; store it tiled"
         )
 
@@ -104,13 +113,16 @@ def check_header(header: ImageHeader, limits: ImageLimits) -> None:
     if not windowed and header.width_px * header.height_px > limits.max_pixels:
         raise ImageTooLargeError(
             f"the {header.format} declares {header.width_px} x {header.height_px} px, the limit is "
-            f"{limits.max_pixels} pixels (--max-megapixels, ImageLimits.max_pixels); convert it to a tiled TIFF, "
+            f"{limits.max_pixels} pixels (--max-megapixels, ImageLimits.max_pixels); convert it "
+            "to a tiled TIFF, "
             "which is read by windows, or raise the limit"
         )
     if not windowed and header.decoding_bytes > limits.max_decoded_bytes:
         raise ImageTooLargeError(
-            f"decoding the {header.format} of {header.width_px} x {header.height_px} px takes {header.decoding_bytes} "
-            f"bytes, the limit is {limits.max_decoded_bytes}; convert it to 8-bit RGB, or to a tiled TIFF, which is "
+            f"decoding the {header.format} of {header.width_px} x {header.height_px} px takes "
+            f"{header.decoding_bytes} "
+            f"bytes, the limit is {limits.max_decoded_bytes}; convert it to 8-bit RGB, or to a "
+            "tiled TIFF, which is "
             "read by windows"
         )
     check_windowed_size(header.format, header.width_px, header.height_px, limits)

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.imagery.stretch import STRETCH_PERCENTILES, UNIT_RANGE, Stretch, choose_stretch, find_no_data, to_uint8
+from vehanchor.imagery.stretch import (
+    STRETCH_PERCENTILES,
+    UNIT_RANGE,
+    Stretch,
+    choose_stretch,
+    find_no_data,
+    to_uint8,
+)
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -19,7 +26,8 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.metadata.georeference import Ground
 
-# EXIF orientation -> (swap rows and columns, then flip up-down, flip left-right) that turns the stored image upright.
+# EXIF orientation -> (swap rows and columns, then flip up-down, flip left-right) that turns the
+# stored image upright.
 _ORIENTATIONS = {
     1: (False, False, False),
     2: (False, False, True),
@@ -114,8 +122,14 @@ class Raster(ABC):
             0 <= window.x_px < window.x_px + window.width_px <= self.width_px
             and 0 <= window.y_px < window.y_px + window.height_px <= self.height_px
         ):
-            raise InvalidParameterError(f"{window} is not inside the image of {self.width_px} x {self.height_px} px")
-        return self._to_rgb(self._read_stored(stored_window(window, self.width_px, self.height_px, self._orientation)))
+            raise InvalidParameterError(
+                f"{window} is not inside the image of {self.width_px} x {self.height_px} px"
+            )
+        return self._to_rgb(
+            self._read_stored(
+                stored_window(window, self.width_px, self.height_px, self._orientation)
+            )
+        )
 
     def _to_rgb(self, stored: StoredPixels) -> NDArray[np.uint8]:
         """Convert stored pixels to upright 8-bit RGB."""
@@ -130,7 +144,8 @@ class Raster(ABC):
         """Read a window of the reduced image from the file's overviews; None if it has none.
 
         Args:
-            window: in pixels of the reduced image, which has ``width_px // factor`` x ``height_px // factor``.
+            window: in pixels of the reduced image, which has ``width_px // factor`` x ``height_px
+                // factor``.
             factor: reduction factor, 2 or more.
         """
         return None
@@ -142,7 +157,10 @@ class Raster(ABC):
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -157,12 +175,17 @@ class Raster(ABC):
         if empty is not None:
             self._no_data, share = empty
             sample = sample[(sample != self._no_data).any(axis=1)]
-            words.append(f"the value {self._no_data:g}, in {share * 100:.0f} % of the pixels, counts as no data")
+            words.append(
+                f"the value {self._no_data:g}, in {share * 100:.0f} % of the pixels, counts as "
+                "no data"
+            )
         self._stretch = choose_stretch(sample)
         if self._stretch is not None and self._stretch != UNIT_RANGE:
             low, high = self._stretch
             percentiles = f"percentiles {STRETCH_PERCENTILES[0]:g} and {STRETCH_PERCENTILES[1]:g}"
-            words.append(f"{sample.dtype} values {low:g} to {high:g} ({percentiles}) become 0 to 255")
+            words.append(
+                f"{sample.dtype} values {low:g} to {high:g} ({percentiles}) become 0 to 255"
+            )
         if words:
             self.warnings = (*self.warnings, RasterNote("pixels_stretched", "; ".join(words)))
 

@@ -28,7 +28,8 @@ class Stretch(NamedTuple):
 
 
 UNIT_RANGE = Stretch(0.0, 1.0)
-_LEAST_EMPTY = 1 - STRETCH_PERCENTILES[1] / 100  # share of the pixels from which a value reaches the percentiles
+# share of the pixels from which a value reaches the percentiles
+_LEAST_EMPTY = 1 - STRETCH_PERCENTILES[1] / 100
 
 
 def find_no_data(sample: NDArray[Any]) -> tuple[float, float] | None:
@@ -38,8 +39,9 @@ def find_no_data(sample: NDArray[Any]) -> tuple[float, float] | None:
         sample: finite values of the image, ``[n, bands]``.
 
     Returns:
-        The lowest or highest value and its share, if it fills all bands of 2 % of the pixels and is apart from all
-        others by more than their whole range; None otherwise. Clipped highlights are next to other values.
+        The lowest or highest value and its share, if it fills all bands of 2 % of the pixels and is
+        apart from all others by more than their whole range; None otherwise. Clipped highlights are
+        next to other values.
     """
     for extreme in (sample.min(), sample.max()) if sample.size else ():
         empty = (sample == extreme).all(axis=1)
@@ -72,13 +74,17 @@ def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
     if sample.dtype.kind == "f" and least >= 0 and most <= 1:
         return UNIT_RANGE
     # "nearest" does no arithmetic between values, so the largest floats do not overflow
-    low, high = (float(value) for value in np.percentile(sample, STRETCH_PERCENTILES, method="nearest"))
+    low, high = (
+        float(value) for value in np.percentile(sample, STRETCH_PERCENTILES, method="nearest")
+    )
     if low == high:
         low, high = least, most
     if low == high:
         high = low + max(1.0, abs(low))  # constant: all black
     if not math.isfinite(255 / (high - low)) or math.isinf(high - low):
-        raise ImageFormatError(f"pixel values from {low:g} to {high:g} cannot be scaled; rescale the image to 0..1")
+        raise ImageFormatError(
+            f"pixel values from {low:g} to {high:g} cannot be scaled; rescale the image to 0..1"
+        )
     return Stretch(low, high)
 
 

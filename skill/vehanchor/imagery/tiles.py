@@ -35,7 +35,8 @@ def tile_grid(
         width_px: image width.
         height_px: image height.
         tile_px: side of a tile; a smaller image has one tile of its own size.
-        stride_px: step between tiles, at most ``tile_px``; default three quarters of it (25 % overlap).
+        stride_px: step between tiles, at most ``tile_px``; default three quarters of it (25 %
+            overlap).
 
     Returns:
         Distinct windows that cover every pixel of the image.
@@ -55,7 +56,8 @@ def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[
 
     Args:
         raster: the image.
-        window: in pixels of the reduced image, which has ``width_px // factor`` x ``height_px // factor``.
+        window: in pixels of the reduced image, which has ``width_px // factor`` x ``height_px //
+            factor``.
         factor: reduction factor; 1 reads the window unreduced.
 
     Returns:
@@ -104,7 +106,8 @@ def read_around(
 def read_preview(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
     """Read a window of a raster reduced by a whole factor, from the file's overviews if it has any.
 
-    Overviews are fast but can be resampled in other ways: use previews for search, not for measurement.
+    Overviews are fast but can be resampled in other ways: use previews for search, not for
+    measurement.
 
     Args:
         raster: the image.

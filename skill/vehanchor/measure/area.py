@@ -1,7 +1,7 @@
 """Area of one object in a box or at points.
 
-Raster + prompt -> mask -> pixels x GSD^2 -> record. The scale comes from the whole image, or from the caller. No
-language model takes part in the measurement.
+Raster + prompt -> mask -> pixels x GSD^2 -> record. The scale comes from the whole image, or from
+the caller. No language model takes part in the measurement.
 """
 
 from __future__ import annotations
@@ -58,13 +58,16 @@ def analyse_objects(
         object_height_m: height of all objects above the ground.
 
     Returns:
-        For each prompt the record, the mask, the prompt in pixels of the image and the analysis of the scale.
+        For each prompt the record, the mask, the prompt in pixels of the image and the analysis of
+        the scale.
 
     Raises:
         VehAnchorError: as ``Engine.measure_area``.
     """
     options.frame.check(raster.width_px, raster.height_px)
-    prompts = [prompt_in_image(each, options.frame, raster.width_px, raster.height_px) for each in prompts]
+    prompts = [
+        prompt_in_image(each, options.frame, raster.width_px, raster.height_px) for each in prompts
+    ]
     # Masks first: they are faster than the search, and an invalid prompt fails early.
     masks = [segmenter.segment(raster, prompt, limits=options.reading.limits) for prompt in prompts]
     found = resolve_scale(raster, scale, options, object_height_m=object_height_m)
@@ -96,14 +99,17 @@ def _conclude(
     measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, not a size of zero
     area = diameter = _Size()
     if measured is not None and circle is not None:
-        area_m2, diameter_m = n_px * measured**2, circle.diameter * measured  # the paper, section III-G
+        # the paper, section III-G
+        area_m2, diameter_m = n_px * measured**2, circle.diameter * measured
         area_sd = card.area_log_sd(prompt, found)
         diameter_sd = _diameter_log_sd(area_sd, n_px, outline_px, circle.diameter)
         area = _Size(area_m2, *scale.spread.times(2).plus(area_sd).around(area_m2))
         diameter = _Size(diameter_m, *scale.spread.plus(diameter_sd).around(diameter_m))
     box = _box(found)
     return AreaMeasurement(
-        status="low_confidence" if scale.status == "ok" and card.is_doubtful(found) else scale.status,
+        status="low_confidence"
+        if scale.status == "ok" and card.is_doubtful(found)
+        else scale.status,
         area_m2=area.value,
         area_ci95_low_m2=area.low,
         area_ci95_high_m2=area.high,
@@ -116,7 +122,9 @@ def _conclude(
         inscribed_diameter_m=diameter.value,
         inscribed_diameter_ci95_low_m=diameter.low,
         inscribed_diameter_ci95_high_m=diameter.high,
-        inscribed_center=None if circle is None else ImagePoint(x_px=circle.x + left, y_px=circle.y + top),
+        inscribed_center=None
+        if circle is None
+        else ImagePoint(x_px=circle.x + left, y_px=circle.y + top),
         bounding_box=box,
         alternatives=tuple(_other_object(each, scale) for each in found.alternatives),
         outline=_outline(mask, left, top),
@@ -136,11 +144,14 @@ class _Size(NamedTuple):
     high: float | None = None
 
 
-def _diameter_log_sd(area_log_sd: float, area_px: float, perimeter_px: float, diameter_px: float) -> float:
+def _diameter_log_sd(
+    area_log_sd: float, area_px: float, perimeter_px: float, diameter_px: float
+) -> float:
     """Propagate the mask's uncertainty to the diameter of its inscribed circle.
 
-    An offset d of the outline changes the area by d times the perimeter and the diameter by 2 d. The relative error of
-    the diameter is half of the area's for a disc, and equal to it for a narrow strip.
+    An offset d of the outline changes the area by d times the perimeter and the diameter by 2 d.
+    The relative error of the diameter is half of the area's for a disc, and equal to it for a
+    narrow strip.
     """
     return max(area_log_sd / 2, 2 * area_log_sd * area_px / (perimeter_px * diameter_px))
 
@@ -149,7 +160,9 @@ def _other_object(found: Segmentation, scale: ResolvedScale) -> OtherObject:
     n_px, box = int(found.mask.sum()), _box(found)
     assert box is not None, "alternatives are not empty"
     gsd = scale.gsd_over(found.mask, found.window.x_px, found.window.y_px)
-    return OtherObject(area_m2=gsd and n_px * gsd**2, mask_area_px=n_px, mask_score=found.score, bounding_box=box)
+    return OtherObject(
+        area_m2=gsd and n_px * gsd**2, mask_area_px=n_px, mask_score=found.score, bounding_box=box
+    )
 
 
 def _box(found: Segmentation) -> BoundingBox | None:
@@ -159,14 +172,19 @@ def _box(found: Segmentation) -> BoundingBox | None:
 
 def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolygon, ...]:
     def ring(points: NDArray[np.float64]) -> OutlineRing:
-        return OutlineRing(points=tuple(ImagePoint(x_px=float(x) + left, y_px=float(y) + top) for x, y in points))
+        return OutlineRing(
+            points=tuple(ImagePoint(x_px=float(x) + left, y_px=float(y) + top) for x, y in points)
+        )
 
     return tuple(
-        OutlinePolygon(exterior=ring(around), holes=tuple(map(ring, holes))) for around, *holes in outline_parts(mask)
+        OutlinePolygon(exterior=ring(around), holes=tuple(map(ring, holes)))
+        for around, *holes in outline_parts(mask)
     )
 
 
-def _frame(frame: Frame, raster: Raster, gsd: float | None, box: BoundingBox | None) -> FrameArea | None:
+def _frame(
+    frame: Frame, raster: Raster, gsd: float | None, box: BoundingBox | None
+) -> FrameArea | None:
     if frame.size is None:
         return None
     width, height = frame.size

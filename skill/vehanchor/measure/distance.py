@@ -32,7 +32,8 @@ MIN_PATH_PX = 2.0
 """Shortest path, pixels of the full image."""
 
 MAX_PATH_POINTS = 1000
-_POINT_SD = 1.0  # of a point, in the finest step of the caller's coordinates, as for lines of known length
+# of a point, in the finest step of the caller's coordinates, as for lines of known length
+_POINT_SD = 1.0
 
 
 def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
@@ -82,7 +83,9 @@ def analyse_paths(
     in_image = [_in_image(path, coordinates) for path in paths]
     found = resolve_scale(raster, scale, options, object_height_m=object_height_m)
     return tuple(
-        DistanceAnalysis(_conclude(path, coordinates, found), scale=found.analysis, nadir=found.plane is None)
+        DistanceAnalysis(
+            _conclude(path, coordinates, found), scale=found.analysis, nadir=found.plane is None
+        )
         for path in in_image
     )
 
@@ -98,7 +101,8 @@ def _in_image(path: Sequence[Place], coordinates: CoordinateFrame) -> list[Place
     length_px = _length(places)
     if length_px < MIN_PATH_PX:
         raise PromptError(
-            f"the path is {length_px:.3g} px of the full image long: at least {MIN_PATH_PX:g} px are needed"
+            f"the path is {length_px:.3g} px of the full image long: at least {MIN_PATH_PX:g} "
+            "px are needed"
             f"{coordinates.other_reading(path)}"
         )
     return places
@@ -113,17 +117,24 @@ def _length_sd(places: Sequence[Place], unit_px: tuple[float, float]) -> float:
     legs = np.diff(np.array(places), axis=0)
     reach = np.hypot(legs[:, 0], legs[:, 1])[:, None]
     along = np.divide(legs, reach, out=np.zeros_like(legs), where=reach > 0)
-    gradient = np.diff(along, axis=0, prepend=0.0, append=0.0)  # of the length by each point; 0 on a straight line
+    # of the length by each point; 0 on a straight line
+    gradient = np.diff(along, axis=0, prepend=0.0, append=0.0)
     return float(np.hypot.reduce((gradient * unit_px * _POINT_SD).ravel()))
 
 
-def _conclude(places: Sequence[Place], coordinates: CoordinateFrame, scale: ResolvedScale) -> DistanceMeasurement:
+def _conclude(
+    places: Sequence[Place], coordinates: CoordinateFrame, scale: ResolvedScale
+) -> DistanceMeasurement:
     """Make the record from path and scale."""
     length_px, gsd, distance, low, high = _length(places), scale.gsd_m_per_px, None, None, None
     if gsd is not None:
         plane = scale.plane
-        distance = gsd * length_px if plane is None else float(plane.length(places[:-1], places[1:]).sum())
-        low, high = scale.spread.plus(_length_sd(places, coordinates.unit_px) / length_px).around(distance)
+        distance = (
+            gsd * length_px if plane is None else float(plane.length(places[:-1], places[1:]).sum())
+        )
+        low, high = scale.spread.plus(_length_sd(places, coordinates.unit_px) / length_px).around(
+            distance
+        )
     return DistanceMeasurement(
         status=scale.status,
         distance_m=distance,

@@ -55,7 +55,8 @@ class ResolvedScale:
         source: source of the scale.
         analysis: the analysis behind it; None without a search.
         notices: warnings about the image and the scale.
-        plane: ground plane of a tilted camera, with the scale of the image's centre; None if one scale holds.
+        plane: ground plane of a tilted camera, with the scale of the image's centre; None if one
+            scale holds.
         known: the scale of the ground, to give back; None for a number, and without a scale.
     """
 
@@ -79,7 +80,11 @@ class ResolvedScale:
         n_px = int(mask.sum())
         if self.gsd_m_per_px is None or not n_px:
             return None
-        return self.gsd_m_per_px if self.plane is None else math.sqrt(self.plane.area(mask, left, top) / n_px)
+        return (
+            self.gsd_m_per_px
+            if self.plane is None
+            else math.sqrt(self.plane.area(mask, left, top) / n_px)
+        )
 
     @property
     def estimate(self) -> GsdEstimate | None:
@@ -109,7 +114,9 @@ class ResolvedScale:
 
 
 def given_scale(
-    gsd_m_per_px: float | None, scale: KnownScale | GsdEstimate | Mapping[str, Any] | None, options: ScaleOptions
+    gsd_m_per_px: float | None,
+    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
+    options: ScaleOptions,
 ) -> float | KnownScale | None:
     """Check a known scale of the caller before the work; None if it must be estimated.
 
@@ -119,19 +126,26 @@ def given_scale(
         options: of the method.
 
     Raises:
-        InvalidParameterError: both are given, one is given with lines of known length, or one is invalid.
+        InvalidParameterError: both are given, one is given with lines of known length, or one is
+            invalid.
     """
-    known = [name for name, value in (("gsd_m_per_px", gsd_m_per_px), ("scale", scale)) if value is not None]
+    known = [
+        name
+        for name, value in (("gsd_m_per_px", gsd_m_per_px), ("scale", scale))
+        if value is not None
+    ]
     if len(known) > 1:
         raise InvalidParameterError("give gsd_m_per_px or scale, not both")
     if known and options.rulers.known_lengths:
         raise InvalidParameterError(
-            f"give {known[0]} or lines of known length, not both: a given scale is not measured again. To measure with "
+            f"give {known[0]} or lines of known length, not both: a given scale is not measured "
+            "again. To measure with "
             f"the lines, leave out {known[0]}"
         )
     if known and options.by_hand.given:
         raise InvalidParameterError(
-            f"give {known[0]} or {options.by_hand.given}, not both: with a given scale no vehicles are searched"
+            f"give {known[0]} or {options.by_hand.given}, not both: with a given scale no "
+            "vehicles are searched"
         )
     if scale is not None:
         return known_scale(scale)
@@ -159,7 +173,8 @@ def resolve_scale(
     Raises:
         InvalidParameterError: the height is invalid, or the camera's height is unknown.
         ScaleMismatchError: the scale was measured on another image.
-        TooObliqueError: the horizon is visible, or nearly so; or the object is higher than the camera.
+        TooObliqueError: the horizon is visible, or nearly so; or the object is higher than the
+            camera.
         VehAnchorError: as ``Engine.estimate``.
     """
     if object_height_m is None:
@@ -181,24 +196,41 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         record = analysis.estimate
         plane, notices = _plane(raster, record.scale), record.warnings
         return ResolvedScale(
-            record.gsd_m_per_px, _spread(record), record.confidence, "estimated", analysis, notices, plane, record.scale
+            record.gsd_m_per_px,
+            _spread(record),
+            record.confidence,
+            "estimated",
+            analysis,
+            notices,
+            plane,
+            record.scale,
         )
     if not isinstance(scale, KnownScale):
-        return _given(raster, options, ResolvedScale(scale, Spread(), None, "given"), "the given scale is")
+        return _given(
+            raster, options, ResolvedScale(scale, Spread(), None, "given"), "the given scale is"
+        )
     seen = image_id(raster)
     if seen != scale.image_id:
         raise ScaleMismatchError(
-            f"the scale was measured on another image ({scale.image_id}), this one is {seen}: estimate the scale "
+            f"the scale was measured on another image ({scale.image_id}), this one is {seen}: "
+            "estimate the scale "
             "of this image, or leave scale out"
         )
     reused = ResolvedScale(
-        scale.gsd_m_per_px, _spread(scale), scale.confidence, "reused", plane=_plane(raster, scale), known=scale
+        scale.gsd_m_per_px,
+        _spread(scale),
+        scale.confidence,
+        "reused",
+        plane=_plane(raster, scale),
+        known=scale,
     )
     return _given(raster, options, reused, "the scale given back is")
 
 
 def _spread(scale: KnownScale | GsdEstimate) -> Spread:
-    return Spread.of_interval(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
+    return Spread.of_interval(
+        scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px
+    )
 
 
 def _given(raster: Raster, options: ScaleOptions, found: ResolvedScale, name: str) -> ResolvedScale:
@@ -220,7 +252,8 @@ def _unit_notice(gsd_m_per_px: float, own_m_per_px: float | None) -> tuple[Notic
     return (
         Notice(
             code=NoticeCode.UNIT_MISTYPED,
-            message=f"The given scale is {gsd_m_per_px:g} metres per pixel. Were centimetres meant? Then give "
+            message=f"The given scale is {gsd_m_per_px:g} metres per pixel. Were centimetres "
+            "meant? Then give "
             f"{gsd_m_per_px / 100:g}.",
         ),
     )
@@ -241,8 +274,8 @@ def _camera_above(
     """Collect data for the camera's height before the work.
 
     Returns:
-        The lens, which gives the height from the scale; the stated height above the ground, or above take-off, metres;
-        and the standard deviation of its log. None if unknown.
+        The lens, which gives the height from the scale; the stated height above the ground, or
+        above take-off, metres; and the standard deviation of its log. None if unknown.
 
     Raises:
         InvalidParameterError: the object's height is invalid, or the camera's height is unknown.
@@ -253,16 +286,23 @@ def _camera_above(
     height = chosen.height_m or (camera.height_m if camera is not None else None)
     if seen is None and height is None:
         raise InvalidParameterError(
-            "object_height_m needs the camera's height, which is in neither the file nor an option: give height_m, or "
+            "object_height_m needs the camera's height, which is in neither the file nor an "
+            "option: give height_m, or "
             "measure on the ground"
         )
     given = RELIABILITY["measured height"].log_sd
-    spread = given if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
+    spread = (
+        given if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
+    )
     return seen, height, spread
 
 
 def _raised(
-    found: ResolvedScale, object_height_m: float, lens: Lens | None, camera_height_m: float | None, height_log_sd: float
+    found: ResolvedScale,
+    object_height_m: float,
+    lens: Lens | None,
+    camera_height_m: float | None,
+    height_log_sd: float,
 ) -> ResolvedScale:
     """Convert the scale of the ground to a height above it, nearer to the camera.
 
@@ -279,7 +319,8 @@ def _raised(
     share = object_height_m / height
     if share >= 1:
         raise TooObliqueError(
-            f"an object {object_height_m:g} m above the ground lies above the camera, which is {height:.0f} m up: give "
+            f"an object {object_height_m:g} m above the ground lies above the camera, which is "
+            f"{height:.0f} m up: give "
             "a lower height"
         )
     if focal_px:  # scale less height over focal length: the relative error grows with height
@@ -288,4 +329,9 @@ def _raised(
     else:
         spread = found.spread.plus(share / (1 - share) * height_log_sd)
     gsd = found.gsd_m_per_px * (1 - share)
-    return replace(found, gsd_m_per_px=gsd, spread=spread, plane=found.plane and replace(found.plane, gsd_m_per_px=gsd))
+    return replace(
+        found,
+        gsd_m_per_px=gsd,
+        spread=spread,
+        plane=found.plane and replace(found.plane, gsd_m_per_px=gsd),
+    )

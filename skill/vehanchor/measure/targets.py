@@ -81,10 +81,14 @@ class TargetRow(NamedTuple):
     def flat(self) -> dict[str, Any]:
         """Give the values by column."""
         given = (*self.target.numbers, None, None)[:4]
-        values = dict.fromkeys(TARGET_COLUMNS) | dict(zip(("x1", "y1", "x2", "y2"), given, strict=True))
+        values = dict.fromkeys(TARGET_COLUMNS) | dict(
+            zip(("x1", "y1", "x2", "y2"), given, strict=True)
+        )
         values |= {"file": self.target.file, "name": self.target.name, "kind": self.target.kind}
         if self.record is not None:
-            values |= {name: getattr(self.record, name, None) for name in ("status", *_SIZES, *_SCORES)}
+            values |= {
+                name: getattr(self.record, name, None) for name in ("status", *_SIZES, *_SCORES)
+            }
             values["warnings"] = " ".join(each.code for each in self.record.warnings)
         if self.error is not None:
             values |= {"error_code": self.error.code, "error": str(self.error)}
@@ -118,7 +122,11 @@ def read_targets(path: str | os.PathLike[str]) -> dict[str, tuple[Target, ...]]:
 
 
 def measure_targets(
-    image: str, targets: Sequence[Target], detector: Detector, segmenter: Segmenter, options: ScaleOptions
+    image: str,
+    targets: Sequence[Target],
+    detector: Detector,
+    segmenter: Segmenter,
+    options: ScaleOptions,
 ) -> list[TargetRow]:
     """Measure all targets of an image with one search.
 
@@ -135,18 +143,28 @@ def measure_targets(
     try:
         with open_raster(image, options.reading) as raster:
             search = cache(lambda: analyse_raster(detector, raster, options))
-            return [_measure(raster, target, segmenter, lambda *_: search(), options) for target in targets]
+            return [
+                _measure(raster, target, segmenter, lambda *_: search(), options)
+                for target in targets
+            ]
     except VehAnchorError as error:
         return [TargetRow(target, error=error) for target in targets]
 
 
 def _target(row: Mapping[str, str | None]) -> Target:
-    numbers = tuple(float(row.get(name) or "") for name in ("x1", "y1", "x2", "y2") if row.get(name) or name[1] == "1")
+    numbers = tuple(
+        float(row.get(name) or "")
+        for name in ("x1", "y1", "x2", "y2")
+        if row.get(name) or name[1] == "1"
+    )
     kind = row.get("kind") or ("point" if len(numbers) == 2 else "box")
     if kind not in _KINDS:
         raise PromptError(f"kind is {kind!r}: use {', '.join(_KINDS)}")
     if len(numbers) != (2 if kind == "point" else 4):
-        raise PromptError(f"a {kind} has {len(numbers)} numbers: a point has x1, y1; a box or line has x1, y1, x2, y2")
+        raise PromptError(
+            f"a {kind} has {len(numbers)} numbers: a point has x1, y1; a box or line has x1, "
+            "y1, x2, y2"
+        )
     return Target(row["file"] or "", row.get("name") or "", kind, numbers)
 
 
@@ -160,7 +178,9 @@ def _measure(
         if target.kind == "line":
             (found,) = analyse_paths(raster, [read_path([given[:2], given[2:]])], scale, options)
         else:
-            prompt = read_prompt(given, None) if target.kind == "box" else read_prompt(None, [given])
+            prompt = (
+                read_prompt(given, None) if target.kind == "box" else read_prompt(None, [given])
+            )
             (found,) = analyse_objects(raster, [prompt], segmenter, scale, options)
     except PromptError as error:
         return TargetRow(target, error=error)

@@ -19,7 +19,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _BLOCK_BYTES = 1 << 20
-_LENGTH = rb"[\x80-\xff]?[\x00-\x7f]"  # protobuf's number below 16,384: seven bits per byte, lowest first
+# protobuf's number below 16,384: seven bits per byte, lowest first
+_LENGTH = rb"[\x80-\xff]?[\x00-\x7f]"
 _LOCATION = re.compile(rb"\x6a" + _LENGTH + rb"\x0a\x08location\x12(" + _LENGTH + rb")")
 """Start of an entry of ``TensorProto.external_data`` (onnx.proto, field 13) with the key ``location``."""
 
@@ -48,16 +49,21 @@ def read_model(path: Path) -> ModelFile:
     """
     if not path.is_file():
         raise ModelNotFoundError(
-            f"no model file at {path}; pass the path of an ONNX file, or see 'vehanchor models list'"
+            f"no model file at {path}; pass the path of an ONNX file, or see 'vehanchor models "
+            "list'"
         )
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise ModelContractError(f"the model file {path} cannot be read: {error.strerror}") from error
+        raise ModelContractError(
+            f"the model file {path} cannot be read: {error.strerror}"
+        ) from error
     weights = tuple(path.parent / location for location in external_locations(content))
     for file in weights:
         if not file.is_file():
-            raise ModelNotFoundError(f"the model {path} keeps weights in {file}, which is missing: copy it there, too")
+            raise ModelNotFoundError(
+                f"the model {path} keeps weights in {file}, which is missing: copy it there, too"
+            )
     return ModelFile(path, content, weights)
 
 
@@ -76,8 +82,9 @@ def models_sha256(*models: ModelFile) -> str:
 def external_locations(content: bytes) -> tuple[str, ...]:
     """List the files of a graph's external weights, relative to its folder, each once; empty for other files.
 
-    The graph itself names the file of every tensor that is stored outside it. The entries are found by their bytes,
-    wherever the tensor lies in the graph, because the ``onnx`` package is not a dependency.
+    The graph itself names the file of every tensor that is stored outside it. The entries are found
+    by their bytes, wherever the tensor lies in the graph, because the ``onnx`` package is not a
+    dependency.
     """
     found: dict[str, None] = {}
     for entry in _LOCATION.finditer(content):
@@ -93,26 +100,34 @@ _FileState: TypeAlias = tuple[Path, int, int, int]
 def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Cache what a function loads from model files, until one of the files changes.
 
-    Files, including those with external weights, are identified by absolute path, size, time and inode. A replaced
-    model is therefore loaded again, and a relative path after ``chdir`` is another file.
+    Files, including those with external weights, are identified by absolute path, size, time and
+    inode. A replaced model is therefore loaded again, and a relative path after ``chdir`` is
+    another file.
 
     Args:
         max_models: maximum number of cached results; the least recently used is dropped first.
 
     Returns:
-        A decorator for a function whose arguments that are ``os.PathLike`` are ONNX files; it gets their absolute
-        paths. All its arguments must be hashable. Exceptions are not cached.
+        A decorator for a function whose arguments that are ``os.PathLike`` are ONNX files; it gets
+        their absolute paths. All its arguments must be hashable. Exceptions are not cached.
     """
 
     def decorate(load: Callable[P, T]) -> Callable[P, T]:
         @functools.lru_cache(max_models)
-        def loaded(states: tuple[_FileState, ...], args: tuple[Any, ...], named: tuple[tuple[str, Any], ...]) -> T:
+        def loaded(
+            states: tuple[_FileState, ...],
+            args: tuple[Any, ...],
+            named: tuple[tuple[str, Any], ...],
+        ) -> T:
             del states
             return load(*args, **dict(named))
 
         @functools.wraps(load)
         def cached(*args: P.args, **kwargs: P.kwargs) -> T:
-            given, named = [_absolute(each) for each in args], {name: _absolute(each) for name, each in kwargs.items()}
+            given, named = (
+                [_absolute(each) for each in args],
+                {name: _absolute(each) for name, each in kwargs.items()},
+            )
             files = [each for each in (*given, *named.values()) if isinstance(each, Path)]
             states = tuple(state for file in files for state in _states(file))
             return loaded(states, tuple(given), tuple(named.items()))
@@ -123,7 +138,8 @@ def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
 
 def _absolute(value: Any) -> Any:
-    # Links are not resolved: external weights lie beside the given name, not beside the link's target.
+    # Links are not resolved: external weights lie beside the given name, not beside the link's
+    # target.
     return Path(value).absolute() if isinstance(value, os.PathLike) else value
 
 

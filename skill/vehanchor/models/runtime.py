@@ -68,10 +68,11 @@ class Runtime:
 
     Attributes:
         threads: CPU threads of each model; None leaves the number to ONNX Runtime.
-        providers: execution providers in order of preference, by full name or as ``"cuda"``, ``"cpu"``. If ``cpu`` is
-            among them, a missing provider is skipped with a warning in the log. A single name is accepted, too.
-        progress: called with (done, total): tiles of an image, photographs of a flight. An exception that it raises
-            ends the call.
+        providers: execution providers in order of preference, by full name or as ``"cuda"``,
+            ``"cpu"``. If ``cpu`` is among them, a missing provider is skipped with a warning in the
+            log. A single name is accepted, too.
+        progress: called with (done, total): tiles of an image, photographs of a flight. An
+            exception that it raises ends the call.
         cancellation: ends the call from another thread.
 
     Raises:
@@ -90,7 +91,9 @@ class Runtime:
     @property
     def idle(self) -> Runtime:
         """Runtime without progress and cancellation, with which models are opened and cached."""
-        return self if self.progress is None and self.cancellation is None else self.during(Runtime())
+        return (
+            self if self.progress is None and self.cancellation is None else self.during(Runtime())
+        )
 
     def during(self, call: Runtime) -> Runtime:
         """Copy the runtime with the progress and the cancellation of a call."""
@@ -136,7 +139,10 @@ class LoadedModel:
 
     def under(self, call: Runtime) -> Self:
         """Bind the model to one call: its runs report to the call's progress and obey its cancellation."""
-        if call.progress is self.runtime.progress and call.cancellation is self.runtime.cancellation:
+        if (
+            call.progress is self.runtime.progress
+            and call.cancellation is self.runtime.cancellation
+        ):
             return self
         bound = copy.copy(self)
         bound.runtime = self.runtime.during(call)

@@ -1,7 +1,7 @@
 """ONNX Runtime sessions, with all failures as errors of this package.
 
-The official builds of ONNX Runtime send telemetry unless an environment variable disables it before the first import.
-This module disables it, unless the user has set the variable.
+The official builds of ONNX Runtime send telemetry unless an environment variable disables it before
+the first import. This module disables it, unless the user has set the variable.
 """
 
 from __future__ import annotations
@@ -18,7 +18,12 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 import onnxruntime
 
-from vehanchor.errors import ModelContractError, OutOfMemoryError, ProviderUnavailableError, VehAnchorError
+from vehanchor.errors import (
+    ModelContractError,
+    OutOfMemoryError,
+    ProviderUnavailableError,
+    VehAnchorError,
+)
 from vehanchor.models.files import external_locations
 from vehanchor.models.runtime import Runtime
 
@@ -40,20 +45,25 @@ _SHORT_NAMES = {
     "directml": "DmlExecutionProvider",
     "rocm": "ROCMExecutionProvider",
 }
-_SMALL_BYTES = 32 << 20  # file size; bundled models and YOLO11n have about 10 MB, SAM's encoders hundreds
-_AS_REQUESTED = 1  # ONNX Runtime's ``ArenaExtendStrategy``: the arena grows by the requested size, not by powers of two
+# file size; bundled models and YOLO11n have about 10 MB, SAM's encoders hundreds
+_SMALL_BYTES = 32 << 20
+# ONNX Runtime's ``ArenaExtendStrategy``: the arena grows by the requested size, not by powers of
+# two
+_AS_REQUESTED = 1
 _logger = logging.getLogger(__name__)
 
 _OUT_OF_MEMORY = re.compile("bad.?alloc|failed to allocate|out of memory", re.IGNORECASE)
 
 
-def open_session(path: Path, *, content: bytes | None = None, runtime: Runtime | None = None) -> Session:
+def open_session(
+    path: Path, *, content: bytes | None = None, runtime: Runtime | None = None
+) -> Session:
     """Open a model.
 
     Args:
         path: path of the file.
-        content: bytes of the file, which are run instead of the file. For a graph with external weights the path is
-            used, because ONNX Runtime finds the weights by it.
+        content: bytes of the file, which are run instead of the file. For a graph with external
+            weights the path is used, because ONNX Runtime finds the weights by it.
         runtime: threads and execution providers; None for the defaults.
 
     Returns:
@@ -61,14 +71,16 @@ def open_session(path: Path, *, content: bytes | None = None, runtime: Runtime |
 
     Raises:
         ModelContractError: ONNX Runtime cannot load the model.
-        ProviderUnavailableError: an execution provider is not installed, and ``cpu`` is not among the providers.
+        ProviderUnavailableError: an execution provider is not installed, and ``cpu`` is not among
+            the providers.
         OutOfMemoryError: there is too little memory for it now.
     """
     chosen = runtime or Runtime()
     wanted = _installed(chosen.providers)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # fatal only; a broken file raises an error of this package
-    options.add_session_config_entry("session.force_spinning_stop", "1")  # else threads spin on after each run
+    # else threads spin on after each run
+    options.add_session_config_entry("session.force_spinning_stop", "1")
     if chosen.threads is not None:
         options.intra_op_num_threads = chosen.threads
         options.inter_op_num_threads = 1
@@ -76,7 +88,8 @@ def open_session(path: Path, *, content: bytes | None = None, runtime: Runtime |
     if isinstance(model, bytes) and len(model) <= _SMALL_BYTES:
         _share_arena()
         options.add_session_config_entry("session.use_env_allocators", "1")
-        options.enable_mem_pattern = False  # keeps a block per input shape, and tiles have many shapes
+        # keeps a block per input shape, and tiles have many shapes
+        options.enable_mem_pattern = False
     else:
         options.enable_cpu_mem_arena = False  # never releases the memory of the largest run
     try:
@@ -94,9 +107,9 @@ def open_session(path: Path, *, content: bytes | None = None, runtime: Runtime |
 def _share_arena() -> None:
     """Share one memory arena between the small models of this process.
 
-    They then keep as much memory as the largest of them needs. Without an arena, runs allocate every layer's memory
-    again and leave twice as much behind. With one arena per model, ONNX Runtime's default, each model keeps its own
-    (``research/results/notes.md``).
+    They then keep as much memory as the largest of them needs. Without an arena, runs allocate
+    every layer's memory again and leave twice as much behind. With one arena per model, ONNX
+    Runtime's default, each model keeps its own (``research/results/notes.md``).
     """
     memory = onnxruntime.OrtMemoryInfo(
         "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
@@ -119,7 +132,8 @@ def _installed(providers: Sequence[str]) -> list[str]:
     missing = [name for name in wanted if name not in available]
     if missing and "CPUExecutionProvider" not in wanted:
         raise ProviderUnavailableError(
-            f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the matching onnxruntime "
+            f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the "
+            "matching onnxruntime "
             "build, or add cpu to the providers as a fallback"
         )
     if missing:
@@ -159,7 +173,9 @@ def run_session(
     """
     cancellation = runtime.cancellation
     try:
-        results: list[Any] = session.run(outputs, feeds, None if cancellation is None else cancellation.run_options)
+        results: list[Any] = session.run(
+            outputs, feeds, None if cancellation is None else cancellation.run_options
+        )
     except Exception as error:  # ONNX Runtime's own exception types are private
         if cancellation is not None and cancellation.requested:
             raise CancelledError("the call was cancelled") from error
@@ -170,7 +186,9 @@ def run_session(
 def _converted(error: Exception, described: str) -> VehAnchorError:
     """Convert an exception of ONNX Runtime to an error of this package."""
     if isinstance(error, MemoryError) or _OUT_OF_MEMORY.search(str(error)):
-        return OutOfMemoryError(f"{described}: {error}. Try again when more memory is free, or use smaller tiles")
+        return OutOfMemoryError(
+            f"{described}: {error}. Try again when more memory is free, or use smaller tiles"
+        )
     return ModelContractError(f"{described}: {error}")
 
 
@@ -188,5 +206,7 @@ def metadata_number(metadata: Mapping[str, str], key: str, default: float) -> fl
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or value < 0:
-        raise ModelContractError(f"metadata vehanchor.{key} is {text!r}: expected a finite number >= 0")
+        raise ModelContractError(
+            f"metadata vehanchor.{key} is {text!r}: expected a finite number >= 0"
+        )
     return value

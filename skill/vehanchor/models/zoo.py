@@ -11,7 +11,11 @@ DEFAULT_DETECTOR = "vehicles"
 _BUNDLED = Path(__file__).parent / "bundled"
 SEGMENTER = _BUNDLED / "segmenter-encoder.onnx", _BUNDLED / "segmenter-decoder.onnx"
 SCENE_SCALE, COURTS = _BUNDLED / "scene-scale.onnx", _BUNDLED / "courts.onnx"
-_NO_DETECTORS = {"verifier.onnx", "chips.onnx", *(path.name for path in (*SEGMENTER, SCENE_SCALE, COURTS))}
+_NO_DETECTORS = {
+    "verifier.onnx",
+    "chips.onnx",
+    *(path.name for path in (*SEGMENTER, SCENE_SCALE, COURTS)),
+}
 
 
 def bundled_models() -> dict[str, Path]:
@@ -24,8 +28,8 @@ def auxiliary_model(detector: Path, kind: Literal["verifier", "chips"]) -> Path 
     """Find the verifier or the chip network of a detector; None without one.
 
     Args:
-        detector: file of the detector. The default detector's models are bundled; any other's lie beside it, for
-            example ``mine.verifier.onnx`` beside ``mine.onnx``.
+        detector: file of the detector. The default detector's models are bundled; any other's lie
+            beside it, for example ``mine.verifier.onnx`` beside ``mine.onnx``.
         kind: which of them.
     """
     path = detector.with_name(f"{detector.stem}.{kind}.onnx")
@@ -50,7 +54,8 @@ def resolve_model(model: str | Path | None = None) -> Path:
     path = Path(name)
     if not path.is_file():
         raise ModelNotFoundError(
-            f"no model {name!r}: not a file, and not one of the bundled detectors ({', '.join(bundled) or 'none'})"
+            f"no model {name!r}: not a file, and not one of the bundled detectors "
+            f"({', '.join(bundled) or 'none'})"
         )
     return path
 
@@ -66,5 +71,7 @@ def resolve_segmenter(files: tuple[str | Path, str | Path] | None = None) -> tup
     encoder, decoder = (Path(file) for file in files)
     for path in (encoder, decoder):
         if not path.is_file():
-            raise ModelNotFoundError(f"no segmenter file at {str(path)!r}; pass the paths of its encoder and decoder")
+            raise ModelNotFoundError(
+                f"no segmenter file at {str(path)!r}; pass the paths of its encoder and decoder"
+            )
     return encoder, decoder

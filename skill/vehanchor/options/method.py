@@ -37,37 +37,43 @@ class Search:
         min_score: lowest detection score, 0..1; None takes the model's, or for foreign models
             ``vehanchor.detection.card.MIN_SCORE``.
         nms_iou: IoU, 0..1, above which the weaker of two boxes is dropped.
-        search_scales: also search reduced copies of the image, for vehicles longer than the model was trained on; None
-            takes the model's own choice (no, for foreign models).
-        verify: score candidates again with the model's verifier and chip network, if it has any, and measure bodies.
+        search_scales: also search reduced copies of the image, for vehicles longer than the model
+            was trained on; None takes the model's own choice (no, for foreign models).
+        verify: score candidates again with the model's verifier and chip network, if it has any,
+            and measure bodies.
         tile_px: tile side; None is 1024, or the model's fixed input size.
         stride_px: step between tiles; None is three quarters of the tile.
-        effort: ``full`` searches every tile; ``auto`` and ``fast`` search likely tiles first, and end when more tiles
-            would not change the scale (see ``vehanchor.analysis.convergence``). In images below 4 megapixels they
-            skip only resolutions at which, by the scene-scale prior, no car has a valid size.
+        effort: ``full`` searches every tile; ``auto`` and ``fast`` search likely tiles first, and
+            end when more tiles would not change the scale (see ``vehanchor.analysis.convergence``).
+            In images below 4 megapixels they skip only resolutions at which, by the scene-scale
+            prior, no car has a valid size.
         max_tiles: largest number of tiles, likely ones first; None for all.
-        max_seconds: largest time in seconds; None for no limit. With it, results depend on the machine.
+        max_seconds: largest time in seconds; None for no limit. With it, results depend on the
+            machine.
 
     Raises:
         InvalidParameterError: a number is invalid, or the effort is unknown.
     """
 
     min_score: Annotated[
-        _Share | None, Option("Lowest accepted detection score, 0 to 1. Default: the model's.", metavar="P")
+        _Share | None,
+        Option("Lowest accepted detection score, 0 to 1. Default: the model's.", metavar="P"),
     ] = None
-    nms_iou: Annotated[_Share, Option("IoU, 0 to 1, above which the weaker of two boxes is dropped.", metavar="P")] = (
-        NMS_IOU
-    )
+    nms_iou: Annotated[
+        _Share, Option("IoU, 0 to 1, above which the weaker of two boxes is dropped.", metavar="P")
+    ] = NMS_IOU
     search_scales: Annotated[
         Flag | None,
         Option(
-            "Also search copies at 1/2, 1/4 and 1/8, for vehicles longer than the model was trained on. Default: the "
+            "Also search copies at 1/2, 1/4 and 1/8, for vehicles longer than the model was "
+            "trained on. Default: the "
             "model's choice."
         ),
     ] = None
     verify: Annotated[Flag, Option("Score candidates again, and measure bodies.", cli=False)] = True
     tile_px: Annotated[
-        _Count | None, Option("Side of a tile, pixels. Default: 1024, or the model's input.", metavar="PX")
+        _Count | None,
+        Option("Side of a tile, pixels. Default: 1024, or the model's input.", metavar="PX"),
     ] = None
     stride_px: Annotated[
         _Count | None, Option("Step between tiles, pixels. Default: 3/4 of the tile.", metavar="PX")
@@ -92,7 +98,8 @@ class Search:
     max_seconds: Annotated[
         _Seconds | None,
         Option(
-            "Maximum search time in seconds; the result then depends on the machine. Default: no limit.",
+            "Maximum search time in seconds; the result then depends on the machine. Default: "
+            "no limit.",
             metavar="S",
             tools="estimate",
             listed=False,
@@ -110,9 +117,11 @@ class Lengths:
     """Statistics of the vehicles' lengths.
 
     Attributes:
-        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean`` (see ``vehanchor.scale.lengths.modal_length``);
-            None for the model's own choice (``kde``, the paper's, for foreign models).
-        alpha: outlier filter, ``P_i <= alpha * median`` (paper, equation 2), alpha >= 1; None switches it off.
+        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean`` (see
+            ``vehanchor.scale.lengths.modal_length``); None for the model's own choice (``kde``, the
+            paper's, for foreign models).
+        alpha: outlier filter, ``P_i <= alpha * median`` (paper, equation 2), alpha >= 1; None
+            switches it off.
 
     Raises:
         InvalidParameterError: alpha is not a number >= 1, or the aggregation is unknown.
@@ -120,7 +129,10 @@ class Lengths:
 
     aggregation: Annotated[
         Aggregation | None,
-        Option("Statistic of the lengths; a KDE becomes the median below 5 vehicles. Default: the model's, or kde."),
+        Option(
+            "Statistic of the lengths; a KDE becomes the median below 5 vehicles. Default: the "
+            "model's, or kde."
+        ),
     ] = None
     alpha: Annotated[
         Annotated[float, Limits(least=1)] | None,
@@ -150,10 +162,11 @@ class Reference:
 
     Attributes:
         reference_length_m: the fleet's modal vehicle length, 2 to 20 metres.
-        region: use the model's reference length for a region (bundled: ``vehanchor.scale.countries.REGIONS``), or that
-            of a country by its ISO 3166-1 alpha-2 code (``vehanchor.scale.countries``).
-        calibration: use the reference length measured for this fleet and detector (see ``load_calibration``); a path
-            is read at once.
+        region: use the model's reference length for a region (bundled:
+            ``vehanchor.scale.countries.REGIONS``), or that of a country by its ISO 3166-1 alpha-2
+            code (``vehanchor.scale.countries``).
+        calibration: use the reference length measured for this fleet and detector (see
+            ``load_calibration``); a path is read at once.
 
     Raises:
         InvalidParameterError: two are given, or the length is not a number from 2 to 20.
@@ -183,7 +196,9 @@ class Reference:
     def __post_init__(self) -> None:
         given = [each.name for each in fields(self) if getattr(self, each.name) is not None]
         if len(given) > 1:
-            raise InvalidParameterError(f"give {' or '.join(given)}, not both: each sets the reference length")
+            raise InvalidParameterError(
+                f"give {' or '.join(given)}, not both: each sets the reference length"
+            )
 
 
 @group(frozen=True)
@@ -191,8 +206,8 @@ class Method:
     """Preset of the method.
 
     Attributes:
-        preset: ``paper`` sets every option to the paper's value, with the paper's confidence C and resolution guard;
-            None changes no option.
+        preset: ``paper`` sets every option to the paper's value, with the paper's confidence C and
+            resolution guard; None changes no option.
 
     Raises:
         InvalidParameterError: the preset is unknown.
@@ -201,7 +216,8 @@ class Method:
     preset: Annotated[
         Preset | None,
         Option(
-            "Named preset: paper is exactly the paper's method, with its confidence and its resolution guard.",
+            "Named preset: paper is exactly the paper's method, with its confidence and its "
+            "resolution guard.",
             first=True,
         ),
     ] = None

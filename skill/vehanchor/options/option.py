@@ -1,7 +1,7 @@
 """Declaration of options: name, type, limits and help, each declared once.
 
-A field of an option group is annotated with its ``Option``, its numbers with their ``Limits``. Keywords, command-line
-options, tool arguments, settings and schemas derive from the annotation.
+A field of an option group is annotated with its ``Option``, its numbers with their ``Limits``.
+Keywords, command-line options, tool arguments, settings and schemas derive from the annotation.
 """
 
 from __future__ import annotations
@@ -64,7 +64,9 @@ class Limits(NamedTuple):
         """Limits by their names in JSON Schema."""
         named = {"minimum": self.least, "maximum": self.most, "exclusiveMinimum": self.above}
         return {
-            name: int(limit) if limit == int(limit) else limit for name, limit in named.items() if limit is not None
+            name: int(limit) if limit == int(limit) else limit
+            for name, limit in named.items()
+            if limit is not None
         }
 
     def __str__(self) -> str:
@@ -79,10 +81,13 @@ class Limits(NamedTuple):
         """Check a number, or a text with one, and convert it to Python's types, also from NumPy's.
 
         Raises:
-            InvalidParameterError: the value is a bool, is not a finite number, or is outside the limits.
+            InvalidParameterError: the value is a bool, is not a finite number, or is outside the
+                limits.
         """
         found = self._number(value)
-        low = (self.least is not None and found < self.least) or (self.above is not None and found <= self.above)
+        low = (self.least is not None and found < self.least) or (
+            self.above is not None and found <= self.above
+        )
         high = self.most is not None and found > self.most
         if not math.isfinite(found) or low or high or (self.whole and found != int(found)):
             raise InvalidParameterError(f"{name} is {_shown(value)}: use {self}")
@@ -134,7 +139,8 @@ class Option:
         repeated: whether the command line repeats it, once for each item.
         cli: whether the command line offers it.
         first: whether ``--help`` shows it; others are for a file of options.
-        tools: whether no tool, all measuring tools, or only those of lengths and areas take it as argument.
+        tools: whether no tool, all measuring tools, or only those of lengths and areas take it as
+            argument.
         listed: whether the listed schemas of these tools show it to models.
         error: class of errors in its value.
     """
@@ -165,7 +171,9 @@ if not TYPE_CHECKING:
 
         def decorate(kind: type) -> type:
             config = ConfigDict(
-                extra="forbid", allow_inf_nan=False, json_schema_extra=lambda s: s.pop("description", 0)
+                extra="forbid",
+                allow_inf_nan=False,
+                json_schema_extra=lambda s: s.pop("description", 0),
             )
             made = validated(frozen=frozen, config=config)(kind)
             initialise = made.__init__
@@ -188,7 +196,9 @@ def refusal(kind: Any, error: ValidationError) -> VehAnchorError:
     cause = first.get("ctx", {}).get("error")
     if isinstance(cause, VehAnchorError):
         return cause
-    place = [str(part) for part in first["loc"] if str(part).isidentifier() or isinstance(part, int)]
+    place = [
+        str(part) for part in first["loc"] if str(part).isidentifier() or isinstance(part, int)
+    ]
     field = kind.__pydantic_fields__.get(place[0]) if place else None
     options = [each for each in (field.metadata if field else ()) if isinstance(each, Option)]
     made: Any = getattr(kind, "error", options[0].error if options else InvalidParameterError)
@@ -206,7 +216,8 @@ def in_order(*names: str) -> BeforeValidator:
         values = value.replace(",", " ").split() if isinstance(value, str) else value
         if isinstance(values, dict) or not isinstance(values, Iterable):
             return values
-        return dict(zip((*names, *map(str, range(64))), values, strict=False))  # no group has the fields "0", "1", ...
+        # no group has the fields "0", "1", ...
+        return dict(zip((*names, *map(str, range(64))), values, strict=False))
 
     return BeforeValidator(read)
 

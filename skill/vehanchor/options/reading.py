@@ -26,11 +26,11 @@ class ImageLimits:
 
     Attributes:
         max_bytes: encoded size of a file that is read whole.
-        max_pixels: declared width x height of an image that is decoded whole. Larger TIFFs and all JPEG 2000 are read
-            by windows.
+        max_pixels: declared width x height of an image that is decoded whole. Larger TIFFs and all
+            JPEG 2000 are read by windows.
         max_windowed_pixels: declared width x height of an image that is read by windows.
-        max_decoded_bytes: memory for decoding: width x height x bands x depth of an image decoded whole, or of a strip
-            or tile of one read by windows, and the decoder's own memory.
+        max_decoded_bytes: memory for decoding: width x height x bands x depth of an image decoded
+            whole, or of a strip or tile of one read by windows, and the decoder's own memory.
 
     Raises:
         InvalidParameterError: a limit is not a whole number >= 1.
@@ -46,7 +46,8 @@ Coordinates: TypeAlias = Literal["pixels", "fraction", "per_mille"]
 """Units of coordinates."""
 
 _Side = Annotated[int, Limits(1, 1_000_000, whole=True)]
-_SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}  # largest value along either side
+# largest value along either side
+_SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}
 
 
 @group(frozen=True)
@@ -68,8 +69,8 @@ class Frame:
 
     Attributes:
         frame: width and height of the copy; None for the image itself.
-        coordinates: pixels: of the copy, or of the image without a copy; fraction: 0 to 1 of either side; per_mille:
-            0 to 1000 of either side.
+        coordinates: pixels: of the copy, or of the image without a copy; fraction: 0 to 1 of either
+            side; per_mille: 0 to 1000 of either side.
 
     Raises:
         InvalidParameterError: a side is not a whole number >= 1, or the units are unknown.
@@ -82,7 +83,10 @@ class Frame:
         Field(examples=[{"width_px": 1024, "height_px": 768}]),
     ] = None
     coordinates: Annotated[
-        Coordinates, Option("Pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000).", tools="all")
+        Coordinates,
+        Option(
+            "Pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000).", tools="all"
+        ),
     ] = "pixels"
 
     @property
@@ -104,7 +108,8 @@ class Frame:
         if abs(height - fitting) > slack:
             raise FrameError(
                 f"the frame is {width} x {height} px, the image {width_px} x {height_px} "
-                f"px: a copy of that width would be {round(fitting)} px high. Give the size of an uncropped copy"
+                f"px: a copy of that width would be {round(fitting)} px high. Give the size of "
+                "an uncropped copy"
             )
 
 
@@ -113,7 +118,8 @@ Place: TypeAlias = tuple[float, float]
 
 _CUT_EDGE = 1.0  # tolerance of rounding, in pixels or thousandths of a side
 _CUT_EDGE_SHARE = 1e-3
-_SEEN_SIDES_PX = (768, 1024, 1092, 1280, 1536, 1568, 2000, 2048, 2576)  # long sides of images shown to language models
+# long sides of images shown to language models
+_SEEN_SIDES_PX = (768, 1024, 1092, 1280, 1536, 1568, 2000, 2048, 2576)
 _THOUSAND = 1000
 
 
@@ -158,7 +164,11 @@ class CoordinateFrame:
     def inside(self, places: Sequence[Place]) -> bool:
         """Tell whether all places are inside, within rounding."""
         cut = _CUT_EDGE_SHARE if self.frame.coordinates == "fraction" else _CUT_EDGE
-        return all(-cut < at < side + cut for place in places for at, side in zip(place, self.extent, strict=True))
+        return all(
+            -cut < at < side + cut
+            for place in places
+            for at, side in zip(place, self.extent, strict=True)
+        )
 
     def in_image(self, x: float, y: float) -> Place:
         """Convert a place to pixels of the full image; clamp it to the image."""
@@ -174,16 +184,25 @@ class CoordinateFrame:
             return ""  # no length in any unit
         x, y = max(place[0] for place in places), max(place[1] for place in places)
         if max(x, y) <= 1:
-            return '; as fractions of the sides it would be valid: for fractions, set coordinates to "fraction"'
-        if self.frame.size is not None or self.inside(places):  # a larger copy makes lengths smaller still
+            return (
+                "; as fractions of the sides it would be valid: for fractions, set "
+                'coordinates to "fraction"'
+            )
+        # a larger copy makes lengths smaller still
+        if self.frame.size is not None or self.inside(places):
             return ""
         for side in _SEEN_SIDES_PX:
             factor = side / max(self.width_px, self.height_px)
             width, height = round(self.width_px * factor), round(self.height_px * factor)
             if factor > 1 and x <= width and y <= height:
-                thousand = ', or set coordinates to "per_mille" if they go to 1000' if max(x, y) <= _THOUSAND else ""
+                thousand = (
+                    ', or set coordinates to "per_mille" if they go to 1000'
+                    if max(x, y) <= _THOUSAND
+                    else ""
+                )
                 return (
-                    f"; in a copy of {width} x {height} px it would be valid: for a copy, give its size as the frame"
+                    f"; in a copy of {width} x {height} px it would be valid: for a copy, give "
+                    "its size as the frame"
                     f"{thousand}"
                 )
         return ""
@@ -211,10 +230,12 @@ class Reading:
         tuple[_Band, _Band, _Band] | None,
         Option("Bands for red, green and blue, from 1. Default: the first three.", metavar="R G B"),
     ] = None
-    limits: Annotated[InstanceOf[ImageLimits], Option("Limits on the cost of an image.", cli=False)] = field(
-        default_factory=ImageLimits
-    )
-    bgr: Annotated[Flag, Option("Arrays have the order blue, green, red, as in OpenCV.", cli=False)] = False
+    limits: Annotated[
+        InstanceOf[ImageLimits], Option("Limits on the cost of an image.", cli=False)
+    ] = field(default_factory=ImageLimits)
+    bgr: Annotated[
+        Flag, Option("Arrays have the order blue, green, red, as in OpenCV.", cli=False)
+    ] = False
     max_megapixels: Annotated[
         Annotated[float, Limits(above=0)] | None,
         Option("Decode images of up to this many megapixels whole. Default: 100.", metavar="MP"),
@@ -224,4 +245,6 @@ class Reading:
         if self.max_megapixels is not None:
             pixels = max(1, round(self.max_megapixels * _MEGAPIXEL))
             memory = max(self.limits.max_decoded_bytes, DECODED_BYTES_PER_PIXEL * pixels)
-            set_frozen(self, "limits", replace(self.limits, max_pixels=pixels, max_decoded_bytes=memory))
+            set_frozen(
+                self, "limits", replace(self.limits, max_pixels=pixels, max_decoded_bytes=memory)
+            )

@@ -15,9 +15,12 @@ from vehanchor.scale.defaults import LARGEST_GSD_M_PER_PX, LEAST_GSD_M_PER_PX
 GSD_M_PER_PX = Limits(LEAST_GSD_M_PER_PX, LARGEST_GSD_M_PER_PX)
 OBJECT_HEIGHT_M = Limits(0, 1000, unit="m")
 
-GSD = Option("Known metres per pixel of the full image; skips the search.", metavar="M/PX", flag="gsd")
+GSD = Option(
+    "Known metres per pixel of the full image; skips the search.", metavar="M/PX", flag="gsd"
+)
 OBJECT_HEIGHT = Option(
-    "Height of the object above ground, metres, such as a roof; needs the camera height or focal length.",
+    "Height of the object above ground, metres, such as a roof; needs the camera height or "
+    "focal length.",
     metavar="M",
     flag="object-height",
 )
@@ -54,7 +57,9 @@ class Segment:
         """Length of the line in pixels."""
         return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
 
-    def check(self, name: str, error: type[InvalidParameterError], size: tuple[int, int] | None = None) -> None:
+    def check(
+        self, name: str, error: type[InvalidParameterError], size: tuple[int, int] | None = None
+    ) -> None:
         """Check that the line is long enough, and inside a picture.
 
         Args:
@@ -66,11 +71,17 @@ class Segment:
             InvalidParameterError: the line is shorter than five pixels, or an end is outside.
         """
         if self.length_px < _MIN_LINE_PX:
-            raise error(f"{name} is {self.length_px:.1f} px long: give both ends of one of {_MIN_LINE_PX:g} px or more")
-        ends = ((self.x1, self.y1), (self.x2, self.y2))
-        if size and not all(0 <= at <= side for end in ends for at, side in zip(end, size, strict=True)):
             raise error(
-                f"{name}, from ({self.x1:g}, {self.y1:g}) to ({self.x2:g}, {self.y2:g}), leaves the picture of "
+                f"{name} is {self.length_px:.1f} px long: give both ends of one of "
+                f"{_MIN_LINE_PX:g} px or more"
+            )
+        ends = ((self.x1, self.y1), (self.x2, self.y2))
+        if size and not all(
+            0 <= at <= side for end in ends for at, side in zip(end, size, strict=True)
+        ):
+            raise error(
+                f"{name}, from ({self.x1:g}, {self.y1:g}) to ({self.x2:g}, {self.y2:g}), leaves "
+                "the picture of "
                 f"{size[0]} x {size[1]} px: give both ends in its pixels"
             )
 
@@ -88,9 +99,17 @@ def vehicle_numbers(value: Any) -> Any:
     """
     if isinstance(value, int) and not isinstance(value, bool):
         value = (value,)
-    found = _ranges(value) if isinstance(value, str) else list(value) if isinstance(value, Iterable) else None
+    found = (
+        _ranges(value)
+        if isinstance(value, str)
+        else list(value)
+        if isinstance(value, Iterable)
+        else None
+    )
     if found is None:
-        raise InvalidParameterError(f"drop is {value!r}: give a list of numbers of vehicles, as 1-20,23")
+        raise InvalidParameterError(
+            f"drop is {value!r}: give a list of numbers of vehicles, as 1-20,23"
+        )
     if len(found) > MOST_BY_HAND:
         raise InvalidParameterError(f"drop has {len(found)} vehicles: give at most {MOST_BY_HAND}")
     return tuple(dict.fromkeys(int(_NUMBER.check("drop", each)) for each in found))
@@ -101,10 +120,14 @@ def _ranges(text: str) -> list[int]:
     for part in text.replace(",", " ").split():
         first, _, last = part.partition("-")
         if not first.isdecimal() or not (last or first).isdecimal() or part.endswith("-"):
-            raise InvalidParameterError(f"drop is {text!r}: use numbers and ranges with commas, as 1-20,23")
+            raise InvalidParameterError(
+                f"drop is {text!r}: use numbers and ranges with commas, as 1-20,23"
+            )
         low, high = int(first), int(last or first)
         if high < low or high - low >= MOST_BY_HAND:
-            raise InvalidParameterError(f"drop has the range {part}: use rising ranges of at most {MOST_BY_HAND}")
+            raise InvalidParameterError(
+                f"drop has the range {part}: use rising ranges of at most {MOST_BY_HAND}"
+            )
         found += range(low, high + 1)
     return found
 
@@ -113,8 +136,8 @@ def _ranges(text: str) -> list[int]:
 class ByHand:
     """Vehicles that the caller drops or adds.
 
-    The numbers are those of the pictures: 1 is the best detection. They hold for one image, one detector and the same
-    options of the search.
+    The numbers are those of the pictures: 1 is the best detection. They hold for one image, one
+    detector and the same options of the search.
 
     Attributes:
         drop: numbers of vehicles that are no cars.
@@ -154,16 +177,20 @@ class ByHand:
             InvalidParameterError: one is.
         """
         if self.given:
-            raise InvalidParameterError(f"{self.given} belongs to one image: estimate that image by itself")
+            raise InvalidParameterError(
+                f"{self.given} belongs to one image: estimate that image by itself"
+            )
 
 
 Basis: TypeAlias = Literal["assumed", "measured"]
 """How a fact is known: by a standard or an inference, or by tape, plan or survey."""
 
-_STATED_TOLERANCE = 0.1  # half of the 95 % interval of a stated scale without a tolerance, relative; a choice
+# half of the 95 % interval of a stated scale without a tolerance, relative; a choice
+_STATED_TOLERANCE = 0.1
 _Length = Annotated[float, Limits(above=0, most=100_000, unit="m")]
 _Name = Annotated[str, Field(max_length=64, pattern="^[A-Za-z]")]
-Height: TypeAlias = Annotated[float, Limits(above=0, most=20_000, unit="m")]  # survey aircraft fly at 10 km
+# survey aircraft fly at 10 km
+Height: TypeAlias = Annotated[float, Limits(above=0, most=20_000, unit="m")]
 FocalLength: TypeAlias = Annotated[float, Limits(above=0, most=10_000, unit="mm")]
 _Gsd = Annotated[float, GSD_M_PER_PX]
 
@@ -187,10 +214,11 @@ class KnownLength(Segment):
     """Straight line on the ground with its known length.
 
     Attributes:
-        metres: length of the line; or a thing of known size by its name in ``vehanchor.rulers.standards``, with an
-            optional country, as "railway_gauge/ES".
+        metres: length of the line; or a thing of known size by its name in
+            ``vehanchor.rulers.standards``, with an optional country, as "railway_gauge/ES".
         basis: how the length is known: assumed, or measured by tape, plan or survey.
-        tolerance_m: half of the 95 % interval of the length, metres; None for the default of its basis.
+        tolerance_m: half of the 95 % interval of the length, metres; None for the default of its
+            basis.
 
     Raises:
         KnownLengthError: a value is missing or invalid.
@@ -204,7 +232,9 @@ class KnownLength(Segment):
 
     def __post_init__(self) -> None:
         if self.what is not None and (self.basis == "measured" or self.tolerance_m is not None):
-            raise KnownLengthError(f"a thing of known size, {self.what!r}, has no basis or tolerance")
+            raise KnownLengthError(
+                f"a thing of known size, {self.what!r}, has no basis or tolerance"
+            )
 
     @property
     def what(self) -> str | None:
@@ -226,7 +256,8 @@ def _line_of_text(value: Any) -> Any:
     metres, _, tolerance = parts.pop().partition("+-") if parts else ("", "", "")
     if len(parts) != 4:
         raise KnownLengthError(
-            f"the known length is {value!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, or X1 Y1 X2 Y2 and "
+            f"the known length is {value!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, "
+            "or X1 Y1 X2 Y2 and "
             "a name of 'vehanchor models --sizes'"
         )
     return (*parts, metres, basis, tolerance or None)
@@ -249,15 +280,18 @@ class Rulers:
     """Rulers to use, and known facts about the scale.
 
     Attributes:
-        rulers: kinds of the rulers to use; None for all. ``vehanchor.records.ruler_registry`` lists them.
+        rulers: kinds of the rulers to use; None for all. ``vehanchor.records.ruler_registry`` lists
+            them.
         metadata: use the camera's metadata in the file; False is the paper's case.
-        known_lengths: lines of known length: x1, y1, x2, y2 in pixels, metres or the name of a thing of known
-            size, and optionally the basis and the tolerance; see ``KnownLength``.
-        height_m: height of the camera above the ground, metres; the view is at nadir unless metadata or courts show a
-            tilt.
+        known_lengths: lines of known length: x1, y1, x2, y2 in pixels, metres or the name of a
+            thing of known size, and optionally the basis and the tolerance; see ``KnownLength``.
+        height_m: height of the camera above the ground, metres; the view is at nadir unless
+            metadata or courts show a tilt.
         height_basis: how the height is known.
-        height_tolerance_m: half of the 95 % interval of the height, metres; None for the default of its basis.
-        focal_35mm: 35 mm equivalent focal length, millimetres, for this height or the file's; None takes the file's.
+        height_tolerance_m: half of the 95 % interval of the height, metres; None for the default of
+            its basis.
+        focal_35mm: 35 mm equivalent focal length, millimetres, for this height or the file's; None
+            takes the file's.
         gsd_m_per_px: scale from elsewhere, metres per pixel of the full image.
         gsd_basis: how that scale is known.
         gsd_tolerance: half of its 95 % interval, metres per pixel; None for a tenth of it.
@@ -272,11 +306,18 @@ class Rulers:
         Option("Rulers to use, with commas. Default: all.", metavar="NAMES", first=True),
     ] = None
     metadata: Annotated[
-        Flag, Option("Use the camera's height and focal length if the file has them.", first=True, tools="all")
+        Flag,
+        Option(
+            "Use the camera's height and focal length if the file has them.",
+            first=True,
+            tools="all",
+        ),
     ] = True
     known_lengths: Annotated[
         tuple[_Line, ...],
-        Field(examples=[[{"x1": 210, "y1": 90, "x2": 880, "y2": 90, "metres": "iso_container_40ft"}]]),
+        Field(
+            examples=[[{"x1": 210, "y1": 90, "x2": 880, "y2": 90, "metres": "iso_container_40ft"}]]
+        ),
         Option(
             "Lines: metres, or a name, as iso_container_20ft; basis measured: tape, plan, survey.",
             metavar="X1 Y1 X2 Y2 METRES[+-M] [measured]|NAME",
@@ -289,27 +330,54 @@ class Rulers:
     ] = ()
     height_m: Annotated[
         Height | None,
-        Option("Camera height above ground, for a nadir view or a known tilt.", metavar="M", first=True, tools="all"),
+        Option(
+            "Camera height above ground, for a nadir view or a known tilt.",
+            metavar="M",
+            first=True,
+            tools="all",
+        ),
     ] = None
-    height_basis: Annotated[Basis, Option("How the height is known.", first=True, tools="all")] = "assumed"
+    height_basis: Annotated[Basis, Option("How the height is known.", first=True, tools="all")] = (
+        "assumed"
+    )
     height_tolerance_m: Annotated[
         Height | None,
-        Option("With the height: half of its 95 % interval, metres.", metavar="M", tools="all", listed=False),
+        Option(
+            "With the height: half of its 95 % interval, metres.",
+            metavar="M",
+            tools="all",
+            listed=False,
+        ),
     ] = None
     focal_35mm: Annotated[
         FocalLength | None,
-        Option("35 mm equivalent focal length, mm. Default: the file's.", metavar="MM", first=True, tools="all"),
+        Option(
+            "35 mm equivalent focal length, mm. Default: the file's.",
+            metavar="MM",
+            first=True,
+            tools="all",
+        ),
     ] = None
     gsd_m_per_px: Annotated[
-        _Gsd | None, Option("Metres per pixel by a map or sister photograph.", cli=False, tools="measure")
+        _Gsd | None,
+        Option("Metres per pixel by a map or sister photograph.", cli=False, tools="measure"),
     ] = None
     gsd_basis: Annotated[
         Basis,
-        Option("measured: leads, without a search. assumed: other evidence must agree.", cli=False, tools="measure"),
+        Option(
+            "measured: leads, without a search. assumed: other evidence must agree.",
+            cli=False,
+            tools="measure",
+        ),
     ] = "assumed"
     gsd_tolerance: Annotated[
         _Gsd | None,
-        Option("Half of its 95 % interval, m/px. Default: 10 %.", cli=False, tools="measure", listed=False),
+        Option(
+            "Half of its 95 % interval, m/px. Default: 10 %.",
+            cli=False,
+            tools="measure",
+            listed=False,
+        ),
     ] = None
 
     def __post_init__(self) -> None:
@@ -319,12 +387,22 @@ class Rulers:
         lonely += ["focal_35mm"] if self.focal_35mm is not None and not self.metadata else []
         lonely += ["height_basis"] if self.height_basis == "measured" else []
         if lonely and self.height_m is None:
-            raise InvalidParameterError(f"{lonely[0]} needs height_m: also give the height above the ground")
-        if self.gsd_m_per_px is None and (self.gsd_basis == "measured" or self.gsd_tolerance is not None):
-            raise InvalidParameterError("gsd_basis and gsd_tolerance need gsd_m_per_px: give the scale, too")
-        if self.stated_scale is not None and self.stated_scale.tolerance >= self.stated_scale.gsd_m_per_px:
             raise InvalidParameterError(
-                f"gsd_tolerance is {self.gsd_tolerance:g}, as large as the scale: give half of its 95 % interval"
+                f"{lonely[0]} needs height_m: also give the height above the ground"
+            )
+        if self.gsd_m_per_px is None and (
+            self.gsd_basis == "measured" or self.gsd_tolerance is not None
+        ):
+            raise InvalidParameterError(
+                "gsd_basis and gsd_tolerance need gsd_m_per_px: give the scale, too"
+            )
+        if (
+            self.stated_scale is not None
+            and self.stated_scale.tolerance >= self.stated_scale.gsd_m_per_px
+        ):
+            raise InvalidParameterError(
+                f"gsd_tolerance is {self.gsd_tolerance:g}, as large as the scale: give half of "
+                "its 95 % interval"
             )
 
     @property

@@ -23,7 +23,12 @@ _OF_METHOD = [vars(group) for group in (Search(), Lengths(), Reference(), Rulers
 _FREE = ("tile_px", "stride_px")  # a preset leaves them to the caller
 PRESETS: dict[Preset, dict[str, Any]] = {
     "paper": {
-        **{name: default for group in _OF_METHOD for name, default in group.items() if name not in _FREE},
+        **{
+            name: default
+            for group in _OF_METHOD
+            for name, default in group.items()
+            if name not in _FREE
+        },
         "min_score": 0.1,
         "search_scales": False,
         "verify": False,
@@ -87,13 +92,17 @@ class ScaleOptions:
         across, down = picture[0] / extent[0], picture[1] / extent[1]
 
         def in_picture(line: _Line) -> _Line:
-            return replace(line, x1=line.x1 * across, y1=line.y1 * down, x2=line.x2 * across, y2=line.y2 * down)
+            return replace(
+                line, x1=line.x1 * across, y1=line.y1 * down, x2=line.x2 * across, y2=line.y2 * down
+            )
 
         told = self
         if self.frame.coordinates != "pixels" and (self.rulers.known_lengths or self.by_hand.add):
             told = replace(
                 self,
-                rulers=replace(self.rulers, known_lengths=tuple(map(in_picture, self.rulers.known_lengths))),
+                rulers=replace(
+                    self.rulers, known_lengths=tuple(map(in_picture, self.rulers.known_lengths))
+                ),
                 by_hand=replace(self.by_hand, add=tuple(map(in_picture, self.by_hand.add))),
                 frame=replace(self.frame, coordinates="pixels"),
             )
@@ -113,10 +122,15 @@ class ScaleOptions:
         """Copy the options with other values of single fields.
 
         Raises:
-            InvalidParameterError: a value is invalid, an option does not exist, or contradicts the preset.
+            InvalidParameterError: a value is invalid, an option does not exist, or contradicts the
+                preset.
         """
-        if self.method.preset is not None:  # its values give way to those of the caller, and are then compared
-            keywords = {**{name: declared_options()[name].default for name in PRESETS[self.method.preset]}, **keywords}
+        # its values give way to those of the caller, and are then compared
+        if self.method.preset is not None:
+            keywords = {
+                **{name: declared_options()[name].default for name in PRESETS[self.method.preset]},
+                **keywords,
+            }
         changes: dict[str, dict[str, Any]] = {}
         for name, value in keywords.items():
             declared = declared_options().get(name)
@@ -124,9 +138,14 @@ class ScaleOptions:
                 names = ", ".join(sorted(declared_options()))
                 raise InvalidParameterError(f"there is no option {name!r}: the options are {names}")
             changes.setdefault(declared.group, {})[name] = value
-        told = replace(self, **{group: replace(getattr(self, group), **values) for group, values in changes.items()})
+        told = replace(
+            self,
+            **{group: replace(getattr(self, group), **values) for group, values in changes.items()},
+        )
         preset = told.method.preset
-        if preset is None or all(told.value(name) == value for name, value in PRESETS[preset].items()):
+        if preset is None or all(
+            told.value(name) == value for name, value in PRESETS[preset].items()
+        ):
             return told
         for name, value in PRESETS[preset].items():
             if told.value(name) not in (value, declared_options()[name].default):
@@ -165,9 +184,13 @@ def declared_options() -> dict[str, DeclaredOption]:
     """List the options of all groups by their keywords."""
     found = {}
     for group, options in vars(ScaleOptions()).items():
-        annotations, kinds = (typing.get_type_hints(type(options), include_extras=extras) for extras in (True, False))
+        annotations, kinds = (
+            typing.get_type_hints(type(options), include_extras=extras) for extras in (True, False)
+        )
         for name, default in vars(options).items():
-            option = next(part for part in annotations[name].__metadata__ if isinstance(part, Option))
+            option = next(
+                part for part in annotations[name].__metadata__ if isinstance(part, Option)
+            )
             given = [kind for kind in typing.get_args(kinds[name]) if kind is not type(None)]
             kind = given[0] if type(None) in typing.get_args(kinds[name]) else kinds[name]
             found[name] = DeclaredOption(name, group, option, annotations[name], kind, default)

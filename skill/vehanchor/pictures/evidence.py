@@ -27,7 +27,8 @@ class ScaleEvidence:
     Attributes:
         estimate: the record.
         witnesses: of all rulers.
-        detections: all vehicles found, in pixels of the image: ``boxes`` and ``scores``, best first.
+        detections: all vehicles found, in pixels of the image: ``boxes`` and ``scores``, best
+            first.
         answer: decision on the scale; None without a scale, and in the preset ``paper``.
     """
 

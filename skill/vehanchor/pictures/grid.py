@@ -38,7 +38,9 @@ def draw_grid(
     Returns:
         ``[h, w, 3]`` RGB, and the distance of two grid lines in pixels of the image.
     """
-    rgb = Cut(part, long_side_px).sized(read_reduced(raster, part), max_enlargement, cv2.INTER_CUBIC)
+    rgb = Cut(part, long_side_px).sized(
+        read_reduced(raster, part), max_enlargement, cv2.INTER_CUBIC
+    )
     step = _round_step(max(part.width_px, part.height_px) / _LINES)
     if lines:
         _draw_lines(rgb, part, step)
@@ -48,7 +50,9 @@ def draw_grid(
 def _draw_lines(rgb: NDArray[np.uint8], part: Window, step: int) -> None:
     height, width = rgb.shape[:2]
     across, down = width / part.width_px, height / part.height_px
-    columns = [(x, round((x - part.x_px) * across)) for x in _multiples(step, part.x_px, part.width_px)]
+    columns = [
+        (x, round((x - part.x_px) * across)) for x in _multiples(step, part.x_px, part.width_px)
+    ]
     rows = [(y, round((y - part.y_px) * down)) for y in _multiples(step, part.y_px, part.height_px)]
     for _, at in columns:
         _lighten(rgb[:, at : at + 1])

@@ -52,9 +52,20 @@ def write_on(picture: NDArray[np.uint8], text: str, at: tuple[int, int], capital
         return
     letters = np.zeros(region.shape[:2], np.uint8)
     stroke = stroke_px(capital_px) + 1
-    cv2.putText(letters, text, (left - first, baseline - top), FONT, font_scale(capital_px), 255, stroke, cv2.LINE_AA)
+    cv2.putText(
+        letters,
+        text,
+        (left - first, baseline - top),
+        FONT,
+        font_scale(capital_px),
+        255,
+        stroke,
+        cv2.LINE_AA,
+    )
     # In OpenCV 5 a wider stroke makes bolder letters, not a rim.
-    around = cv2.dilate(letters, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1, 2 * rim + 1)))
+    around = cv2.dilate(
+        letters, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1, 2 * rim + 1))
+    )
     for mask, level in ((around, 0.0), (letters, 255.0)):
         cover = mask[:, :, None] / 255.0
         region[:] = np.rint(region * (1.0 - cover) + level * cover).astype(np.uint8)

@@ -44,10 +44,18 @@ def draw_marks(
         points = place.at(mark.points) - 0.5
         if (points.max(axis=0) < 0).any() or (points.min(axis=0) > picture.shape[1::-1]).any():
             continue  # outside a cut
-        strokes = _cross(points[0], line) if len(points) == 1 else [] if mark.closed else _ends(points, line)
+        strokes = (
+            _cross(points[0], line)
+            if len(points) == 1
+            else []
+            if mark.closed
+            else _ends(points, line)
+        )
         for at, closed in ((points, mark.closed), *((stroke, False) for stroke in strokes)):
             for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
-                cv2.polylines(picture, [np.rint(at).astype(np.int32)], closed, ink, thickness, cv2.LINE_AA)
+                cv2.polylines(
+                    picture, [np.rint(at).astype(np.int32)], closed, ink, thickness, cv2.LINE_AA
+                )
         if mark.label:
             labels.append((mark.label, points[:2].mean(axis=0) if mark.closed else _middle(points)))
     for label, middle in labels:
@@ -65,7 +73,9 @@ def _ends(points: NDArray[np.float64], line: int) -> list[NDArray[np.float64]]:
     """Make short strokes across the ends, as in a dimensioned drawing."""
     strokes = []
     for end, along in ((points[0], points[1] - points[0]), (points[-1], points[-1] - points[-2])):
-        across = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9) * (3.0 + 2 * line)
+        across = (
+            np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9) * (3.0 + 2 * line)
+        )
         strokes.append(np.array([end - across, end + across]))
     return strokes
 

@@ -26,13 +26,16 @@ if TYPE_CHECKING:
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
-MEASURED_RGB = (204, 121, 167)  # Okabe and Ito's reddish purple, beside the vehicles' sky blue and orange
+# Okabe and Ito's reddish purple, beside the vehicles' sky blue and orange
+MEASURED_RGB = (204, 121, 167)
 PROMPT_RGB = (240, 228, 66)  # Okabe and Ito's yellow
 _OUTSIDE_RGB = (213, 94, 0)  # Okabe and Ito's vermilion, for points outside the object
 _TINT = 0.35
 
 
-def draw_area(image: NDArray[np.uint8], *analyses: AreaEvidence, cut: Cut | None = None) -> NDArray[np.uint8]:
+def draw_area(
+    image: NDArray[np.uint8], *analyses: AreaEvidence, cut: Cut | None = None
+) -> NDArray[np.uint8]:
     """Draw measured objects with their evidence and a caption with area, mask, scale and confidence.
 
     Several objects are numbered. A cut that is enlarged shows the pixels of the masks.
@@ -51,7 +54,9 @@ def draw_area(image: NDArray[np.uint8], *analyses: AreaEvidence, cut: Cut | None
         _draw_prompt(canvas.picture, analysis, canvas.place)
     for label, analysis in zip(_numbered([""] * len(analyses)), analyses, strict=True):
         _write_number(canvas.picture, label, analysis, canvas.place)
-    return _finished(canvas, analyses[0], [_area_text(analysis.measurement) for analysis in analyses])
+    return _finished(
+        canvas, analyses[0], [_area_text(analysis.measurement) for analysis in analyses]
+    )
 
 
 def cut_to_objects(analyses: Sequence[AreaEvidence], long_side_px: int = CUT_SIDE_PX) -> Cut:
@@ -72,11 +77,13 @@ def _extent(analysis: AreaEvidence) -> NDArray[np.float64]:
     return np.array(points, dtype=np.float64)
 
 
-def draw_distance(image: NDArray[np.uint8], *analyses: DistanceEvidence, cut: Cut | None = None) -> NDArray[np.uint8]:
+def draw_distance(
+    image: NDArray[np.uint8], *analyses: DistanceEvidence, cut: Cut | None = None
+) -> NDArray[np.uint8]:
     """Draw measured lines with their evidence and a caption with length, scale and confidence.
 
-    A usable length is also written beside the middle of its line. Several lines are numbered. Arguments and result are
-    those of ``draw_area``.
+    A usable length is also written beside the middle of its line. Several lines are numbered.
+    Arguments and result are those of ``draw_area``.
     """
     canvas = open_canvas(image, analyses[0].measurement, analyses[0].scale, cut)
     records = [analysis.measurement for analysis in analyses]
@@ -89,20 +96,29 @@ def draw_distance(image: NDArray[np.uint8], *analyses: DistanceEvidence, cut: Cu
 def cut_to_lines(records: Sequence[DistanceMeasurement], long_side_px: int = CUT_SIDE_PX) -> Cut:
     """Cut the image to measured lines."""
     points = np.array([end for record in records for end in _ends(record)])
-    return Cut(part_around(points, records[0].image_width_px, records[0].image_height_px), long_side_px)
+    return Cut(
+        part_around(points, records[0].image_width_px, records[0].image_height_px), long_side_px
+    )
 
 
 def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placement) -> None:
     """Tint the object and draw its outline, both from the mask, because the record's outline is simplified."""
     mask, window = analysis.segmentation.mask, analysis.segmentation.window
-    corners = place.at([[window.x_px, window.y_px], [window.x_px + window.width_px, window.y_px + window.height_px]])
+    corners = place.at(
+        [
+            [window.x_px, window.y_px],
+            [window.x_px + window.width_px, window.y_px + window.height_px],
+        ]
+    )
     (left, top), (right, bottom) = np.rint(corners).astype(int).tolist()
     height, width = picture.shape[:2]
     x1, y1, x2, y2 = max(0, left), max(0, top), min(width, right), min(height, bottom)
     if x2 <= x1 or y2 <= y1:
         return
     method = cv2.INTER_AREA if right - left < window.width_px else cv2.INTER_NEAREST
-    share = cv2.resize(mask.view(np.uint8) * 255, (right - left, bottom - top), interpolation=method)
+    share = cv2.resize(
+        mask.view(np.uint8) * 255, (right - left, bottom - top), interpolation=method
+    )
     shown = np.asarray(share[y1 - top : y2 - top, x1 - left : x2 - left] > 127, dtype=np.uint8)
     region = picture[y1:y2, x1:x2]
     tint = np.array(MEASURED_RGB, dtype=np.float64)
@@ -124,12 +140,19 @@ def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Plac
         cv2.circle(picture, at, 2 * line, colour, cv2.FILLED, cv2.LINE_AA)
 
 
-def _write_number(picture: NDArray[np.uint8], number: str, analysis: AreaEvidence, place: Placement) -> None:
+def _write_number(
+    picture: NDArray[np.uint8], number: str, analysis: AreaEvidence, place: Placement
+) -> None:
     """Write an object's number on its middle; nothing for a single object."""
     if number:
         capital = text_px(picture.shape[1])
         x, y = place.at(_extent(analysis)).mean(0).tolist()
-        write_on(picture, number, (round(x) - text_width(number, capital) // 2, round(y) + capital // 2), capital)
+        write_on(
+            picture,
+            number,
+            (round(x) - text_width(number, capital) // 2, round(y) + capital // 2),
+            capital,
+        )
 
 
 def _area_text(record: AreaMeasurement) -> str:
@@ -153,17 +176,25 @@ def _label(record: DistanceMeasurement) -> str:
 
 def _distance_text(record: DistanceMeasurement) -> str:
     low, high = record.distance_ci95_low_m, record.distance_ci95_high_m
-    return with_interval(record.distance_m, low, high, "m", f"{record.length_px:.0f} px; {NO_SCALE}")
+    return with_interval(
+        record.distance_m, low, high, "m", f"{record.length_px:.0f} px; {NO_SCALE}"
+    )
 
 
-def _finished(canvas: Canvas, analysis: AreaEvidence | DistanceEvidence, sizes: Sequence[str]) -> NDArray[np.uint8]:
+def _finished(
+    canvas: Canvas, analysis: AreaEvidence | DistanceEvidence, sizes: Sequence[str]
+) -> NDArray[np.uint8]:
     """Add the caption with sizes and scale, a reason against their use first; no bar for a tilted or unusable scale."""
     record = analysis.measurement
     objection = _objection(record)
     lines: list[CaptionLine] = [[(None, f"do not use: {objection}")]] if objection else []
     lines += [[(MEASURED_RGB, size)] for size in _numbered(sizes)]
     if record.gsd_m_per_px is not None:
-        source = "given" if record.scale_confidence is None else f"confidence {record.scale_confidence:.2f}"
+        source = (
+            "given"
+            if record.scale_confidence is None
+            else f"confidence {record.scale_confidence:.2f}"
+        )
         lines.append([(None, f"{significant(record.gsd_m_per_px, 4)} m/px, {source}")])
     return canvas.finished(record.gsd_m_per_px if analysis.nadir and not objection else None, lines)
 
@@ -177,7 +208,13 @@ def _numbered(labels: Sequence[str]) -> list[str]:
 
 def _objection(record: AreaMeasurement | DistanceMeasurement) -> str:
     """Explain why the scale is not usable; empty for a usable scale and without one."""
-    if record.scale_confidence is None or record.gsd_m_per_px is None or record.scale_confidence >= USABLE_CHANCE:
+    if (
+        record.scale_confidence is None
+        or record.gsd_m_per_px is None
+        or record.scale_confidence >= USABLE_CHANCE
+    ):
         return ""
     reason = None if record.estimate is None else record.estimate.reason
-    return f"the scale's confidence is below {USABLE_CHANCE}" if reason is None else ADVICE[reason].why
+    return (
+        f"the scale's confidence is below {USABLE_CHANCE}" if reason is None else ADVICE[reason].why
+    )

@@ -47,7 +47,9 @@ class Placement(NamedTuple):
 
     def at(self, points: Any) -> NDArray[np.float64]:
         """Convert points, ``[..., 2]`` pixels of the image, to pixels of the picture."""
-        converted: NDArray[np.float64] = (np.asarray(points, dtype=np.float64) - self.origin) * self.scale
+        converted: NDArray[np.float64] = (
+            np.asarray(points, dtype=np.float64) - self.origin
+        ) * self.scale
         return converted
 
     def pixels(self, points: Any) -> NDArray[np.int32]:
@@ -67,7 +69,10 @@ class Cut(NamedTuple):
     long_side_px: int
 
     def sized(
-        self, image: NDArray[np.uint8], most: float = _MAX_ENLARGEMENT, enlarging: int = cv2.INTER_NEAREST
+        self,
+        image: NDArray[np.uint8],
+        most: float = _MAX_ENLARGEMENT,
+        enlarging: int = cv2.INTER_NEAREST,
     ) -> NDArray[np.uint8]:
         """Copy the part's pixels, ``[h, w, 3]`` RGB, at the size of the picture, enlarged by ``most`` at most."""
         width, height = self.part.width_px, self.part.height_px

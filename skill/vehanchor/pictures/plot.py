@@ -50,8 +50,8 @@ def plot_scale(analysis: ScaleEvidence) -> Figure:
         analysis: analysis of an image.
 
     Returns:
-        A matplotlib figure without global state. It shows the lengths if there are any. Below them it shows the
-        densities of all rulers and the posterior, but not for the preset ``paper``.
+        A matplotlib figure without global state. It shows the lengths if there are any. Below them
+        it shows the densities of all rulers and the posterior, but not for the preset ``paper``.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -86,23 +86,39 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
     assert mode is not None
     lengths = analysis.detections.boxes[:, 2]
     # Twice the longest kept length keeps the cars wide beside a lorry.
-    ends = [guard, mode, float(lengths.min()), min(float(lengths.max()), 2 * float(lengths[analysis.kept].max()))]
+    ends = [
+        guard,
+        mode,
+        float(lengths.min()),
+        min(float(lengths.max()), 2 * float(lengths[analysis.kept].max())),
+    ]
     reference_m = vehicles.reference.length_m
     if vehicles.interval is not None:
         low, high = (reference_m / scale for scale in reversed(vehicles.interval))
         axes.axvspan(
-            low, high, color="0.75", alpha=0.4, lw=0, zorder=0, label=f"95 % interval {low:.1f} to {high:.1f} px"
+            low,
+            high,
+            color="0.75",
+            alpha=0.4,
+            lw=0,
+            zorder=0,
+            label=f"95 % interval {low:.1f} to {high:.1f} px",
         )
         ends += [low, high]
     axes.set_xlim(0.95 * min(ends), 1.05 * max(ends))
     _draw_lengths(axes, analysis, 1.05 * max(ends), vehicles.aggregation)
-    rule = f"$P_{{mode}}$ {mode:.1f} px ({_RULES[vehicles.aggregation]}) = {significant(reference_m)} m"
+    rule = (
+        f"$P_{{mode}}$ {mode:.1f} px ({_RULES[vehicles.aggregation]}) = "
+        f"{significant(reference_m)} m"
+    )
     axes.axvline(mode, color=_INK, lw=1.6, label=rule)
     axes.axvline(guard, color=_GUARD, lw=1.6, ls="--", label=f"resolution guard {guard:.1f} px")
     axes.set_xlabel("vehicle length, pixels")
     axes.set_ylabel("vehicles")
     axes.locator_params(axis="y", integer=True)
-    metres = axes.secondary_xaxis("top", functions=(lambda px: np.multiply(px, gsd), lambda m: np.divide(m, gsd)))
+    metres = axes.secondary_xaxis(
+        "top", functions=(lambda px: np.multiply(px, gsd), lambda m: np.divide(m, gsd))
+    )
     metres.set_xlabel("metres, at the vehicles' scale")
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
@@ -121,25 +137,39 @@ def write_plot(path: str | Path, figure: Figure) -> Path:
     return write_picture(path, np.asarray(canvas.buffer_rgba())[:, :, :3])
 
 
-def _draw_lengths(axes: Axes, analysis: ScaleEvidence, right_px: float, aggregation: Aggregation) -> None:
+def _draw_lengths(
+    axes: Axes, analysis: ScaleEvidence, right_px: float, aggregation: Aggregation
+) -> None:
     """Draw the histogram of kept and dropped lengths, and the density of the kept ones in the same units."""
     lengths = analysis.detections.boxes[:, 2]
     kept, dropped = lengths[analysis.kept], lengths[~analysis.kept]
-    edges = np.histogram_bin_edges(kept, "auto", (float(lengths.min()), min(float(lengths.max()), right_px)))
+    edges = np.histogram_bin_edges(
+        kept, "auto", (float(lengths.min()), min(float(lengths.max()), right_px))
+    )
     groups, colours, labels = [kept], [_KEPT], [f"{count(len(kept), 'vehicle')} kept"]
     if len(dropped):
         n_beyond = int((dropped > right_px).sum())
         beyond = f" ({n_beyond} beyond the axis)" if n_beyond else ""
         groups, colours = [*groups, dropped], [*colours, _DROPPED]
         labels.append(f"{count(len(dropped), 'outlier')} dropped{beyond}")
-    axes.hist(groups, bins=list(edges), stacked=True, color=colours, label=labels, edgecolor="white", linewidth=0.6)
+    axes.hist(
+        groups,
+        bins=list(edges),
+        stacked=True,
+        color=colours,
+        label=labels,
+        edgecolor="white",
+        linewidth=0.6,
+    )
     axes.set_ylim(0, 1.12 * axes.get_ylim()[1])
     if len(kept) < MIN_KDE_VEHICLES:
         return
     at = np.linspace(*axes.get_xlim(), 800)
     density = modal_density(at, kept, analysis.detections.scores[analysis.kept], aggregation)
     if density.any():
-        curve = np.where(density > 1e-3 * density.max(), density * len(kept) * (edges[1] - edges[0]), np.nan)
+        curve = np.where(
+            density > 1e-3 * density.max(), density * len(kept) * (edges[1] - edges[0]), np.nan
+        )
         label = "density (weighted KDE)" if aggregation == "weighted_kde" else "density (KDE)"
         axes.plot(at, curve, color=_KEPT_DARK, lw=2, label=label)
         axes.set_ylim(0, max(axes.get_ylim()[1], 1.12 * float(np.nanmax(curve))))
@@ -164,12 +194,21 @@ def plot_rulers(axes: Axes, analysis: ScaleEvidence) -> None:
         curve = witness.density / witness.density.max()
         shown = np.where(curve > _DRAWN, curve, 0.0)
         axes.fill_between(scales, shown, color=colour, alpha=0.18, lw=0)
-        axes.plot(scales, shown, color=colour, lw=1.6, ls="-" if ruler.probably_right else "--", label=label)
+        axes.plot(
+            scales,
+            shown,
+            color=colour,
+            lw=1.6,
+            ls="-" if ruler.probably_right else "--",
+            label=label,
+        )
     if found is not None:
         label = f"together {significant(found.gsd_m_per_px)} ({found.chance:.2f})"
         axes.plot(scales, found.density / found.density.max(), color=_INK, lw=2.2, label=label)
         axes.axvline(found.gsd_m_per_px, color=_INK, lw=1.0, ls=":")
-        axes.axvspan(*found.interval, color="0.75", alpha=0.4, lw=0, zorder=0, label="95 % interval")
+        axes.axvspan(
+            *found.interval, color="0.75", alpha=0.4, lw=0, zorder=0, label="95 % interval"
+        )
         ends += found.interval
     axes.set_xscale("log")
     axes.set_xlim(max(min(ends) / _PAD, scales[0]), min(max(ends) * _PAD, scales[-1]))
@@ -185,7 +224,12 @@ def plot_rulers(axes: Axes, analysis: ScaleEvidence) -> None:
 def _ticks(low: float, high: float) -> list[float]:
     """Choose round scales between two ends: 1, 2 and 5 per decade on a wide axis, finer steps on a narrow one."""
     decades = 10.0 ** np.arange(-4, 2)
-    for steps in ((1, 2, 5), (1, 1.5, 2, 3, 4, 5, 7), tuple(np.arange(1, 10, 0.5)), tuple(np.arange(1, 10, 0.1))):
+    for steps in (
+        (1, 2, 5),
+        (1, 1.5, 2, 3, 4, 5, 7),
+        tuple(np.arange(1, 10, 0.5)),
+        tuple(np.arange(1, 10, 0.1)),
+    ):
         ticks = sorted(round(float(step * decade), 6) for decade in decades for step in steps)
         inside = [tick for tick in ticks if low <= tick <= high]
         if len(inside) >= 4:

@@ -29,14 +29,16 @@ CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
 """Texts of one line, each with the colour of the swatch before it."""
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
-KEPT_RGB = (86, 180, 233)  # Okabe and Ito's sky blue and orange, distinct with every colour blindness
+# Okabe and Ito's sky blue and orange, distinct with every colour blindness
+KEPT_RGB = (86, 180, 233)
 DROPPED_RGB = (230, 159, 0)
 MIN_WIDTH_PX = 768  # smaller images are enlarged, so that text is legible
 MAX_SIDE_PX = 2048  # larger images are reduced for display
 
 _MIN_CANVAS_PX = 480  # narrower pictures (of tall, thin images) get margins for the caption
 _BAR_SHARE = 0.2  # approximate length of the scale bar as a share of the picture's width
-_NUMBER_SHARE, _NUMBER_RANGE_PX = 0.5, (8, 16)  # capitals of vehicles' numbers: share of a drawn width, and pixels
+# capitals of vehicles' numbers: share of a drawn width, and pixels
+_NUMBER_SHARE, _NUMBER_RANGE_PX = 0.5, (8, 16)
 _MANY_VEHICLES, _NUMBERED_PX = 100, 30.0  # more vehicles than that, drawn shorter, have no numbers
 _HALO_MIN_PX = 22.0  # least drawn length of vehicles for a dark line under the coloured one
 _PANEL_RGB = (22, 24, 28)
@@ -45,16 +47,19 @@ _JPEG_QUALITY = 92
 _ROWS_PER_READ = 1024  # rows of the image per strip
 
 
-def draw_overlay(image: NDArray[np.uint8], analysis: ScaleEvidence, cut: Cut | None = None) -> NDArray[np.uint8]:
+def draw_overlay(
+    image: NDArray[np.uint8], analysis: ScaleEvidence, cut: Cut | None = None
+) -> NDArray[np.uint8]:
     """Draw the evidence of an estimate: kept vehicles in blue, outliers crossed in orange, other rulers in green.
 
-    Small images are enlarged and large ones reduced. A caption below gives scale, interval and confidence. A usable
-    scale has a scale bar of round length, unless the camera was tilted: then the scale holds at the centre only. For an
-    unusable scale the caption begins with the reason and with advice.
+    Small images are enlarged and large ones reduced. A caption below gives scale, interval and
+    confidence. A usable scale has a scale bar of round length, unless the camera was tilted: then
+    the scale holds at the centre only. For an unusable scale the caption begins with the reason and
+    with advice.
 
     Args:
-        image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of either (see
-            ``read_reduced``).
+        image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of
+            either (see ``read_reduced``).
         analysis: of that image.
         cut: the part to show; None for all of the image.
 
@@ -85,7 +90,8 @@ class Canvas(NamedTuple):
         down = max(0, 5 * text_px(width + across) - height)
         sides = down // 2, down - down // 2, across // 2, across - across // 2
         picture = np.asarray(
-            cv2.copyMakeBorder(self.picture, *sides, cv2.BORDER_CONSTANT, value=_PANEL_RGB), dtype=np.uint8
+            cv2.copyMakeBorder(self.picture, *sides, cv2.BORDER_CONSTANT, value=_PANEL_RGB),
+            dtype=np.uint8,
         )
         if gsd_m_per_px is not None:
             draw_scale_bar(picture, gsd_m_per_px / float(self.place.scale[0]))
@@ -101,7 +107,8 @@ def open_canvas(
     """Copy an image at display size and draw the evidence of its scale.
 
     Args:
-        image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of either.
+        image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of
+            either.
         record: of that image.
         scale: analysis of the scale; None without one.
         cut: the part to show; None for all of the image.
@@ -197,7 +204,11 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleEvidence, place: Pl
     line = line_px(picture, drawn_length / 16)
     kept, dropped = corners[analysis.kept], corners[~analysis.kept]
     crosses = np.ascontiguousarray(np.concatenate([dropped[:, [0, 2]], dropped[:, [1, 3]]]))
-    layers = [(kept, True, KEPT_RGB, line), (dropped, True, DROPPED_RGB, line), (crosses, False, DROPPED_RGB, 1)]
+    layers = [
+        (kept, True, KEPT_RGB, line),
+        (dropped, True, DROPPED_RGB, line),
+        (crosses, False, DROPPED_RGB, 1),
+    ]
     if drawn_length >= _HALO_MIN_PX:
         layers = [(corners, True, _PANEL_RGB, line + 2), *layers]
     for shapes, closed, colour, thickness in layers:
@@ -208,7 +219,10 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleEvidence, place: Pl
 
 def _write_numbers(picture: NDArray[np.uint8], detections: Detections, place: Placement) -> None:
     """Write each vehicle's number on it, best first, unless it covers another number; none on many small vehicles."""
-    if len(detections.boxes) > _MANY_VEHICLES and np.median(detections.boxes[:, 2]) * place.scale.mean() < _NUMBERED_PX:
+    if (
+        len(detections.boxes) > _MANY_VEHICLES
+        and np.median(detections.boxes[:, 2]) * place.scale.mean() < _NUMBERED_PX
+    ):
         return
     written = np.zeros(picture.shape[:2], bool)
     for box, number in zip(detections.boxes, detections.numbers, strict=True):
@@ -216,7 +230,9 @@ def _write_numbers(picture: NDArray[np.uint8], detections: Detections, place: Pl
         capital = int(np.clip(_NUMBER_SHARE * box[3] * place.scale.mean(), *_NUMBER_RANGE_PX))
         width = text_width(text, capital)
         left, baseline = round(x - width / 2), round(y + capital / 2)
-        covered = written[max(0, baseline - capital) : max(0, baseline), max(0, left) : max(0, left + width)]
+        covered = written[
+            max(0, baseline - capital) : max(0, baseline), max(0, left) : max(0, left + width)
+        ]
         if covered.size and not covered.any():
             covered[:] = True
             write_on(picture, text, (left, baseline), capital)
@@ -225,7 +241,10 @@ def _write_numbers(picture: NDArray[np.uint8], detections: Detections, place: Pl
 def _round_length(metres: float) -> float:
     """Round to 1, 2 or 5 times a power of ten, nearest by ratio."""
     power = 10.0 ** math.floor(math.log10(metres))
-    return min((m * power for m in (1.0, 2.0, 5.0, 10.0)), key=lambda length: abs(math.log(length / metres)))
+    return min(
+        (m * power for m in (1.0, 2.0, 5.0, 10.0)),
+        key=lambda length: abs(math.log(length / metres)),
+    )
 
 
 def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
@@ -237,7 +256,13 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
     left, bottom = margin, height - margin
     right = left + round(metres / m_per_px)
     for grow, colour in ((rim, (0, 0, 0)), (0, (255, 255, 255))):
-        cv2.rectangle(picture, (left - grow, bottom - thick - grow), (right + grow, bottom + grow), colour, cv2.FILLED)
+        cv2.rectangle(
+            picture,
+            (left - grow, bottom - thick - grow),
+            (right + grow, bottom + grow),
+            colour,
+            cv2.FILLED,
+        )
     write_on(picture, f"{metres:g} m", (left, bottom - thick - rim - capital // 2), capital)
 
 
@@ -260,7 +285,14 @@ def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:
         if estimate.gsd_m_per_px is not None:
             lines.append([(None, f"{scale}, confidence {estimate.confidence:.2f}")])
     if estimate.tilt is not None:
-        lines.append([(None, f"at the centre: the camera was tilted by {estimate.tilt.tilt_deg:.0f} degrees")])
+        lines.append(
+            [
+                (
+                    None,
+                    f"at the centre: the camera was tilted by {estimate.tilt.tilt_deg:.0f} degrees",
+                )
+            ]
+        )
     if n_found:
         lines.append([*legend])
     if rulers := _rulers_line(analysis):
@@ -277,7 +309,8 @@ def _rulers_line(analysis: ScaleEvidence) -> CaptionLine:
     return [
         (
             MARK_RGB if ruler.kind in marked else None,
-            f"{ruler.label} {significant(ruler.gsd_m_per_px)} m/px{'' if ruler.probably_right else ', probably wrong'}",
+            f"{ruler.label} {significant(ruler.gsd_m_per_px)} "
+            f"m/px{'' if ruler.probably_right else ', probably wrong'}",
         )
         for ruler in rulers
     ]
@@ -286,7 +319,9 @@ def _rulers_line(analysis: ScaleEvidence) -> CaptionLine:
 def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
     """Draw the panel below a picture: lines of text with colour swatches; the first line is bold."""
     capital = float(text_px(width_px))
-    while capital > 8 and max(_line_width(line, capital) for line in lines) > width_px - 2 * capital:
+    while (
+        capital > 8 and max(_line_width(line, capital) for line in lines) > width_px - 2 * capital
+    ):
         capital -= 1
     pitch = round(2.1 * capital)
     panel = np.full((pitch * len(lines) + round(capital), width_px, 3), _PANEL_RGB, np.uint8)
@@ -298,11 +333,24 @@ def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
                 cv2.rectangle(panel, (x, baseline - side), (x + side, baseline), colour, cv2.FILLED)
                 x += round(1.7 * capital)
             stroke = stroke_px(capital) + (row == 0)
-            cv2.putText(panel, text, (x, baseline), FONT, font_scale(capital), _TEXT_RGB, stroke, cv2.LINE_AA)
+            cv2.putText(
+                panel,
+                text,
+                (x, baseline),
+                FONT,
+                font_scale(capital),
+                _TEXT_RGB,
+                stroke,
+                cv2.LINE_AA,
+            )
             x += text_width(text, capital) + round(2 * capital)
     return panel
 
 
 def _line_width(line: CaptionLine, capital_px: float) -> float:
     swatches = sum(1.7 * capital_px for colour, _ in line if colour is not None)
-    return sum(text_width(text, capital_px) for _, text in line) + swatches + 2 * capital_px * (len(line) - 1)
+    return (
+        sum(text_width(text, capital_px) for _, text in line)
+        + swatches
+        + 2 * capital_px * (len(line) - 1)
+    )

@@ -40,7 +40,9 @@ def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -
     boxes = analysis.detections.boxes[:MOST_SHOWN]
     columns = max(1, width_px // _CHIP_PX)
     strip = np.zeros((-(-len(boxes) // columns) * _CHIP_PX, max(width_px, _CHIP_PX), 3), np.uint8)
-    for i, (box, number, kept) in enumerate(zip(boxes, analysis.detections.numbers, analysis.kept, strict=False)):
+    for i, (box, number, kept) in enumerate(
+        zip(boxes, analysis.detections.numbers, analysis.kept, strict=False)
+    ):
         top, left = i // columns * _CHIP_PX, i % columns * _CHIP_PX
         chip = _draw_vehicle(raster, box, KEPT_RGB if kept else DROPPED_RGB)
         write_on(chip, str(number), (4, _CAPITAL_PX + 4), _CAPITAL_PX)
@@ -48,11 +50,15 @@ def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -
     return strip[:, :width_px]
 
 
-def _draw_vehicle(raster: Raster, box: NDArray[np.float64], colour: tuple[int, int, int]) -> NDArray[np.uint8]:
+def _draw_vehicle(
+    raster: Raster, box: NDArray[np.float64], colour: tuple[int, int, int]
+) -> NDArray[np.uint8]:
     reach = max(_LEAST_REACH_PX, round(_REACH * float(box[2])))
     x, y = round(float(box[0])), round(float(box[1]))
     left, top = max(0, x - reach), max(0, y - reach)
-    part = Window(left, top, min(raster.width_px, x + reach) - left, min(raster.height_px, y + reach) - top)
+    part = Window(
+        left, top, min(raster.width_px, x + reach) - left, min(raster.height_px, y + reach) - top
+    )
     chip = Cut(part, _CHIP_PX).sized(raster.read(part))
     corners = Placement.of(chip, part).pixels(box_corners(box[None]))
     cv2.polylines(chip, list(corners), True, colour, 1, cv2.LINE_AA)

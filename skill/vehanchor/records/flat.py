@@ -1,9 +1,10 @@
 """Records as flat rows of data frames and batch tables, with the same columns for every record of a type.
 
-A field with one value is a column. A field of a nested record is a column with the outer name as prefix, unless its
-name has it already: ``tilt.tilt_deg`` is ``tilt_deg``, ``tilt.roll_deg`` is ``tilt_roll_deg``. Fields of ``details``
-have no prefix. Each kind of ruler has
-columns for its scale and its agreement. Codes of warnings are one column, separated by spaces. Other lists are counted.
+A field with one value is a column. A field of a nested record is a column with the outer name as
+prefix, unless its name has it already: ``tilt.tilt_deg`` is ``tilt_deg``, ``tilt.roll_deg`` is
+``tilt_roll_deg``. Fields of ``details`` have no prefix. Each kind of ruler has
+columns for its scale and its agreement. Codes of warnings are one column, separated by spaces.
+Other lists are counted.
 """
 
 from __future__ import annotations
@@ -36,7 +37,11 @@ def flat_columns(kind: type[BaseModel], *, without: Collection[str] = ()) -> dic
     found: dict[str, type] = {}
     for name, field in kind.model_fields.items():
         if name == "rulers" and name not in without:
-            found |= {f"ruler_{ruler}_{part}": each for ruler in RULERS for part, each in _OF_RULERS.items()}
+            found |= {
+                f"ruler_{ruler}_{part}": each
+                for ruler in RULERS
+                for part, each in _OF_RULERS.items()
+            }
         elif name not in without:
             found |= _columns(name, _bare(field))
     return found
@@ -64,7 +69,11 @@ def _values(name: str, value: Any) -> dict[str, Any]:
     if name == "warnings":
         return {_CODES: " ".join(notice.code for notice in value)}
     if name == "rulers":
-        return {f"ruler_{ruler.kind}_{part}": getattr(ruler, part) for ruler in value for part in _OF_RULERS}
+        return {
+            f"ruler_{ruler.kind}_{part}": getattr(ruler, part)
+            for ruler in value
+            for part in _OF_RULERS
+        }
     return {f"n_{name}": len(value)}
 
 

@@ -10,9 +10,13 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 def on_one_line(text: str) -> str:
     """Escape what would start a line, move the cursor or reverse the text, for models, terminals and logs.
 
-    Escaped are control characters, line and paragraph separators, marks of direction, and bytes that are not UTF-8.
+    Escaped are control characters, line and paragraph separators, marks of direction, and bytes
+    that are not UTF-8.
     """
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text)
+    return "".join(
+        each if each.isprintable() else each.encode("unicode_escape").decode("ascii")
+        for each in text
+    )
 
 
 def in_cell(value: Any) -> Any:

@@ -15,33 +15,47 @@ ScaleSource = Literal["estimated", "given", "reused"]
 # Fields that both records share.
 ScaleConfidence = Annotated[
     float | None,
-    Field(ge=0, le=1, description="The scale's confidence in 0..1; null for a number that the caller gave."),
+    Field(
+        ge=0,
+        le=1,
+        description="The scale's confidence in 0..1; null for a number that the caller gave.",
+    ),
 ]
 MeasuredGsd = Annotated[
     float | None,
-    Field(description="Ground sampling distance, metres per pixel of the full image; null without a scale."),
+    Field(
+        description="Ground sampling distance, metres per pixel of the full image; null without "
+        "a scale."
+    ),
 ]
 MeasuredVehicles = Annotated[
-    int | None, Field(ge=0, description="N': vehicles behind the scale; null unless it was estimated now.")
+    int | None,
+    Field(ge=0, description="N': vehicles behind the scale; null unless it was estimated now."),
 ]
 ScaleSourceField = Annotated[
     ScaleSource,
     Field(
-        description="estimated: from this image, by the rulers in estimate. given: a number from the caller. reused: "
+        description="estimated: from this image, by the rulers in estimate. given: a number "
+        "from the caller. reused: "
         "an earlier estimate of this image, given back."
     ),
 ]
 ScaleField = Annotated[
     KnownScale | None,
-    Field(description="The scale to give back for more measurements in this image; null for a number or no scale."),
+    Field(
+        description="The scale to give back for more measurements in this image; null for a "
+        "number or no scale."
+    ),
 ]
 EstimateField = Annotated[
-    GsdEstimate | None, Field(description="The whole estimate of the scale; null unless it was estimated now.")
+    GsdEstimate | None,
+    Field(description="The whole estimate of the scale; null unless it was estimated now."),
 ]
 ImageWidth = Annotated[int, Field(gt=0, description="Width of the full image, pixels.")]
 ImageHeight = Annotated[int, Field(gt=0, description="Height of the full image, pixels.")]
 MeasuredWarnings = Annotated[
-    tuple[Notice, ...], Field(description="Further facts about this result and its scale, each with a stable code.")
+    tuple[Notice, ...],
+    Field(description="Further facts about this result and its scale, each with a stable code."),
 ]
 
 
@@ -63,14 +77,19 @@ class BoundingBox(Record):
     def scaled(self, across: float, down: float) -> BoundingBox:
         """Return the box in a copy of the image; the factors are the copy's sides over the image's."""
         return BoundingBox(
-            x1_px=self.x1_px * across, y1_px=self.y1_px * down, x2_px=self.x2_px * across, y2_px=self.y2_px * down
+            x1_px=self.x1_px * across,
+            y1_px=self.y1_px * down,
+            x2_px=self.x2_px * across,
+            y2_px=self.y2_px * down,
         )
 
 
 class OutlineRing(Record):
     """A closed line; the last point is joined to the first."""
 
-    points: tuple[ImagePoint, ...] = Field(description="Corners in order, pixels of the full image.")
+    points: tuple[ImagePoint, ...] = Field(
+        description="Corners in order, pixels of the full image."
+    )
 
     @property
     def closed(self) -> list[list[float]]:
@@ -90,8 +109,12 @@ class FrameArea(Record):
 
     width_px: int = Field(gt=0, description="Width of the caller's copy of the image, pixels.")
     height_px: int = Field(gt=0, description="Height of the caller's copy of the image, pixels.")
-    gsd_m_per_px: float | None = Field(description="Metres per pixel of that copy; null without a scale.")
-    bounding_box: BoundingBox | None = Field(description="The object's box in pixels of that copy; null for no mask.")
+    gsd_m_per_px: float | None = Field(
+        description="Metres per pixel of that copy; null without a scale."
+    )
+    bounding_box: BoundingBox | None = Field(
+        description="The object's box in pixels of that copy; null for no mask."
+    )
 
 
 class OtherObject(Record):
@@ -107,55 +130,79 @@ class AreaMeasurement(Record):
     """Area of one object: the pixels of its mask times the square of the scale."""
 
     status: Status = Field(
-        description="ok. low_confidence: the scale is not usable, the mask's score is below the model's "
+        description="ok. low_confidence: the scale is not usable, the mask's score is below the "
+        "model's "
         "limit, or there is no mask. no_scale: no scale, so pixels only."
     )
     area_m2: float | None = Field(
-        description="mask_area_px times GSD squared, square metres, summed over the ground plane for a tilted camera; "
+        description="mask_area_px times GSD squared, square metres, summed over the ground "
+        "plane for a tilted camera; "
         "null without a scale."
     )
-    area_ci95_low_m2: float | None = Field(description="Lower end of its 95 % interval, from scale and mask.")
+    area_ci95_low_m2: float | None = Field(
+        description="Lower end of its 95 % interval, from scale and mask."
+    )
     area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
     scale_confidence: ScaleConfidence
     gsd_m_per_px: MeasuredGsd
     n_vehicles: MeasuredVehicles
-    mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without an estimate.")
+    mode_length_px: float | None = Field(
+        description="P_mode: modal vehicle length, pixels; null without an estimate."
+    )
     scale_source: ScaleSourceField
     mask_area_px: int = Field(ge=0, description="N_px: pixels of the mask in the full image.")
     mask_score: float = Field(ge=0, le=1, description="The segmenter's estimate of the mask's IoU.")
-    perimeter_m: float | None = Field(description="Length of the mask's outline with its holes, metres.")
-    length_m: float | None = Field(description="Longer side of the smallest rotated rectangle, metres.")
+    perimeter_m: float | None = Field(
+        description="Length of the mask's outline with its holes, metres."
+    )
+    length_m: float | None = Field(
+        description="Longer side of the smallest rotated rectangle, metres."
+    )
     width_m: float | None = Field(description="Shorter side of that rectangle, metres.")
     inscribed_diameter_m: float | None = Field(
         description="Diameter of the largest circle inside the mask, metres, as for a landing site."
     )
-    inscribed_diameter_ci95_low_m: float | None = Field(description="Lower end of its 95 % interval.")
-    inscribed_diameter_ci95_high_m: float | None = Field(description="Upper end of its 95 % interval.")
+    inscribed_diameter_ci95_low_m: float | None = Field(
+        description="Lower end of its 95 % interval."
+    )
+    inscribed_diameter_ci95_high_m: float | None = Field(
+        description="Upper end of its 95 % interval."
+    )
     inscribed_center: ImagePoint | None = Field(
         description="Centre of that circle, pixels of the full image; null for no mask."
     )
-    bounding_box: BoundingBox | None = Field(description="The mask's box, pixels of the full image; null for no mask.")
+    bounding_box: BoundingBox | None = Field(
+        description="The mask's box, pixels of the full image; null for no mask."
+    )
     alternatives: tuple[OtherObject, ...] = Field(
-        default=(), description="Other objects that the points may mean, best score first; empty for a box."
+        default=(),
+        description="Other objects that the points may mean, best score first; empty for a box.",
     )
     outline: tuple[OutlinePolygon, ...] = Field(
-        description="The mask's outline, largest piece first, simplified to 200 points at most: for drawing. Areas "
+        description="The mask's outline, largest piece first, simplified to 200 points at most: "
+        "for drawing. Areas "
         "come from the mask itself."
     )
     image_width_px: ImageWidth
     image_height_px: ImageHeight
-    frame: FrameArea | None = Field(description="The object in the caller's resized copy; null without a frame.")
+    frame: FrameArea | None = Field(
+        description="The object in the caller's resized copy; null without a frame."
+    )
     scale: ScaleField
     estimate: EstimateField
     segmenter: str = Field(description="Name of the segmenter.")
-    segmenter_sha256: str = Field(description="SHA-256 of the segmenter's encoder file followed by its decoder file.")
+    segmenter_sha256: str = Field(
+        description="SHA-256 of the segmenter's encoder file followed by its decoder file."
+    )
     warnings: MeasuredWarnings
     schema_version: SchemaVersion = SCHEMA_VERSION
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:
         """Outline as a GeoJSON MultiPolygon, for shapely, geopandas and fiona; pixels, y down."""
-        pieces = [[ring.closed for ring in (piece.exterior, *piece.holes)] for piece in self.outline]
+        pieces = [
+            [ring.closed for ring in (piece.exterior, *piece.holes)] for piece in self.outline
+        ]
         return {"type": "MultiPolygon", "coordinates": pieces}
 
 
@@ -163,13 +210,16 @@ class DistanceMeasurement(Record):
     """Length of a line on the ground: its pixels times the scale."""
 
     status: Status = Field(
-        description="ok. low_confidence: the scale is not usable. no_scale: no scale, so pixels only."
+        description="ok. low_confidence: the scale is not usable. no_scale: no scale, so pixels "
+        "only."
     )
     distance_m: float | None = Field(
-        description="length_px times GSD, metres, along the ground plane for a tilted camera; null without a scale."
+        description="length_px times GSD, metres, along the ground plane for a tilted camera; "
+        "null without a scale."
     )
     distance_ci95_low_m: float | None = Field(
-        description="Lower end of its 95 % interval, from the scale and one pixel of error per point."
+        description="Lower end of its 95 % interval, from the scale and one pixel of error per "
+        "point."
     )
     distance_ci95_high_m: float | None = Field(description="Upper end of its 95 % interval.")
     scale_confidence: ScaleConfidence
@@ -177,7 +227,9 @@ class DistanceMeasurement(Record):
     n_vehicles: MeasuredVehicles
     scale_source: ScaleSourceField
     length_px: float = Field(gt=0, description="Length of the line, pixels of the full image.")
-    path: tuple[ImagePoint, ...] = Field(description="Its points in order, pixels of the full image.")
+    path: tuple[ImagePoint, ...] = Field(
+        description="Its points in order, pixels of the full image."
+    )
     image_width_px: ImageWidth
     image_height_px: ImageHeight
     scale: ScaleField

@@ -12,10 +12,13 @@ from vehanchor.errors import MissingExtraError
 SCHEMA_VERSION: Literal[4] = 4
 """Version of all fields; it rises when a field is renamed, removed or redefined."""
 
-SchemaVersion = Annotated[Literal[4], Field(description="Version of this schema; others are refused.")]
+SchemaVersion = Annotated[
+    Literal[4], Field(description="Version of this schema; others are refused.")
+]
 
 _SHOWN_FLOAT_DIGITS = 4
-_FRAME_TYPES = {float: "float64", int: "Int64", bool: "boolean", str: "string"}  # types with a missing value
+# types with a missing value
+_FRAME_TYPES = {float: "float64", int: "Int64", bool: "boolean", str: "string"}
 
 
 class Record(BaseModel):
@@ -39,17 +42,25 @@ class Record(BaseModel):
         from vehanchor.records.flat import flat_columns, flat_row
 
         row, columns = flat_row(self), flat_columns(type(self))
-        return pd.DataFrame({name: pd.array([row[name]], dtype=_FRAME_TYPES[kind]) for name, kind in columns.items()})
+        return pd.DataFrame(
+            {
+                name: pd.array([row[name]], dtype=_FRAME_TYPES[kind])
+                for name, kind in columns.items()
+            }
+        )
 
     def _repr_html_(self) -> str:
         """Make an HTML table of the single values for notebooks, without nulls."""
         values, shown = self.model_dump(mode="json"), []
         for name, value in values.items():
             if value is not None and not isinstance(value, dict | list):
-                text = f"{value:.{_SHOWN_FLOAT_DIGITS}g}" if isinstance(value, float) else str(value)
+                text = (
+                    f"{value:.{_SHOWN_FLOAT_DIGITS}g}" if isinstance(value, float) else str(value)
+                )
                 shown.append((name, text))
         shown += [(note["code"], note["message"]) for note in values.get("warnings") or ()]
         rows = (
-            f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in shown
+            f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(text)}</td></tr>"
+            for name, text in shown
         )
         return f"<table>{''.join(rows)}</table>"

@@ -15,19 +15,27 @@ NO_SCALE = "no scale: nothing of known size found"
 def significant(value: float, digits: int = 3) -> str:
     """Format a finite number with significant digits: 0.12 as ``0.120``, 1234.5 as ``1234``; 0 as ``0``.
 
-    Zeros are kept, because they say how exactly the number is known. Whole digits are never replaced by zeros.
+    Zeros are kept, because they say how exactly the number is known. Whole digits are never
+    replaced by zeros.
     """
     if value == 0:
         return "0"
-    exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])  # after rounding: 9.996 has that of 10.0
+    # after rounding: 9.996 has that of 10.0
+    exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])
     return f"{value:.{max(digits - 1 - exponent, 0)}f}"
 
 
-def with_interval(value: float | None, low: float | None, high: float | None, unit: str, missing: str = "") -> str:
+def with_interval(
+    value: float | None, low: float | None, high: float | None, unit: str, missing: str = ""
+) -> str:
     """Format a quantity with four digits, and with its 95 % interval if it has one; ``missing`` without a value."""
     if value is None:
         return missing
-    interval = "" if low is None or high is None else f"  (95 %: {significant(low, 4)} to {significant(high, 4)})"
+    interval = (
+        ""
+        if low is None or high is None
+        else f"  (95 %: {significant(low, 4)} to {significant(high, 4)})"
+    )
     return f"{significant(value, 4)} {unit}{interval}"
 
 
@@ -38,7 +46,9 @@ def count(number: int, noun: str) -> str:
 
 def scale_text(of: GsdEstimate | FrameScale) -> str:
     """Format the scale with its interval, or say that there is none."""
-    return with_interval(of.gsd_m_per_px, of.gsd_ci95_low_m_per_px, of.gsd_ci95_high_m_per_px, "m/px", NO_SCALE)
+    return with_interval(
+        of.gsd_m_per_px, of.gsd_ci95_low_m_per_px, of.gsd_ci95_high_m_per_px, "m/px", NO_SCALE
+    )
 
 
 def by_hand_text(estimate: GsdEstimate) -> str:
@@ -52,7 +62,9 @@ def by_hand_text(estimate: GsdEstimate) -> str:
 def ruler_names(estimate: GsdEstimate) -> str:
     """List the rulers that are probably right, the leading one first, without priors."""
     cars = count(estimate.n_vehicles or 0, "vehicle")
-    words = [cars if ruler.kind == "vehicles" else ruler.label for ruler in estimate.probable_rulers]
+    words = [
+        cars if ruler.kind == "vehicles" else ruler.label for ruler in estimate.probable_rulers
+    ]
     return " and ".join(words) or cars
 
 
@@ -76,7 +88,9 @@ _CHECK = f"{CHECK_VEHICLES}, or {_LINE}"
 
 ADVICE: Mapping[Reason, Advice] = {
     "too_few": Advice("too little evidence", f"include more cars, or {_LINE}"),
-    "too_coarse": Advice("the vehicles have too little detail", "fly lower, or send the full-resolution image"),
+    "too_coarse": Advice(
+        "the vehicles have too little detail", "fly lower, or send the full-resolution image"
+    ),
     "not_cars": Advice("the vehicles may not be cars", _CHECK),
     "disagree": Advice("the evidence contradicts itself", f"check what contradicts it, or {_LINE}"),
     "assumed": Advice("it rests on assumed facts alone", f"include cars, or {_LINE}"),
@@ -108,21 +122,33 @@ def _specific(estimate: GsdEstimate) -> Advice | None:
         return Advice("no car was found", f"{_LINE}, or take a picture with cars")
     if n == 0 and reason == "too_coarse":
         return Advice(
-            "no car was found, and the scene looks too coarse for cars", f"send the full-resolution image, or {_LINE}"
+            "no car was found, and the scene looks too coarse for cars",
+            f"send the full-resolution image, or {_LINE}",
         )
     if "detail_missing" in codes and reason == "too_coarse":
         return Advice("the image is enlarged or blurred", "send the original image")
     if reason == "too_coarse" and estimate.mode_length_px is not None:
-        return Advice(f"the vehicles are only {estimate.mode_length_px:.0f} px long", ADVICE["too_coarse"].helps)
+        return Advice(
+            f"the vehicles are only {estimate.mode_length_px:.0f} px long",
+            ADVICE["too_coarse"].helps,
+        )
     if "tilt_suspected" in codes and reason == "disagree":
         return Advice(
-            "the camera was tilted by an unknown angle", "send the original file, or a picture taken straight down"
+            "the camera was tilted by an unknown angle",
+            "send the original file, or a picture taken straight down",
         )
     if "stretched" in codes and reason == "disagree":
-        return Advice("the image is stretched in one direction", "send the original image, or keep its aspect ratio")
+        return Advice(
+            "the image is stretched in one direction",
+            "send the original image, or keep its aspect ratio",
+        )
     if reason == "disagree":
         return _disagreement(estimate)
-    if reason in ("too_few", "imprecise") and n and estimate.details.reference_source in ("model", "appearance"):
+    if (
+        reason in ("too_few", "imprecise")
+        and n
+        and estimate.details.reference_source in ("model", "appearance")
+    ):
         if reason == "imprecise":
             return Advice(ADVICE[reason].why, f"give the region, or {_LINE}")
         alone = f"{count(n, 'vehicle')} alone: too little evidence"

@@ -37,7 +37,9 @@ def check_rulers(options: Rulers) -> None:
         check_name(line.what)
     unknown = [name for name in options.rulers or () if name not in RULERS]
     if unknown:
-        raise InvalidParameterError(f"rulers is {options.rulers!r}: use some of {', '.join(RULERS)}")
+        raise InvalidParameterError(
+            f"rulers is {options.rulers!r}: use some of {', '.join(RULERS)}"
+        )
 
 
 def allowed_rulers(options: Rulers) -> tuple[type[Ruler], ...]:
@@ -50,13 +52,18 @@ def allowed_rulers(options: Rulers) -> tuple[type[Ruler], ...]:
     return tuple(
         ruler
         for ruler in map(ruler_class, RULERS)
-        if (options.rulers is None or ruler.kind in options.rulers) and (options.metadata or not ruler.reads_metadata)
+        if (options.rulers is None or ruler.kind in options.rulers)
+        and (options.metadata or not ruler.reads_metadata)
     )
 
 
 def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
     """Make the allowed rulers, without those that need a fact which the caller does not state."""
-    return tuple(ruler() for ruler in allowed_rulers(options) if ruler.fact is None or getattr(options, ruler.fact))
+    return tuple(
+        ruler()
+        for ruler in allowed_rulers(options)
+        if ruler.fact is None or getattr(options, ruler.fact)
+    )
 
 
 def uses(options: Rulers, kind: str) -> bool:

@@ -54,9 +54,13 @@ class Camera(Ruler):
         if not 0 < camera.height_m <= _MAX_HEIGHT_M:
             return self._unusable(f"{camera.height_tag} is {camera.height_m:g} m")
         if camera.digital_zoom > _MAX_DIGITAL_ZOOM:
-            return self._unusable(f"the photograph was enlarged {camera.digital_zoom:g} times in the camera")
+            return self._unusable(
+                f"the photograph was enlarged {camera.digital_zoom:g} times in the camera"
+            )
         if taken_ratio(view.image, camera) is None:
-            return unusable(self.kind, cropped(view.image, camera, "the camera metadata are not usable"))
+            return unusable(
+                self.kind, cropped(view.image, camera, "the camera metadata are not usable")
+            )
         tilt_deg = camera.off_nadir_deg if view.plane is None else view.plane.tilt_deg
         seen = lens(view.image, camera, given_mm)
         if seen is None:
@@ -64,20 +68,33 @@ class Camera(Ruler):
                 return unusable(self.kind, _tilted(tilt_deg, unusable=True))
             if chosen.height_m is not None and not camera.refused:
                 return None
-            known = f"the height is {camera.height_m:g} m, but the focal length is missing: give focal_35mm"
+            known = (
+                f"the height is {camera.height_m:g} m, but the focal length is missing: "
+                "give focal_35mm"
+            )
             return self._unusable(known, camera.refused)
         measured = self._measured(camera, camera.height_m, seen, tilt_deg)
-        return replace(measured, marks=(mark_of_height(view.image, camera.height_m),)) if measured.found else measured
+        return (
+            replace(measured, marks=(mark_of_height(view.image, camera.height_m),))
+            if measured.found
+            else measured
+        )
 
-    def _without_height(self, view: View, camera: CameraMetadata, given_mm: float | None) -> Witness | None:
+    def _without_height(
+        self, view: View, camera: CameraMetadata, given_mm: float | None
+    ) -> Witness | None:
         """Say that the height is missing, unless the caller gives it or the focal length is missing, too."""
         if view.options.rulers.height_m is None and lens(view.image, camera, given_mm) is not None:
             return self._unusable(
-                "the focal length is known, but the height above the ground is missing: give height_m", camera.refused
+                "the focal length is known, but the height above the ground is missing: give "
+                "height_m",
+                camera.refused,
             )
         return self._unusable(camera.refused) if camera.refused else None
 
-    def _measured(self, camera: CameraMetadata, height_m: float, seen: Lens, tilt_deg: float | None) -> Witness:
+    def _measured(
+        self, camera: CameraMetadata, height_m: float, seen: Lens, tilt_deg: float | None
+    ) -> Witness:
         tilted = tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG
         if tilt_deg is not None and tilt_deg >= _MAX_TILT_DEG:
             return unusable(self.kind, _tilted(tilt_deg, unusable=True))
@@ -85,7 +102,10 @@ class Camera(Ruler):
         gsd = height_m / seen.pixels * coarser
         if not on_grid(gsd):
             return self._unusable(f"{height_m:g} m and {seen.source} would make {gsd:.3g} m/px")
-        said = f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and {seen.source}."
+        said = (
+            f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and "
+            f"{seen.source}."
+        )
         condition, notices = "camera", []
         if camera.refused:
             message = f"A part of the camera metadata is not used: {camera.refused}."
@@ -94,11 +114,16 @@ class Camera(Ruler):
             notices.append(_tilted(tilt_deg))
             said += " This is the scale of the image's centre."
         elif tilt_deg is None:
-            condition, tilt_log_sd = "camera, tilt unknown", RELIABILITY["camera, tilt unknown"].log_sd
+            condition, tilt_log_sd = (
+                "camera, tilt unknown",
+                RELIABILITY["camera, tilt unknown"].log_sd,
+            )
             said += " The tilt is not stated: this holds at nadir."
         log_sd = math.hypot(tilt_log_sd, height_log_sd(height_m))
         chance_wrong, errors = RELIABILITY[condition].chance_wrong, [Shared(LENS, seen.log_sd)]
-        return point_witness(self.kind, gsd, log_sd, chance_wrong, said, shared=errors, notices=notices)
+        return point_witness(
+            self.kind, gsd, log_sd, chance_wrong, said, shared=errors, notices=notices
+        )
 
     def _unusable(self, *why: str) -> Witness:
         message = f"The camera metadata are not usable: {'; '.join(filter(None, why))}."
@@ -127,10 +152,14 @@ def _tilted(tilt_deg: float, *, unusable: bool = False) -> Notice:
     rest = (
         "without height and focal length, its metadata are not usable."
         if unusable
-        else "the scale varies over the image. The given scale is that of the centre; areas and distances are measured "
+        else "the scale varies over the image. The given scale is that of the centre; areas and "
+        "distances are measured "
         "on the ground plane."
     )
-    return Notice(code=NoticeCode.CAMERA_TILTED, message=f"The camera was tilted by {tilt_deg:.0f} degrees: {rest}")
+    return Notice(
+        code=NoticeCode.CAMERA_TILTED,
+        message=f"The camera was tilted by {tilt_deg:.0f} degrees: {rest}",
+    )
 
 
 def cropped(image: ImageFacts, camera: CameraMetadata, means: str) -> Notice:
@@ -138,6 +167,7 @@ def cropped(image: ImageFacts, camera: CameraMetadata, means: str) -> Notice:
     return Notice(
         code=NoticeCode.CAMERA_UNUSABLE,
         message=f"The image is a crop: the photograph had {camera.taken_width_px} x "
-        f"{camera.taken_height_px} px, the image has {image.width_px} x {image.height_px}. Therefore {means}. Give the "
+        f"{camera.taken_height_px} px, the image has {image.width_px} x {image.height_px}. "
+        f"Therefore {means}. Give the "
         "original.",
     )

@@ -34,7 +34,9 @@ class Courts(Ruler):
 
     def measure(self, view: View) -> Witness | None:
         """Weigh the courts found by how well each was fitted; none without pixels."""
-        return witness_of(() if view.raster is None else find_courts(view.raster, view.prior, view.runtime))
+        return witness_of(
+            () if view.raster is None else find_courts(view.raster, view.prior, view.runtime)
+        )
 
 
 def witness_of(courts: Sequence[Court]) -> Witness | None:
@@ -51,7 +53,11 @@ def witness_of(courts: Sequence[Court]) -> Witness | None:
         return None
     middle = float(np.median([math.log(court.gsd_m_per_px) for court in courts]))
     nearest = min(courts, key=lambda court: abs(math.log(court.gsd_m_per_px) - middle))
-    kept = [court for court in courts if abs(math.log(court.gsd_m_per_px / nearest.gsd_m_per_px)) <= _APART]
+    kept = [
+        court
+        for court in courts
+        if abs(math.log(court.gsd_m_per_px / nearest.gsd_m_per_px)) <= _APART
+    ]
     reliability = RELIABILITY[Courts.kind]
     weights = np.array([1 / (court.log_sd**2 + reliability.log_sd**2) for court in kept])
     logs = np.log([court.gsd_m_per_px for court in kept])

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from vehanchor.scale.posterior import Witness
 
 _NO_LENS_OF_A_CROP = (
-    "no focal length of the whole photograph holds for it, and the given height is not usable. If yours is that "
+    "no focal length of the whole photograph holds for it, and the given height is not usable. "
+    "If yours is that "
     "of the crop, leave out the metadata"
 )
 
@@ -50,11 +51,16 @@ class GivenHeight(Ruler):
             return _unusable("the file has no usable focal length. Also give its 35 mm equivalent")
         coarser, tilt_log_sd = coarsening(0.0 if view.plane is None else view.plane.tilt_deg)
         gsd = chosen.height_m / seen.pixels * coarser
-        said = f"The given height, {chosen.height_basis}, gives {{}}: {chosen.height_m:g} m and {seen.source}."
+        said = (
+            f"The given height, {chosen.height_basis}, gives {{}}: {chosen.height_m:g} m and "
+            f"{seen.source}."
+        )
         said += " This is the scale of the image's centre." if view.plane else ""
         if not on_grid(gsd):
             return _unusable(f"{chosen.height_m:g} m and {seen.source} would give {gsd:.3g} m/px")
-        reliability = RELIABILITY["assumed" if chosen.height_basis == "assumed" else "measured height"]
+        reliability = RELIABILITY[
+            "assumed" if chosen.height_basis == "assumed" else "measured height"
+        ]
         log_sd = reliability.log_sd
         if chosen.height_tolerance_m is not None:
             log_sd = chosen.height_tolerance_m / chosen.height_m / Z95
@@ -80,12 +86,16 @@ def _repeats(view: View, height_m: float) -> bool:
     camera = view.image.camera
     if camera is None or camera.height_m is None or not uses(view.options.rulers, "camera"):
         return False
-    return lens(view.image, camera) is not None and abs(height_m - camera.height_m) <= SAME_NUMBER * camera.height_m
+    return (
+        lens(view.image, camera) is not None
+        and abs(height_m - camera.height_m) <= SAME_NUMBER * camera.height_m
+    )
 
 
 def _repeated(height_m: float) -> Notice:
     return Notice(
         code=NoticeCode.HEIGHT_REPEATED,
-        message=f"The given height of {height_m:g} m is the file's own: it counts once, as the file's. If it was "
+        message=f"The given height of {height_m:g} m is the file's own: it counts once, as the "
+        "file's. If it was "
         "measured on its own, leave out the metadata.",
     )

@@ -43,19 +43,25 @@ def read_image_table(
         The rows of each image, by its absolute path, in order.
 
     Raises:
-        InvalidParameterError: of the class ``error``: the table cannot be read, has no row, or a row is invalid.
+        InvalidParameterError: of the class ``error``: the table cannot be read, has no row, or a
+            row is invalid.
     """
     table = Path(path)
     found: dict[str, tuple[_Row, ...]] = {}
     try:
         if table.stat().st_size > _MOST_BYTES:
-            raise error(f"{str(table)!r} is larger than {_MOST_BYTES >> 20} MiB: give a table of {content}")
+            raise error(
+                f"{str(table)!r} is larger than {_MOST_BYTES >> 20} MiB: give a table of {content}"
+            )
         with table.open(newline="", encoding="utf-8-sig") as handle:
             reader = csv.DictReader(handle)
             missing = [name for name in needed if name not in (reader.fieldnames or ())]
             if missing:
                 first = ",".join((*needed, *optional))
-                raise error(f"{str(table)!r} has no column {', '.join(missing)}: the first line must be {first}")
+                raise error(
+                    f"{str(table)!r} has no column {', '.join(missing)}: the first line must be "
+                    f"{first}"
+                )
             for row in reader:
                 file = row["file"] or ""
                 try:

@@ -30,8 +30,10 @@ if TYPE_CHECKING:
     from vehanchor.scale.plane import GroundPlane
 
 _END_SD_PX = 1.0  # error of a drawn end, in pixels of the picture where it was drawn
-_LEAST_CHANCE = 0.01  # that one thing of known size is mistaken, beside the caller's chance to mistake all
-_AGREED = 0.05  # mass of one line's density within 20 % of another line's scale, below which they disagree
+# that one thing of known size is mistaken, beside the caller's chance to mistake all
+_LEAST_CHANCE = 0.01
+# mass of one line's density within 20 % of another line's scale, below which they disagree
+_AGREED = 0.05
 
 
 class KnownLengths(Ruler):
@@ -54,11 +56,23 @@ class KnownLengths(Ruler):
         drawn = [_drawn(line, view) for line in lines]
         groups = _groups(drawn)
         each = [_witness(group, view.options.reference.region) for group in groups]
-        measured = [one for one, group in zip(each, groups, strict=True) if group[0].line.basis == "measured"]
+        measured = [
+            one
+            for one, group in zip(each, groups, strict=True)
+            if group[0].line.basis == "measured"
+        ]
         basis, heard = "measured" if measured else "assumed", measured or each
         # each may be wrong by itself; contradictions show as several modes
-        found = heard[0] if len(heard) == 1 else _of_density(product(*(one.density for one in heard)), 0.0)
-        given = f"The {len(lines)} given lines, {basis}, give" if len(lines) > 1 else f"The given line, {basis}, gives"
+        found = (
+            heard[0]
+            if len(heard) == 1
+            else _of_density(product(*(one.density for one in heard)), 0.0)
+        )
+        given = (
+            f"The {len(lines)} given lines, {basis}, give"
+            if len(lines) > 1
+            else f"The given line, {basis}, gives"
+        )
         assert found.gsd_m_per_px is not None
         assert found.interval is not None
         found = replace(
@@ -108,7 +122,9 @@ def _drawn(line: KnownLength, view: View) -> _Drawn:
     across, down = view.image.width_px / frame[0], view.image.height_px / frame[1]
     ends = (line.x1 * across, line.y1 * down), (line.x2 * across, line.y2 * down)
     length_px, tilt_log_sd = _length_at_centre(*ends, view.plane)
-    return _Drawn(line, ends, length_px, math.hypot(math.sqrt(2) * _END_SD_PX / line.length_px, tilt_log_sd))
+    return _Drawn(
+        line, ends, length_px, math.hypot(math.sqrt(2) * _END_SD_PX / line.length_px, tilt_log_sd)
+    )
 
 
 def _witness(drawn: Sequence[_Drawn], region: str | None) -> Witness:
@@ -130,7 +146,9 @@ def _witness(drawn: Sequence[_Drawn], region: str | None) -> Witness:
         raise _impossible(variants[0].metres, length_px)
     total = sum(each.weight for each in possible)
     densities = [
-        each.weight / total * lognormal(each.metres / length_px, math.hypot(each.log_sd, drawn_log_sd))
+        each.weight
+        / total
+        * lognormal(each.metres / length_px, math.hypot(each.log_sd, drawn_log_sd))
         for each in possible
     ]
     return _of_density(sum(densities, np.zeros(1)), chance_wrong)
@@ -153,7 +171,8 @@ def _impossible(metres: float, length_px: float) -> KnownLengthError:
     gsd = metres / length_px
     hint = f" If the length is in centimetres, give {metres / 100:g}." if on_grid(gsd / 100) else ""
     return KnownLengthError(
-        f"a line of {metres:g} m over {length_px:.0f} px would give {gsd:.3g} m/px: give metres, and pixels of the "
+        f"a line of {metres:g} m over {length_px:.0f} px would give {gsd:.3g} m/px: give "
+        "metres, and pixels of the "
         f"image or of the frame that you name.{hint}"
     )
 
@@ -165,11 +184,16 @@ def _length_at_centre(
     if plane is None:
         return math.dist(first, second), 0.0
     less = replace(plane, gsd_m_per_px=1.0, tilt_deg=plane.tilt_deg - TILT_SD_DEG)
-    here, there = (float(each.length([first], [second])[0]) for each in (replace(plane, gsd_m_per_px=1.0), less))
+    here, there = (
+        float(each.length([first], [second])[0])
+        for each in (replace(plane, gsd_m_per_px=1.0), less)
+    )
     return here, abs(math.log(here / there))
 
 
-def _lines_disagree(groups: Sequence[Sequence[_Drawn]], lines: Sequence[Witness]) -> tuple[Notice, ...]:
+def _lines_disagree(
+    groups: Sequence[Sequence[_Drawn]], lines: Sequence[Witness]
+) -> tuple[Notice, ...]:
     """Warn of two lines of which neither allows the other's scale; name the line without which all agree."""
     scales = [(each.density, each.gsd_m_per_px or 0.0) for each in lines]
     apart = [
@@ -184,7 +208,8 @@ def _lines_disagree(groups: Sequence[Sequence[_Drawn]], lines: Sequence[Witness]
     cause = "A line is wrong, or the camera was tilted."
     if len(off) == 1:
         cause = (
-            f"Without the line {_label(groups[off[0]][0].line)} ({scales[off[0]][1]:.4g} m/px) they agree: check it."
+            f"Without the line {_label(groups[off[0]][0].line)} ({scales[off[0]][1]:.4g} "
+            "m/px) they agree: check it."
         )
     message = f"The given lines disagree, from {finest:.4g} to {coarsest:.4g} m/px. {cause}"
     return (Notice(code=NoticeCode.KNOWN_LENGTHS_DISAGREE, message=message),)

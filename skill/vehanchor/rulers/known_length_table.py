@@ -25,21 +25,26 @@ _COLUMNS = ("file", "x1", "y1", "x2", "y2", "metres")
 _OPTIONAL = ("basis", "tolerance_m", "what")
 
 
-def lines_in(path: str | os.PathLike[str] | None, images: Iterable[str | os.PathLike[str]]) -> KnownLengthTable:
+def lines_in(
+    path: str | os.PathLike[str] | None, images: Iterable[str | os.PathLike[str]]
+) -> KnownLengthTable:
     """Read a CSV with the columns ``file``, ``x1``, ``y1``, ``x2``, ``y2`` and ``metres``.
 
-    A name of ``vehanchor.rulers.standards`` may stand for the metres. The columns ``basis``, ``tolerance_m`` and
-    ``what`` are optional; an empty cell is the default.
+    A name of ``vehanchor.rulers.standards`` may stand for the metres. The columns ``basis``,
+    ``tolerance_m`` and ``what`` are optional; an empty cell is the default.
 
     Args:
-        path: path of the table; an image may have several lines. Files are relative to the table. None for no lines.
-        images: the images to measure. Lines of other images are refused, because a name may be misspelt.
+        path: path of the table; an image may have several lines. Files are relative to the table.
+            None for no lines.
+        images: the images to measure. Lines of other images are refused, because a name may be
+            misspelt.
 
     Returns:
         The lines of each image, in pixels of the image.
 
     Raises:
-        KnownLengthError: the table cannot be read, a row is invalid, or a line lies in another image.
+        KnownLengthError: the table cannot be read, a row is invalid, or a line lies in another
+            image.
     """
     if path is None:
         return {}
@@ -55,15 +60,26 @@ def lines_in(path: str | os.PathLike[str] | None, images: Iterable[str | os.Path
     return lines
 
 
-def with_lines_of(options: ScaleOptions, lines: KnownLengthTable, image: str | os.PathLike[str]) -> ScaleOptions:
+def with_lines_of(
+    options: ScaleOptions, lines: KnownLengthTable, image: str | os.PathLike[str]
+) -> ScaleOptions:
     """Add the lines of one image to the options."""
     own = lines.get(where_it_is(image)) if lines else None
-    return options if own is None else replace(options, rulers=replace(options.rulers, known_lengths=own))
+    return (
+        options
+        if own is None
+        else replace(options, rulers=replace(options.rulers, known_lengths=own))
+    )
 
 
 def _line(row: Mapping[str, str | None]) -> KnownLength:
     basis, tolerance, what = (row.get(name) or None for name in _OPTIONAL)
-    values: Any = (*(row[name] for name in _COLUMNS[1:5]), row["metres"] or what, basis or "assumed", tolerance)
+    values: Any = (
+        *(row[name] for name in _COLUMNS[1:5]),
+        row["metres"] or what,
+        basis or "assumed",
+        tolerance,
+    )
     (line,) = Rulers(known_lengths=(values,)).known_lengths
     check_name(line.what)
     line.check("the line of known length", KnownLengthError)

@@ -51,11 +51,14 @@ def places_of(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
         images: their facts.
 
     Returns:
-        ``[n, 2]`` metres east and north of the first known position, NaN for unknown ones; None if all are unknown.
+        ``[n, 2]`` metres east and north of the first known position, NaN for unknown ones; None if
+        all are unknown.
     """
     known = [
         (math.nan, math.nan)
-        if (camera := image.camera) is None or camera.latitude_deg is None or camera.longitude_deg is None
+        if (camera := image.camera) is None
+        or camera.latitude_deg is None
+        or camera.longitude_deg is None
         else (camera.latitude_deg, camera.longitude_deg)
         for image in images
     ]
@@ -64,15 +67,20 @@ def places_of(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
     if not len(said):
         return None
     north, east = np.radians(degrees - degrees[said[0]]).T
-    east = np.where(east > math.pi, east - 2 * math.pi, np.where(east < -math.pi, east + 2 * math.pi, east))
+    east = np.where(
+        east > math.pi, east - 2 * math.pi, np.where(east < -math.pi, east + 2 * math.pi, east)
+    )
     return np.column_stack([east * math.cos(math.radians(degrees[said[0], 0])), north]) * _EARTH_M
 
 
-def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_px: float) -> Witness | None:
+def baseline(
+    layout: NDArray[np.complex128], places: NDArray[np.float64], width_px: float
+) -> Witness | None:
     """Measure the scale by the layout of photographs and their positions.
 
     Args:
-        layout: ``[m]`` points below the cameras in pixels, y down (see ``vehanchor_flight.layout``).
+        layout: ``[m]`` points below the cameras in pixels, y down (see
+            ``vehanchor_flight.layout``).
         places: ``[m, 2]`` metres east and north, NaN for unknown ones.
         width_px: width of a photograph, in these pixels.
 
@@ -91,8 +99,10 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
         if spread_px <= 0 or spread_m <= 0:
             return None
         product = complex(weight @ (np.conj(in_px) * in_m))
-        agreement = min(1.0, abs(product) / math.sqrt(spread_px * spread_m))  # rounding can exceed 1
-        gsd = math.sqrt(spread_m / spread_px)  # both have errors: geometric mean of the two regressions
+        # rounding can exceed 1
+        agreement = min(1.0, abs(product) / math.sqrt(spread_px * spread_m))
+        # both have errors: geometric mean of the two regressions
+        gsd = math.sqrt(spread_m / spread_px)
         off = np.abs(in_m - gsd * (product / max(abs(product), 1e-12)) * in_px)
         # 0.8326: median of a Rayleigh distribution over its scale, / sqrt 2
         typical = max(float(np.median(off)) / 0.8326, 1e-6)

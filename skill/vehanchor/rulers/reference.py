@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 
 _KNOWN_LENGTH = 0.5  # share of the spread that a length from the caller leaves; a choice
-_USUAL_CARS = 2.0  # cars of the usual length that stand for those which are not in sight: (0.09 / 0.06)**2, the spreads
+# cars of the usual length that stand for those which are not in sight: (0.09 / 0.06)**2, the
+# spreads
+_USUAL_CARS = 2.0
 # of lengths within fleets and between them
 
 
@@ -32,7 +34,8 @@ class ReferenceLength(NamedTuple):
         source: source of the length.
         log_sd: standard deviation of its log between places.
         log_mean: mean error of its log.
-        by_looks: log of the factor on the vehicles' lengths by their appearance; None if these are not used.
+        by_looks: log of the factor on the vehicles' lengths by their appearance; None if these are
+            not used.
     """
 
     length_m: float
@@ -45,8 +48,9 @@ class ReferenceLength(NamedTuple):
 def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) -> ReferenceLength:
     """Choose the caller's reference length, else the fleet's by appearance, else the model's.
 
-    A length from the caller removes half of the spread between regions. A region removes less, because a city differs
-    from its region; it moves lengths by appearance towards its own by the precisions of both.
+    A length from the caller removes half of the spread between regions. A region removes less,
+    because a city differs from its region; it moves lengths by appearance towards its own by the
+    precisions of both.
 
     Args:
         card: of the model that found the vehicles.
@@ -62,15 +66,21 @@ def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) 
     """
     if given.calibration is not None:
         given.calibration.check_detector(card.name, card.sha256)
-        length_m, sd_m = given.calibration.reference_length_m, given.calibration.reference_length_sd_m
+        length_m, sd_m = (
+            given.calibration.reference_length_m,
+            given.calibration.reference_length_sd_m,
+        )
         return ReferenceLength(length_m, "calibration", sd_m / length_m)
     sd_m = card.reference_length_sd_m
     if given.reference_length_m is not None:
-        return ReferenceLength(given.reference_length_m, "given", _KNOWN_LENGTH * sd_m / given.reference_length_m)
+        return ReferenceLength(
+            given.reference_length_m, "given", _KNOWN_LENGTH * sd_m / given.reference_length_m
+        )
     if card.bodies is not None and looks is not None:
         return _by_looks(card.bodies, looks, given.region)
     if given.region is not None:
-        of_bodies = {} if card.bodies is None else card.bodies.region_lengths_m  # where nobody measured boxes
+        # where nobody measured boxes
+        of_bodies = {} if card.bodies is None else card.bodies.region_lengths_m
         length_m = _region_length(given.region, {**of_bodies, **card.region_lengths_m})
         return ReferenceLength(length_m, "region", KNOWN_REGION * sd_m / length_m)
     return ReferenceLength(card.reference_length_m, "model", sd_m / card.reference_length_m)
@@ -80,7 +90,9 @@ def _by_looks(bodies: BodyLengths, looks: Looks, region: str | None) -> Referenc
     """Read the reference length from appearances, and move it towards that of a region."""
     log_length = float(looks.log_lengths.mean())
     if region is None:
-        return ReferenceLength(math.exp(log_length), "appearance", LOOKS_LOG_SD, LOOKS_LOG_MEAN, 0.0)
+        return ReferenceLength(
+            math.exp(log_length), "appearance", LOOKS_LOG_SD, LOOKS_LOG_MEAN, 0.0
+        )
     usual = math.log(bodies.reference_length_m)
     fleet = (len(looks) * log_length + _USUAL_CARS * usual) / (len(looks) + _USUAL_CARS)
     spread = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
@@ -93,11 +105,16 @@ def _by_looks(bodies: BodyLengths, looks: Looks, region: str | None) -> Referenc
 def _region_length(name: str, known: Mapping[str, float]) -> float:
     """Look up the reference length of a region or country, metres."""
     plain = " ".join(name.lower().replace("_", " ").replace("-", " ").split())
-    length_m = known.get(plain.replace(" ", "_")) or country_length(COUNTRY_CODES.get(plain, name), known)
+    length_m = known.get(plain.replace(" ", "_")) or country_length(
+        COUNTRY_CODES.get(plain, name), known
+    )
     if length_m is not None:
         return length_m
-    near = ", ".join(get_close_matches(name.lower(), known) or get_close_matches(name.upper(), COUNTRY_REGIONS))
+    near = ", ".join(
+        get_close_matches(name.lower(), known) or get_close_matches(name.upper(), COUNTRY_REGIONS)
+    )
     raise InvalidParameterError(
-        f"region is {name!r}: this model knows {', '.join(sorted(known))}, and countries there by name or ISO code, "
+        f"region is {name!r}: this model knows {', '.join(sorted(known))}, and countries there "
+        "by name or ISO code, "
         f"such as FR{near and f' (nearest: {near})'}. For another place, leave region out"
     )

@@ -1,6 +1,7 @@
 """What a ruler is made of: its input, its base class, and witnesses of one scale with a lognormal error.
 
-To add a ruler, subclass ``Ruler`` in a file of its own and name it in ``vehanchor.records.ruler_registry``.
+To add a ruler, subclass ``Ruler`` in a file of its own and name it in
+``vehanchor.records.ruler_registry``.
 """
 
 from __future__ import annotations
@@ -43,14 +44,15 @@ class View:
         detections: result of the search.
         card: of the detector.
         options: all options of the method.
-        resolved_share: function of centres ``[n, 2]`` in pixels and the scale where they were found; it gives the share
-            of the resolution at which there is detail (``vehanchor.imagery.detail``).
+        resolved_share: function of centres ``[n, 2]`` in pixels and the scale where they were
+            found; it gives the share of the resolution at which there is detail
+            (``vehanchor.imagery.detail``).
         raster: the open image, for a ruler that reads pixels; None if only search results are kept.
         runtime: runtime of a ruler's own model.
         prior: the scene-scale prior; None without one.
         tilt: of the camera; None for an image taken at nadir, or of unknown tilt.
-        expected: ``[g]`` density of the scale in a tilted view, from rulers that do not depend on vehicles; None
-            without any.
+        expected: ``[g]`` density of the scale in a tilted view, from rulers that do not depend on
+            vehicles; None without any.
     """
 
     image: ImageFacts
@@ -85,15 +87,17 @@ class Ruler:
         plural: whether the label is a plural.
         help: what the ruler needs, for the help of ``--rulers``.
         colour: of its curve in plots, ``#rrggbb``.
-        pooling_gain: n photographs of a flight count as n to this power: 0 if all have the same error, 1 if their
-            errors are independent. None: it measures the boxes of all photographs together, and after other rulers,
-            whose ``View.expected`` tells it cars from parts of cars in a tilted view.
+        pooling_gain: n photographs of a flight count as n to this power: 0 if all have the same
+            error, 1 if their errors are independent. None: it measures the boxes of all photographs
+            together, and after other rulers, whose ``View.expected`` tells it cars from parts of
+            cars in a tilted view.
         needs_search: it measures detections, so that the detector must run.
         reads_metadata: it is left out if the caller forbids metadata.
-        fact: field of ``vehanchor.options.Rulers`` that it measures with, and without which it is left out; None for a
-            ruler that needs no fact from the caller.
+        fact: field of ``vehanchor.options.Rulers`` that it measures with, and without which it is
+            left out; None for a ruler that needs no fact from the caller.
         uses_plane: it measures on ``View.plane``. If False, it is left out in a tilted view.
-        sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other rulers.
+        sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other
+            rulers.
     """
 
     kind: ClassVar[str]
@@ -154,7 +158,8 @@ def point_witness(
         gsd_m_per_px: the scale, on the grid (see ``vehanchor.scale.density.on_grid``).
         log_sd: standard deviation of its log, without shared errors.
         chance_wrong: 0..1, chance that it measured something else.
-        said: a sentence with the source and the measurement; ``{}`` in it stands for the scale and its interval.
+        said: a sentence with the source and the measurement; ``{}`` in it stands for the scale and
+            its interval.
         shared: errors in common with other witnesses.
         n: number of things measured.
         notices: warnings.
@@ -176,7 +181,9 @@ def point_witness(
 
 def assumed(witness: Witness, caller: Shared = CALLER) -> Witness:
     """Mark a witness as a guess of the caller, whose guesses may all be wrong together."""
-    return replace(witness, assumed=True, shared=(*witness.shared, caller), lacks=(Lack("assumed", witness),))
+    return replace(
+        witness, assumed=True, shared=(*witness.shared, caller), lacks=(Lack("assumed", witness),)
+    )
 
 
 def prior_witness(kind: str, density: NDArray[np.float64], power: float, n: int) -> Witness:
@@ -191,7 +198,9 @@ def prior_witness(kind: str, density: NDArray[np.float64], power: float, n: int)
     weighed = normalised(density**power)
     chance_wrong = float(weighed.min() / flat()[0])
     right = normalised(np.maximum(weighed - weighed.min(), 0.0)) if chance_wrong < 1.0 else flat()
-    return Witness(kind, quantile(density, 0.5), right, min(chance_wrong, 1.0), sets_scale=False, n=n)
+    return Witness(
+        kind, quantile(density, 0.5), right, min(chance_wrong, 1.0), sets_scale=False, n=n
+    )
 
 
 def in_words(gsd_m_per_px: float, interval: Interval) -> str:

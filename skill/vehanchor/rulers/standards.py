@@ -23,7 +23,8 @@ class Variant(NamedTuple):
         metres: mean length.
         log_sd: standard deviation of its log.
         weight: relative to the other variants.
-        countries: ISO 3166-1 codes, and regions of ``vehanchor.scale.countries``; empty for all countries.
+        countries: ISO 3166-1 codes, and regions of ``vehanchor.scale.countries``; empty for all
+            countries.
     """
 
     metres: float
@@ -69,7 +70,9 @@ class Standard(NamedTuple):
 @cache
 def standards() -> Mapping[str, Standard]:
     """Read the catalogue, by name."""
-    table = tomllib.loads(files("vehanchor.rulers").joinpath("standards.toml").read_text(encoding="utf-8"))
+    table = tomllib.loads(
+        files("vehanchor.rulers").joinpath("standards.toml").read_text(encoding="utf-8")
+    )
     return TypeAdapter(dict[str, Standard]).validate_python(
         {name: {"name": name, **entry} for name, entry in table.items()}
     )
@@ -79,8 +82,10 @@ def lengths_of(what: str, region: str | None = None) -> tuple[Standard, tuple[Va
     """Find a thing of known size and its lengths.
 
     Args:
-        what: its name, as ``check_name`` allows it, with an optional country, as "railway_gauge/ES".
-        region: country or region of the image; the country in the name is used instead if there is one.
+        what: its name, as ``check_name`` allows it, with an optional country, as
+            "railway_gauge/ES".
+        region: country or region of the image; the country in the name is used instead if there is
+            one.
     """
     name, _, country = what.partition("/")
     standard = standards()[name]
@@ -100,4 +105,6 @@ def check_name(what: str | None) -> None:
         known = "; ".join(f"{each.name}: {each.between}" for each in standards().values())
         raise KnownLengthError(f"there is no thing of known size {name!r}. Known are {known}")
     if slash and not (len(country) == 2 and country.isascii() and country.isupper()):
-        raise KnownLengthError(f"the country in {what!r} is {country!r}: use two capital letters, as in {name}/DE")
+        raise KnownLengthError(
+            f"the country in {what!r} is {country!r}: use two capital letters, as in {name}/DE"
+        )

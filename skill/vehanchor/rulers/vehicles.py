@@ -25,7 +25,13 @@ from vehanchor.scale.lengths import (
 )
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
-from vehanchor.scale.reliability import CAR_LOG_SD, RELIABILITY, looks_error, uncalibrated_wrong, unresolved
+from vehanchor.scale.reliability import (
+    CAR_LOG_SD,
+    RELIABILITY,
+    looks_error,
+    uncalibrated_wrong,
+    unresolved,
+)
 from vehanchor.tilt.camera_tilt import rectified
 
 if TYPE_CHECKING:
@@ -44,7 +50,8 @@ if TYPE_CHECKING:
 
 _CLEAR_SCORE = 1.0  # of a car that nobody doubts
 _LEAST_ALIKE = 20  # vehicles with which the spread is known to a sixth
-_EQUAL = 0.045  # spread of log lengths, as measured and by appearance; of 204 fleets 3 have less, none in both
+# spread of log lengths, as measured and by appearance; of 204 fleets 3 have less, none in both
+_EQUAL = 0.045
 _LEAST_LOGIT = 2.0  # mean; 203 of 204 fleets have more
 _QUARTILES_PER_SD = 1.349  # of a normal distribution
 
@@ -56,8 +63,10 @@ class Fleet:
     Attributes:
         detections: all detections.
         kept: ``[n]`` bool, the detections of the fleet.
-        working_scale: scale of the image copy with most of the fleet, by score; None without vehicles.
-        rival_share: evidence of the strongest group of other lengths over the fleet's; 0 without any.
+        working_scale: scale of the image copy with most of the fleet, by score; None without
+            vehicles.
+        rival_share: evidence of the strongest group of other lengths over the fleet's; 0 without
+            any.
     """
 
     detections: Detections
@@ -94,7 +103,9 @@ class Fleet:
         return looks.take(self.kept[: len(looks)])
 
 
-def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float64] | None = None) -> Fleet:
+def select(
+    detections: Detections, lengths: Lengths, expected: NDArray[np.float64] | None = None
+) -> Fleet:
     """Select the fleet with the outlier filter and, after a search over scales, by lengths that fit one fleet.
 
     Vehicles that the caller states to be cars are always kept, and their lengths choose the fleet.
@@ -118,7 +129,9 @@ def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float6
         kept, rival_share = dominant_group(found, weights, stated)
         kept[kept] = inlier_mask(found[kept], lengths.alpha)
     kept |= stated
-    return Fleet(detections, kept, _working_scale(detections, kept), 0.0 if stated.any() else rival_share)
+    return Fleet(
+        detections, kept, _working_scale(detections, kept), 0.0 if stated.any() else rival_share
+    )
 
 
 def _working_scale(detections: Detections, kept: NDArray[np.bool_]) -> float | None:
@@ -142,7 +155,8 @@ class VehicleWitness(Witness):
         mode_length_px: ``P_mode``; None without vehicles.
         aggregation: statistic of the lengths.
         resolved: share of the pixels' resolution at which there is detail.
-        only_kept: whether the fleet alone votes: in a tilted view, the other boxes are parts of cars.
+        only_kept: whether the fleet alone votes: in a tilted view, the other boxes are parts of
+            cars.
     """
 
     fleet: Fleet
@@ -176,7 +190,9 @@ class VehicleWitness(Witness):
     def statistical_log_sds(self) -> tuple[float, float]:
         """Log standard deviations of the mode under resampling and of the fleet's spread; there must be vehicles."""
         assert self.mode_length_px is not None
-        return statistical_log_sds(self.fleet.lengths, self.fleet.scores, self.mode_length_px, self.aggregation)
+        return statistical_log_sds(
+            self.fleet.lengths, self.fleet.scores, self.mode_length_px, self.aggregation
+        )
 
     @property
     def seen_length_px(self) -> float:
@@ -199,13 +215,19 @@ class VehicleWitness(Witness):
         model, scores = self.card.votes or UNCALIBRATED, self.fleet.detections.scores
         likelihood = self._likelihood(scores, model)
         clear = self._likelihood(np.where(self.fleet.kept, _CLEAR_SCORE, scores), model)
-        another = vehicle_likelihood([np.median(self.fleet.lengths)], [_CLEAR_SCORE], self.reference.length_m, model)
+        another = vehicle_likelihood(
+            [np.median(self.fleet.lengths)], [_CLEAR_SCORE], self.reference.length_m, model
+        )
         without: list[tuple[Reason, VehicleWitness, NDArray[np.float64]]] = [
             ("too_coarse", replace(self, resolved=math.inf), likelihood),
             ("not_cars", self, clear),
             ("disagree", replace(self, fleet=replace(self.fleet, rival_share=0.0)), likelihood),
             ("too_few", self, product(likelihood, another)),
-            ("imprecise", replace(self, reference=self.reference._replace(log_sd=0.0, log_mean=0.0)), likelihood),
+            (
+                "imprecise",
+                replace(self, reference=self.reference._replace(log_sd=0.0, log_mean=0.0)),
+                likelihood,
+            ),
         ]
         return replace(
             self,
@@ -223,7 +245,10 @@ class VehicleWitness(Witness):
         The boxes' lengths in metres, if they are cars, are those by their looks, or the reference.
         """
         found = self.fleet.detections
-        lengths_m, log_sds = np.full(len(found.boxes), self.reference.length_m), np.full(len(found.boxes), CAR_LOG_SD)
+        lengths_m, log_sds = (
+            np.full(len(found.boxes), self.reference.length_m),
+            np.full(len(found.boxes), CAR_LOG_SD),
+        )
         if self.reference.by_looks is not None and found.looks is not None:
             seen = len(found.looks)
             lengths_m[:seen] = np.exp(found.looks.log_lengths + self.reference.by_looks)
@@ -231,7 +256,9 @@ class VehicleWitness(Witness):
         if found.corrections is not None:
             log_sds = np.hypot(log_sds, found.corrections.pointed_log_sds)
         voting = self.fleet.kept if self.only_kept else slice(None)
-        return vehicle_likelihood(found.boxes[voting, 2], scores[voting], lengths_m[voting], votes, log_sds[voting])
+        return vehicle_likelihood(
+            found.boxes[voting, 2], scores[voting], lengths_m[voting], votes, log_sds[voting]
+        )
 
     def _widened(self, likelihood: NDArray[np.float64]) -> NDArray[np.float64]:
         """Widen a likelihood ``[g]`` by the errors of the fleet and of too coarse vehicles."""
@@ -291,20 +318,29 @@ class Vehicles(Ruler):
         )
         if mode_px is None:
             return found
-        notices = (*found.notices, *_detail_missing(found), *_doubts(fleet, None if plane else detections.stretch))
-        return replace(found.by_votes(), gsd_m_per_px=found.reference.length_m / mode_px, notices=notices)
+        notices = (
+            *found.notices,
+            *_detail_missing(found),
+            *_doubts(fleet, None if plane else detections.stretch),
+        )
+        return replace(
+            found.by_votes(), gsd_m_per_px=found.reference.length_m / mode_px, notices=notices
+        )
 
 
 _DOUBTS = {
     NoticeCode.STRETCHED: Notice(
         code=NoticeCode.STRETCHED,
-        message="The vehicles have a car's proportions only if the image is made narrower or wider: it was stretched "
+        message="The vehicles have a car's proportions only if the image is made narrower or "
+        "wider: it was stretched "
         "in one direction, or taken at a tilt, and its width and height have different scales.",
     ),
     NoticeCode.LOOK_ALIKES: Notice(
         code=NoticeCode.LOOK_ALIKES,
-        message="The vehicles are more alike than cars of different makes, or unlike all known cars: they may be equal "
-        "lorries, caravans, containers, roof units or boats, and the scale wrong by the ratio of their length to a "
+        message="The vehicles are more alike than cars of different makes, or unlike all known "
+        "cars: they may be equal "
+        "lorries, caravans, containers, roof units or boats, and the scale wrong by the ratio "
+        "of their length to a "
         "car's.",
     ),
 }
@@ -313,20 +349,24 @@ _DOUBTS = {
 def _doubts(fleet: Fleet, stretch: float | None) -> tuple[Notice, ...]:
     """Doubt that the vehicles are cars of true proportions, after a search over scales.
 
-    A caller who states that most of the vehicles are cars resolves the doubt that they are look-alikes.
+    A caller who states that most of the vehicles are cars resolves the doubt that they are
+    look-alikes.
     """
     if fleet.detections.scales is None:
         return ()
     stretched = stretch is not None and abs(stretch) > 1.0
     alike = not fleet.is_stated and look_alikes(fleet.lengths, fleet.looks)
-    return tuple(each for each, doubted in zip(_DOUBTS.values(), (stretched, alike), strict=True) if doubted)
+    return tuple(
+        each for each, doubted in zip(_DOUBTS.values(), (stretched, alike), strict=True) if doubted
+    )
 
 
 def look_alikes(lengths: ArrayLike, looks: Looks | None) -> bool:
     """Test whether vehicles may be equal things that are no cars, such as lorries, caravans and boats in rows.
 
-    One of two signs is enough, from 20 vehicles on: their lengths and their looks spread less than those of cars of
-    different makes (interquartile range over 1.349), or they look less like cars than any fleet.
+    One of two signs is enough, from 20 vehicles on: their lengths and their looks spread less than
+    those of cars of different makes (interquartile range over 1.349), or they look less like cars
+    than any fleet.
 
     Args:
         lengths: ``[n]`` pixels.
@@ -338,7 +378,9 @@ def look_alikes(lengths: ArrayLike, looks: Looks | None) -> bool:
     equal = _spread(np.log(values)) < _EQUAL
     if looks is None or len(looks) < _LEAST_ALIKE:
         return bool(equal)
-    return bool(looks.logits.mean() < _LEAST_LOGIT or (equal and _spread(looks.log_lengths) < _EQUAL))
+    return bool(
+        looks.logits.mean() < _LEAST_LOGIT or (equal and _spread(looks.log_lengths) < _EQUAL)
+    )
 
 
 def _spread(values: NDArray[np.float64]) -> float:
@@ -350,7 +392,8 @@ def _capped(detections: Detections) -> tuple[Notice, ...]:
     if not detections.n_capped_tiles:
         return ()
     message = (
-        f"{detections.n_capped_tiles} of {detections.n_tiles} tiles reached the model's largest number of boxes: "
+        f"{detections.n_capped_tiles} of {detections.n_tiles} tiles reached the model's largest "
+        "number of boxes: "
         "vehicles may be missing. Export the model without nms=True, or use smaller tiles."
     )
     return (Notice(code=NoticeCode.DETECTIONS_CAPPED, message=message),)
@@ -362,8 +405,10 @@ def _detail_missing(found: VehicleWitness) -> tuple[Notice, ...]:
     if not seen_px >= guard_px > seen_px * found.resolved:
         return ()
     message = (
-        f"The image has no detail finer than {1 / found.resolved:.2g} px, as after enlarging or blur: vehicles of "
-        f"{seen_px:.1f} px have the detail of {seen_px * found.resolved:.1f} px, and {guard_px:.1f} px are needed. "
+        f"The image has no detail finer than {1 / found.resolved:.2g} px, as after enlarging or "
+        "blur: vehicles of "
+        f"{seen_px:.1f} px have the detail of {seen_px * found.resolved:.1f} px, and "
+        f"{guard_px:.1f} px are needed. "
         "Give the original image."
     )
     return (Notice(code=NoticeCode.DETAIL_MISSING, message=message),)
@@ -371,4 +416,7 @@ def _detail_missing(found: VehicleWitness) -> tuple[Notice, ...]:
 
 def measured_vehicles(witnesses: Iterable[Witness]) -> VehicleWitness | None:
     """Find the witness of the vehicles; None if the caller excludes them."""
-    return cast("VehicleWitness | None", next((each for each in witnesses if each.kind == Vehicles.kind), None))
+    return cast(
+        "VehicleWitness | None",
+        next((each for each in witnesses if each.kind == Vehicles.kind), None),
+    )

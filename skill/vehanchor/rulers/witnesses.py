@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import Ruler, View
     from vehanchor.scale.posterior import Answer, Remark, Witness
 
-_UNIT_RATIO, _UNIT_TOLERANCE = math.log(100.0), math.log(2.0)  # centimetres for metres; scenes tell a factor of two
+# centimetres for metres; scenes tell a factor of two
+_UNIT_RATIO, _UNIT_TOLERANCE = math.log(100.0), math.log(2.0)
 
 
 def measure_all(view: View, known: Sequence[Witness] | None = None) -> tuple[Witness, ...]:
@@ -34,7 +35,8 @@ def measure_all(view: View, known: Sequence[Witness] | None = None) -> tuple[Wit
 
     Args:
         view: of the image, with its tilt.
-        known: earlier witnesses of all rulers but those that measure the boxes of a flight together; None without any.
+        known: earlier witnesses of all rulers but those that measure the boxes of a flight
+            together; None without any.
 
     Returns:
         The witnesses; those of boxes first.
@@ -52,7 +54,8 @@ def measure_all(view: View, known: Sequence[Witness] | None = None) -> tuple[Wit
 def expected_scale(witnesses: Iterable[Witness]) -> NDArray[np.float64] | None:
     """Multiply the densities of rulers that do not depend on vehicles, for a tilted view.
 
-    In oblique views the detector often finds parts of cars; the camera's height or a court identifies the whole ones.
+    In oblique views the detector often finds parts of cars; the camera's height or a court
+    identifies the whole ones.
 
     Args:
         witnesses: of these rulers, measured on the ground plane.
@@ -77,27 +80,37 @@ def _witness(ruler: Ruler, view: View) -> Witness | None:
     if at_nadir is None or not at_nadir.found:
         return None
     message = (
-        f"The camera was tilted by {view.plane.tilt_deg:.0f} degrees: the ruler {ruler.label} is left out, because it "
+        f"The camera was tilted by {view.plane.tilt_deg:.0f} degrees: the ruler {ruler.label} "
+        "is left out, because it "
         "only measures nadir images."
     )
     return unusable(ruler.kind, Notice(code=NoticeCode.CAMERA_TILTED, message=message))
 
 
-def with_doubts(witnesses: Sequence[Witness], notices: Iterable[Remark] = ()) -> tuple[Witness, ...]:
+def with_doubts(
+    witnesses: Sequence[Witness], notices: Iterable[Remark] = ()
+) -> tuple[Witness, ...]:
     """Give witnesses the errors that doubts make common.
 
-    An image without one scale misleads all of them; look-alikes mislead the vehicles, and a prior that agrees.
+    An image without one scale misleads all of them; look-alikes mislead the vehicles, and a prior
+    that agrees.
 
     Args:
         witnesses: of an image, with their own doubts.
         notices: further doubts.
     """
-    codes = {notice.code for notice in (*(own for each in witnesses for own in each.notices), *notices)}
+    codes = {
+        notice.code for notice in (*(own for each in witnesses for own in each.notices), *notices)
+    }
     no_one_scale = NoticeCode.STRETCHED in codes or NoticeCode.TILT_SUSPECTED in codes
     found = []
     for each in witnesses:
         one = sharing(each, NO_ONE_SCALE, "disagree") if no_one_scale and each.found else each
-        if NoticeCode.LOOK_ALIKES in codes and each.found and (each.kind == Vehicles.kind or not each.sets_scale):
+        if (
+            NoticeCode.LOOK_ALIKES in codes
+            and each.found
+            and (each.kind == Vehicles.kind or not each.sets_scale)
+        ):
             one = sharing(one, NO_CARS, "not_cars")
         found.append(one)
     return tuple(found)
@@ -118,7 +131,8 @@ def disagreements(witnesses: Sequence[Witness], found: Answer) -> list[Notice]:
     notices = [
         Notice(
             code=NoticeCode.RULERS_DISAGREE,
-            message=f"{_says(each)} m/px, and all rulers together {found.gsd_m_per_px:.2g}. Check which is wrong "
+            message=f"{_says(each)} m/px, and all rulers together {found.gsd_m_per_px:.2g}. "
+            "Check which is wrong "
             "before using either.",
         )
         for each in doubted
@@ -131,7 +145,11 @@ def _unit_notices(heard: Sequence[Witness]) -> list[Notice]:
     """Warn of stated facts that differ from another ruler by a factor of about 100."""
     notices = {}
     for fact, other in permutations(heard, 2):
-        if ruler_class(fact.kind).fact is None or fact.gsd_m_per_px is None or other.gsd_m_per_px is None:
+        if (
+            ruler_class(fact.kind).fact is None
+            or fact.gsd_m_per_px is None
+            or other.gsd_m_per_px is None
+        ):
             continue
         off = math.log(fact.gsd_m_per_px / other.gsd_m_per_px)
         if abs(abs(off) - _UNIT_RATIO) <= _UNIT_TOLERANCE:

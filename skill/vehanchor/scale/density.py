@@ -1,6 +1,7 @@
 """Densities over the log of the ground sampling distance, among them the vehicles' votes.
 
-A density is ``[g]`` cell probabilities on one grid, ``GRID``: steps of 0.5 % from 3 mm to 3 m per pixel.
+A density is ``[g]`` cell probabilities on one grid, ``GRID``: steps of 0.5 % from 3 mm to 3 m per
+pixel.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_ST
 
 LEAST_PROBABILITY = 1e-300  # of a cell, so that it has a log
 KERNEL_REACH_SDS = 6.0
-_LEAST_ODDS, _MOST_ODDS = -7.0, 5.3  # log odds of a car, 1 in 1,000 to 199 in 200: no box is certain
-_ODDS_STEP, _SD_STEP = 0.25, 0.01  # votes are binned by odds and spread: the cost hardly depends on their number
+# log odds of a car, 1 in 1,000 to 199 in 200: no box is certain
+_LEAST_ODDS, _MOST_ODDS = -7.0, 5.3
+# votes are binned by odds and spread: the cost hardly depends on their number
+_ODDS_STEP, _SD_STEP = 0.25, 0.01
 
 
 def flat() -> NDArray[np.float64]:
@@ -57,7 +60,9 @@ def normalised(density: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(density / density.sum())
 
 
-def blurred(density: NDArray[np.float64], log_sd: float, log_mean: float = 0.0) -> NDArray[np.float64]:
+def blurred(
+    density: NDArray[np.float64], log_sd: float, log_mean: float = 0.0
+) -> NDArray[np.float64]:
     """Add a normal error of the log scale.
 
     Args:
@@ -75,7 +80,9 @@ def blurred(density: NDArray[np.float64], log_sd: float, log_mean: float = 0.0) 
     errors = np.arange(-cells, cells + 1) * LOG_STEP
     kernel = normalised(np.exp(-0.5 * ((errors - log_mean) / max(log_sd, LOG_STEP)) ** 2))
     padded = np.pad(density, cells, mode="edge")  # a flat floor stays flat
-    return np.asarray(density.sum() * normalised(np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0)))
+    return np.asarray(
+        density.sum() * normalised(np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0))
+    )
 
 
 def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -127,7 +134,8 @@ class Votes(NamedTuple):
     """Chance that a detector's box is a car, fitted by ``research/training/fusion`` on images of known scale.
 
     Attributes:
-        share_at_zero: log odds that a box of score 0 is a car; in a new place less than where the detector was trained.
+        share_at_zero: log odds that a box of score 0 is a car; in a new place less than where the
+            detector was trained.
         share_slope: increase of these log odds from score 0 to 1.
     """
 
@@ -145,12 +153,17 @@ UNCALIBRATED = Votes(-4.0, 10.0)
 
 
 def vehicle_likelihood(
-    lengths_px: ArrayLike, scores: ArrayLike, lengths_m: ArrayLike, votes: Votes, log_sds: ArrayLike = CAR_LOG_SD
+    lengths_px: ArrayLike,
+    scores: ArrayLike,
+    lengths_m: ArrayLike,
+    votes: Votes,
+    log_sds: ArrayLike = CAR_LOG_SD,
 ) -> NDArray[np.float64]:
     """Compute the density of the scale from the votes of all boxes.
 
-    The likelihood of a scale g is the product over boxes of ``1 + o N(log length; log(L / g), sd)``. Here o is the
-    odds that a box of its score is a car, relative to a density of 1 per unit of log length for other things.
+    The likelihood of a scale g is the product over boxes of ``1 + o N(log length; log(L / g),
+    sd)``. Here o is the odds that a box of its score is a car, relative to a density of 1 per unit
+    of log length for other things.
 
     Args:
         lengths_px: ``[n]`` pixels of the full image.
@@ -170,7 +183,9 @@ def vehicle_likelihood(
     inside = (cells >= 0) & (cells < len(GRID))
     spreads = np.maximum(np.round(np.broadcast_to(log_sds, lengths.shape) / _SD_STEP), 1) * _SD_STEP
     total = np.zeros(len(GRID))
-    for level, log_sd in sorted(set(zip(odds[inside].tolist(), spreads[inside].tolist(), strict=True))):
+    for level, log_sd in sorted(
+        set(zip(odds[inside].tolist(), spreads[inside].tolist(), strict=True))
+    ):
         chosen = inside & (odds == level) & (spreads == log_sd)
         reach = int(np.ceil(KERNEL_REACH_SDS * log_sd / LOG_STEP))
         offsets = np.arange(-reach, reach + 1) * LOG_STEP / log_sd

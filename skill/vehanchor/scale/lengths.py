@@ -17,16 +17,21 @@ if TYPE_CHECKING:
 
 GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
 MIN_KDE_VEHICLES = 5  # paper, section III-C: with fewer vehicles the median is used
-GROUP_LOG_REACH = math.log(OUTLIER_ALPHA)  # of a fleet around its modal length, as in the paper's outlier filter
-_GROUP_LOG_BANDWIDTH = 0.15  # more than the spread of a fleet (0.09) and of the measurement (0.05 to 0.1) together
+# of a fleet around its modal length, as in the paper's outlier filter
+GROUP_LOG_REACH = math.log(OUTLIER_ALPHA)
+# more than the spread of a fleet (0.09) and of the measurement (0.05 to 0.1) together
+_GROUP_LOG_BANDWIDTH = 0.15
 _GROUP_LOG_STEP = 0.01
 _GRID_STEP = 0.2  # of a bandwidth; the maximum is then refined between grid points
-_MAY_BE_HIGHEST = 0.98  # of the highest point of the grid, which lies up to a tenth of a bandwidth beside its peak
-_WEIGHTED_SMOOTHING = 2.0  # of Scott's bandwidth; on the train split 1.5 to 3 do alike, 1 jumps between peaks
+# of the highest point of the grid, which lies up to a tenth of a bandwidth beside its peak
+_MAY_BE_HIGHEST = 0.98
+# of Scott's bandwidth; on the train split 1.5 to 3 do alike, 1 jumps between peaks
+_WEIGHTED_SMOOTHING = 2.0
 LEAST_SCORE = 1e-3  # some models give scores of 0
 _BOOTSTRAP_REPLICATES = 400
 _BOOTSTRAP_SEED = 20260
-_FLEET_LOG_SD = 0.40  # error of an estimate from one car, false alarms included, fitted on the held-out tenth
+# error of an estimate from one car, false alarms included, fitted on the held-out tenth
+_FLEET_LOG_SD = 0.40
 Z95 = 1.959963984540054  # standard deviations to either end of a 95 % interval
 
 
@@ -40,8 +45,9 @@ class Interval(NamedTuple):
 class Spread(NamedTuple):
     """Uncertainty of a positive quantity: standard deviations of its log.
 
-    The interval of a scale is often skewed. A symmetric standard deviation would move both of its ends, so a distance
-    would contradict the scale that it rests on. Errors of other sources are added to each side.
+    The interval of a scale is often skewed. A symmetric standard deviation would move both of its
+    ends, so a distance would contradict the scale that it rests on. Errors of other sources are
+    added to each side.
 
     Attributes:
         below: towards smaller values.
@@ -76,24 +82,28 @@ def dominant_group(
 ) -> tuple[NDArray[np.bool_], float]:
     """Split lengths of any scale into the fleet with the largest weight and the rest.
 
-    A search over scales finds car-shaped objects of every size. Cars of one image lie within a factor of 1.5 of their
-    modal length. The dominant group is therefore all lengths within that factor of the strongest mode of the weighted
-    density of log length (Gaussian kernel, 0.15). The strongest mode of the remaining lengths is its rival.
+    A search over scales finds car-shaped objects of every size. Cars of one image lie within a
+    factor of 1.5 of their modal length. The dominant group is therefore all lengths within that
+    factor of the strongest mode of the weighted density of log length (Gaussian kernel, 0.15). The
+    strongest mode of the remaining lengths is its rival.
 
     Args:
         lengths: ``[n]`` pixels, n >= 1.
         weights: ``[n]`` evidence that each is a car, non-negative, not all zero.
-        stated: ``[n]`` bool, cars by the caller's word; if any, their mode alone is the group's centre.
+        stated: ``[n]`` bool, cars by the caller's word; if any, their mode alone is the group's
+            centre.
 
     Returns:
-        ``[n]`` bool, members of the dominant group; and the weight of its rival over its own, 0 without any. Of two
-        equal groups the one with shorter lengths wins.
+        ``[n]`` bool, members of the dominant group; and the weight of its rival over its own, 0
+        without any. Of two equal groups the one with shorter lengths wins.
     """
     logs = np.log(np.asarray(lengths, dtype=np.float64))
     weight = _normalised(logs, weights)
     cells = np.rint((logs - logs.min()) / _GROUP_LOG_STEP).astype(np.intp)
     reach = round(4 * _GROUP_LOG_BANDWIDTH / _GROUP_LOG_STEP)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * _GROUP_LOG_STEP / _GROUP_LOG_BANDWIDTH) ** 2)
+    kernel = np.exp(
+        -0.5 * (np.arange(-reach, reach + 1) * _GROUP_LOG_STEP / _GROUP_LOG_BANDWIDTH) ** 2
+    )
 
     told = np.zeros(len(logs), dtype=bool) if stated is None else np.asarray(stated, dtype=bool)
 
@@ -147,7 +157,9 @@ def scott_bandwidth(values: NDArray[np.float64], weights: NDArray[np.float64]) -
 def _normalised(values: NDArray[np.float64], weights: ArrayLike | None) -> NDArray[np.float64]:
     raw = np.ones(len(values)) if weights is None else np.asarray(weights, dtype=np.float64)
     if raw.shape != values.shape or not np.isfinite(raw).all() or (raw < 0).any() or raw.sum() <= 0:
-        raise InvalidParameterError("weights must be finite, non-negative, not all zero, and as many as the lengths")
+        raise InvalidParameterError(
+            "weights must be finite, non-negative, not all zero, and as many as the lengths"
+        )
     return np.asarray(raw / raw.sum())
 
 
@@ -174,7 +186,10 @@ def kde_density(
 
 
 def _mixture(
-    points: NDArray[np.float64], values: NDArray[np.float64], share: NDArray[np.float64], bandwidth: float
+    points: NDArray[np.float64],
+    values: NDArray[np.float64],
+    share: NDArray[np.float64],
+    bandwidth: float,
 ) -> NDArray[np.float64]:
     out = np.empty(len(points))
     block = max(1, 4_000_000 // max(1, len(values)))  # 32 MB a block
@@ -184,11 +199,13 @@ def _mixture(
     return np.asarray(out / (bandwidth * np.sqrt(2 * np.pi)))
 
 
-def kde_mode(lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing: float = 1.0) -> float:
+def kde_mode(
+    lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing: float = 1.0
+) -> float:
     """Find the mode of the kernel density estimate, ``argmax f(x)`` (paper, equation 3), to better than 1e-3 px.
 
-    The mode is searched on a grid of a fifth of a bandwidth. Golden-section search refines each peak of the grid that
-    may be the highest.
+    The mode is searched on a grid of a fifth of a bandwidth. Golden-section search refines each
+    peak of the grid that may be the highest.
 
     Args:
         lengths: ``[n]`` pixels, n >= 1.
@@ -210,13 +227,23 @@ def kde_mode(lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing:
     points = np.linspace(low, high, int(np.ceil((high - low) / (_GRID_STEP * bandwidth))) + 2)
     density = _mixture(points, values, share, bandwidth)
     padded = np.pad(density, 1, constant_values=-np.inf)
-    peaks = (density >= padded[:-2]) & (density > padded[2:]) & (density >= _MAY_BE_HIGHEST * density.max())
-    modes = np.array([_peak(points, int(top), values, share, bandwidth) for top in np.flatnonzero(peaks)])
+    peaks = (
+        (density >= padded[:-2])
+        & (density > padded[2:])
+        & (density >= _MAY_BE_HIGHEST * density.max())
+    )
+    modes = np.array(
+        [_peak(points, int(top), values, share, bandwidth) for top in np.flatnonzero(peaks)]
+    )
     return float(modes[np.argmax(_mixture(modes, values, share, bandwidth))])
 
 
 def _peak(
-    points: NDArray[np.float64], top: int, values: NDArray[np.float64], share: NDArray[np.float64], bandwidth: float
+    points: NDArray[np.float64],
+    top: int,
+    values: NDArray[np.float64],
+    share: NDArray[np.float64],
+    bandwidth: float,
 ) -> float:
     """Refine the peak of the density beside a point of the grid, to 1e-5 px."""
     left, right = points[max(top - 1, 0)], points[min(top + 1, len(points) - 1)]
@@ -235,7 +262,8 @@ def kernel_weights(
 ) -> tuple[NDArray[np.float64], float]:
     """Choose the vehicles' weights and the factor on the bandwidth: ``score^2 * length`` and 2 for ``weighted_kde``.
 
-    Most false alarms, such as roof windows and bushes, have low scores and short boxes, as have half-hidden cars.
+    Most false alarms, such as roof windows and bushes, have low scores and short boxes, as have
+    half-hidden cars.
 
     Args:
         lengths: ``[n]`` pixels.
@@ -270,15 +298,17 @@ def modal_density(
     return kde_density(at, lengths, weights, smoothing=smoothing)
 
 
-def modal_length(lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation = "kde") -> tuple[float, Aggregation]:
+def modal_length(
+    lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation = "kde"
+) -> tuple[float, Aggregation]:
     """Compute the modal length of vehicles, ``P_mode``.
 
     Args:
         lengths: ``[n]`` pixels, n >= 1, outliers already removed.
         scores: ``[n]`` detection scores, for ``weighted_kde``.
-        aggregation: ``kde`` (the paper's), ``weighted_kde``, ``median`` or ``mean``. The weighted KDE uses the weights
-            ``score^2 * length`` and twice the bandwidth: false alarms and half-hidden cars move it less. Both KDEs fall
-            back to the median below 5 lengths.
+        aggregation: ``kde`` (the paper's), ``weighted_kde``, ``median`` or ``mean``. The weighted
+            KDE uses the weights ``score^2 * length`` and twice the bandwidth: false alarms and
+            half-hidden cars move it less. Both KDEs fall back to the median below 5 lengths.
 
     Returns:
         Length in pixels, and the aggregation that was used.
@@ -293,7 +323,10 @@ def modal_length(lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation
 
 
 def resampled_modes(
-    values: NDArray[np.float64], weights: NDArray[np.float64], smoothing: float, block: NDArray[np.intp] | None = None
+    values: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    smoothing: float,
+    block: NDArray[np.intp] | None = None,
 ) -> NDArray[np.float64]:
     """Compute the KDE modes of 400 resamples, from a fixed seed.
 
@@ -303,7 +336,8 @@ def resampled_modes(
         values: ``[n]`` lengths.
         weights: ``[n]``.
         smoothing: factor on Scott's bandwidth.
-        block: ``[n]`` number of each length's block, 0 and up; blocks are drawn whole. None draws single lengths.
+        block: ``[n]`` number of each length's block, 0 and up; blocks are drawn whole. None draws
+            single lengths.
     """
     bandwidth = smoothing * scott_bandwidth(values, weights / weights.sum())
     low, high = float(values.min()), float(values.max())
@@ -317,9 +351,14 @@ def resampled_modes(
     rng = np.random.default_rng(_BOOTSTRAP_SEED)
     if block is None:
         each = mass / np.maximum(counts, 1)  # mean weight of a cell's vehicles
-        drawn = rng.multinomial(len(values), counts / counts.sum(), size=_BOOTSTRAP_REPLICATES) * each
+        drawn = (
+            rng.multinomial(len(values), counts / counts.sum(), size=_BOOTSTRAP_REPLICATES) * each
+        )
     else:
-        cell, n = np.minimum(np.searchsorted(edges, values, side="right") - 1, cells - 1), int(block.max()) + 1
+        cell, n = (
+            np.minimum(np.searchsorted(edges, values, side="right") - 1, cells - 1),
+            int(block.max()) + 1,
+        )
         times = rng.multinomial(n, np.full(n, 1 / n), size=_BOOTSTRAP_REPLICATES)
         drawn = np.array([np.bincount(cell, weights * each[block], cells) for each in times])
     return np.asarray(centres[np.argmax(drawn @ kernel, axis=1)])
@@ -337,14 +376,17 @@ def statistical_log_sds(
         aggregation: its statistic; ``weighted_kde`` uses the scores.
 
     Returns:
-        Log standard deviations of two independent causes: the mode under resampling, and the fleet's own spread
-        divided by the root of the number of cars. The second one stays large if a few cars agree by chance.
+        Log standard deviations of two independent causes: the mode under resampling, and the
+        fleet's own spread divided by the root of the number of cars. The second one stays large if
+        a few cars agree by chance.
     """
     values = np.asarray(lengths, dtype=np.float64)
     weights, smoothing = kernel_weights(values, scores, aggregation)
     resampling = 0.0
     if len(values) >= MIN_KDE_VEHICLES:
-        resampling = float(np.sqrt(np.mean(np.log(resampled_modes(values, weights, smoothing) / mode_px) ** 2)))
+        resampling = float(
+            np.sqrt(np.mean(np.log(resampled_modes(values, weights, smoothing) / mode_px) ** 2))
+        )
     return resampling, _FLEET_LOG_SD / np.sqrt(len(values))
 
 

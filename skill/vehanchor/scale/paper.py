@@ -1,7 +1,8 @@
 """The published method to the letter: outlier filter, modal length, scale, composite confidence, resolution guard.
 
-The preset ``paper`` reports it; it never meets the posterior. The weights are the paper's (section III-D). The shapes
-of the terms were fitted on the held-out tenth of the train split (commit ``3b3b4f3`` has the program).
+The preset ``paper`` reports it; it never meets the posterior. The weights are the paper's (section
+III-D). The shapes of the terms were fitted on the held-out tenth of the train split (commit
+``3b3b4f3`` has the program).
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 FALLBACK_CONFIDENCE = 0.5  # paper, section III-E: with less a planner must fall back
 GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
 _SAMPLE_SCALE = 12.0  # vehicles; 1 - exp(-n / 12): 5 give 0.34, 20 give 0.81
-_CV_FULL, _CV_NONE = 0.05, 0.25  # coefficient of variation of a clean fleet, and of uninformative lengths
+# coefficient of variation of a clean fleet, and of uninformative lengths
+_CV_FULL, _CV_NONE = 0.05, 0.25
 _SCORE_NONE, _SCORE_FULL = 0.55, 0.75  # median detection score
 _FADE = 1.5  # factor outside the trained range over which plausibility falls to 0
 
@@ -59,7 +61,13 @@ class PaperScale(NamedTuple):
         """Say why C is below 0.5; None if it is not."""
         if self.confidence >= FALLBACK_CONFIDENCE:
             return None
-        return "too_coarse" if self.guarded else "too_few" if n_vehicles < MIN_KDE_VEHICLES else "imprecise"
+        return (
+            "too_coarse"
+            if self.guarded
+            else "too_few"
+            if n_vehicles < MIN_KDE_VEHICLES
+            else "imprecise"
+        )
 
 
 def paper_scale(
@@ -87,8 +95,12 @@ def paper_scale(
     if mode_px is None:
         return PaperScale(None, None, 0.0, Terms(), guarded=False)
     length_m, log_sd = reference_m[0], reference_m[1] / reference_m[0]
-    gsd, (resampling, fleet) = length_m / mode_px, statistical_log_sds(lengths, scores, mode_px, aggregation)
-    reach = float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + log_sd**2)))  # of a lognormal 95 % interval
+    gsd, (resampling, fleet) = (
+        length_m / mode_px,
+        statistical_log_sds(lengths, scores, mode_px, aggregation),
+    )
+    # of a lognormal 95 % interval
+    reach = float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + log_sd**2)))
     terms = confidence_terms(lengths, scores, mode_px * seen_scale, length_range_px)
     guarded = mode_px * seen_scale < guard_length_px
     return PaperScale(
@@ -106,10 +118,12 @@ def confidence_terms(
     """Compute the four terms, each in [0, 1].
 
     * sample: ``1 - exp(-n / 12)``.
-    * concentration: 1 at a coefficient of variation of 0.05, 0 at 0.25, linear between; 0 with fewer than 5 vehicles,
-      because one false alarm has no spread. Together with the sample term this keeps C below 0.5 for N' < 5.
+    * concentration: 1 at a coefficient of variation of 0.05, 0 at 0.25, linear between; 0 with
+      fewer than 5 vehicles, because one false alarm has no spread. Together with the sample term
+      this keeps C below 0.5 for N' < 5.
     * quality: median score, 0 at 0.55, 1 at 0.75.
-    * plausibility: 1 while ``mode_px`` is in the model's range, falling to 0 over a factor of 1.5 outside it.
+    * plausibility: 1 while ``mode_px`` is in the model's range, falling to 0 over a factor of 1.5
+      outside it.
 
     Args:
         lengths: ``[n]`` lengths of the kept vehicles, pixels, n >= 1.
@@ -123,7 +137,9 @@ def confidence_terms(
     outside = max(np.log(shortest / mode_px), np.log(mode_px / longest), 0.0)
     return Terms(
         sample=float(1.0 - np.exp(-len(values) / _SAMPLE_SCALE)),
-        concentration=_ramp(variation, _CV_NONE, _CV_FULL) if len(values) >= MIN_KDE_VEHICLES else 0.0,
+        concentration=_ramp(variation, _CV_NONE, _CV_FULL)
+        if len(values) >= MIN_KDE_VEHICLES
+        else 0.0,
         quality=_ramp(float(np.median(score)), _SCORE_NONE, _SCORE_FULL),
         plausibility=_ramp(outside, float(np.log(_FADE)), 0.0),
     )

@@ -1,9 +1,10 @@
 """Ground plane under a pinhole camera: one scale for every pixel.
 
-Let ``d = (x / f, y / f, 1)`` be the ray of a pixel at (x, y) from the image's centre, ``n`` the unit vector straight
-down in the camera's frame, and ``h`` the height above the ground. The mean GSD of the pixel is
-``sqrt(h^2 f^-2 (n d)^-3)``, and its ray meets the ground at ``h d / (n d)``. The roll is the direction of the tilt in
-the image. At nadir ``n = (0, 0, 1)``, and the only scale is ``h / f``.
+Let ``d = (x / f, y / f, 1)`` be the ray of a pixel at (x, y) from the image's centre, ``n`` the
+unit vector straight down in the camera's frame, and ``h`` the height above the ground. The mean GSD
+of the pixel is ``sqrt(h^2 f^-2 (n d)^-3)``, and its ray meets the ground at ``h d / (n d)``. The
+roll is the direction of the tilt in the image. At nadir ``n = (0, 0, 1)``, and the only scale is
+``h / f``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from vehanchor.errors import TooObliqueError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-LEAST_DESCENT = 0.174  # cosine of 80 degrees; closer to the horizon one degree changes the scale by a sixth or more
+# cosine of 80 degrees; closer to the horizon one degree changes the scale by a sixth or more
+LEAST_DESCENT = 0.174
 _ROWS = 512  # rows of a mask per block
 
 
@@ -53,7 +55,9 @@ class GroundPlane:
     @property
     def height_m(self) -> float:
         """Height of the camera above the plane, metres."""
-        return self.gsd_m_per_px * self.focal_px * float(math.cos(math.radians(self.tilt_deg)) ** 1.5)
+        return (
+            self.gsd_m_per_px * self.focal_px * float(math.cos(math.radians(self.tilt_deg)) ** 1.5)
+        )
 
     def check(self) -> None:
         """Refuse a plane whose horizon is in the image or close to it.
@@ -64,7 +68,8 @@ class GroundPlane:
         rays = self._rays(self._corners)
         if float((rays @ self.down / np.linalg.norm(rays, axis=1)).min()) < LEAST_DESCENT:
             raise TooObliqueError(
-                f"the camera was tilted by {self.tilt_deg:.0f} degrees: the horizon is in the image or close to it, "
+                f"the camera was tilted by {self.tilt_deg:.0f} degrees: the horizon is in the "
+                "image or close to it, "
                 "and no scale holds there. Crop the image to the near ground"
             )
 
@@ -180,7 +185,8 @@ class GroundPlane:
     def _checked(self, descents: NDArray[np.float64]) -> NDArray[np.float64]:
         if len(descents) and float(descents.min()) < LEAST_DESCENT:
             raise TooObliqueError(
-                f"the camera was tilted by {self.tilt_deg:.0f} degrees, and a point lies above the horizon or close to "
+                f"the camera was tilted by {self.tilt_deg:.0f} degrees, and a point lies above "
+                "the horizon or close to "
                 "it, where no scale holds: crop the image to the near ground"
             )
         return descents

@@ -1,12 +1,14 @@
 """From evidence to an answer by one rule: each witness of the scale measured what it thinks, or did not.
 
-The posterior is the product over witnesses of ``(1 - c) right + c wrong``, in which c is the chance that the witness is
-wrong. Witnesses with a common error (one lens, one height, one caller) form a group: their product is blurred by the
-common error, and may be wrong as a whole. Value, interval, chance and reason follow from this posterior alone:
+The posterior is the product over witnesses of ``(1 - c) right + c wrong``, in which c is the chance
+that the witness is wrong. Witnesses with a common error (one lens, one height, one caller) form a
+group: their product is blurred by the common error, and may be wrong as a whole. Value, interval,
+chance and reason follow from this posterior alone:
 
 * the value is the median, given that at least one witness who can set a scale is right;
 * the interval is the central 95 % of the same distribution;
-* the chance is the posterior's mass within 20 % of the value. A prior does not confirm what a caller assumes;
+* the chance is the posterior's mass within 20 % of the value. A prior does not confirm what a
+  caller assumes;
 * the scale is usable if the chance is at least 0.9;
 * the reason is the doubt or lack whose removal raises the chance most.
 """
@@ -88,13 +90,14 @@ class Witness:
 
     Attributes:
         kind: of the ruler.
-        gsd_m_per_px: its own scale, metres per pixel of the full image, at its centre in a tilted view; None if nothing
-            was found.
-        right: ``[g]`` density of the scale if it measured what it thinks, without shared errors; None if nothing was
-            found.
+        gsd_m_per_px: its own scale, metres per pixel of the full image, at its centre in a tilted
+            view; None if nothing was found.
+        right: ``[g]`` density of the scale if it measured what it thinks, without shared errors;
+            None if nothing was found.
         chance_wrong: 0..1, chance that it did not, and says nothing.
         sets_scale: whether it can set a scale; a prior cannot.
-        assumed: whether it rests on a guess of the caller, neither found in the picture nor measured.
+        assumed: whether it rests on a guess of the caller, neither found in the picture nor
+            measured.
         shared: errors in common with other witnesses.
         lacks: what would raise its weight.
         n: number of things measured.
@@ -143,7 +146,10 @@ class Witness:
 def sharing(witness: Witness, error: Shared, removes: Reason) -> Witness:
     """Give a witness an error that it shares; its lack ``removes`` is the witness without that error."""
     lacks = [each for each in witness.lacks if each.reason != removes]
-    kept = tuple(Lack(each.reason, replace(each.without, shared=(*each.without.shared, error))) for each in lacks)
+    kept = tuple(
+        Lack(each.reason, replace(each.without, shared=(*each.without.shared, error)))
+        for each in lacks
+    )
     return replace(witness, shared=(*witness.shared, error), lacks=(*kept, Lack(removes, witness)))
 
 
@@ -156,8 +162,10 @@ class Answer:
         interval: 95 % interval, metres per pixel.
         chance: 0..1, chance of an error below 20 %.
         density: ``[g]`` posterior, given that at least one witness who can set a scale is right.
-        p_right: by witness that found something, the chance that it is right; these do not add up to 1.
-        leading: index of the setting witness without which the interval is widest, of those that are probably right.
+        p_right: by witness that found something, the chance that it is right; these do not add up
+            to 1.
+        leading: index of the setting witness without which the interval is widest, of those that
+            are probably right.
         reason: why the scale is not usable; None if it is.
     """
 
@@ -190,7 +198,9 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
         return None
     _, *wrong = _posterior(heard, *((k,) for k in range(len(heard))))
     without = [judged([*heard[:k], *heard[k + 1 :]]) for k in range(len(heard))]
-    widths = [math.inf if each is None else each.interval.high / each.interval.low for each in without]
+    widths = [
+        math.inf if each is None else each.interval.high / each.interval.low for each in without
+    ]
     p_right = tuple(max(0.0, 1.0 - float(each.sum())) for each in wrong)
     setting = [k for k, each in enumerate(heard) if each.sets_scale]
     return replace(
@@ -213,7 +223,8 @@ def judged(witnesses: Sequence[Witness]) -> Answer | None:
         confirmed = _guessed(heard) - _guessed([heard[k] for k in setting])
     given_any = normalised(np.maximum(posterior - none_right, 0.0) + LEAST_PROBABILITY)
     value = quantile(given_any, 0.5)
-    chance = mass_within(posterior, value) - max(0.0, mass_within(confirmed, value))  # a prior only narrows a guess
+    # a prior only narrows a guess
+    chance = mass_within(posterior, value) - max(0.0, mass_within(confirmed, value))
     return Answer(value, credible_interval(given_any), min(chance, MOST_SURE), given_any)
 
 
@@ -229,20 +240,30 @@ def _reason(heard: Sequence[Witness], without: Sequence[Answer | None], chance: 
     for k, each in enumerate(heard):
         others = [*heard[:k], *heard[k + 1 :]]
         better = [(lack.reason, judged([*others, lack.without])) for lack in each.lacks]
-        gains += [(found.chance - chance, reason) for reason, found in (*better, ("disagree", without[k])) if found]
+        gains += [
+            (found.chance - chance, reason)
+            for reason, found in (*better, ("disagree", without[k]))
+            if found
+        ]
     return max(gains, key=lambda each: each[0])[1]
 
 
-def _posterior(heard: Sequence[Witness], *floored: Collection[int]) -> tuple[NDArray[np.float64], ...]:
+def _posterior(
+    heard: Sequence[Witness], *floored: Collection[int]
+) -> tuple[NDArray[np.float64], ...]:
     """Multiply the factors of all witnesses.
 
     Returns:
-        The posterior ``[g]``, and for each of ``floored`` the part in which these witnesses say nothing.
+        The posterior ``[g]``, and for each of ``floored`` the part in which these witnesses say
+        nothing.
     """
     parts = _components(heard)
     logs = np.array(
         [
-            np.sum([np.log(np.maximum(each.density(floor), LEAST_PROBABILITY)) for each in parts], axis=0)
+            np.sum(
+                [np.log(np.maximum(each.density(floor), LEAST_PROBABILITY)) for each in parts],
+                axis=0,
+            )
             for floor in ((), *floored)
         ]
     )
@@ -263,7 +284,10 @@ class _Component(NamedTuple):
 
     def density(self, floored: Collection[int]) -> NDArray[np.float64]:
         """Compute the factor ``[g]``; of the members in ``floored`` only the part that says nothing is kept."""
-        kept = [np.full_like(each, each.min()) if k in floored else each for k, each in self.factors.items()]
+        kept = [
+            np.full_like(each, each.min()) if k in floored else each
+            for k, each in self.factors.items()
+        ]
         if len(kept) == 1:
             return kept[0]
         total = float(np.prod(list(self.factors.values()), axis=0).sum())
@@ -283,7 +307,9 @@ def _components(heard: Sequence[Witness]) -> list[_Component]:
             factors = {**other.factors, **factors}
             for name, one in other.common.items():
                 two = common.get(name, one)
-                common[name] = Shared(name, max(one.log_sd, two.log_sd), max(one.chance_wrong, two.chance_wrong))
+                common[name] = Shared(
+                    name, max(one.log_sd, two.log_sd), max(one.chance_wrong, two.chance_wrong)
+                )
         groups.append(_Component(factors, common))
     return groups
 

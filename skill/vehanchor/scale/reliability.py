@@ -1,6 +1,7 @@
 """How far each ruler errs, and how often it measures something else: all such numbers, with their number and source.
 
-A measured chance of error is ``(false + 0.5) / (finds + 10)``. A number without data is a choice, and says so.
+A measured chance of error is ``(false + 0.5) / (finds + 10)``. A number without data is a choice,
+and says so.
 """
 
 from __future__ import annotations
@@ -72,16 +73,27 @@ _ROUGH, _EXACT = 0.10, 0.01
 
 RELIABILITY: dict[str, Reliability] = {
     "vehicles": Reliability(CAR_LOG_SD, 0.01, 1191, _PLACES),
-    "vehicles, too coarse": Reliability(0.5, 0.33, 136, "per log of coarseness; 70 photographs at 0.3 to 0.6 m/px"),
-    "courts": Reliability(_EXACT, 0.08, 8, "1 of 8 finds in 1,006 random photographs is false; 30 known ones"),
+    "vehicles, too coarse": Reliability(
+        0.5, 0.33, 136, "per log of coarseness; 70 photographs at 0.3 to 0.6 m/px"
+    ),
+    "courts": Reliability(
+        _EXACT, 0.08, 8, "1 of 8 finds in 1,006 random photographs is false; 30 known ones"
+    ),
     "camera": Reliability(
-        0.12, _NOT_MEASURED, 0, "height above take-off, 10 to 15 % between the ground there and below; a choice"
+        0.12,
+        _NOT_MEASURED,
+        0,
+        "height above take-off, 10 to 15 % between the ground there and below; a choice",
     ),
     "camera, tilt unknown": Reliability(_ROUGH, 0.25, 0, "a choice"),
-    "positions": Reliability(0.02, _NOT_MEASURED, 0, "a choice; 31 pairs of photographs agree within 2 %"),
+    "positions": Reliability(
+        0.02, _NOT_MEASURED, 0, "a choice; 31 pairs of photographs agree within 2 %"
+    ),
     "measured": Reliability(_EXACT, _NOT_MEASURED, 0, "a length by tape, plan or survey; a choice"),
     "measured height": Reliability(0.05, _NOT_MEASURED, 0, "a choice"),
-    "assumed": Reliability(_ROUGH, _NOT_MEASURED, 0, "a length or height that the caller assumes; a choice"),
+    "assumed": Reliability(
+        _ROUGH, _NOT_MEASURED, 0, "a length or height that the caller assumes; a choice"
+    ),
 }
 """By ruler, and by its condition."""
 

@@ -49,7 +49,12 @@ def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_
     width, height = min(side_px, image_width_px), min(side_px, image_height_px)
     left = math.floor((x1 + x2 - width) / 2 + 0.5)
     top = math.floor((y1 + y2 - height) / 2 + 0.5)
-    return Window(min(max(left, 0), image_width_px - width), min(max(top, 0), image_height_px - height), width, height)
+    return Window(
+        min(max(left, 0), image_width_px - width),
+        min(max(top, 0), image_height_px - height),
+        width,
+        height,
+    )
 
 
 def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:

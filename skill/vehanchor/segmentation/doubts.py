@@ -28,20 +28,23 @@ def mask_notices(
     if not len(pieces):
         yield Notice(
             code=NoticeCode.MASK_EMPTY,
-            message="The segmenter found no object here: there is nothing to measure. Give a tighter box, or a point "
+            message="The segmenter found no object here: there is nothing to measure. Give a "
+            "tighter box, or a point "
             "on the object.",
         )
         return
     if not found.is_agreed:
         yield Notice(
             code=NoticeCode.EXTENT_UNKNOWN,
-            message="The masks that fit differ. This one may be a part of the object, or more: look at the outline, or "
+            message="The masks that fit differ. This one may be a part of the object, or more: "
+            "look at the outline, or "
             "draw a box around the object; this mask's own box adds nothing.",
         )
     if found.score < card.min_score:
         yield Notice(
             code=NoticeCode.MASK_SCORE_LOW,
-            message=f"The expected overlap with the object is {found.score:.2f}, below {card.min_score:g}. Look at the "
+            message=f"The expected overlap with the object is {found.score:.2f}, below "
+            f"{card.min_score:g}. Look at the "
             "outline before using the area.",
         )
     if touches_edge(found.mask, outer_sides(found.window, raster.width_px, raster.height_px)):
@@ -51,20 +54,23 @@ def mask_notices(
     if outside > _OUTSIDE_SHARE:
         yield Notice(
             code=NoticeCode.MASK_LEAVES_BOX,
-            message=f"{100 * outside:.0f} % of the mask lies outside the box: the box cuts the object, or the mask "
+            message=f"{100 * outside:.0f} % of the mask lies outside the box: the box cuts the "
+            "object, or the mask "
             "took in its surroundings.",
         )
     if len(pieces) > 1:
         largest = int(100 * pieces[0] / pieces.sum())
         yield Notice(
             code=NoticeCode.MASK_IN_PIECES,
-            message=f"The mask has {len(pieces)} separate pieces; the largest is {largest} % of it. All of them count "
+            message=f"The mask has {len(pieces)} separate pieces; the largest is {largest} % of "
+            "it. All of them count "
             "towards the area.",
         )
     if width_px < SMALL_TARGET_PX:
         yield Notice(
             code=NoticeCode.TARGET_SMALL,
-            message=f"The object is {width_px:.1f} px wide: below {SMALL_TARGET_PX:g} px masks are less exact than the "
+            message=f"The object is {width_px:.1f} px wide: below {SMALL_TARGET_PX:g} px masks "
+            "are less exact than the "
             "interval says. Use a larger copy of the image where there is one.",
         )
 

@@ -56,7 +56,8 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
     """Read the caller's prompt and check it without an image.
 
     Args:
-        box: box around the object, also as a shapely geometry or a supervision detection; None with points.
+        box: box around the object, also as a shapely geometry or a supervision detection; None with
+            points.
         points: points, at least one on the object; None with a box.
 
     Raises:
@@ -72,12 +73,15 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
         x1, y1, x2, y2 = read_numbers(_as_box(box), (4,), "box", "x1, y1, x2, y2")
         if x2 <= x1 or y2 <= y1:
             raise PromptError(
-                f"box is {_numbers((x1, y1, x2, y2))}: x1 < x2 and y1 < y2 are needed, it is reversed or empty"
+                f"box is {_numbers((x1, y1, x2, y2))}: x1 < x2 and y1 < y2 are needed, it is "
+                "reversed or empty"
             )
         return Prompt(box=(x1, y1, x2, y2))
     read = []
     for each in given:
-        x, y, *include = read_numbers(each, (2, 3), "a point", "x, y and whether it is on the object")
+        x, y, *include = read_numbers(
+            each, (2, 3), "a point", "x, y and whether it is on the object"
+        )
         read.append((x, y, all(include)))
     if not any(include for _, _, include in read):
         raise PromptError("no point is on the object: give at least one that is")
@@ -104,12 +108,15 @@ def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) 
         ends = ((x1, y1), (x2, y2))
         if not coordinates.inside(ends):
             meant = coordinates.other_reading(ends) or ": clip it to what is visible"
-            raise PromptError(f"box {_numbers(given.box)} is not inside the {coordinates.name}{meant}")
+            raise PromptError(
+                f"box {_numbers(given.box)} is not inside the {coordinates.name}{meant}"
+            )
         prompt = given.mapped(coordinates.in_image)
         left, top, right, bottom = prompt.extent
         if min(right - left, bottom - top) < MIN_BOX_PX:
             raise PromptError(
-                f"box {_numbers(given.box)} is {right - left:.3g} x {bottom - top:.3g} px of the full image: at "
+                f"box {_numbers(given.box)} is {right - left:.3g} x {bottom - top:.3g} px of "
+                "the full image: at "
                 f"least {MIN_BOX_PX:g} px a side are needed{coordinates.other_reading(ends)}"
             )
         return prompt
@@ -117,7 +124,8 @@ def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) 
     for x, y in places:
         if not (0 <= x < coordinates.extent[0] and 0 <= y < coordinates.extent[1]):
             raise PromptError(
-                f"point {x:g}, {y:g} is not inside the {coordinates.name}{coordinates.other_reading(places)}"
+                f"point {x:g}, {y:g} is not inside the "
+                f"{coordinates.name}{coordinates.other_reading(places)}"
             )
     return given.mapped(coordinates.in_image)
 
@@ -159,6 +167,8 @@ def _as_box(box: Any) -> Any:
     found = getattr(box, "xyxy", None)
     if found is not None:
         if len(found) != 1:
-            raise PromptError(f"the detections are of {len(found)} objects: give one, as detections[i : i + 1]")
+            raise PromptError(
+                f"the detections are of {len(found)} objects: give one, as detections[i : i + 1]"
+            )
         return tuple(float(value) for value in found[0])
     return getattr(box, "bounds", box)

@@ -1,9 +1,10 @@
 """Promptable segmentation: the mask of the object that a box or points name, in pixels of the image.
 
-The model runs on a crop around the prompt: memory does not grow with the image, and small objects get the model's full
-resolution. The crop of a box has twice its longer side, at least 256 px. Points do not show the object's size: they are
-tried in crops of 128 to 1024 px, or from twice their extent on. The mask with the best score is refined by its bounding
-box; masks of other objects are its alternatives. Points name one object if three masks or more agree.
+The model runs on a crop around the prompt: memory does not grow with the image, and small objects
+get the model's full resolution. The crop of a box has twice its longer side, at least 256 px.
+Points do not show the object's size: they are tried in crops of 128 to 1024 px, or from twice their
+extent on. The mask with the best score is refined by its bounding box; masks of other objects are
+its alternatives. Points name one object if three masks or more agree.
 """
 
 from __future__ import annotations
@@ -40,10 +41,12 @@ if TYPE_CHECKING:
 
 MIN_MASK_SCORE = 0.7  # default: lower predicted IoUs need a check of the outline
 MASK_AREA_LOG_SD = 0.1  # default: standard deviation of log(mask area / true area)
-# The same for points whose masks agree, and for all others: research/results/notes.md has the trial.
+# The same for points whose masks agree, and for all others: research/results/notes.md has the
+# trial.
 _POINT_AREA_LOG_SD, _DOUBTED_POINT_AREA_LOG_SD = 0.25, 1.3
 _LEAST_AGREEING = 3  # masks that show the same object; research/results/notes.md has the trial
-_SAME_IOU = 0.7  # masks that overlap more show the same object; research/results/notes.md has the trial
+# masks that overlap more show the same object; research/results/notes.md has the trial
+_SAME_IOU = 0.7
 _MAX_OBJECTS = 3
 _DEFAULT_LIMITS = ImageLimits()
 
@@ -54,9 +57,10 @@ class SegmenterCard:
 
     Attributes:
         name: the model's name.
-        sha256: checksum of the encoder's file followed by the decoder's (``cat ENCODER DECODER | sha256sum``); external
-            weights follow their file.
-        contract: layout of inputs and outputs: ``sam``, ``sam2``, ``transformers`` or ``efficient_sam``.
+        sha256: checksum of the encoder's file followed by the decoder's (``cat ENCODER DECODER |
+            sha256sum``); external weights follow their file.
+        contract: layout of inputs and outputs: ``sam``, ``sam2``, ``transformers`` or
+            ``efficient_sam``.
         input_px: side of the input, pixels.
         min_score: masks with a lower score need a check of the outline.
         mask_area_log_sd: standard deviation of the log of mask area over true area, for boxes.
@@ -122,8 +126,8 @@ class Segmenter(LoadedModel):
 
     Raises:
         ModelNotFoundError: there is no such file.
-        ModelContractError: the files are not a promptable segmenter of a known kind; the message lists their inputs and
-            outputs.
+        ModelContractError: the files are not a promptable segmenter of a known kind; the message
+            lists their inputs and outputs.
         ProviderUnavailableError: an execution provider is not installed.
     """
 
@@ -137,7 +141,9 @@ class Segmenter(LoadedModel):
         self.runtime = runtime or Runtime()
         self.encoder_path, self.decoder_path = Path(encoder_path), Path(decoder_path)
         files = read_model(self.encoder_path), read_model(self.decoder_path)
-        encoder, decoder = (open_session(file.path, content=file.content, runtime=self.runtime) for file in files)
+        encoder, decoder = (
+            open_session(file.path, content=file.content, runtime=self.runtime) for file in files
+        )
         metadata = {
             **encoder.get_modelmeta().custom_metadata_map,
             **decoder.get_modelmeta().custom_metadata_map,
@@ -146,7 +152,9 @@ class Segmenter(LoadedModel):
         try:
             self._contract = recognise_contract(encoder, decoder, int(named_px) or None)
         except ModelContractError as error:
-            raise ModelContractError(f"{self.encoder_path} and {self.decoder_path}: {error}") from None
+            raise ModelContractError(
+                f"{self.encoder_path} and {self.decoder_path}: {error}"
+            ) from None
         self.card = SegmenterCard(
             name=metadata.get("vehanchor.name", self.encoder_path.stem),
             sha256=models_sha256(*files),
@@ -163,7 +171,9 @@ class Segmenter(LoadedModel):
         bound._contract = self._contract.under(call)
         return bound
 
-    def segment(self, raster: Raster, prompt: Prompt, *, limits: ImageLimits = _DEFAULT_LIMITS) -> Segmentation:
+    def segment(
+        self, raster: Raster, prompt: Prompt, *, limits: ImageLimits = _DEFAULT_LIMITS
+    ) -> Segmentation:
         """Segment the object that a prompt names.
 
         Args:
@@ -187,14 +197,20 @@ class Segmenter(LoadedModel):
         """Choose among the masks of several crops, and refine the chosen one by its bounding box and the points."""
         masks = self._masks_at(raster, prompt, limits)
         chosen, *others = _distinct(masks)
-        chosen = replace(chosen, alternatives=tuple(others), is_agreed=len(masks) >= _LEAST_AGREEING and not others)
+        chosen = replace(
+            chosen,
+            alternatives=tuple(others),
+            is_agreed=len(masks) >= _LEAST_AGREEING and not others,
+        )
         box = chosen.bounding_box
         if box is None or min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
             return chosen
         boxed = Prompt(box, prompt.points)
         refined = self._segment_crop(raster, boxed, crop_side(boxed), limits)
         best = refined if refined.mask.any() else chosen
-        return replace(chosen, mask=best.mask, window=best.window, score=min(chosen.score, best.score))
+        return replace(
+            chosen, mask=best.mask, window=best.window, score=min(chosen.score, best.score)
+        )
 
     def _masks_at(self, raster: Raster, prompt: Prompt, limits: ImageLimits) -> list[Segmentation]:
         """Segment points in growing crops; keep masks that end inside, of one crop at least."""
@@ -211,12 +227,16 @@ class Segmenter(LoadedModel):
                 return found
             side *= 2
 
-    def _segment_crop(self, raster: Raster, prompt: Prompt, side_px: int, limits: ImageLimits) -> Segmentation:
+    def _segment_crop(
+        self, raster: Raster, prompt: Prompt, side_px: int, limits: ImageLimits
+    ) -> Segmentation:
         window = crop_window(prompt, raster.width_px, raster.height_px, side_px)
         if not _allowed(window, limits):
             raise ImageTooLargeError(
-                f"the object's surroundings are {window.width_px} x {window.height_px} px, the limit is "
-                f"{limits.max_pixels} pixels; give a smaller box, or measure in a reduced copy of the image"
+                f"the object's surroundings are {window.width_px} x {window.height_px} px, the "
+                "limit is "
+                f"{limits.max_pixels} pixels; give a smaller box, or measure in a reduced copy "
+                "of the image"
             )
         size = self._contract.input_size(window.width_px, window.height_px)
         found = self._contract.predict(read_resized(raster, window, size), window, prompt)
@@ -226,7 +246,9 @@ class Segmenter(LoadedModel):
 _opened = file_cached(max_models=2)(Segmenter)
 
 
-def load_segmenter(encoder_path: Path, decoder_path: Path, runtime: Runtime | None = None) -> Segmenter:
+def load_segmenter(
+    encoder_path: Path, decoder_path: Path, runtime: Runtime | None = None
+) -> Segmenter:
     """Open a segmenter, or return the open one while its files are unchanged; see ``Segmenter``."""
     chosen = runtime or Runtime()
     return _opened(encoder_path, decoder_path, runtime=chosen.idle).under(chosen)
@@ -249,12 +271,14 @@ def _distinct(found: Sequence[Segmentation]) -> list[Segmentation]:
         found: masks in windows of one image, one at least.
 
     Returns:
-        The mask with the best score, the first of equal ones, then those of other objects by falling score; empty masks
-        only if there is nothing else.
+        The mask with the best score, the first of equal ones, then those of other objects by
+        falling score; empty masks only if there is nothing else.
     """
     kept: list[Segmentation] = []
     for each in sorted(found, key=lambda each: (bool(each.mask.any()), each.score), reverse=True):
-        if not kept or (each.mask.any() and all(_overlap(each, other) < _SAME_IOU for other in kept)):
+        if not kept or (
+            each.mask.any() and all(_overlap(each, other) < _SAME_IOU for other in kept)
+        ):
             kept.append(each)
     return kept[:_MAX_OBJECTS]
 

@@ -1,8 +1,9 @@
 """Shape of a mask: area, perimeter, extents, largest inscribed circle, outline. Pure functions, in pixels.
 
-A pixel is a unit square: the first one of an array spans 0 to 1 in both directions, and a mask is the union of its
-squares. The area is the number of pixels, never a polygon's area. Outlines and distances are computed on a lattice of
-half pixels. Corners, side midpoints and centres of the squares are points of this lattice, so the results are exact.
+A pixel is a unit square: the first one of an array spans 0 to 1 in both directions, and a mask is
+the union of its squares. The area is the number of pixels, never a polygon's area. Outlines and
+distances are computed on a lattice of half pixels. Corners, side midpoints and centres of the
+squares are points of this lattice, so the results are exact.
 """
 
 from __future__ import annotations
@@ -23,11 +24,15 @@ if TYPE_CHECKING:
     """Outline of one piece: ``[n, 2]`` of x, y in pixels around the piece, then around each hole."""
 
 MAX_OUTLINE_POINTS = 200
-PERIMETER_TOLERANCE_PX = 1.2  # smaller steps are taken as the pixel grid, not as the object's outline
-_LATTICE_PX = 2_000_000  # masks with a larger bounding box are reduced before the half-pixel lattice is built
+# smaller steps are taken as the pixel grid, not as the object's outline
+PERIMETER_TOLERANCE_PX = 1.2
+# masks with a larger bounding box are reduced before the half-pixel lattice is built
+_LATTICE_PX = 2_000_000
 _EQUAL = 1e-6  # relative rounding difference of equal distances
 _TOLERANCE_GROWTH = 1.6
-_RIM = 2  # empty lattice points around a mask, which OpenCV needs for contours; even, so that corners stay even
+# empty lattice points around a mask, which OpenCV needs for contours; even, so that corners stay
+# even
+_RIM = 2
 
 
 class Circle(NamedTuple):
@@ -46,12 +51,15 @@ def mask_bounds(mask: NDArray[np.bool_]) -> Bounds | None:
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
-def touches_edge(mask: NDArray[np.bool_], sides: tuple[bool, bool, bool, bool] = (True, True, True, True)) -> bool:
+def touches_edge(
+    mask: NDArray[np.bool_], sides: tuple[bool, bool, bool, bool] = (True, True, True, True)
+) -> bool:
     """Test whether a mask touches a side of its array.
 
     Args:
         mask: ``[h, w]``.
-        sides: which of left, top, right and bottom count; ``imagery.raster.outer_sides`` gives the image's edges.
+        sides: which of left, top, right and bottom count; ``imagery.raster.outer_sides`` gives the
+            image's edges.
     """
     lines = mask[:, 0], mask[0], mask[:, -1], mask[-1]
     return any(counts and bool(line.any()) for counts, line in zip(sides, lines, strict=True))
@@ -69,21 +77,26 @@ def mask_pieces(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
 def perimeter(mask: NDArray[np.bool_]) -> float:
     """Compute the length of the outline of a mask ``[h, w]`` with its holes, pixels.
 
-    The sum of the pixels' sides would be 4 / pi too long for a circle. The outline is therefore simplified within 1.2
-    px (Douglas and Peucker). The result is exact for upright rectangles. It is within 1 % for straight sides in any
-    direction and for circles of 50 px radius, 2 % at 15 px, 5 % at 5 px.
+    The sum of the pixels' sides would be 4 / pi too long for a circle. The outline is therefore
+    simplified within 1.2 px (Douglas and Peucker). The result is exact for upright rectangles. It
+    is within 1 % for straight sides in any direction and for circles of 50 px radius, 2 % at 15 px,
+    5 % at 5 px.
     """
     traced = _traced(mask)
-    parts = _simplified(traced, PERIMETER_TOLERANCE_PX * traced.cell_px)  # a reduced mask has larger steps
+    # a reduced mask has larger steps
+    parts = _simplified(traced, PERIMETER_TOLERANCE_PX * traced.cell_px)
     rings = [ring for part in parts for ring in part]
-    return float(sum(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum() for ring in rings))
+    return float(
+        sum(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum() for ring in rings)
+    )
 
 
 def rotated_extents(mask: NDArray[np.bool_]) -> tuple[float, float]:
     """Compute length and width of the smallest rotated rectangle (by area) around a mask ``[h, w]``, pixels.
 
-    The rectangle encloses the midpoints of the outer pixels' sides. It is exact for upright masks; for slanted ones it
-    leaves out the corners of the pixel staircase. The result is (0, 0) for an empty mask.
+    The rectangle encloses the midpoints of the outer pixels' sides. It is exact for upright masks;
+    for slanted ones it leaves out the corners of the pixel staircase. The result is (0, 0) for an
+    empty mask.
     """
     bounds = mask_bounds(mask)
     if bounds is None:
@@ -98,9 +111,9 @@ def rotated_extents(mask: NDArray[np.bool_]) -> tuple[float, float]:
 def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
     """Find the largest circle inside a mask ``[h, w]`` and its array; None for an empty mask.
 
-    The radius is the exact Euclidean distance to the nearest background square; the centre is on the half-pixel
-    lattice. Masks with a bounding box above two million pixels use whole pixels, with an error of up to one pixel in
-    diameter.
+    The radius is the exact Euclidean distance to the nearest background square; the centre is on
+    the half-pixel lattice. Masks with a bounding box above two million pixels use whole pixels,
+    with an error of up to one pixel in diameter.
     """
     bounds = mask_bounds(mask)
     if bounds is None:
@@ -110,18 +123,22 @@ def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
     free = 1 - _closed_lattice(1 - inside) if fine else inside
     distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     largest = float(distance.max())
-    # The last bit of OpenCV's result depends on the array's memory address: take the first of equal circles.
-    row, column = np.unravel_index(int(np.argmax(distance >= largest * (1 - _EQUAL))), distance.shape)
+    # The last bit of OpenCV's result depends on the array's memory address: take the first of equal
+    # circles.
+    row, column = np.unravel_index(
+        int(np.argmax(distance >= largest * (1 - _EQUAL))), distance.shape
+    )
     step, origin, diameter = (0.5, 0.0, largest) if fine else (1.0, 0.5, 2 * largest - 1)
-    x, y = (float(at) * step + origin - 1 for at in (column, row))  # without the padding of one pixel
+    # without the padding of one pixel
+    x, y = (float(at) * step + origin - 1 for at in (column, row))
     return Circle(bounds[0] + x, bounds[1] + y, diameter)
 
 
 def outline_parts(mask: NDArray[np.bool_]) -> list[Rings]:
     """Trace the outline of a mask ``[h, w]`` along its pixels' sides, simplified to at most 200 points.
 
-    The tolerance starts at half a pixel and grows until the outline has few enough points. Of more than 50 pieces and
-    holes the smallest are left out. The largest piece comes first.
+    The tolerance starts at half a pixel and grows until the outline has few enough points. Of more
+    than 50 pieces and holes the smallest are left out. The largest piece comes first.
     """
     traced = _traced(mask)
     left = MAX_OUTLINE_POINTS // 4  # a ring keeps four points at any tolerance
@@ -184,7 +201,8 @@ def _traced(mask: NDArray[np.bool_]) -> _Traced:
     lattice = np.pad(_closed_lattice(cells), _RIM)
     found, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rings = [_with_corners(np.asarray(ring, dtype=np.int32).reshape(-1, 2)) for ring in found]
-    # The last link of a ring is its parent, or negative for an exterior. Without rings there is no hierarchy.
+    # The last link of a ring is its parent, or negative for an exterior. Without rings there is no
+    # hierarchy.
     parents = [] if hierarchy is None else hierarchy.reshape(-1, 4)[:, 3].tolist()
     by_size = sorted(range(len(rings)), key=lambda k: cv2.contourArea(rings[k]), reverse=True)
     parts = {k: [rings[k]] for k in by_size if parents[k] < 0}

@@ -16,7 +16,11 @@ if TYPE_CHECKING:
 
 
 def check_output_path(
-    path: str | os.PathLike[str], suffixes: Sequence[str] = (), *, kind: str = "a file", also: str = ""
+    path: str | os.PathLike[str],
+    suffixes: Sequence[str] = (),
+    *,
+    kind: str = "a file",
+    also: str = "",
 ) -> Path:
     """Check, before the work, that a file can be written to a path.
 
@@ -34,7 +38,10 @@ def check_output_path(
         use = f"one of {', '.join(suffixes)}" if len(suffixes) > 1 else f"the suffix {suffixes[0]}"
         raise OutputError(f"cannot write {kind} as {str(path)!r}: use {use}{also and f'; {also}'}")
     if not target.parent.is_dir():
-        raise OutputError(f"cannot write {str(path)!r}: there is no folder {str(target.parent)!r}; create it first")
+        raise OutputError(
+            f"cannot write {str(path)!r}: there is no folder {str(target.parent)!r}; create it "
+            "first"
+        )
     if target.is_dir():
         raise OutputError(f"cannot write {str(path)!r}: it is a folder; name a file")
     return target

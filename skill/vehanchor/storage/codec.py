@@ -1,8 +1,8 @@
 """Intermediate results as JSON and back, exactly: for the journals of flights and evaluations.
 
-Frozen dataclasses, named tuples and records, arrays, and JSON's own values. A codec makes only its own classes: a
-journal from elsewhere can import and start nothing. The names of classes may change with the version of the library, on
-which journals depend.
+Frozen dataclasses, named tuples and records, arrays, and JSON's own values. A codec makes only its
+own classes: a journal from elsewhere can import and start nothing. The names of classes may change
+with the version of the library, on which journals depend.
 """
 
 from __future__ import annotations
@@ -36,11 +36,18 @@ class Codec:
         Raises:
             TypeError: the value holds something of another class.
         """
-        if value is None or (isinstance(value, bool | int | float | str) and type(value).__module__ == "builtins"):
+        if value is None or (
+            isinstance(value, bool | int | float | str) and type(value).__module__ == "builtins"
+        ):
             return value
         if isinstance(value, np.ndarray):
             data = base64.b64encode(np.ascontiguousarray(value).tobytes()).decode("ascii")
-            return {_KIND: _ARRAY, "dtype": value.dtype.str, "shape": list(value.shape), "data": data}
+            return {
+                _KIND: _ARRAY,
+                "dtype": value.dtype.str,
+                "shape": list(value.shape),
+                "data": data,
+            }
         if isinstance(value, np.generic):
             return value.item()
         if type(value) in self._classes.values():

@@ -1,10 +1,10 @@
 """Journal of a long run: results on disk, from which an interrupted run resumes.
 
-A journal is an SQLite file with one table: a row is the result of one source under one set of settings. Settings are
-what results depend on besides their source (version, model, options); a row has their hash, and the row with the empty
-key has the settings themselves. A key has the state of the source when the work began
-(``Source``), so that results of a replaced file are not found. Each result is committed
-alone: a killed run loses none. The file is never opened through a link.
+A journal is an SQLite file with one table: a row is the result of one source under one set of
+settings. Settings are what results depend on besides their source (version, model, options); a row
+has their hash, and the row with the empty key has the settings themselves. A key has the state of
+the source when the work began (``Source``), so that results of a replaced file are not found. Each
+result is committed alone: a killed run loses none. The file is never opened through a link.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 Key: TypeAlias = tuple[str | int, ...]
 Value = TypeVar("Value")
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
-_APPLICATION_ID = 0x56416A6C  # marks our files; another for another table. Other programs' databases are left alone
+# marks our files; another for another table. Other programs' databases are left alone
+_APPLICATION_ID = 0x56416A6C
 _TABLE = (
     "CREATE TABLE IF NOT EXISTS results "
     "(settings TEXT, key TEXT, value TEXT NOT NULL, PRIMARY KEY (settings, key)) WITHOUT ROWID"
@@ -67,16 +68,19 @@ class Journal(Generic[Value]):
 
     Args:
         path: path of the file, created with its folder; None keeps results in memory only.
-        settings: JSON values or records that all results depend on; results of other settings are ignored.
+        settings: JSON values or records that all results depend on; results of other settings are
+            ignored.
         dump: converts a result to JSON values.
         load: converts JSON values to a result.
-        sole: refuse a file with results of other settings, and lock the file against other runs until ``close``.
+        sole: refuse a file with results of other settings, and lock the file against other runs
+            until ``close``.
         anew: discard earlier results.
         remedy: advice to the user for an unusable file.
 
     Raises:
         InvalidParameterError: the file is not a journal; with ``sole``, it has other settings.
-        OutputError: the file cannot be read or written, is a link, or belongs to a run that has not ended.
+        OutputError: the file cannot be read or written, is a link, or belongs to a run that has not
+            ended.
     """
 
     def __init__(
@@ -92,14 +96,20 @@ class Journal(Generic[Value]):
     ) -> None:
         self.path = path
         self._facts: dict[str, Any] = to_jsonable_python(settings)
-        self._settings = hashlib.sha256(json.dumps(self._facts, sort_keys=True).encode()).hexdigest()
+        self._settings = hashlib.sha256(
+            json.dumps(self._facts, sort_keys=True).encode()
+        ).hexdigest()
         self._dump, self._load, self._remedy = dump, load, remedy
         self._lock = threading.Lock()
         with self._errors_told():
             try:
                 self._file = self._open(sole=sole, anew=anew)
             except sqlite3.DatabaseError as error:
-                if not anew or path is None or getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_NOTADB:
+                if (
+                    not anew
+                    or path is None
+                    or getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_NOTADB
+                ):
                     raise
                 path.unlink()
                 self._file = self._open(sole=sole, anew=anew)
@@ -118,14 +128,19 @@ class Journal(Generic[Value]):
     def _open(self, *, sole: bool, anew: bool) -> sqlite3.Connection:
         if self.path is not None:
             if self.path.is_symlink():
-                raise OutputError(f"{str(self.path)!r} is a link: remove it, or name another output")
+                raise OutputError(
+                    f"{str(self.path)!r} is a link: remove it, or name another output"
+                )
             self.path.parent.mkdir(parents=True, exist_ok=True)
         wait_s = 0.0 if sole else _WAIT_S
-        file = sqlite3.connect(self.path or ":memory:", wait_s, isolation_level=None, check_same_thread=False)
+        file = sqlite3.connect(
+            self.path or ":memory:", wait_s, isolation_level=None, check_same_thread=False
+        )
         try:
             file.execute("PRAGMA synchronous = NORMAL")
             if sole:
-                file.execute("PRAGMA locking_mode = EXCLUSIVE")  # the lock of the next transaction stays
+                # the lock of the next transaction stays
+                file.execute("PRAGMA locking_mode = EXCLUSIVE")
             file.execute("BEGIN EXCLUSIVE")
             self._begin(file, sole=sole, anew=anew)
             file.execute("COMMIT")
@@ -152,7 +167,8 @@ class Journal(Generic[Value]):
         if sole and others is not None:
             other = _difference(json.loads(others[0]), self._facts)
             raise InvalidParameterError(
-                f"{str(self.path)!r} has results of an unfinished run with {other}: finish that run with its options, "
+                f"{str(self.path)!r} has results of an unfinished run with {other}: finish that "
+                "run with its options, "
                 f"or {self._remedy}"
             )
         row = (self._settings, _FACTS, json.dumps(self._facts))
@@ -166,11 +182,14 @@ class Journal(Generic[Value]):
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode & 0xFF in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
                 raise OutputError(
-                    f"another run is using {str(self.path)!r}: wait until it has ended, or name another output"
+                    f"another run is using {str(self.path)!r}: wait until it has ended, or name "
+                    "another output"
                 ) from None
             raise OutputError(f"cannot keep results in {str(self.path)!r}: {error}") from None
         except OSError as error:
-            raise OutputError(f"cannot keep results in {str(self.path)!r}: {error.strerror or error}") from None
+            raise OutputError(
+                f"cannot keep results in {str(self.path)!r}: {error.strerror or error}"
+            ) from None
         except sqlite3.DatabaseError as error:
             raise InvalidParameterError(
                 f"{str(self.path)!r} is not a journal, or is damaged ({error}): {self._remedy}"
@@ -183,10 +202,15 @@ class Journal(Generic[Value]):
         return None if row is None else row[0]
 
     def __contains__(self, key: Key) -> bool:
-        return self._found("1 FROM results WHERE settings = ? AND key = ?", json.dumps(key)) is not None
+        return (
+            self._found("1 FROM results WHERE settings = ? AND key = ?", json.dumps(key))
+            is not None
+        )
 
     def __len__(self) -> int:
-        n_results: int = self._found("count(*) FROM results WHERE settings = ? AND key <> ?", _FACTS)
+        n_results: int = self._found(
+            "count(*) FROM results WHERE settings = ? AND key <> ?", _FACTS
+        )
         return n_results
 
     def add(self, key: Key, value: Value) -> None:
@@ -225,7 +249,9 @@ def _difference(theirs: Any, ours: Mapping[str, Any]) -> str:
     before, now = dict(_leaves("", theirs)), dict(_leaves("", ours))
     keys = sorted({*before, *now})
     return ", ".join(
-        f"{key} {before.get(key)!r} (now {now.get(key)!r})" for key in keys if before.get(key) != now.get(key)
+        f"{key} {before.get(key)!r} (now {now.get(key)!r})"
+        for key in keys
+        if before.get(key) != now.get(key)
     )
 
 

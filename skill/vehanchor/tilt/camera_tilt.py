@@ -1,9 +1,10 @@
 """Tilt of the camera: its value, the ground plane that it implies, its form in records, and vehicles at nadir.
 
-In a tilted view nearer cars are longer than farther ones, and cars that point away are foreshortened. A detector
-trained on nadir images still draws boxes with a car's proportions. On the ground plane a car that points away is
-therefore too long and too narrow; a car across the view is too short and too wide. Three quarters of the log length
-plus one quarter of the log width do not depend on the car's direction.
+In a tilted view nearer cars are longer than farther ones, and cars that point away are
+foreshortened. A detector trained on nadir images still draws boxes with a car's proportions. On the
+ground plane a car that points away is therefore too long and too narrow; a car across the view is
+too short and too wide. Three quarters of the log length plus one quarter of the log width do not
+depend on the car's direction.
 """
 
 from __future__ import annotations
@@ -38,13 +39,19 @@ LEAST_CARS = 12
 _LEAST_SCORE = 0.5
 _LOG_SD = 0.11  # of the square root of box areas within one fleet
 _FACTOR = 4.0  # largest ratio of a car's length to the median, in either direction
-_INDEPENDENT, _MOST_INDEPENDENT = 0.5, 40.0  # share and number of cars that count: neighbours are alike; a choice
+# share and number of cars that count: neighbours are alike; a choice
+_INDEPENDENT, _MOST_INDEPENDENT = 0.5, 40.0
 _LITTLE = 1e-6 * np.eye(3)  # information: cars in a row say little
-_STEPS = 30  # of the reweighted fit, which then changes no digit that is shown; ``scipy.optimize`` loads for 0.2 s
+# of the reweighted fit, which then changes no digit that is shown; ``scipy.optimize`` loads for 0.2
+# s
+_STEPS = 30
 _SURE_SDS = 2.33  # 99 of 100
-_EXPONENT = 1.5  # d log(square root of a car's area) / d tan(tilt): the inverse of ``vehanchor.scale.plane``'s pixels
+# d log(square root of a car's area) / d tan(tilt): the inverse of ``vehanchor.scale.plane``'s
+# pixels
+_EXPONENT = 1.5
 _BODY_LENGTH_OVER_WIDTH = 2.6  # at nadir; medians of seven places go from 2.47 to 2.65
-_BY_WIDTH = 0.25  # share of the width in the log of a length: 0.2 to 0.3 do alike at 30 and 45 degrees, train split
+# share of the width in the log of a length: 0.2 to 0.3 do alike at 30 and 45 degrees, train split
+_BY_WIDTH = 0.25
 
 
 class CameraTilt(NamedTuple):
@@ -68,7 +75,9 @@ class CameraTilt(NamedTuple):
 
     def record(self, image: ImageFacts, gsd_m_per_px: float | None) -> TiltEstimate:
         """Tilt as records show it, with the range of scales if the scale at the centre is known."""
-        least, largest = (None, None) if gsd_m_per_px is None else self.plane(image, gsd_m_per_px).gsd_range
+        least, largest = (
+            (None, None) if gsd_m_per_px is None else self.plane(image, gsd_m_per_px).gsd_range
+        )
         reach = Z95 * TILT_SD_DEG
         return TiltEstimate(
             tilt_deg=self.tilt_deg,
@@ -90,8 +99,8 @@ def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None
         options: whether the metadata may be used.
 
     Returns:
-        None up to ten degrees, without an angle, and for a crop. If the focal length is unknown, that of most drones is
-        assumed, and the source says so.
+        None up to ten degrees, without an angle, and for a crop. If the focal length is unknown,
+        that of most drones is assumed, and the source says so.
 
     Raises:
         TooObliqueError: the horizon is in the image or close to it.
@@ -108,7 +117,8 @@ def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None
         found.plane(image).check()
     except TooObliqueError as error:
         remedy = (
-            "If the metadata are wrong, leave them out: --no-metadata, metadata=False, or metadata: false in a tool"
+            "If the metadata are wrong, leave them out: --no-metadata, metadata=False, or "
+            "metadata: false in a tool"
         )
         raise TooObliqueError(f"by the metadata, {error}. {remedy}") from None
     return found
@@ -140,7 +150,9 @@ def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | No
     """
     least = largest = None
     if gsd_m_per_px is not None:
-        least, largest = ground_plane(tilt, record.image_width_px, record.image_height_px, gsd_m_per_px).gsd_range
+        least, largest = ground_plane(
+            tilt, record.image_width_px, record.image_height_px, gsd_m_per_px
+        ).gsd_range
     return tilt.model_copy(update={"gsd_least_m_per_px": least, "gsd_largest_m_per_px": largest})
 
 
@@ -148,14 +160,18 @@ def ground_plane(
     tilt: CameraTilt | TiltEstimate | KnownPlane, width_px: int, height_px: int, gsd_m_per_px: float
 ) -> GroundPlane:
     """Ground plane of an image of this size, with a scale at its centre."""
-    return GroundPlane(gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, width_px, height_px, tilt.roll_deg)
+    return GroundPlane(
+        gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, width_px, height_px, tilt.roll_deg
+    )
 
 
-def suspected_tilt(detections: Detections, width_px: int, height_px: int, focal_px: float) -> float | None:
+def suspected_tilt(
+    detections: Detections, width_px: int, height_px: int, focal_px: float
+) -> float | None:
     """Fit the log sizes of cars by a plane over the image, robust against lorries (Cauchy's loss).
 
-    Of eight photographs with a known tilt this names the three with 41 to 58 degrees that show 12 cars and more; of 329
-    at nadir it names none.
+    Of eight photographs with a known tilt this names the three with 41 to 58 degrees that show 12
+    cars and more; of 329 at nadir it names none.
 
     Args:
         detections: vehicles in pixels of the image.
@@ -164,8 +180,8 @@ def suspected_tilt(detections: Detections, width_px: int, height_px: int, focal_
         focal_px: focal length, pixels.
 
     Returns:
-        The tilt that explains the trend of the sizes, in degrees; None unless more than ten degrees are nearly certain,
-        and for fewer than 12 certain cars that lie completely in the image.
+        The tilt that explains the trend of the sizes, in degrees; None unless more than ten degrees
+        are nearly certain, and for fewer than 12 certain cars that lie completely in the image.
     """
     boxes = _whole_cars(detections, width_px, height_px)
     if len(boxes) < LEAST_CARS:
@@ -189,7 +205,9 @@ def suspected_tilt(detections: Detections, width_px: int, height_px: int, focal_
     return math.degrees(math.atan(slope / _EXPONENT))
 
 
-def tilt_notice(image: ImageFacts, options: ScaleOptions, detections: Detections) -> tuple[Notice, ...]:
+def tilt_notice(
+    image: ImageFacts, options: ScaleOptions, detections: Detections
+) -> tuple[Notice, ...]:
     """Warn of a tilt that the vehicles' sizes show, or that the metadata state for a crop.
 
     Args:
@@ -207,17 +225,23 @@ def tilt_notice(image: ImageFacts, options: ScaleOptions, detections: Detections
         if camera.off_nadir_deg <= NADIR_TOLERANCE_DEG or taken_ratio(image, camera) is not None:
             return ()
         message = (
-            f"By its metadata the camera was tilted by {camera.off_nadir_deg:.0f} degrees, and the image is a crop at "
-            "an unknown place of that picture. It is measured as if taken at nadir: scales differ over it, and areas "
+            f"By its metadata the camera was tilted by {camera.off_nadir_deg:.0f} degrees, and "
+            "the image is a crop at "
+            "an unknown place of that picture. It is measured as if taken at nadir: scales "
+            "differ over it, and areas "
             "and lengths may be wrong. Give the original file."
         )
         return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
-    tilt_deg = suspected_tilt(detections, image.width_px, image.height_px, focal_length(image, options)[0])
+    tilt_deg = suspected_tilt(
+        detections, image.width_px, image.height_px, focal_length(image, options)[0]
+    )
     if tilt_deg is None:
         return ()
     message = (
-        f"The camera seems to be tilted by about {tilt_deg:.0f} degrees: cars are larger on one side of the image. "
-        "Scales differ over the image, and areas and lengths far from its centre are wrong. Give the "
+        f"The camera seems to be tilted by about {tilt_deg:.0f} degrees: cars are larger on one "
+        "side of the image. "
+        "Scales differ over the image, and areas and lengths far from its centre are wrong. "
+        "Give the "
         "original file, whose metadata state the tilt, or a crop around the object."
     )
     return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
@@ -249,7 +273,9 @@ def rectified(detections: Detections, plane: GroundPlane) -> Detections:
     return replace(detections, boxes=measured)
 
 
-def length_off_nadir(lengths: NDArray[np.float64], widths: NDArray[np.float64], *, bodies: bool) -> NDArray[np.float64]:
+def length_off_nadir(
+    lengths: NDArray[np.float64], widths: NDArray[np.float64], *, bodies: bool
+) -> NDArray[np.float64]:
     """Combine lengths and widths ``[n]`` on the ground to lengths that do not depend on the car's direction.
 
     Args:

@@ -24,18 +24,33 @@ class AreaRequest:
     segments: Annotated[
         Path,
         typer.Option(
-            metavar="DIR", help="Folder with index.csv (image,mask,category,gsd_m_per_px) and numbered 16-bit masks."
+            metavar="DIR",
+            help="Folder with index.csv (image,mask,category,gsd_m_per_px) and numbered 16-bit "
+            "masks.",
         ),
     ]
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results; an interrupted run resumes there.")]
-    split: Annotated[str | None, typer.Option(metavar="NAME", help="Use only this split of the index.")] = None
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR", help="Folder of the results; an interrupted run resumes there."
+        ),
+    ]
+    split: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Use only this split of the index.")
+    ] = None
     limit: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Measure only the first N objects; categories alternate.")
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="Measure only the first N objects; categories alternate."
+        ),
     ] = None
     workers: WorkersOption = None
     segmenter: Annotated[
         tuple[str, str] | None,
-        typer.Option(metavar="ENCODER DECODER", help="ONNX files of a promptable segmenter. Default: the bundled one."),
+        typer.Option(
+            metavar="ENCODER DECODER",
+            help="ONNX files of a promptable segmenter. Default: the bundled one.",
+        ),
     ] = None
 
 

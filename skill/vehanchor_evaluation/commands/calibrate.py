@@ -13,7 +13,12 @@ from vehanchor.cli.terminal import print_facts
 from vehanchor.errors import InvalidParameterError
 from vehanchor.storage.atomic import check_output_path, write_record
 from vehanchor_evaluation.commands.request import measuring_command
-from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, print_issues
+from vehanchor_evaluation.commands.sources import (
+    FilesCommand,
+    KnownScaleRequest,
+    open_shared,
+    print_issues,
+)
 
 if TYPE_CHECKING:
     from vehanchor.cli.cli_options import ParsedOptions
@@ -36,13 +41,17 @@ class CalibrateRequest(KnownScaleRequest):
     """Options of the command, one per field."""
 
     out: Annotated[
-        Path, typer.Option(metavar="FILE.json", help="Calibration to write, for --calibration.", show_default=False)
+        Path,
+        typer.Option(
+            metavar="FILE.json", help="Calibration to write, for --calibration.", show_default=False
+        ),
     ]
     photographs: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="FILES",
-            help="Photographs, or folders of them, with a scale from another ruler: the height in their metadata, "
+            help="Photographs, or folders of them, with a scale from another ruler: the height "
+            "in their metadata, "
             "courts, --known-lengths, or --height. Its uncertainty is included.",
             show_default=False,
         ),
@@ -56,7 +65,8 @@ class CalibrateRequest(KnownScaleRequest):
         ),
     ] = None
     plot: Annotated[
-        str | None, typer.Option(metavar="OUT.png", help="Write a plot of lengths and mode (extra 'plots').")
+        str | None,
+        typer.Option(metavar="OUT.png", help="Write a plot of lengths and mode (extra 'plots')."),
     ] = None
 
 
@@ -65,14 +75,17 @@ class CalibrateRequest(KnownScaleRequest):
 def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
     """Measure the reference length of a region's fleet on images of known scale.
 
-    With labels, this is the paper's method: the mode of length times scale over all labelled vehicles. With --detector
-    the result is for that model only. Without labels, the model detects the vehicles, and the result is for that model
-    only, because it includes the model's bias. Photographs with a height need no georeference. Fewer than 100 vehicles
-    or too coarse imagery are refused.
+    With labels, this is the paper's method: the mode of length times scale over all labelled
+    vehicles. With --detector the result is for that model only. Without labels, the model detects
+    the vehicles, and the result is for that model only, because it includes the model's bias.
+    Photographs with a height need no georeference. Fewer than 100 vehicles or too coarse imagery
+    are refused.
     """
     _check_outputs(request.out, request.plot)
     boxes = request.boxes or (_Boxes.detector if request.dota is None else _Boxes.labels)
-    survey, calibration = (_from_labels if boxes is _Boxes.labels else _from_detections)(request, chosen)
+    survey, calibration = (_from_labels if boxes is _Boxes.labels else _from_detections)(
+        request, chosen
+    )
     write_record(request.out, calibration, indent=2)
     print_facts(str(request.out), _facts(calibration))
     if request.plot is not None:
@@ -91,7 +104,9 @@ def _check_outputs(out: Path, plot: str | None) -> None:
 
         require_plots()
         if check_picture_path(plot).resolve() == out.resolve():
-            raise InvalidParameterError(f"{plot!r} names both the plot and the calibration: choose another name")
+            raise InvalidParameterError(
+                f"{plot!r} names both the plot and the calibration: choose another name"
+            )
 
 
 def _known_scale(request: CalibrateRequest, chosen: ParsedOptions) -> KnownScaleSet:
@@ -101,7 +116,9 @@ def _known_scale(request: CalibrateRequest, chosen: ParsedOptions) -> KnownScale
             raise InvalidParameterError("--known-lengths needs --photographs")
         return request.survey()
     if request.dota or request.table or request.geotiff:
-        raise InvalidParameterError("give the images with one of --photographs, --dota, --table and --geotiff")
+        raise InvalidParameterError(
+            "give the images with one of --photographs, --dota, --table and --geotiff"
+        )
     from vehanchor_evaluation.photographs import survey_photographs
 
     detector = open_shared(chosen, request.workers).detector
@@ -109,21 +126,29 @@ def _known_scale(request: CalibrateRequest, chosen: ParsedOptions) -> KnownScale
     data = data.chosen(limit=request.limit)
     if not data.images:
         print_issues(data.issues)
-        raise InvalidParameterError(f"no photograph in {data.source!r} has a ruler other than vehicles")
+        raise InvalidParameterError(
+            f"no photograph in {data.source!r} has a ruler other than vehicles"
+        )
     return data
 
 
-def _from_labels(request: CalibrateRequest, chosen: ParsedOptions) -> tuple[FleetSurvey, Calibration]:
+def _from_labels(
+    request: CalibrateRequest, chosen: ParsedOptions
+) -> tuple[FleetSurvey, Calibration]:
     from vehanchor_evaluation.dota import SMALL_VEHICLE
     from vehanchor_evaluation.fleet_survey import calibrate_labelled, labelled_vehicles
 
-    survey = labelled_vehicles(_known_scale(request, chosen), request.label_classes or (SMALL_VEHICLE,))
+    survey = labelled_vehicles(
+        _known_scale(request, chosen), request.label_classes or (SMALL_VEHICLE,)
+    )
     print_issues(survey.issues)
     card = None if chosen.detector is None else chosen.engine().detector.card
     return survey, calibrate_labelled(survey, card)
 
 
-def _from_detections(request: CalibrateRequest, chosen: ParsedOptions) -> tuple[FleetSurvey, Calibration]:
+def _from_detections(
+    request: CalibrateRequest, chosen: ParsedOptions
+) -> tuple[FleetSurvey, Calibration]:
     from vehanchor_evaluation.fleet_survey import calibrate_found, found_vehicles
 
     options, data = chosen.options(), _known_scale(request, chosen)
@@ -138,12 +163,20 @@ def _facts(record: Calibration) -> list[tuple[str, str]]:
     low, high = record.reference_length_ci95_low_m, record.reference_length_ci95_high_m
     sha = (record.detector_sha256 or "")[:_SHORT_SHA]
     return [
-        ("reference length", f"{record.reference_length_m:.4g} m   (95 %: {low:.4g} to {high:.4g})"),
+        (
+            "reference length",
+            f"{record.reference_length_m:.4g} m   (95 %: {low:.4g} to {high:.4g})",
+        ),
         ("vehicles", f"{record.n_vehicles} {'labelled' if record.source == 'labels' else 'found'}"),
         ("images", str(record.n_images)),
-        ("modal length", f"{record.mode_length_px:.1f} px, at a median of {record.median_gsd_m_per_px:.3g} m/px"),
+        (
+            "modal length",
+            f"{record.mode_length_px:.1f} px, at a median of {record.median_gsd_m_per_px:.3g} m/px",
+        ),
         (
             "for detector",
-            "any whose boxes match these labels" if record.detector is None else f"{record.detector} ({sha})",
+            "any whose boxes match these labels"
+            if record.detector is None
+            else f"{record.detector} ({sha})",
         ),
     ]

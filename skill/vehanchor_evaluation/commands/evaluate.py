@@ -13,7 +13,12 @@ from vehanchor.cli.terminal import printable
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor_evaluation.commands.area import area
 from vehanchor_evaluation.commands.request import measuring_command
-from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, print_issues
+from vehanchor_evaluation.commands.sources import (
+    FilesCommand,
+    KnownScaleRequest,
+    open_shared,
+    print_issues,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,13 +41,18 @@ class ScaleRequest(KnownScaleRequest):
 
     label_reference_length: Annotated[
         float | None,
-        typer.Option(metavar="M", help="Reference length for labelled vehicles, metres. Default: the detector's."),
+        typer.Option(
+            metavar="M",
+            help="Reference length for labelled vehicles, metres. Default: the detector's.",
+        ),
     ] = None
     set_region: Annotated[
         list[str] | None,
         typer.Option(metavar="SET=REGION", help="Region of one set of the table; repeatable."),
     ] = None
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results; created if missing.")] = _OUT
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder of the results; created if missing.")
+    ] = _OUT
 
     def benchmark(self, chosen: ParsedOptions) -> ScaleBenchmark:
         """Survey the data, search the images and create trials; issues go to stderr."""
@@ -63,7 +73,9 @@ class ScaleRequest(KnownScaleRequest):
             found,
             detector.card,
             lambda image: with_lines_of(options_of(image), lines, image.path),
-            label_options_of=options_of if self.label_reference_length is None else lambda _: by_labels,
+            label_options_of=options_of
+            if self.label_reference_length is None
+            else lambda _: by_labels,
             label_classes=self.label_classes or (SMALL_VEHICLE,),
         )
         print_issues(benchmark.issues)
@@ -75,7 +87,9 @@ class ScaleRequest(KnownScaleRequest):
         for text in self.set_region or ():
             name, equals, region = text.partition("=")
             if not equals or not region:
-                raise InvalidParameterError(f"--set-region is {text!r}: use SET=REGION, as in cannes=europe")
+                raise InvalidParameterError(
+                    f"--set-region is {text!r}: use SET=REGION, as in cannes=europe"
+                )
             regions[name] = region
         return regions
 
@@ -90,11 +104,16 @@ def _print_written(paths: Sequence[Path]) -> None:
 def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
     """Measure the error of the scale on images of known scale: the paper's Table I.
 
-    Writes gsd.json, gsd.csv, gsd.md, images.csv (a line per image) and issues.csv (problems by file). After an
-    interruption, the same command resumes.
+    Writes gsd.json, gsd.csv, gsd.md, images.csv (a line per image) and issues.csv (problems by
+    file). After an interruption, the same command resumes.
     """
     from vehanchor_evaluation.gsd import report_scale
-    from vehanchor_evaluation.report import scale_markdown, write_issues, write_results, write_trials
+    from vehanchor_evaluation.report import (
+        scale_markdown,
+        write_issues,
+        write_results,
+        write_trials,
+    )
 
     benchmark = request.benchmark(chosen)
     report = report_scale(benchmark)
@@ -102,7 +121,9 @@ def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
     print(printable(text, lines=True))
     _print_written(
         [
-            *write_results(request.out, "gsd", report, [row.model_dump() for row in report.rows], text),
+            *write_results(
+                request.out, "gsd", report, [row.model_dump() for row in report.rows], text
+            ),
             write_trials(request.out / "images.csv", benchmark),
             write_issues(request.out / "issues.csv", benchmark.issues),
         ]
@@ -114,8 +135,9 @@ def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
 def evaluate_reliability(request: ScaleRequest, chosen: ParsedOptions) -> None:
     """Compare stated chances with outcomes on images of known scale, from the search of 'evaluate gsd'.
 
-    Also the usable share and the errors by vehicles and by resolution, and the confidence from which on 1 % are wrong.
-    Writes reliability.json, reliability.csv (a line per group) and reliability.md.
+    Also the usable share and the errors by vehicles and by resolution, and the confidence from
+    which on 1 % are wrong. Writes reliability.json, reliability.csv (a line per group) and
+    reliability.md.
     """
     from vehanchor_evaluation.reliability import report_reliability
     from vehanchor_evaluation.report import reliability_markdown, write_results
@@ -142,7 +164,9 @@ def evaluate_ablation(request: ScaleRequest, chosen: ParsedOptions) -> None:
     report = ablate(request.benchmark(chosen))
     text = ablation_markdown(report)
     print(printable(text, lines=True))
-    _print_written(write_results(request.out, "ablation", report, [row.flat() for row in report.rows], text))
+    _print_written(
+        write_results(request.out, "ablation", report, [row.flat() for row in report.rows], text)
+    )
 
 
 @evaluate.command("figures", cls=FilesCommand)
@@ -150,8 +174,9 @@ def evaluate_ablation(request: ScaleRequest, chosen: ParsedOptions) -> None:
 def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
     """Draw the figures from the search of 'evaluate gsd'; needs the extra 'plots'.
 
-    Writes predicted.png (predicted against true GSD, the 10 % band, the resolution guard), cumulative.png,
-    calibration.png (interval and confidence) and sheet.png (best, middle and worst images with their vehicles).
+    Writes predicted.png (predicted against true GSD, the 10 % band, the resolution guard),
+    cumulative.png, calibration.png (interval and confidence) and sheet.png (best, middle and worst
+    images with their vehicles).
     """
     from vehanchor.pictures.plot import require_plots, write_plot
     from vehanchor.pictures.scale import write_picture
@@ -162,12 +187,21 @@ def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
     trials = benchmark.trials
     if not any(trial.estimated for trial in trials):
         raise InvalidParameterError("no image has an estimate, so there is nothing to draw")
-    curves = {"detector": trials, "labels": benchmark.baseline} if benchmark.baseline else {"detector": trials}
-    rows = [[figures.sheet_cell(trial) for trial in row] for row in figures.sheet_trials(trials).values()]
+    curves = (
+        {"detector": trials, "labels": benchmark.baseline}
+        if benchmark.baseline
+        else {"detector": trials}
+    )
+    rows = [
+        [figures.sheet_cell(trial) for trial in row]
+        for row in figures.sheet_trials(trials).values()
+    ]
     try:
         request.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"cannot create the folder {str(request.out)!r}: {error.strerror or error}") from error
+        raise OutputError(
+            f"cannot create the folder {str(request.out)!r}: {error.strerror or error}"
+        ) from error
     _print_written(
         [
             write_plot(request.out / "predicted.png", figures.plot_predicted(trials)),

@@ -32,9 +32,13 @@ def measuring_command(
         def run(chosen: ParsedOptions, **typed: Any) -> None:
             command(request(**typed), chosen)
 
-        chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=ParsedOptions)
+        chosen = inspect.Parameter(
+            "chosen", inspect.Parameter.KEYWORD_ONLY, annotation=ParsedOptions
+        )
         declared = with_signature(run, command, [*fields_of(request), chosen])
-        return scale_command(without={*OF_ONE_IMAGE, "effort", "max_tiles", "max_seconds", *without})(declared)
+        return scale_command(
+            without={*OF_ONE_IMAGE, "effort", "max_tiles", "max_seconds", *without}
+        )(declared)
 
     return decorate
 
@@ -52,7 +56,11 @@ def with_signature(
     run: Callable[..., None], command: Callable[..., None], parameters: list[inspect.Parameter]
 ) -> Callable[..., None]:
     """Give the function the command's name and these parameters, for Typer."""
-    run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
+    run.__name__, run.__doc__, run.__module__ = (
+        command.__name__,
+        command.__doc__,
+        command.__module__,
+    )
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {each.name: each.annotation for each in parameters}
     return run

@@ -29,7 +29,9 @@ _SHOWN_ISSUES = 10
 
 WorkersOption = Annotated[
     int | None,
-    typer.Option(metavar="N", min=1, help="Images searched in parallel. Default: one per core, at most 4."),
+    typer.Option(
+        metavar="N", min=1, help="Images searched in parallel. Default: one per core, at most 4."
+    ),
 ]
 
 
@@ -57,14 +59,17 @@ class KnownScaleRequest:
     dota: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="A split of DOTA: images/ and labelTxt*/ with 'gsd:' lines.", show_default=False
+            metavar="DIR",
+            help="A split of DOTA: images/ and labelTxt*/ with 'gsd:' lines.",
+            show_default=False,
         ),
     ] = None
     table: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="CSV with the columns file,gsd_m_per_px and optionally set and split; files relative to it.",
+            help="CSV with the columns file,gsd_m_per_px and optionally set and split; files "
+            "relative to it.",
             show_default=False,
         ),
     ] = None
@@ -74,27 +79,41 @@ class KnownScaleRequest:
     ] = None
     labels: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of DOTA labels. Default: the latest labelTxt*/ with oriented boxes."),
+        typer.Option(
+            metavar="DIR",
+            help="Folder of DOTA labels. Default: the latest labelTxt*/ with oriented boxes.",
+        ),
     ] = None
     label_classes: Annotated[
         list[str] | None,
-        typer.Option("--label-class", metavar="NAME", help="Label class of vehicles. Default: small-vehicle."),
+        typer.Option(
+            "--label-class", metavar="NAME", help="Label class of vehicles. Default: small-vehicle."
+        ),
     ] = None
-    set_name: Annotated[str | None, typer.Option("--set", metavar="NAME", help="Only this set of the table.")] = None
-    split: Annotated[str | None, typer.Option(metavar="NAME", help="Only this split of the table, e.g. val.")] = None
-    limit: Annotated[int | None, typer.Option(metavar="N", min=1, help="Only the first N images.")] = None
+    set_name: Annotated[
+        str | None, typer.Option("--set", metavar="NAME", help="Only this set of the table.")
+    ] = None
+    split: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Only this split of the table, e.g. val.")
+    ] = None
+    limit: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Only the first N images.")
+    ] = None
     known_lengths: KnownLengthsFile = None
     workers: WorkersOption = None
     cache: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="File of stored detections, to resume a run or share its search."),
+        typer.Option(
+            metavar="FILE", help="File of stored detections, to resume a run or share its search."
+        ),
     ] = None
 
     def survey(self) -> KnownScaleSet:
         """Find the images; if there are none, print the issues to stderr.
 
         Raises:
-            InvalidParameterError: there is not exactly one source, or it has no image of known scale.
+            InvalidParameterError: there is not exactly one source, or it has no image of known
+                scale.
         """
         from vehanchor.errors import InvalidParameterError
         from vehanchor_evaluation.survey import survey_known_scale
@@ -124,7 +143,12 @@ class KnownScaleRequest:
         return lines_in(self.known_lengths, images)
 
     def search(
-        self, data: KnownScaleSet, detector: Detector, options: ScaleOptions, chosen: ParsedOptions, cache: Path | None
+        self,
+        data: KnownScaleSet,
+        detector: Detector,
+        options: ScaleOptions,
+        chosen: ParsedOptions,
+        cache: Path | None,
     ) -> dict[Path, SearchedImage | FileIssue]:
         """Search the images that the cache lacks, with a progress bar."""
         from vehanchor_evaluation.search import search_known_scale
@@ -155,7 +179,9 @@ class KnownScaleRequest:
 
 
 def open_shared(
-    chosen: ParsedOptions, workers: int | None, segmenter: tuple[str | Path, str | Path] | None = None
+    chosen: ParsedOptions,
+    workers: int | None,
+    segmenter: tuple[str | Path, str | Path] | None = None,
 ) -> Engine:
     """Open the engine of the options for parallel images, which share the cores."""
     from vehanchor_evaluation.search import default_workers

@@ -21,14 +21,19 @@ class _WithDefault(TyperGroup):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Name the default command, unless another or the help is asked for."""
-        if args and args[0] not in self.commands and not {args[0]} & set(_SETTINGS["help_option_names"]):
+        if (
+            args
+            and args[0] not in self.commands
+            and not {args[0]} & set(_SETTINGS["help_option_names"])
+        ):
             args = [_DEFAULT, *args]
         return super().parse_args(ctx, args)
 
 
 flight = typer.Typer(
     cls=_WithDefault,
-    help="Scales from more than one photograph. 'vehanchor flight PHOTOS' is 'vehanchor flight photographs PHOTOS'.",
+    help="Scales from more than one photograph. 'vehanchor flight PHOTOS' is 'vehanchor flight "
+    "photographs PHOTOS'.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -26,11 +26,17 @@ def live(
             show_default=False,
         ),
     ],
-    every: Annotated[float, typer.Option(metavar="S", help="For a video: seconds between frames.")] = 0.2,
-    hold: Annotated[float, typer.Option(metavar="S", help="Seconds without vehicles until there is no scale.")] = 10.0,
+    every: Annotated[
+        float, typer.Option(metavar="S", help="For a video: seconds between frames.")
+    ] = 0.2,
+    hold: Annotated[
+        float, typer.Option(metavar="S", help="Seconds without vehicles until there is no scale.")
+    ] = 10.0,
     idle: Annotated[
         float | None,
-        typer.Option(metavar="S", help="End after so many seconds without a new frame. Default: never."),
+        typer.Option(
+            metavar="S", help="End after so many seconds without a new frame. Default: never."
+        ),
     ] = None,
     *,
     chosen: ParsedOptions,
@@ -38,7 +44,9 @@ def live(
     """Estimate the scale while flying: one JSON line for each frame. Advisory; the newest frame wins."""
     from vehanchor_flight.verbs import live_scales
 
-    records = live_scales(source, engine=chosen.engine(), every_s=every, hold_s=hold, idle_s=idle, tell=_tell)
+    records = live_scales(
+        source, engine=chosen.engine(), every_s=every, hold_s=hold, idle_s=idle, tell=_tell
+    )
     for record in records:
         print(record.model_dump_json(), flush=True)
 

@@ -44,30 +44,40 @@ def photographs(
         list[str],
         typer.Argument(
             metavar="PHOTOS",
-            help="Photographs of one flight, directories, patterns such as 'flight/*.jpg'; or one video.",
+            help="Photographs of one flight, directories, patterns such as 'flight/*.jpg'; or "
+            "one video.",
             show_default=False,
         ),
     ],
     same_scale: Annotated[
         bool,
         typer.Option(
-            "--same-scale", help="All photographs have one scale, as in a survey at one height: pool their evidence."
+            "--same-scale",
+            help="All photographs have one scale, as in a survey at one height: pool their "
+            "evidence.",
         ),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FLIGHT.json",
-            help="Write the record, for 'measure --scale'. After an interruption, the same command resumes the run.",
+            help="Write the record, for 'measure --scale'. After an interruption, the same "
+            "command resumes the run.",
         ),
     ] = None,
     table: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write a table with a row for each photograph, as 'batch' does."),
+        typer.Option(
+            metavar="FILE", help="Write a table with a row for each photograph, as 'batch' does."
+        ),
     ] = None,
     known_lengths: KnownLengthsFile = None,
-    every: Annotated[float, typer.Option(metavar="S", help="For a video: seconds between photographs.")] = 2.0,
+    every: Annotated[
+        float, typer.Option(metavar="S", help="For a video: seconds between photographs.")
+    ] = 2.0,
     *,
     chosen: ParsedOptions,
 ) -> None:
@@ -116,11 +126,15 @@ def _row(record: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
     from vehanchor_flight.project import estimate_in_flight
 
     if photograph.own is None:
-        return BatchRow(file=photograph.photograph, error_code=photograph.error_code, error=photograph.error)
+        return BatchRow(
+            file=photograph.photograph, error_code=photograph.error_code, error=photograph.error
+        )
     return BatchRow(file=photograph.photograph, estimate=estimate_in_flight(record, photograph))
 
 
-def _images(inputs: list[str], every_s: float, limits: ImageLimits) -> Sequence[str] | Iterator[InputPhotograph]:
+def _images(
+    inputs: list[str], every_s: float, limits: ImageLimits
+) -> Sequence[str] | Iterator[InputPhotograph]:
     """List the files, or the frames of one video."""
     from vehanchor.imagery.sources.files import find_images
     from vehanchor_flight.video import is_video, sample_video
@@ -136,14 +150,20 @@ def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, 
     facts = []
     if record.same_scale:
         low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
-        facts.append(("scale of all", with_interval(record.gsd_m_per_px, low, high, "m/px", NO_SCALE)))
+        facts.append(
+            ("scale of all", with_interval(record.gsd_m_per_px, low, high, "m/px", NO_SCALE))
+        )
     facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     facts.append(("vehicles", str(record.n_vehicles)))
     if rulers := [each for each in record.components[0].pooled.rulers if each.sets_scale]:
         largest = " in the largest component" if len(record.components) > 1 else ""
-        facts.append(("rulers", ", ".join(f"{each.kind} {each.p_right:.2f}" for each in rulers) + largest))
+        facts.append(
+            ("rulers", ", ".join(f"{each.kind} {each.p_right:.2f}" for each in rulers) + largest)
+        )
     if not record.same_scale:
-        sizes = ", ".join(str(component.n_photographs) for component in record.components[:_MOST_SIZES])
+        sizes = ", ".join(
+            str(component.n_photographs) for component in record.components[:_MOST_SIZES]
+        )
         sizes += ", ..." if len(record.components) > _MOST_SIZES else ""
         several = f"{len(record.components)} components of {sizes} photographs"
         facts.append(("linked", several if len(record.components) > 1 else "all of them"))
@@ -151,7 +171,12 @@ def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, 
         facts.append(("overlaps", f"{len(record.links) - n_dropped} used, {n_dropped} dropped"))
     sorties = Counter(each.sortie for each in record.photographs if each.sortie is not None)
     if len(sorties) > 1:
-        facts.append(("sorties", f"{' and '.join(map(str, sorties.values()))} photographs, by camera and time"))
+        facts.append(
+            (
+                "sorties",
+                f"{' and '.join(map(str, sorties.values()))} photographs, by camera and time",
+            )
+        )
     advice: dict[str, list[str]] = {}
     for each in record.photographs:
         remedy = each.advice if each.error is None else f"Not readable: {each.error}"
@@ -168,7 +193,10 @@ def _names(names: Sequence[str]) -> str:
 
 def _print_photographs(photographs: Sequence[FlightPhotograph], short: Mapping[str, str]) -> None:
     columns = {"photograph": "text", **dict.fromkeys(("m/px", "95 %", "conf."), "number")}
-    print_rows({**columns, "supported by": "text", "status": "word"}, [_cells(each, short) for each in photographs])
+    print_rows(
+        {**columns, "supported by": "text", "status": "word"},
+        [_cells(each, short) for each in photographs],
+    )
 
 
 def _cells(each: FlightPhotograph, short: Mapping[str, str]) -> tuple[str, ...]:

@@ -40,36 +40,50 @@ def rescale(
         str,
         typer.Argument(
             metavar="MODEL",
-            help="Project of OpenDroneMap or OpenSfM, its reconstruction.json, or a folder of COLMAP (text or binary).",
+            help="Project of OpenDroneMap or OpenSfM, its reconstruction.json, or a folder of "
+            "COLMAP (text or binary).",
             show_default=False,
         ),
     ],
     images: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Photographs of the model. Default: near its files.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Photographs of the model. Default: near its files."),
     ] = None,
     lines: Annotated[
         Path | None,
         typer.Option(
             "--known-lengths",
             metavar="LINES.csv",
-            help="Lines of known length in the photographs: file, x1, y1, x2, y2, metres; files are relative to the "
+            help="Lines of known length in the photographs: file, x1, y1, x2, y2, metres; files "
+            "are relative to the "
             "table.",
         ),
     ] = None,
     project: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Model in metres, in its format.", rich_help_panel=_FILES)
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Model in metres, in its format.", rich_help_panel=_FILES
+        ),
     ] = None,
     geo: Annotated[
         Path | None,
-        typer.Option(metavar="geo.txt", help="Camera positions in metres for OpenDroneMap.", rich_help_panel=_FILES),
+        typer.Option(
+            metavar="geo.txt",
+            help="Camera positions in metres for OpenDroneMap.",
+            rich_help_panel=_FILES,
+        ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="SCALE.json", help="Record; the same command resumes an interrupted run.", rich_help_panel=_FILES
+            metavar="SCALE.json",
+            help="Record; the same command resumes an interrupted run.",
+            rich_help_panel=_FILES,
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
+    ] = False,
     strict: Strict = False,
     *,
     chosen: ParsedOptions,
@@ -77,11 +91,15 @@ def rescale(
     """Give a reconstruction its size in metres. Files in metres need a usable size."""
     from vehanchor_flight.verbs import rescale as rescaled
 
-    journal = out and check_output_path(out, (".json",), kind="a record").with_name(out.name + ".journal")
+    journal = out and check_output_path(out, (".json",), kind="a record").with_name(
+        out.name + ".journal"
+    )
     model = _model(source, project, geo)
     with work_progress("images") as progress, resumable(journal):
         engine = chosen.engine(progress=progress)
-        record = rescaled(model, engine=engine, images=images, known_lengths_table=lines, journal=journal)
+        record = rescaled(
+            model, engine=engine, images=images, known_lengths_table=lines, journal=journal
+        )
     written = _write_in_metres(model, record, project, geo)
     if out is not None:
         write_record(out, record)
@@ -103,11 +121,15 @@ def _model(source: str, project: Path | None, geo: Path | None) -> Reconstructio
         check_project_path(project)
     model = read_model(source)
     if geo is not None and model.origin is None:
-        raise InvalidParameterError("--geo needs a model with a position on Earth (reference_lla of OpenSfM)")
+        raise InvalidParameterError(
+            "--geo needs a model with a position on Earth (reference_lla of OpenSfM)"
+        )
     return model
 
 
-def _write_in_metres(model: Reconstruction, record: ModelScale, project: Path | None, geo: Path | None) -> list[Path]:
+def _write_in_metres(
+    model: Reconstruction, record: ModelScale, project: Path | None, geo: Path | None
+) -> list[Path]:
     """Write the files in metres of a usable size; return their paths."""
     from vehanchor_flight.reconstruction.files import write_geo, write_rescaled
 
@@ -138,14 +160,20 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
     if record.photographs:
         facts.append(("photographs", f"{record.n_photographs}, used for the factor: {len(used)}"))
     outliers = (each for each in record.photographs if each.status == "outlier")
-    facts += [("outlier", f"{each.photograph}: {', '.join(each.rulers)} {_interval(each)}") for each in outliers]
+    facts += [
+        ("outlier", f"{each.photograph}: {', '.join(each.rulers)} {_interval(each)}")
+        for each in outliers
+    ]
     facts += [("written", str(path)) for path in written]
     print_facts(source, facts)
     if used:
         _print_photographs(used)
     for each in record.photographs:
         if each.status == "error":
-            typer.echo(printable(f"not measured[{each.error_code}]: {each.photograph}: {each.error}"), err=True)
+            typer.echo(
+                printable(f"not measured[{each.error_code}]: {each.photograph}: {each.error}"),
+                err=True,
+            )
     print_warnings(record.warnings)
 
 
@@ -154,7 +182,11 @@ def _interval(each: ModelScale | ModelRuler | ModelPhotograph) -> str:
 
 
 def _print_photographs(used: Sequence[ModelPhotograph]) -> None:
-    columns = {"photograph": "text", **dict.fromkeys(("factor", "95 %", "cars"), "number"), "rulers": "text"}
+    columns = {
+        "photograph": "text",
+        **dict.fromkeys(("factor", "95 %", "cars"), "number"),
+        "rulers": "text",
+    }
     print_rows(
         columns,
         [

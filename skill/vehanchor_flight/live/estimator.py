@@ -52,7 +52,8 @@ _LONGEST_CAR_PX = 60.0  # in the reduced frame
 _MOST_FACTOR = 8
 _ELSEWHERE_EVERY = 4  # one window in four is the next in turn
 _FEATURES_SIDE_PX = 480  # of the reduced copy: a third of the side of 1280 px
-_STRETCH_EVERY = 10  # frames; a camera's proportions do not change in flight, so that the last result is kept
+# frames; a camera's proportions do not change in flight, so that the last result is kept
+_STRETCH_EVERY = 10
 _PRIOR_FRAMES = 1.0  # new ground, in frames, after which the scene-scale prior is taken again
 _GRID_POINTS = 8  # along each side of a frame, to count its new ground
 
@@ -112,7 +113,9 @@ class LiveEstimator:
         if self._prior is not None:
             self._prior = self._prior.scaled(math.exp(motion.log_ratio))
         cars = self._cars @ matched.turn[:, :2].T + matched.turn[:, 2]
-        self._cars = cars[np.all((cars >= 0) & (cars < (raster.width_px, raster.height_px)), axis=1)]
+        self._cars = cars[
+            np.all((cars >= 0) & (cars < (raster.width_px, raster.height_px)), axis=1)
+        ]
         return True
 
     def _search(self, raster: Raster) -> ScaleAnalysis:
@@ -195,7 +198,9 @@ def reduction_factor(gsd_m_per_px: float | None, width_px: int, height_px: int) 
     return factor
 
 
-def next_window(width_px: int, height_px: int, factor: int, turn: int, cars: NDArray[np.float64]) -> Window:
+def next_window(
+    width_px: int, height_px: int, factor: int, turn: int, cars: NDArray[np.float64]
+) -> Window:
     """Choose the window to search in a frame.
 
     Args:
@@ -206,13 +211,17 @@ def next_window(width_px: int, height_px: int, factor: int, turn: int, cars: NDA
         cars: ``[n, 2]`` centres of the cars of the last frames, pixels of this frame.
 
     Returns:
-        In pixels of the reduced frame: the window around the car with the most neighbours, or in every fourth turn and
-        without cars the next of all windows.
+        In pixels of the reduced frame: the window around the car with the most neighbours, or in
+        every fourth turn and without cars the next of all windows.
     """
     width, height = width_px // factor, height_px // factor
     side = min(WINDOW_PX, width), min(WINDOW_PX, height)
     if len(cars) and turn % _ELSEWHERE_EVERY:
-        corners = np.clip(np.rint(cars / factor - np.array(side) / 2), 0, np.array([width, height]) - np.array(side))
+        corners = np.clip(
+            np.rint(cars / factor - np.array(side) / 2),
+            0,
+            np.array([width, height]) - np.array(side),
+        )
         around = [Window(int(left), int(top), *side) for left, top in corners]
         return around[int(np.argmax([_inside(cars / factor, each) for each in around]))]
     lefts, tops = (

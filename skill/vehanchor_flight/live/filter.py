@@ -1,9 +1,9 @@
 """Kalman filter over the log of a camera's scale, as pure functions of a frozen state.
 
-The state is the natural log of metres per pixel. Features between frames predict it; the vehicles of a frame correct
-it. Frames of the same ground show the same cars: they repeat an error instead of averaging it. A measurement therefore
-counts by the new ground since the one before. The error of the reference length is common to the flight, and no number
-of frames reduces it.
+The state is the natural log of metres per pixel. Features between frames predict it; the vehicles
+of a frame correct it. Frames of the same ground show the same cars: they repeat an error instead of
+averaging it. A measurement therefore counts by the new ground since the one before. The error of
+the reference length is common to the flight, and no number of frames reduces it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ _LEAST_LOG_SD = 0.02  # of a measurement, beside the common error
 _GATE_SDS = 3.5  # a measurement further off contradicts the state
 _MOST_CONTRADICTIONS = 3  # in a row; then the state was wrong
 _MOST_LOG_ODDS = 4.0
-_CONTRADICTED = 0.5  # factor on the chance for each contradiction in a row: either may be right; a choice
+# factor on the chance for each contradiction in a row: either may be right; a choice
+_CONTRADICTED = 0.5
 
 
 class Measurement(NamedTuple):
@@ -110,7 +111,9 @@ class FilterState(NamedTuple):
 def started(measured: Measurement) -> FilterState:
     """Start the filter from one measurement."""
     variance = max(measured.log_sd, _LEAST_LOG_SD) ** 2
-    return FilterState(measured.log_gsd, variance, measured.common_log_sd, _log_odds(measured.chance), 1 / variance)
+    return FilterState(
+        measured.log_gsd, variance, measured.common_log_sd, _log_odds(measured.chance), 1 / variance
+    )
 
 
 def predicted(state: FilterState, seconds: float, motion: Motion | None) -> FilterState | None:
@@ -143,7 +146,8 @@ def predicted(state: FilterState, seconds: float, motion: Motion | None) -> Filt
 def corrected(state: FilterState | None, measured: Measurement) -> FilterState:
     """Correct the state by a measurement of the same frame.
 
-    A measurement that contradicts the state lowers the odds. After three in a row, the state starts anew from the last.
+    A measurement that contradicts the state lowers the odds. After three in a row, the state starts
+    anew from the last.
 
     Args:
         state: predicted; None starts the filter.
@@ -157,7 +161,8 @@ def corrected(state: FilterState | None, measured: Measurement) -> FilterState:
         if state.contradictions + 1 >= _MOST_CONTRADICTIONS:
             return started(measured)
         return state._replace(
-            contradictions=state.contradictions + 1, log_odds=state.log_odds - max(_log_odds(measured.chance), 0.0)
+            contradictions=state.contradictions + 1,
+            log_odds=state.log_odds - max(_log_odds(measured.chance), 0.0),
         )
     new = max(min(state.moved, 1.0), _SAME_GROUND)
     information = new / variance + (1 - new) * max(0.0, 1 / variance - state.information)

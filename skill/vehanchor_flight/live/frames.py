@@ -1,7 +1,7 @@
 """Frames of a running camera, a folder that fills, or a video. The newest frame wins: no queue grows.
 
-A source yields frames when it is asked for one, and counts those that newer ones replaced. Only a video gives every
-frame of its interval, however long each one takes.
+A source yields frames when it is asked for one, and counts those that newer ones replaced. Only a
+video gives every frame of its interval, however long each one takes.
 """
 
 from __future__ import annotations
@@ -65,7 +65,12 @@ class Camera(Protocol):
 
 
 def open_frames(
-    source: str, reading: Reading, *, every_s: float, idle_s: float | None, tell: Callable[[str], None]
+    source: str,
+    reading: Reading,
+    *,
+    every_s: float,
+    idle_s: float | None,
+    tell: Callable[[str], None],
 ) -> Iterator[Frame]:
     """Open a source of frames.
 
@@ -74,7 +79,8 @@ def open_frames(
         reading: how to read the images of a folder; its limits hold for a video, too.
         every_s: seconds between the frames of a video.
         idle_s: seconds without a new frame that end a folder or a camera; None for never.
-        tell: receives a sentence on each frame that cannot be read, and on each loss and return of the camera.
+        tell: receives a sentence on each frame that cannot be read, and on each loss and return of
+            the camera.
 
     Returns:
         The frames.
@@ -87,19 +93,29 @@ def open_frames(
     if idle_s is not None:
         EVERY_S.check("idle", idle_s)
     if source.isdecimal():
-        return camera_frames(lambda: _open_camera(int(source)), f"camera {int(source)}", idle_s=idle_s, tell=tell)
+        return camera_frames(
+            lambda: _open_camera(int(source)), f"camera {int(source)}", idle_s=idle_s, tell=tell
+        )
     if source and Path(source).is_dir():
         return folder_frames(Path(source), reading, idle_s=idle_s, tell=tell)
     if is_video(source):
         return (
-            Frame(taken.name, np.asarray(taken.image, np.uint8), number * every_s, time.monotonic(), 0)
+            Frame(
+                taken.name, np.asarray(taken.image, np.uint8), number * every_s, time.monotonic(), 0
+            )
             for number, taken in enumerate(sample_video(source, every_s, reading.limits))
         )
-    raise ImageNotFoundError(f"{source!r} is no source of frames: name a folder, a video, or the number of a camera")
+    raise ImageNotFoundError(
+        f"{source!r} is no source of frames: name a folder, a video, or the number of a camera"
+    )
 
 
 def folder_frames(
-    folder: Path, reading: Reading, *, idle_s: float | None = None, tell: Callable[[str], None] = print
+    folder: Path,
+    reading: Reading,
+    *,
+    idle_s: float | None = None,
+    tell: Callable[[str], None] = print,
 ) -> Generator[Frame, None, None]:
     """Watch a folder by polling, and yield its newest readable image whenever one was added or replaced.
 
@@ -116,7 +132,11 @@ def folder_frames(
     last = time.monotonic()
     while idle_s is None or time.monotonic() - last < idle_s:
         now = _listing(folder)
-        ready = [name for name, state in now.items() if before.get(name) == state and taken.get(name) != state]
+        ready = [
+            name
+            for name, state in now.items()
+            if before.get(name) == state and taken.get(name) != state
+        ]
         taken = {name: state for name, state in taken.items() if name in now}
         before = now
         if not ready:
@@ -161,7 +181,8 @@ def camera_frames(
     """Yield the newest frame of a camera; a thread reads it without a pause.
 
     Args:
-        open_camera: opens the camera; None if it cannot be opened now. It is called again after each loss.
+        open_camera: opens the camera; None if it cannot be opened now. It is called again after
+            each loss.
         name: of the camera.
         idle_s: seconds without a frame that end the source; None for never.
         tell: receives a sentence on each loss and return.
@@ -177,7 +198,9 @@ def camera_frames(
 class _Newest:
     """The newest frame of a camera, in one place that each frame overwrites."""
 
-    def __init__(self, open_camera: Callable[[], Camera | None], name: str, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self, open_camera: Callable[[], Camera | None], name: str, tell: Callable[[str], None]
+    ) -> None:
         self._open, self._name, self._tell = open_camera, name, tell
         self._frame: Frame | None = None
         self._changed, self._ended = threading.Condition(), threading.Event()

@@ -1,7 +1,7 @@
 """Models of COLMAP, text and binary: cameras, images and points3D.
 
-The layouts are those of https://colmap.github.io/format.html. Rigs and frames, which newer versions add, are not read;
-COLMAP makes them anew from a model without them.
+The layouts are those of https://colmap.github.io/format.html. Rigs and frames, which newer versions
+add, are not read; COLMAP makes them anew from a model without them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,10 @@ _NAMES = {model.number: name for name, model in _MODELS.items()}
 
 def is_colmap(folder: Path) -> bool:
     """Tell whether a folder holds a model of COLMAP."""
-    return any(all((folder / f"{name}{suffix}").is_file() for name in _FILES) for suffix in (".txt", ".bin"))
+    return any(
+        all((folder / f"{name}{suffix}").is_file() for name in _FILES)
+        for suffix in (".txt", ".bin")
+    )
 
 
 def read_colmap(folder: Path) -> Reconstruction:
@@ -64,20 +67,29 @@ def read_colmap(folder: Path) -> Reconstruction:
     try:
         if text:
             lenses = dict(map(_text_camera, _rows(folder / "cameras.txt")))
-            rows = list(_rows(folder / "images.txt", points=True))[::2]  # the others hold the points of an image
+            # the others hold the points of an image
+            rows = list(_rows(folder / "images.txt", points=True))[::2]
             shots = tuple(_text_shot(row, lenses) for row in rows if row.strip())
-            points = np.array([row.split()[1:4] for row in _rows(folder / "points3D.txt")], np.float64)
+            points = np.array(
+                [row.split()[1:4] for row in _rows(folder / "points3D.txt")], np.float64
+            )
         else:
             lenses = _binary_cameras(_bytes(folder / "cameras.bin"))
             images = _bytes(folder / "images.bin")
             shots = tuple(_binary_shot(images, at, lenses) for at in _image_offsets(images))
             found = _bytes(folder / "points3D.bin")
-            points = np.array([_POINT.unpack_from(found, at)[1:4] for at in _point_offsets(found)], np.float64)
+            points = np.array(
+                [_POINT.unpack_from(found, at)[1:4] for at in _point_offsets(found)], np.float64
+            )
     except (ValueError, IndexError, KeyError, struct.error, OverflowError) as error:
         if isinstance(error, ReconstructionError):
             raise
-        raise ReconstructionError(f"{str(folder)!r} is not a whole model of COLMAP: {error!r}") from None
-    return Reconstruction("colmap_text" if text else "colmap_binary", folder, shots, points.reshape(-1, 3))
+        raise ReconstructionError(
+            f"{str(folder)!r} is not a whole model of COLMAP: {error!r}"
+        ) from None
+    return Reconstruction(
+        "colmap_text" if text else "colmap_binary", folder, shots, points.reshape(-1, 3)
+    )
 
 
 def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
@@ -130,7 +142,9 @@ def _rows(path: Path, *, points: bool = False) -> Iterator[str]:
 
 def _text_camera(row: str) -> tuple[int, Lens]:
     number, kind, width, height, *parameters = row.split()
-    return int(number), _lens(kind, float(width), float(height), [float(each) for each in parameters])
+    return int(number), _lens(
+        kind, float(width), float(height), [float(each) for each in parameters]
+    )
 
 
 def _text_shot(row: str, lenses: dict[int, Lens]) -> Shot:
@@ -147,24 +161,41 @@ def _binary_cameras(found: bytearray) -> dict[int, Lens]:
         at += 24
         name = _NAMES.get(kind, f"number {kind}")
         n_parameters = _supported(name).n_parameters
-        lenses[number] = _lens(name, width, height, struct.unpack_from(f"<{n_parameters}d", found, at))
+        lenses[number] = _lens(
+            name, width, height, struct.unpack_from(f"<{n_parameters}d", found, at)
+        )
         at += 8 * n_parameters
     return lenses
 
 
 def _supported(kind: str) -> _CameraModel:
     if kind not in _MODELS:
-        raise ReconstructionError(f"a camera has COLMAP's model {kind}: supported are {', '.join(_MODELS)}")
+        raise ReconstructionError(
+            f"a camera has COLMAP's model {kind}: supported are {', '.join(_MODELS)}"
+        )
     return _MODELS[kind]
 
 
 def _lens(kind: str, width: float, height: float, parameters: Sequence[float]) -> Lens:
     _, n_focals, n_parameters = _supported(kind)
-    if len(parameters) != n_parameters or not all(np.isfinite(parameters)) or min(parameters[:n_focals]) <= 0:
+    if (
+        len(parameters) != n_parameters
+        or not all(np.isfinite(parameters))
+        or min(parameters[:n_focals]) <= 0
+    ):
         raise ValueError(f"parameters of a camera {kind}: {parameters}")
     focal_x, focal_y = parameters[0], parameters[n_focals - 1]
     centre_x, centre_y, *distortion = parameters[n_focals:]
-    return Lens(width, height, focal_x, focal_y, centre_x, centre_y, tuple(distortion), kind.endswith("FISHEYE"))
+    return Lens(
+        width,
+        height,
+        focal_x,
+        focal_y,
+        centre_x,
+        centre_y,
+        tuple(distortion),
+        kind.endswith("FISHEYE"),
+    )
 
 
 def _image_offsets(found: bytearray) -> Iterator[int]:
@@ -202,7 +233,9 @@ def _shot(name: str, lens: Lens, pose: Sequence[float]) -> Shot:
     if not np.isfinite(pose).all():
         raise ValueError(f"the pose of {name!r} is {pose}")
     w, *axis = pose[:4]
-    return Shot(name, lens, Rotation.from_quat([*axis, w]).as_matrix(), np.array(pose[4:], dtype=np.float64))
+    return Shot(
+        name, lens, Rotation.from_quat([*axis, w]).as_matrix(), np.array(pose[4:], dtype=np.float64)
+    )
 
 
 def _scaled_text(path: Path, first: int, factor: float, every: int = 1) -> bytes:
@@ -212,16 +245,22 @@ def _scaled_text(path: Path, first: int, factor: float, every: int = 1) -> bytes
         if not row.startswith("#"):
             if number % every == 0 and row.strip():
                 cells = row.split(maxsplit=first + 3)
-                cells[first : first + 3] = [repr(float(cell) * factor) for cell in cells[first : first + 3]]
+                cells[first : first + 3] = [
+                    repr(float(cell) * factor) for cell in cells[first : first + 3]
+                ]
                 row = " ".join(cells)
             number += 1
         rows.append(row)
     return ("\n".join(rows) + "\n").encode()
 
 
-def _scaled_binary(path: Path, offsets: Callable[[bytearray], Iterator[int]], first: int, factor: float) -> bytearray:
+def _scaled_binary(
+    path: Path, offsets: Callable[[bytearray], Iterator[int]], first: int, factor: float
+) -> bytearray:
     """Scale three numbers of every entry, ``first`` bytes after its beginning."""
     found = _bytes(path)
     for at in offsets(found):
-        _THREE.pack_into(found, at + first, *(factor * each for each in _THREE.unpack_from(found, at + first)))
+        _THREE.pack_into(
+            found, at + first, *(factor * each for each in _THREE.unpack_from(found, at + first))
+        )
     return found

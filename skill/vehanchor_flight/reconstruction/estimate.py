@@ -32,11 +32,15 @@ if TYPE_CHECKING:
     from vehanchor_flight.photograph import StoredPhotograph
     from vehanchor_flight.reconstruction.model import Reconstruction
 
-_WIDEST_USED = 2.0  # largest ratio of the ends of a photograph's interval, with which it carries the factor
-_OWN_UNITS = 1.5  # a factor beyond this, or below its inverse, means that the model is not in metres
+# largest ratio of the ends of a photograph's interval, with which it carries the factor
+_WIDEST_USED = 2.0
+# a factor beyond this, or below its inverse, means that the model is not in metres
+_OWN_UNITS = 1.5
 
 
-def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Failure], images: Path) -> ModelScale:
+def conclude_model(
+    model: Reconstruction, results: Sequence[SeenPhotograph | Failure], images: Path
+) -> ModelScale:
     """Make the record of searched photographs.
 
     Raises:
@@ -50,7 +54,10 @@ def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Fai
     gsd = seen[chief].sight.gsd
     pooled = pool(members, np.log([each.sight.gsd for each in seen]), chief).estimate
     factors = _factors(pooled, gsd)
-    photographs = [_failed(each) if isinstance(each, Failure) else _photograph(each, factors) for each in results]
+    photographs = [
+        _failed(each) if isinstance(each, Failure) else _photograph(each, factors)
+        for each in results
+    ]
     return ModelScale(
         status=pooled.status,
         source=model.kind,
@@ -72,7 +79,8 @@ def _parts_notice(model: Reconstruction) -> list[Notice]:
     if model.n_parts == 1:
         return []
     message = (
-        f"The model has {model.n_parts} parts that are not connected, each with a size of its own. This factor is that "
+        f"The model has {model.n_parts} parts that are not connected, each with a size of its "
+        "own. This factor is that "
         "of the largest part."
     )
     return [Notice(code=NoticeCode.NOT_LINKED, message=message)]
@@ -131,7 +139,11 @@ def model_sha256(model: Reconstruction) -> str:
     """Compute the checksum of a model; in a journal, results of another model count as other options."""
     digest = hashlib.sha256(model.points.tobytes())
     for shot in model.shots:
-        digest.update(f"{shot.name} {shot.lens}".encode() + shot.rotation.tobytes() + shot.translation.tobytes())
+        digest.update(
+            f"{shot.name} {shot.lens}".encode()
+            + shot.rotation.tobytes()
+            + shot.translation.tobytes()
+        )
     return digest.hexdigest()
 
 
@@ -143,7 +155,9 @@ def _inside(name: str) -> str:
     """
     path = PurePosixPath(name)
     if not path.parts or path.is_absolute() or ".." in path.parts or "\\" in name or "\0" in name:
-        raise ReconstructionError(f"the model names a photograph {name!r}: names must be relative to one folder")
+        raise ReconstructionError(
+            f"the model names a photograph {name!r}: names must be relative to one folder"
+        )
     return name
 
 
@@ -151,7 +165,8 @@ def _nothing_usable(failures: Sequence[Failure], images: Path) -> VehAnchorError
     """Choose the error of a model without a usable photograph."""
     if failures and all(isinstance(each.error, ImageNotFoundError) for each in failures):
         return ReconstructionError(
-            f"no photograph of the model, such as {failures[0].name!r}, is in {str(images)!r}: name their folder "
+            f"no photograph of the model, such as {failures[0].name!r}, is in {str(images)!r}: "
+            "name their folder "
             "with --images"
         )
     return failures[0].error if failures else ReconstructionError("the model has no photographs")
@@ -193,7 +208,9 @@ def _photograph(seen: SeenPhotograph, whole: dict[str, Any]) -> ModelPhotograph:
     )
 
 
-def _status(own: dict[str, Any], whole: dict[str, Any]) -> Literal["used", "unclear", "outlier", "nothing"]:
+def _status(
+    own: dict[str, Any], whole: dict[str, Any]
+) -> Literal["used", "unclear", "outlier", "nothing"]:
     """Compare a photograph's own factor with that of the model."""
     if None in (own["factor"], whole["factor"]):
         return "nothing"
@@ -205,7 +222,10 @@ def _status(own: dict[str, Any], whole: dict[str, Any]) -> Literal["used", "uncl
 
 def _failed(failure: Failure) -> ModelPhotograph:
     return ModelPhotograph(
-        photograph=failure.name, status="error", error_code=failure.error.code, error=str(failure.error)
+        photograph=failure.name,
+        status="error",
+        error_code=failure.error.code,
+        error=str(failure.error),
     )
 
 

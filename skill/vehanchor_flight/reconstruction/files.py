@@ -37,12 +37,18 @@ def read_model(path: str | os.PathLike[str]) -> Reconstruction:
         ReconstructionError: there is no model, or it is damaged.
     """
     given = Path(path)
-    files = [each for each in (given, *map(given.joinpath, _JSON)) if each.suffix.lower() == ".json" and each.is_file()]
+    files = [
+        each
+        for each in (given, *map(given.joinpath, _JSON))
+        if each.suffix.lower() == ".json" and each.is_file()
+    ]
     found = next(iter([*files, *filter(is_colmap, map(given.joinpath, _COLMAP))]), None)
     if found is None:
         raise ReconstructionError(
-            f"there is no reconstruction in {str(path)!r}: name a reconstruction.json of OpenSfM or OpenDroneMap, or a "
-            "folder with COLMAP's cameras, images and points3D; an orthophoto goes to 'vehanchor estimate --geotiff'"
+            f"there is no reconstruction in {str(path)!r}: name a reconstruction.json of "
+            "OpenSfM or OpenDroneMap, or a "
+            "folder with COLMAP's cameras, images and points3D; an orthophoto goes to "
+            "'vehanchor estimate --geotiff'"
         )
     model = read_opensfm(found) if found.suffix.lower() == ".json" else read_colmap(found)
     if not model.shots:
@@ -61,7 +67,8 @@ def images_of(model: Reconstruction) -> Path:
         if any((folder / shot.name).is_file() for shot in model.shots):
             return folder
     raise ReconstructionError(
-        f"no photograph of the model, as {model.shots[0].name!r}, is near {str(base)!r}: name their folder with "
+        f"no photograph of the model, as {model.shots[0].name!r}, is near {str(base)!r}: name "
+        "their folder with "
         "--images"
     )
 
@@ -96,7 +103,9 @@ def check_project_path(target: Path) -> None:
         OutputError: the folder above it does not exist, or it is not empty.
     """
     if not target.parent.is_dir() or (target.exists() and not target.is_dir()):
-        raise OutputError(f"cannot write a project to {str(target)!r}: name a new folder in a folder that exists")
+        raise OutputError(
+            f"cannot write a project to {str(target)!r}: name a new folder in a folder that exists"
+        )
     if target.is_dir() and any(target.iterdir()):
         raise OutputError(f"{str(target)!r} is not empty: name a new folder")
 
@@ -110,14 +119,19 @@ def write_geo(path: Path, model: Reconstruction, factor: float) -> None:
         factor: metres per unit. The positions are scaled about their mean, which stays where it is.
 
     Raises:
-        ReconstructionError: the model has no origin on Earth, or its photographs' names have spaces.
+        ReconstructionError: the model has no origin on Earth, or its photographs' names have
+            spaces.
         OutputError: the file cannot be written.
     """
     if model.origin is None:
-        raise ReconstructionError("the model has no position on Earth (reference_lla), and geo.txt needs one")
+        raise ReconstructionError(
+            "the model has no position on Earth (reference_lla), and geo.txt needs one"
+        )
     spaced = [shot.name for shot in model.shots if any(letter.isspace() for letter in shot.name)]
     if spaced:
-        raise ReconstructionError(f"geo.txt separates columns by spaces, and the photograph {spaced[0]!r} has one")
+        raise ReconstructionError(
+            f"geo.txt separates columns by spaces, and the photograph {spaced[0]!r} has one"
+        )
     centres = np.array([shot.centre for shot in model.shots])
     mean = centres.mean(axis=0)
     places = on_earth(mean + factor * (centres - mean), model.origin)
@@ -129,7 +143,9 @@ def write_geo(path: Path, model: Reconstruction, factor: float) -> None:
         partial.write_text("\n".join(["EPSG:4326", *rows, ""]), encoding="utf-8")
 
 
-def on_earth(points: NDArray[np.float64], origin: tuple[float, float, float]) -> NDArray[np.float64]:
+def on_earth(
+    points: NDArray[np.float64], origin: tuple[float, float, float]
+) -> NDArray[np.float64]:
     """Convert local metres to latitude, longitude and altitude on WGS 84.
 
     Args:
@@ -151,5 +167,9 @@ def on_earth(points: NDArray[np.float64], origin: tuple[float, float, float]) ->
         primes = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
         latitude = np.arctan2(z + squared * primes * np.sin(latitude), across)
     primes = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
-    altitude = across * np.cos(latitude) + (z + squared * primes * np.sin(latitude)) * np.sin(latitude) - primes
+    altitude = (
+        across * np.cos(latitude)
+        + (z + squared * primes * np.sin(latitude)) * np.sin(latitude)
+        - primes
+    )
     return np.column_stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), altitude])

@@ -24,8 +24,10 @@ _MOST_DESCENTS = 8  # from one roof to a lower one
 _SEED = 5
 _LEAST_CROSS = 1e-12  # three points in a line
 _THICKNESS = 0.015  # of the ground, as a share of the cameras' height above it
-_LOWER_SHARE = 0.2  # a plane below another is the ground if it has this share of its points: roofs are planes too
-_WHOLE_SHARE = 0.6  # the model's plane holds for a picture in which it has this share of the points of the own plane
+# a plane below another is the ground if it has this share of its points: roofs are planes too
+_LOWER_SHARE = 0.2
+# the model's plane holds for a picture in which it has this share of the points of the own plane
+_WHOLE_SHARE = 0.6
 _STEEPEST = 0.26  # slope of the ground below one shot against that of the whole model: 15 degrees
 _NEAREST = 12  # points around an object
 _AROUND = 0.25  # they lie no farther away than this share of the camera's height
@@ -63,7 +65,8 @@ def model_plane(model: Reconstruction) -> Plane:
     points = _thinned(model.points[np.isfinite(model.points).all(axis=1)])
     if len(points) < _LEAST_POINTS:
         raise ReconstructionError(
-            f"the model has {count(len(points), 'point')}, too few for its ground: give the whole project"
+            f"the model has {count(len(points), 'point')}, too few for its ground: give the "
+            "whole project"
         )
     distance = float(np.median(np.linalg.norm(points - np.median(centres, axis=0), axis=1)))
     thickness = _THICKNESS * distance
@@ -80,7 +83,8 @@ def plane_below(shot: Shot, points: NDArray[np.float64], whole: Plane) -> Plane:
         whole: plane of the model.
 
     Returns:
-        The plane of the model if it holds here, or if the picture has too few points; else the fitted one.
+        The plane of the model if it holds here, or if the picture has too few points; else the
+        fitted one.
 
     Raises:
         ReconstructionError: the camera is not above the ground.
@@ -116,7 +120,9 @@ def local_heights(
         return heights
     above = plane.heights(points)
     feet = points - above[:, None] * plane.normal
-    apart, near = cKDTree(feet).query(places - plane.heights(places)[:, None] * plane.normal, k=_NEAREST)
+    apart, near = cKDTree(feet).query(
+        places - plane.heights(places)[:, None] * plane.normal, k=_NEAREST
+    )
     close = apart[:, -1] <= _AROUND * camera_height
     heights[close] = np.quantile(above[near[close]], _LOW, axis=1)
     return heights
@@ -125,7 +131,8 @@ def local_heights(
 def _lowest(plane: Plane, points: NDArray[np.float64], thickness: float, whole: Plane) -> Plane:
     """Descend from a plane of roofs to the ground: the lowest plane with enough points.
 
-    Lower means lower in the middle of the points: the two slopes of a hill would take turns for ever.
+    Lower means lower in the middle of the points: the two slopes of a hill would take turns for
+    ever.
     """
     least = max(_LEAST_POINTS, _LOWER_SHARE * _support(plane, points, thickness))
     middle = np.median(points, axis=0)
@@ -134,7 +141,9 @@ def _lowest(plane: Plane, points: NDArray[np.float64], thickness: float, whole: 
         if len(points) < least:
             break
         found = _most_common(points, thickness, whole)
-        if _support(found, points, thickness) < least or found.below(middle, whole) <= plane.below(middle, whole):
+        if _support(found, points, thickness) < least or found.below(middle, whole) <= plane.below(
+            middle, whole
+        ):
             break
         plane = found
     return plane
@@ -153,14 +162,16 @@ def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return points[:: -(-len(points) // _MOST_POINTS) or 1]
 
 
-def _most_common(points: NDArray[np.float64], thickness: float, whole: Plane | None = None) -> Plane:
+def _most_common(
+    points: NDArray[np.float64], thickness: float, whole: Plane | None = None
+) -> Plane:
     """Find the plane with most points within its thickness; a least-squares fit to them follows.
 
     Args:
         points: ``[n, 3]``, at least three.
         thickness: half of the plane's thickness.
-        whole: plane whose normal the found one has, within 15 degrees: a house has faces, and the fit to a thin strip
-            of one would be the face; None for any normal.
+        whole: plane whose normal the found one has, within 15 degrees: a house has faces, and the
+            fit to a thin strip of one would be the face; None for any normal.
     """
     rng = np.random.default_rng(_SEED)
     steepest = 0.0 if whole is None else math.cos(math.atan(_STEEPEST))
@@ -169,13 +180,16 @@ def _most_common(points: NDArray[np.float64], thickness: float, whole: Plane | N
         a, b, c = points[rng.choice(len(points), 3, replace=False)]
         normal = np.cross(b - a, c - a)
         size = float(np.linalg.norm(normal))
-        if size < _LEAST_CROSS or (whole is not None and abs(normal @ whole.normal) < steepest * size):
+        if size < _LEAST_CROSS or (
+            whole is not None and abs(normal @ whole.normal) < steepest * size
+        ):
             continue
         normal /= size
         inside = np.abs((points - a) @ normal) <= thickness
         if int(inside.sum()) > most:
             best, most, tried = inside, int(inside.sum()), normal
-    if whole is not None and most == 0:  # no slope fits: as steep as the model, at the middle height
+    # no slope fits: as steep as the model, at the middle height
+    if whole is not None and most == 0:
         return Plane(whole.normal, whole.offset + float(np.median(whole.heights(points))))
     centre = points[best].mean(axis=0)
     normal = np.linalg.svd(points[best] - centre, full_matrices=False)[2][2]

@@ -1,7 +1,8 @@
 """A reconstruction in its own units: lenses, shots and points.
 
-Camera frames are those of OpenCV: x to the right, y to the lower side, z along the axis. A point X of the model is at
-``rotation X + translation`` in the frame of a shot. Pixels have their origin at the upper left corner of the image.
+Camera frames are those of OpenCV: x to the right, y to the lower side, z along the axis. A point X
+of the model is at ``rotation X + translation`` in the frame of a shot. Pixels have their origin at
+the upper left corner of the image.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class Lens:
         focal_y_px: focal length down.
         centre_x_px: principal point, from the left side.
         centre_y_px: principal point, from the upper side.
-        distortion: coefficients in the order of OpenCV: k1, k2, p1, p2, k3 ..., or k1 to k4 of a fisheye.
+        distortion: coefficients in the order of OpenCV: k1, k2, p1, p2, k3 ..., or k1 to k4 of a
+            fisheye.
         fisheye: whether the lens is a fisheye.
     """
 
@@ -62,8 +64,10 @@ class Lens:
         across, down = width_px / self.width_px, height_px / self.height_px
         if abs(across / down - 1) > _ASPECT_TOLERANCE:
             raise ReconstructionError(
-                f"the photograph has {width_px} x {height_px} px, and its camera in the model {self.width_px:g} x "
-                f"{self.height_px:g}: give the photographs from which the model was made, neither cropped nor turned"
+                f"the photograph has {width_px} x {height_px} px, and its camera in the model "
+                f"{self.width_px:g} x "
+                f"{self.height_px:g}: give the photographs from which the model was made, "
+                "neither cropped nor turned"
             )
         return replace(
             self,
@@ -82,23 +86,32 @@ class Lens:
             points: ``[n, 2]`` x, y in pixels.
 
         Returns:
-            ``[n, 3]`` in the camera's frame, with z = 1; not finite beyond the reach of the lens model.
+            ``[n, 3]`` in the camera's frame, with z = 1; not finite beyond the reach of the lens
+            model.
         """
         places = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         matrix = np.array(
-            [[self.focal_x_px, 0, self.centre_x_px], [0, self.focal_y_px, self.centre_y_px], [0, 0, 1]], np.float64
+            [
+                [self.focal_x_px, 0, self.centre_x_px],
+                [0, self.focal_y_px, self.centre_y_px],
+                [0, 0, 1],
+            ],
+            np.float64,
         )
         plain: NDArray[np.float64] = (places - matrix[:2, 2]) / [self.focal_x_px, self.focal_y_px]
         if len(places) and (self.fisheye or any(self.distortion)):
             undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
-            given = np.array(self.distortion + (0.0,) * (4 - len(self.distortion)))  # OpenCV takes four at least
+            # OpenCV takes four at least
+            given = np.array(self.distortion + (0.0,) * (4 - len(self.distortion)))
             plain = np.asarray(undistort(places[:, None], matrix, given), np.float64).reshape(-1, 2)
         return np.column_stack([plain, np.ones(len(plain))])
 
     def ideal(self, points: ArrayLike) -> NDArray[np.float64]:
         """Convert pixels to those of a pinhole camera of the same size and focal length, ``[n, 2]``."""
         return np.asarray(
-            self.directions(points)[:, :2] * self.focal_px + [self.width_px / 2, self.height_px / 2], dtype=np.float64
+            self.directions(points)[:, :2] * self.focal_px
+            + [self.width_px / 2, self.height_px / 2],
+            dtype=np.float64,
         )
 
 
@@ -134,7 +147,12 @@ class Shot:
         depth = np.where(ahead, z, 1.0)
         across = self.lens.focal_x_px * x / depth + self.lens.centre_x_px
         down = self.lens.focal_y_px * y / depth + self.lens.centre_y_px
-        inside = (across >= 0) & (across <= self.lens.width_px) & (down >= 0) & (down <= self.lens.height_px)
+        inside = (
+            (across >= 0)
+            & (across <= self.lens.width_px)
+            & (down >= 0)
+            & (down <= self.lens.height_px)
+        )
         return np.asarray(ahead & inside)
 
 
@@ -148,8 +166,8 @@ class Reconstruction:
         shots: photographs with their poses.
         points: ``[n, 3]`` float64, model units.
         n_parts: connected parts in the files; each has its own scale.
-        origin: latitude, longitude (degrees) and altitude (metres) of the model's origin, whose axes then point to the
-            east, to the north and up; None if unknown.
+        origin: latitude, longitude (degrees) and altitude (metres) of the model's origin, whose
+            axes then point to the east, to the north and up; None if unknown.
     """
 
     kind: ModelSource

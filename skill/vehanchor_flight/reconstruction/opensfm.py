@@ -35,21 +35,35 @@ def read_opensfm(path: Path) -> Reconstruction:
     """Read the largest part of a ``reconstruction.json``.
 
     Raises:
-        ReconstructionError: the file is damaged, is no reconstruction, or has an unsupported camera.
+        ReconstructionError: the file is damaged, is no reconstruction, or has an unsupported
+            camera.
     """
     parts = _parts(path)
     part = max(parts, key=lambda each: len(each["shots"]))
     try:
         lenses = {name: _lens(camera) for name, camera in part["cameras"].items()}
         shots = tuple(
-            Shot(name, lenses[shot["camera"]], _rotation(shot["rotation"]), _vector(shot["translation"]))
+            Shot(
+                name,
+                lenses[shot["camera"]],
+                _rotation(shot["rotation"]),
+                _vector(shot["translation"]),
+            )
             for name, shot in part["shots"].items()
         )
-        points = np.array([point["coordinates"] for point in part.get("points", {}).values()], np.float64)
+        points = np.array(
+            [point["coordinates"] for point in part.get("points", {}).values()], np.float64
+        )
         at = part.get("reference_lla")
-        origin = None if not at else (float(at["latitude"]), float(at["longitude"]), float(at["altitude"]))
+        origin = (
+            None
+            if not at
+            else (float(at["latitude"]), float(at["longitude"]), float(at["altitude"]))
+        )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ReconstructionError(f"{str(path)!r} is not a whole reconstruction of OpenSfM: {error!r}") from None
+        raise ReconstructionError(
+            f"{str(path)!r} is not a whole reconstruction of OpenSfM: {error!r}"
+        ) from None
     return Reconstruction("opensfm", path, shots, points.reshape(-1, 3), len(parts), origin)
 
 
@@ -88,18 +102,26 @@ def _parts(path: Path) -> list[dict[str, Any]]:
             raise ReconstructionError(f"{str(path)!r} is larger than {_MOST_BYTES >> 30} GiB")
         parts = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
-        raise ReconstructionError(f"cannot read the reconstruction {str(path)!r}: {error}") from None
+        raise ReconstructionError(
+            f"cannot read the reconstruction {str(path)!r}: {error}"
+        ) from None
     if not isinstance(parts, list) or not parts:
-        raise ReconstructionError(f"{str(path)!r} is not a reconstruction of OpenSfM, which is a list of its parts")
+        raise ReconstructionError(
+            f"{str(path)!r} is not a reconstruction of OpenSfM, which is a list of its parts"
+        )
     if not all(isinstance(part, dict) and isinstance(part.get("shots"), dict) for part in parts):
-        raise ReconstructionError(f"{str(path)!r} is not a reconstruction of OpenSfM: a part has no shots")
+        raise ReconstructionError(
+            f"{str(path)!r} is not a reconstruction of OpenSfM: a part has no shots"
+        )
     return parts
 
 
 def _lens(camera: Mapping[str, Any]) -> Lens:
     kind = camera.get("projection_type", "perspective")
     if kind not in _DISTORTIONS:
-        raise ReconstructionError(f"the camera is of type {kind!r}: supported are {', '.join(_DISTORTIONS)}")
+        raise ReconstructionError(
+            f"the camera is of type {kind!r}: supported are {', '.join(_DISTORTIONS)}"
+        )
     width, height = float(camera["width"]), float(camera["height"])
     side = max(width, height)
     focal_x = float(camera.get("focal_x", camera.get("focal", 0)))

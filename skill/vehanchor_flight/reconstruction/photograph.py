@@ -1,7 +1,7 @@
 """A photograph of a model: what its rulers measure, in pixels of its centre and in model units.
 
-The plane below a shot comes from the model, so that neither tilt nor lens changes a length. Cars that several
-photographs show count once, with the mean of their lengths.
+The plane below a shot comes from the model, so that neither tilt nor lens changes a length. Cars
+that several photographs show count once, with the mean of their lengths.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ class Sight(NamedTuple):
     tilt: CameraTilt
 
     @classmethod
-    def of(cls, shot: Shot, points: NDArray[np.float64], whole: Plane, size: tuple[int, int]) -> Sight:
+    def of(
+        cls, shot: Shot, points: NDArray[np.float64], whole: Plane, size: tuple[int, int]
+    ) -> Sight:
         """Fit the plane below a shot.
 
         Args:
@@ -69,7 +71,8 @@ class Sight(NamedTuple):
             size: width and height of the photograph, pixels.
 
         Raises:
-            ReconstructionError: the photograph is not that of the shot, or the camera is not above the ground.
+            ReconstructionError: the photograph is not that of the shot, or the camera is not above
+                the ground.
         """
         shot = replace(shot, lens=shot.lens.of_size(*size))
         plane = plane_below(shot, points, whole)
@@ -77,7 +80,9 @@ class Sight(NamedTuple):
         tilt = math.degrees(math.acos(min(1.0, max(-1.0, float(down[2])))))
         roll = math.degrees(math.atan2(-down[0], down[1])) % 360
         height = float(plane.heights(shot.centre[None])[0])
-        return cls(shot, plane, height, CameraTilt(tilt, roll, shot.lens.focal_px, "the reconstruction"))
+        return cls(
+            shot, plane, height, CameraTilt(tilt, roll, shot.lens.focal_px, "the reconstruction")
+        )
 
     @property
     def tilted(self) -> bool:
@@ -90,7 +95,9 @@ class Sight(NamedTuple):
         cosine = max(math.cos(math.radians(self.tilt.tilt_deg)), LEAST_DESCENT)
         return float(self.height / self.shot.lens.focal_px / cosine**1.5)
 
-    def on_ground(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def on_ground(
+        self, points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Project pixels ``[n, 2]`` to the plane.
 
         Returns:
@@ -109,8 +116,8 @@ class SeenPhotograph:
 
     Attributes:
         name: of its shot.
-        view: input of the rulers, without pixels. Its boxes have lengths and widths on the ground, in pixels of the
-            photograph's centre.
+        view: input of the rulers, without pixels. Its boxes have lengths and widths on the ground,
+            in pixels of the photograph's centre.
         others: evidence of the rulers beside vehicles, at the photograph's centre.
         sight: the shot above its ground.
         places: ``[n, 3]`` positions of the boxes, model units.
@@ -135,16 +142,26 @@ class SeenPhotograph:
         """Project a search result to the ground; arguments as in ``search_photograph``.
 
         Raises:
-            ReconstructionError: the photograph is not that of the shot, or the camera is not above the ground.
+            ReconstructionError: the photograph is not that of the shot, or the camera is not above
+                the ground.
         """
         sight = Sight.of(shot, points, whole, (kept.image.width_px, kept.image.height_px))
         detections, places = _on_ground(kept.detections, sight, points)
-        view = View(kept.image, detections, card, options, lambda _centres, _scale: kept.resolved, prior=kept.prior)
+        view = View(
+            kept.image,
+            detections,
+            card,
+            options,
+            lambda _centres, _scale: kept.resolved,
+            prior=kept.prior,
+        )
         return cls(shot.name, view, kept.others or (), sight, places)
 
     def alone(self) -> Photograph:
         """Analyse the photograph by itself."""
-        return self.photograph(np.ones(len(self.places), dtype=bool), self.view.detections.boxes[:, 2])
+        return self.photograph(
+            np.ones(len(self.places), dtype=bool), self.view.detections.boxes[:, 2]
+        )
 
     def photograph(self, kept: NDArray[np.bool_], lengths: NDArray[np.float64]) -> Photograph:
         """Analyse a choice of the boxes.
@@ -158,7 +175,12 @@ class SeenPhotograph:
 
 
 def search_photograph(
-    image: Path, shot: Shot, points: NDArray[np.float64], whole: Plane, detector: Detector, options: ScaleOptions
+    image: Path,
+    shot: Shot,
+    points: NDArray[np.float64],
+    whole: Plane,
+    detector: Detector,
+    options: ScaleOptions,
 ) -> StoredPhotograph:
     """Search a photograph; the rulers beside vehicles measure on the model's ground.
 
@@ -171,7 +193,8 @@ def search_photograph(
         options: of the method, without metadata.
 
     Returns:
-        The boxes in pixels of the photograph, and evidence at its centre. Neither depends on the model's size.
+        The boxes in pixels of the photograph, and evidence at its centre. Neither depends on the
+        model's size.
 
     Raises:
         ImageError: the photograph cannot be read.
@@ -238,13 +261,17 @@ def _on_ground(
         (one, good), (other, well) = sight.on_ground(first), sight.on_ground(second)
         sides.append(np.linalg.norm(one - other, axis=1))
         steep &= good & well
-    steep &= np.isfinite(np.column_stack([places, *sides])).all(axis=1) & (sides[0] > 0) & (sides[1] > 0)
+    steep &= (
+        np.isfinite(np.column_stack([places, *sides])).all(axis=1) & (sides[0] > 0) & (sides[1] > 0)
+    )
     lengths, widths = sides[0][steep], sides[1][steep]
     if sight.tilted:
         lengths = length_off_nadir(lengths, widths, bodies=detections.looks is not None)
     centre, nearer = sight.shot.centre, np.ones((len(lengths), 1))
     for _ in range(_DESCENTS):
-        heights = local_heights(centre + nearer * (places[steep] - centre), points, sight.plane, sight.height)
+        heights = local_heights(
+            centre + nearer * (places[steep] - centre), points, sight.plane, sight.height
+        )
         nearer = np.clip(1 - heights[:, None] / sight.height, 1 - _MOST_RELIEF, 1 + _MOST_RELIEF)
     measured = boxes.copy()
     measured[steep, 2:4] = np.column_stack([lengths, widths]) * nearer / sight.gsd
@@ -252,7 +279,9 @@ def _on_ground(
     return kept, centre + nearer * (places[steep] - centre)
 
 
-def _taken(detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.float64]) -> Detections:
+def _taken(
+    detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.float64]
+) -> Detections:
     """Select boxes ``[n]`` and replace their lengths."""
     boxes, looks = detections.boxes.copy(), detections.looks
     boxes[:, 2] = lengths

@@ -41,7 +41,9 @@ class Pose(NamedTuple):
         """From metres east, north and up to the camera's frame."""
         tilt, yaw = np.radians([self.tilt_deg, self.yaw_deg])
         nadir = np.diag([1.0, -1.0, -1.0])
-        lean = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]])
+        lean = np.array(
+            [[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]]
+        )
         turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
         return np.asarray(lean @ nadir @ turn)
 
@@ -54,37 +56,48 @@ class Pose(NamedTuple):
         """Photograph of a picture of the ground, seen through a pinhole."""
         matrix = np.array([[FOCAL_PX, 0, WIDTH_PX / 2], [0, FOCAL_PX, HEIGHT_PX / 2], [0, 0, 1]])
         plane = np.column_stack([self.rotation[:, :2], self.translation])
-        centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # OpenCV counts from the centre of the first pixel
+        # OpenCV counts from the centre of the first pixel
+        centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
         pixels = np.diag([gsd_m_per_px, -gsd_m_per_px, 1.0])
         seen = np.linalg.inv(centre) @ matrix @ plane @ pixels @ centre
         return np.asarray(
-            cv2.warpPerspective(ground, seen, (WIDTH_PX, HEIGHT_PX), flags=cv2.INTER_LINEAR), dtype=np.uint8
+            cv2.warpPerspective(ground, seen, (WIDTH_PX, HEIGHT_PX), flags=cv2.INTER_LINEAR),
+            dtype=np.uint8,
         )
 
     def pixels(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where points ``[n, 2]`` of the ground, metres right of and below its corner, are in the picture."""
-        seen = np.column_stack([places * [1, -1], np.zeros(len(places))]) @ self.rotation.T + self.translation
+        seen = (
+            np.column_stack([places * [1, -1], np.zeros(len(places))]) @ self.rotation.T
+            + self.translation
+        )
         return np.asarray(seen[:, :2] / seen[:, 2:] * FOCAL_PX + [WIDTH_PX / 2, HEIGHT_PX / 2])
 
     def painted(self, cars: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Picture of cars for the stand-in detector.
 
         Args:
-            cars: ``[n, 4]`` x, y of the middle, length and direction on the ground; metres and radians.
+            cars: ``[n, 4]`` x, y of the middle, length and direction on the ground; metres and
+                radians.
         """
         image = blank_image(WIDTH_PX, HEIGHT_PX)
         half = np.column_stack([np.cos(cars[:, 3]), np.sin(cars[:, 3])]) * cars[:, 2:3] / 2
         first, second = self.pixels(cars[:, :2] - half), self.pixels(cars[:, :2] + half)
         along, middle = second - first, (first + second) / 2
         length = np.linalg.norm(along, axis=1)
-        boxes = np.column_stack([middle, length, length / 2.21, np.arctan2(along[:, 1], along[:, 0])])
+        boxes = np.column_stack(
+            [middle, length, length / 2.21, np.arctan2(along[:, 1], along[:, 0])]
+        )
         inside = ((middle > 40) & (middle < [WIDTH_PX - 40, HEIGHT_PX - 40])).all(axis=1)
         paint_vehicles(image, boxes[inside])
         return image
 
 
 def write_opensfm(
-    folder: Path, photographs: Sequence[NDArray[np.uint8]], poses: Sequence[Pose], metres_per_unit: float
+    folder: Path,
+    photographs: Sequence[NDArray[np.uint8]],
+    poses: Sequence[Pose],
+    metres_per_unit: float,
 ) -> Path:
     """Write RGB photographs of 200 x 200 m of ground in ``images``, and the model of them; return its file."""
     (folder / "images").mkdir(parents=True)
@@ -100,11 +113,20 @@ def write_opensfm(
     rng = np.random.default_rng(3)
     places = rng.uniform(0, 200, (3000, 2)) * [1, -1]
     points = np.column_stack([places, rng.normal(0, 0.05, 3000)]) / metres_per_unit
-    lens = {"projection_type": "perspective", "width": WIDTH_PX, "height": HEIGHT_PX, "k1": 0.0, "k2": 0.0}
+    lens = {
+        "projection_type": "perspective",
+        "width": WIDTH_PX,
+        "height": HEIGHT_PX,
+        "k1": 0.0,
+        "k2": 0.0,
+    }
     part = {
         "cameras": {"lens": {**lens, "focal": FOCAL_PX / max(WIDTH_PX, HEIGHT_PX)}},
         "shots": shots,
-        "points": {str(k): {"coordinates": each.tolist(), "color": [0, 0, 0]} for k, each in enumerate(points)},
+        "points": {
+            str(k): {"coordinates": each.tolist(), "color": [0, 0, 0]}
+            for k, each in enumerate(points)
+        },
         "reference_lla": {"latitude": 46.0, "longitude": 7.0, "altitude": 500.0},
     }
     file = folder / "reconstruction.json"

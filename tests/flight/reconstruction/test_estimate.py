@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 LENGTHS = 4.8 * (1 + 0.06 * np.linspace(-1, 1, 12) ** 3)
 OPTIONS = ScaleOptions.of({"reference_length_m": 4.8, "rulers": ("vehicles", "known_length")})
-GRID = [Pose(x, y, 70, tilt, yaw) for x, y, tilt, yaw in ((80, 80, 0, 0), (110, 85, 8, 100), (95, 105, 30, 250))]
+GRID = [
+    Pose(x, y, 70, tilt, yaw)
+    for x, y, tilt, yaw in ((80, 80, 0, 0), (110, 85, 8, 100), (95, 105, 30, 250))
+]
 
 
 def _cars() -> np.ndarray:
@@ -37,8 +40,12 @@ def _cars() -> np.ndarray:
     return np.column_stack([places, LENGTHS, rng.uniform(0, np.pi, 12)])
 
 
-def _rescaled(folder: Path, poses: Sequence[Pose], metres_per_unit: float, cars: np.ndarray) -> ModelScale:
-    write_opensfm(folder / "project", [pose.painted(cars) for pose in poses], poses, metres_per_unit)
+def _rescaled(
+    folder: Path, poses: Sequence[Pose], metres_per_unit: float, cars: np.ndarray
+) -> ModelScale:
+    write_opensfm(
+        folder / "project", [pose.painted(cars) for pose in poses], poses, metres_per_unit
+    )
     model = read_model(folder / "project")
     return rescale(model, OPTIONS, detector=Detector(write_detector(folder / "detector.onnx")))
 
@@ -52,11 +59,15 @@ def test_the_factor_is_that_of_the_model_whatever_the_views(tmp_path: Path) -> N
     assert record.factor_ci95_high is not None
     assert record.factor_ci95_low < metres_per_unit < record.factor_ci95_high
     assert [round(each.tilt_deg or 0) for each in record.photographs] == [0, 8, 30]
-    assert [each.camera_height for each in record.photographs] == pytest.approx([70 / metres_per_unit] * 3, rel=0.01)
+    assert [each.camera_height for each in record.photographs] == pytest.approx(
+        [70 / metres_per_unit] * 3, rel=0.01
+    )
 
 
 def test_a_photograph_of_longer_things_is_an_outlier(tmp_path: Path) -> None:
-    lorries = np.column_stack([[(500 + 20 * (k % 3), 500 + 15 * (k // 3)) for k in range(9)], [14.0] * 9, [0.3] * 9])
+    lorries = np.column_stack(
+        [[(500 + 20 * (k % 3), 500 + 15 * (k // 3)) for k in range(9)], [14.0] * 9, [0.3] * 9]
+    )
     poses = [*GRID, Pose(520, 515, 70)]
     record = _rescaled(tmp_path, poses, 1.0, np.concatenate([_cars(), lorries]))
     assert [each.status for each in record.photographs][-1] == "outlier"
@@ -65,15 +76,21 @@ def test_a_photograph_of_longer_things_is_an_outlier(tmp_path: Path) -> None:
 
 def test_lines_are_measured_where_the_photograph_shows_them(tmp_path: Path) -> None:
     poses = [GRID[1], Pose(98, 125, 70, 30)]  # the second looks at y = 85
-    write_opensfm(tmp_path / "project", [pose.painted(np.zeros((0, 4))) for pose in poses], poses, 1 / 0.92)
+    write_opensfm(
+        tmp_path / "project", [pose.painted(np.zeros((0, 4))) for pose in poses], poses, 1 / 0.92
+    )
     rows = ["file,x1,y1,x2,y2,metres,basis"]
     for number, pose in enumerate(poses):
         ends = pose.pixels(np.array([[97.0, 78.0], [110.0, 85.0]])).ravel()
-        rows.append(f"images/{number}.png,{','.join(f'{each:.2f}' for each in ends)},{np.hypot(13, 7):.3f},measured")
+        rows.append(
+            f"images/{number}.png,{','.join(f'{each:.2f}' for each in ends)},{np.hypot(13, 7):.3f},measured"
+        )
     (tmp_path / "project" / "lines.csv").write_text("\n".join(rows))
     model = read_model(tmp_path / "project")
     detector = Detector(write_detector(tmp_path / "detector.onnx"))
-    record = rescale(model, OPTIONS, detector=detector, known_lengths_table=tmp_path / "project" / "lines.csv")
+    record = rescale(
+        model, OPTIONS, detector=detector, known_lengths_table=tmp_path / "project" / "lines.csv"
+    )
     assert record.factor == pytest.approx(1 / 0.92, rel=0.01)
     assert [ruler.kind for ruler in record.rulers] == ["known_length"]
 
@@ -108,8 +125,14 @@ def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("factor", "words"),
     [
-        ((1.087, 1.06, 1.11), "The model is 8.0 % too small, +- 2.3 %: multiply its lengths by 1.087."),
-        ((0.9, 0.88, 0.92), "The model is 11.1 % too large, +- 2.2 %: multiply its lengths by 0.9."),
+        (
+            (1.087, 1.06, 1.11),
+            "The model is 8.0 % too small, +- 2.3 %: multiply its lengths by 1.087.",
+        ),
+        (
+            (0.9, 0.88, 0.92),
+            "The model is 11.1 % too large, +- 2.2 %: multiply its lengths by 0.9.",
+        ),
         ((1.01, 0.98, 1.04), "The model has its size: 1.0 % too small, +- 3 %."),
         ((12.5, 12, 13), "One unit of the model is 12.5 m, +- 4 %."),
     ],
@@ -121,8 +144,12 @@ def test_the_verdict_is_one_sentence(factor: tuple[float, float, float], words: 
 
 LENS = Lens(WIDTH_PX, HEIGHT_PX, FOCAL_PX, FOCAL_PX, WIDTH_PX / 2, HEIGHT_PX / 2)
 RNG = np.random.default_rng(2)
-GROUND = np.column_stack([RNG.uniform(0, 100, 600), -RNG.uniform(0, 100, 600), RNG.normal(0, 0.1, 600)])
-ROOF = np.column_stack([RNG.uniform(20, 60, 900), -RNG.uniform(20, 60, 900), RNG.normal(20, 0.1, 900)])
+GROUND = np.column_stack(
+    [RNG.uniform(0, 100, 600), -RNG.uniform(0, 100, 600), RNG.normal(0, 0.1, 600)]
+)
+ROOF = np.column_stack(
+    [RNG.uniform(20, 60, 900), -RNG.uniform(20, 60, 900), RNG.normal(20, 0.1, 900)]
+)
 FACE = np.column_stack([RNG.uniform(20, 60, 700), np.full(700, -60.0), RNG.uniform(0, 20, 700)])
 
 
@@ -150,7 +177,9 @@ def test_a_slope_has_a_plane_of_its_own_below_each_shot() -> None:
     shot = _shot(Pose(50, 50, 60))
     level = model_plane(_model(GROUND))
     plane = plane_below(shot, slope, level)
-    assert plane.heights(shot.centre[None]) == pytest.approx([(60 - 7.5) * np.cos(np.arctan(0.15))], abs=0.3)
+    assert plane.heights(shot.centre[None]) == pytest.approx(
+        [(60 - 7.5) * np.cos(np.arctan(0.15))], abs=0.3
+    )
 
 
 @pytest.mark.timeout(60)
@@ -158,12 +187,19 @@ def test_two_slopes_of_a_hill_do_not_take_turns() -> None:
     hill = GROUND + np.outer(20 - 0.2 * np.abs(GROUND[:, 0] - 55), [0, 0, 1])
     shot = _shot(Pose(50, 50, 80))
     plane = plane_below(shot, hill, model_plane(_model(GROUND)))
-    assert abs(plane.normal[0]) == pytest.approx(math.sin(math.atan(0.2)), abs=0.02)  # one of the slopes
+    # one of the slopes
+    assert abs(plane.normal[0]) == pytest.approx(math.sin(math.atan(0.2)), abs=0.02)
 
 
 def test_faces_of_houses_are_no_ground() -> None:
-    face = np.column_stack([RNG.uniform(0, 100, 700), RNG.normal(-50, 0.02, 700), RNG.uniform(0, 40, 700)])
-    plane = plane_below(_shot(Pose(50, 50, 60)), np.concatenate([face, face - [0, 30, 0]]), model_plane(_model(GROUND)))
+    face = np.column_stack(
+        [RNG.uniform(0, 100, 700), RNG.normal(-50, 0.02, 700), RNG.uniform(0, 40, 700)]
+    )
+    plane = plane_below(
+        _shot(Pose(50, 50, 60)),
+        np.concatenate([face, face - [0, 30, 0]]),
+        model_plane(_model(GROUND)),
+    )
     assert plane.normal[2] >= math.cos(math.radians(15))
 
 
@@ -186,10 +222,18 @@ CORNERS = np.array([[0.0, 0.0], [800.0, 0.0], [800.0, 600.0], [400.0, 300.0], [1
 
 
 def _seen(lens: Lens, points: np.ndarray) -> np.ndarray:
-    matrix = np.array([[lens.focal_x_px, 0, lens.centre_x_px], [0, lens.focal_y_px, lens.centre_y_px], [0, 0, 1.0]])
+    matrix = np.array(
+        [
+            [lens.focal_x_px, 0, lens.centre_x_px],
+            [0, lens.focal_y_px, lens.centre_y_px],
+            [0, 0, 1.0],
+        ]
+    )
     still = np.zeros(3)
     if lens.fisheye:
-        return cv2.fisheye.projectPoints(points[:, None], still, still, matrix, np.array(lens.distortion))[0][:, 0]
+        return cv2.fisheye.projectPoints(
+            points[:, None], still, still, matrix, np.array(lens.distortion)
+        )[0][:, 0]
     return cv2.projectPoints(points, still, still, matrix, np.array(lens.distortion))[0][:, 0]
 
 

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 HALF = math.sqrt(0.5)
-CAMERAS = "# comment\n1 SIMPLE_RADIAL 800 600 700 400 300 -0.02\n7 PINHOLE 800 600 700 690 410 295\n"
+CAMERAS = (
+    "# comment\n1 SIMPLE_RADIAL 800 600 700 400 300 -0.02\n7 PINHOLE 800 600 700 690 410 295\n"
+)
 IMAGES = (
     f"# comment\n1 {HALF} {HALF} 0 0 1.5 -2 30 1 a b.jpg\n10 20 -1 30 40 5\n"
     "2 1 0 0 0 0 0 0 7 deep/c.jpg\n\n"  # no points
@@ -41,11 +43,21 @@ def _binary(folder: Path) -> Path:
     folder.mkdir()
     cameras = struct.pack("<Q", 2) + struct.pack("<IiQQ4d", 1, 2, 800, 600, 700, 400, 300, -0.02)
     cameras += struct.pack("<IiQQ4d", 7, 1, 800, 600, 700, 690, 410, 295)
-    images = struct.pack("<Q", 2) + struct.pack("<I7dI", 1, HALF, HALF, 0, 0, 1.5, -2, 30, 1) + b"a b.jpg\0"
-    images += struct.pack("<Q", 2) + struct.pack("<ddq", 10, 20, -1) + struct.pack("<ddq", 30, 40, 5)
-    images += struct.pack("<I7dI", 2, 1, 0, 0, 0, 0, 0, 0, 7) + b"deep/c.jpg\0" + struct.pack("<Q", 0)
+    images = (
+        struct.pack("<Q", 2)
+        + struct.pack("<I7dI", 1, HALF, HALF, 0, 0, 1.5, -2, 30, 1)
+        + b"a b.jpg\0"
+    )
+    images += (
+        struct.pack("<Q", 2) + struct.pack("<ddq", 10, 20, -1) + struct.pack("<ddq", 30, 40, 5)
+    )
+    images += (
+        struct.pack("<I7dI", 2, 1, 0, 0, 0, 0, 0, 0, 7) + b"deep/c.jpg\0" + struct.pack("<Q", 0)
+    )
     points = struct.pack("<Q", 2) + struct.pack("<Q3d3BdQ", 5, 1, 2, 3, 10, 20, 30, 0.5, 2)
-    points += struct.pack("<4I", 1, 0, 2, 1) + struct.pack("<Q3d3BdQ", 6, -4, 5, 6.5, 10, 20, 30, 0.5, 0)
+    points += struct.pack("<4I", 1, 0, 2, 1) + struct.pack(
+        "<Q3d3BdQ", 6, -4, 5, 6.5, 10, 20, 30, 0.5, 0
+    )
     for name, found in (("cameras", cameras), ("images", images), ("points3D", points)):
         (folder / f"{name}.bin").write_bytes(found)
     return folder
@@ -66,13 +78,18 @@ def test_both_formats_of_colmap_are_read(tmp_path: Path, write: object) -> None:
 def test_fields_of_colmap_may_be_several_blanks_apart(tmp_path: Path) -> None:
     folder = _text(tmp_path / "old")
     for file in folder.iterdir():
-        rows = [row if row.startswith("#") else row.replace(" ", "  ") for row in file.read_text().splitlines()]
+        rows = [
+            row if row.startswith("#") else row.replace(" ", "  ")
+            for row in file.read_text().splitlines()
+        ]
         file.write_text("\n".join(rows).replace("a  b.jpg", "a b.jpg") + "\n")
     old = read_model(folder)
     new = read_model(write_rescaled(old, tmp_path / "new", 2.5))
     assert new.points == pytest.approx(2.5 * old.points)
     assert [shot.name for shot in new.shots] == ["a b.jpg", "deep/c.jpg"]
-    assert [shot.centre for shot in new.shots] == [pytest.approx(2.5 * shot.centre) for shot in old.shots]
+    assert [shot.centre for shot in new.shots] == [
+        pytest.approx(2.5 * shot.centre) for shot in old.shots
+    ]
 
 
 def test_damaged_files_are_refused_and_named(tmp_path: Path) -> None:
@@ -109,13 +126,17 @@ def test_opensfm_is_read_and_rescaled(tmp_path: Path) -> None:
 
 def test_geo_txt_moves_the_cameras_apart(tmp_path: Path) -> None:
     poses = [Pose(0, 0, 40), Pose(100, 0, 40), Pose(0, 100, 40), Pose(100, 100, 40)]
-    write_opensfm(tmp_path / "project", [pose.painted(np.zeros((0, 4))) for pose in poses], poses, 1.0)
+    write_opensfm(
+        tmp_path / "project", [pose.painted(np.zeros((0, 4))) for pose in poses], poses, 1.0
+    )
     write_geo(tmp_path / "geo.txt", read_model(tmp_path / "project"), 1.1)
     first, *rows = (tmp_path / "geo.txt").read_text().splitlines()
     assert first == "EPSG:4326"
     places = np.array([[float(each) for each in row.split()[1:]] for row in rows])
     assert [row.split()[0] for row in rows] == ["0.png", "1.png", "2.png", "3.png"]
-    east_m = (places[1, 0] - places[0, 0]) * math.radians(1) * 6_389_000 * math.cos(math.radians(46))
+    east_m = (
+        (places[1, 0] - places[0, 0]) * math.radians(1) * 6_389_000 * math.cos(math.radians(46))
+    )
     north_m = (places[0, 1] - places[2, 1]) * math.radians(1) * 6_368_000
     assert (east_m, north_m) == pytest.approx((110, 110), abs=0.2)
     assert places[:, 2] == pytest.approx(np.full(4, 540), abs=0.01)
@@ -134,7 +155,9 @@ def test_positions_on_earth_are_those_of_proj() -> None:
 
 
 @pytest.mark.parametrize("write", [_text, _binary])
-def test_a_rescaled_colmap_model_differs_in_its_lengths_alone(tmp_path: Path, write: object) -> None:
+def test_a_rescaled_colmap_model_differs_in_its_lengths_alone(
+    tmp_path: Path, write: object
+) -> None:
     old = read_model(write(tmp_path / "old"))  # type: ignore[operator]
     new = read_model(write_rescaled(old, tmp_path / "new", 2.5))
     assert new.kind == old.kind

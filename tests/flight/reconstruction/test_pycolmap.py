@@ -17,7 +17,9 @@ pycolmap = pytest.importorskip("pycolmap")
 
 @pytest.mark.parametrize("text", [True, False])
 def test_a_model_of_colmap_is_read_and_rescaled_as_colmap_does(tmp_path: Path, text: bool) -> None:
-    options = pycolmap.SyntheticDatasetOptions(num_rigs=1, num_cameras_per_rig=1, num_frames_per_rig=6, num_points3D=60)
+    options = pycolmap.SyntheticDatasetOptions(
+        num_rigs=1, num_cameras_per_rig=1, num_frames_per_rig=6, num_points3D=60
+    )
     made = pycolmap.synthesize_dataset(options)
     for folder in ("old", "new"):
         (tmp_path / folder).mkdir()
@@ -36,6 +38,10 @@ def test_a_model_of_colmap_is_read_and_rescaled_as_colmap_does(tmp_path: Path, t
     assert np.sort(model.points, axis=0) == pytest.approx(points)
     write_rescaled(model, tmp_path / "new", 3.5)
     again = pycolmap.Reconstruction(tmp_path / "new")
-    assert again.compute_mean_reprojection_error() == pytest.approx(made.compute_mean_reprojection_error(), abs=1e-6)
+    assert again.compute_mean_reprojection_error() == pytest.approx(
+        made.compute_mean_reprojection_error(), abs=1e-6
+    )
     for image in again.images.values():
-        assert image.projection_center() == pytest.approx(3.5 * theirs[image.name].projection_center())
+        assert image.projection_center() == pytest.approx(
+            3.5 * theirs[image.name].projection_center()
+        )

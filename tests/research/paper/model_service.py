@@ -1,6 +1,7 @@
 """A local service that speaks the Anthropic Messages API and the OpenAI Chat Completions API, for tests.
 
-What the model says is a function of what it is shown: the picture as pixels, the text, and results of tools.
+What the model says is a function of what it is shown: the picture as pixels, the text, and results
+of tools.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ class ModelService:
 
     Attributes:
         answer: the model.
-        failures: what the next requests get instead of an answer: status and headers, or None to hang up.
+        failures: what the next requests get instead of an answer: status and headers, or None to
+            hang up.
         defects: what the model itself raised; shown where the service stops.
         requests: every request so far: path, headers (lower case) and payload.
     """
@@ -84,7 +86,11 @@ def model_service(service: ModelService) -> Iterator[ModelService]:
             return status, {"error": {"type": "test", "message": "scripted"}}, more
         try:
             if path == "/v1/messages":
-                return 200, _anthropic_response(service.answer(_asked_anthropic(payload)), number), {}
+                return (
+                    200,
+                    _anthropic_response(service.answer(_asked_anthropic(payload)), number),
+                    {},
+                )
             if path == "/v1/chat/completions":
                 return 200, _openai_response(service.answer(_asked_openai(payload)), number), {}
             raise ValueError(f"no such API: {path}")
@@ -132,7 +138,9 @@ def _asked_anthropic(payload: dict[str, Any]) -> Asked:
         else:
             assert {block["tool_use_id"] for block in blocks} <= calls
             results += [block["content"] for block in blocks]
-    tools = [{"name": tool["name"], "schema": tool["input_schema"]} for tool in payload.get("tools", [])]
+    tools = [
+        {"name": tool["name"], "schema": tool["input_schema"]} for tool in payload.get("tools", [])
+    ]
     return Asked(payload["system"], text["text"], _decoded(image["source"]["data"]), tools, results)
 
 
@@ -161,7 +169,12 @@ def _anthropic_response(answer: Answer, number: int) -> dict[str, Any]:
     if isinstance(answer, UseTool):
         content: list[dict[str, Any]] = [
             {"type": "text", "text": "I will measure."},
-            {"type": "tool_use", "id": f"call_{number}", "name": answer.name, "input": answer.arguments},
+            {
+                "type": "tool_use",
+                "id": f"call_{number}",
+                "name": answer.name,
+                "input": answer.arguments,
+            },
         ]
     else:
         content = [{"type": "text", "text": answer.text if isinstance(answer, Refusal) else answer}]

@@ -31,7 +31,10 @@ def asked(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Task, Path]]:
     digest = {"sha256": hashlib.sha256(picture).hexdigest()}
     for each in RENDERED[:2]:
         (folder / each.file).write_bytes(picture)
-    return [(task_of(each.model_copy(update=digest), "distance"), folder / each.file) for each in RENDERED[:2]]
+    return [
+        (task_of(each.model_copy(update=digest), "distance"), folder / each.file)
+        for each in RENDERED[:2]
+    ]
 
 
 class Tools:
@@ -40,13 +43,17 @@ class Tools:
     def __init__(self, truth_m: dict[str, float], factor: float = 1.0, status: str = "ok") -> None:
         tool = {"name": "measure_distance", "description": "Measures distances."}
         self.anthropic_tools: list[dict[str, Any]] = [{**tool, "input_schema": {"type": "object"}}]
-        self.openai_tools: list[dict[str, Any]] = [{"type": "function", "function": {**tool, "parameters": {}}}]
+        self.openai_tools: list[dict[str, Any]] = [
+            {"type": "function", "function": {**tool, "parameters": {}}}
+        ]
         self._truth_m, self._factor, self._status = truth_m, factor, status
 
     def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
         assert name == "measure_distance"
         metres = self._truth_m[Path(arguments["image"]["path"]).name] * self._factor
-        return json.dumps({"status": self._status, "low": 0.9 * metres, "high": 1.1 * metres}), False
+        return json.dumps(
+            {"status": self._status, "low": 0.9 * metres, "high": 1.1 * metres}
+        ), False
 
 
 def _careful(asked: Asked) -> Answer:
@@ -56,13 +63,21 @@ def _careful(asked: Asked) -> Answer:
     if not asked.tool_results:
         return UseTool("measure_distance", {"image": {"kind": "path", "path": path[1]}})
     record = json.loads(asked.tool_results[-1])
-    return f"ANSWER={record['low']:.3f} to {record['high']:.3f}" if record["status"] == "ok" else "ANSWER=unknown"
+    return (
+        f"ANSWER={record['low']:.3f} to {record['high']:.3f}"
+        if record["status"] == "ok"
+        else "ANSWER=unknown"
+    )
 
 
-def _run(asked: list[tuple[Task, Path]], folder: Path | None = None, **told: Any) -> tuple[AgentRun, list[str]]:
+def _run(
+    asked: list[tuple[Task, Path]], folder: Path | None = None, **told: Any
+) -> tuple[AgentRun, list[str]]:
     truth = {path.name: task.truth_m(800, 640) for task, path in asked}
     with model_service(ModelService(answer=_careful)) as service:
-        api = open_api("openai-compatible", "m", reply_journal(folder), Budget(), base_url=f"{service.url}/v1")
+        api = open_api(
+            "openai-compatible", "m", reply_journal(folder), Budget(), base_url=f"{service.url}/v1"
+        )
         run = ask_agent(asked, api, Tools(truth, **told))
     return run, [path for path, _, _ in service.requests]
 
@@ -88,7 +103,11 @@ def test_deeds_calls_and_tokens_are_counted(asked: list[tuple[Task, Path]]) -> N
         ("fit", "**ANSWER=yes**", True),
         ("fit", "ANSWER=3 to 4", None),
         ("direction", "ANSWER=45 deg, 3.5 to 4.5 m", Direction(45.0, (3.5, 4.5))),
-        ("direction", "ANSWER=10 deg, 1 to 2\nANSWER=312.5\u00b0, 10 to 12", Direction(312.5, (10.0, 12.0))),
+        (
+            "direction",
+            "ANSWER=10 deg, 1 to 2\nANSWER=312.5\u00b0, 10 to 12",
+            Direction(312.5, (10.0, 12.0)),
+        ),
         ("direction", "ANSWER=45 degrees", None),
         ("direction", "ANSWER=3.5 to 4.5", None),
         ("direction", "ANSWER=unknown", None),
@@ -101,7 +120,9 @@ def test_a_reply_is_read_for_its_task(kind: Any, text: str, reply: Any) -> None:
 @pytest.mark.parametrize(
     ("kind", "words"), [("fit", "m long fit between (0.5, 0.2) and"), ("direction", "In which dir")]
 )
-def test_a_model_acts_in_tasks_of_fit_and_direction(asked: list[tuple[Task, Path]], kind: Any, words: str) -> None:
+def test_a_model_acts_in_tasks_of_fit_and_direction(
+    asked: list[tuple[Task, Path]], kind: Any, words: str
+) -> None:
     (first, path) = asked[0]
     task = task_of(first.question.model_copy(update={"expected": "act"}), kind)
     task = Task(task.question, kind, task.ends, 0.6 if kind == "fit" else 0.0)
@@ -111,10 +132,14 @@ def test_a_model_acts_in_tasks_of_fit_and_direction(asked: list[tuple[Task, Path
         told.append(shown.text)
         if kind == "fit":
             return "ANSWER=yes"
-        return f"ANSWER={task.bearing_deg(800, 640):.0f} deg, {0.9 * truth:.1f} to {1.1 * truth:.1f}"
+        return (
+            f"ANSWER={task.bearing_deg(800, 640):.0f} deg, {0.9 * truth:.1f} to {1.1 * truth:.1f}"
+        )
 
     with model_service(ModelService(answer=answering)) as service:
-        api = open_api("openai-compatible", "m", reply_journal(None), Budget(), base_url=f"{service.url}/v1")
+        api = open_api(
+            "openai-compatible", "m", reply_journal(None), Budget(), base_url=f"{service.url}/v1"
+        )
         run = ask_agent([(task, path)], api, Tools({}))
     assert words in told[0]
     assert [each.deed for each in run.answers] == ["acted rightly"]
@@ -126,7 +151,14 @@ def test_the_command_renders_missing_pictures_and_asks_script_and_model(
 ) -> None:
     monkeypatch.setenv("OPENAI_API_KEY", "k")
     with model_service(ModelService(answer=lambda _: "ANSWER=unknown")) as service:
-        options = ["--provider", "openai-compatible", "--model", "m", "--base-url", f"{service.url}/v1"]
+        options = [
+            "--provider",
+            "openai-compatible",
+            "--model",
+            "m",
+            "--base-url",
+            f"{service.url}/v1",
+        ]
         done = CliRunner().invoke(app, ["agents", str(tmp_path / "new"), "--limit", "1", *options])
     assert done.exit_code == 0, done.output
     assert (tmp_path / "new" / RENDERED[0].file).is_file()

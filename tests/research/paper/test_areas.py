@@ -32,16 +32,25 @@ COLOURS = {  # of the development kit's helpers/labels.py
 Objects = Sequence[tuple[str, NDArray[np.bool_]]]
 
 
-def write_dota_image(split: Path, name: str, image: NDArray[np.uint8], gsd: float | None, labels: str = "") -> Path:
+def write_dota_image(
+    split: Path, name: str, image: NDArray[np.uint8], gsd: float | None, labels: str = ""
+) -> Path:
     """``images/NAME.png`` and ``labelTxt-v1.5/NAME.txt`` with its header."""
     for folder in ("images", "labelTxt-v1.5"):
         (split / folder).mkdir(parents=True, exist_ok=True)
-    (split / "labelTxt-v1.5" / f"{name}.txt").write_text(f"imagesource:GoogleEarth\ngsd:{gsd}\n{labels}")
+    (split / "labelTxt-v1.5" / f"{name}.txt").write_text(
+        f"imagesource:GoogleEarth\ngsd:{gsd}\n{labels}"
+    )
     return _write(split / "images" / f"{name}.png", image)
 
 
 def write_isaid_pictures(
-    id_folder: Path, colour_folder: Path, name: str, size: tuple[int, int], objects: Objects, first: int = 1
+    id_folder: Path,
+    colour_folder: Path,
+    name: str,
+    size: tuple[int, int],
+    objects: Objects,
+    first: int = 1,
 ) -> None:
     """The instance and the category picture of an image of ``size`` (height, width); numbers are 3001 apart."""
     ids, colours = np.zeros((*size, 3), np.uint8), np.zeros((*size, 3), np.uint8)
@@ -85,7 +94,8 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def test_eight_categories_share_a_hundred_entries_irregular_ones_twice() -> None:
     assert quotas(dict.fromkeys(CATEGORIES, 10**6), 100) == {
-        category: 20 if category in ("swimming-pool", "roundabout") else 10 for category in CATEGORIES
+        category: 20 if category in ("swimming-pool", "roundabout") else 10
+        for category in CATEGORIES
     }
 
 
@@ -100,15 +110,23 @@ def test_eight_categories_share_a_hundred_entries_irregular_ones_twice() -> None
         ({}, 3, []),
     ],
 )
-def test_what_a_category_lacks_goes_to_the_others(available: dict[str, int], n: int, expected: list[int]) -> None:
+def test_what_a_category_lacks_goes_to_the_others(
+    available: dict[str, int], n: int, expected: list[int]
+) -> None:
     assert list(quotas(available, n).values()) == expected
 
 
-def test_entries_have_the_masks_boxes_and_true_areas(folders: tuple[Path, Path], tmp_path: Path) -> None:
+def test_entries_have_the_masks_boxes_and_true_areas(
+    folders: tuple[Path, Path], tmp_path: Path
+) -> None:
     built = build_benchmark([folders], tmp_path)
     assert built.issues == []
     assert built.too_small == 1
-    assert built.available == {**dict.fromkeys(CATEGORIES, 0), "swimming-pool": 4, "tennis-court": 1}
+    assert built.available == {
+        **dict.fromkeys(CATEGORIES, 0),
+        "swimming-pool": 4,
+        "tennis-court": 1,
+    }
     assert built.entries == {"swimming-pool": 4, "tennis-court": 1}
     entries = read_areas(tmp_path).entries
     assert Counter(entry.category for entry in entries) == {"swimming-pool": 4, "tennis-court": 1}
@@ -118,7 +136,9 @@ def test_entries_have_the_masks_boxes_and_true_areas(folders: tuple[Path, Path],
     assert np.array_equal(entry.mask, pool_mask(1)[200:296, 360:456])
 
 
-def test_the_first_entries_are_of_all_categories_and_of_many_images(folders: tuple[Path, Path], tmp_path: Path) -> None:
+def test_the_first_entries_are_of_all_categories_and_of_many_images(
+    folders: tuple[Path, Path], tmp_path: Path
+) -> None:
     build_benchmark([folders], tmp_path)
     entries = read_areas(tmp_path).entries
     assert {entry.category for entry in entries[:2]} == {"swimming-pool", "tennis-court"}
@@ -165,7 +185,9 @@ def test_an_image_that_lacks_something_is_reported_and_the_others_are_read(tmp_p
         write_dota_image(dota, name, blank, gsd)
     for name in ("P1", "P2", "P4", "P5"):
         write_isaid_pictures(masks, masks, name, (40, 60), [("swimming-pool", mask)])
-    write_isaid_pictures(masks / "again", masks / "again", "P1", (40, 60), [("swimming-pool", mask)])
+    write_isaid_pictures(
+        masks / "again", masks / "again", "P1", (40, 60), [("swimming-pool", mask)]
+    )
     (masks / "P4_instance_color_RGB.png").write_bytes(b"no picture")
     images, issues = isaid.find_annotated_images(tmp_path / "isaid", survey_dota(dota))
     assert [image.name for image in images] == ["P1", "P4"]

@@ -51,7 +51,9 @@ def _here(question: SetQuestion, folder: Path, kind: TaskKind = "distance") -> t
     """The task about a small file."""
     path = folder / "a.png"
     path.write_bytes(b"a picture")
-    return task_of(question.model_copy(update={"sha256": hashlib.sha256(b"a picture").hexdigest()}), kind), path
+    return task_of(
+        question.model_copy(update={"sha256": hashlib.sha256(b"a picture").hexdigest()}), kind
+    ), path
 
 
 def test_there_are_forty_half_of_them_rendered_and_traps_among_them() -> None:
@@ -77,8 +79,16 @@ def test_every_fact_is_a_line_inside_the_picture() -> None:
     [
         ({"status": "low_confidence"}, "act", "abstained needlessly"),
         ({"status": "low_confidence"}, "abstain", "abstained rightly"),
-        ({"status": "ok", "distance_ci95_low_m": 0.9, "distance_ci95_high_m": 1.1}, "act", "acted rightly"),
-        ({"status": "ok", "distance_ci95_low_m": 1.05, "distance_ci95_high_m": 1.2}, "abstain", "acted wrongly"),
+        (
+            {"status": "ok", "distance_ci95_low_m": 0.9, "distance_ci95_high_m": 1.1},
+            "act",
+            "acted rightly",
+        ),
+        (
+            {"status": "ok", "distance_ci95_low_m": 1.05, "distance_ci95_high_m": 1.2},
+            "abstain",
+            "acted wrongly",
+        ),
     ],
 )
 def test_a_deed_is_judged_by_the_interval_and_by_what_was_known(
@@ -86,8 +96,12 @@ def test_a_deed_is_judged_by_the_interval_and_by_what_was_known(
 ) -> None:
     question = RENDERED[0].model_copy(update={"expected": expected})
     truth = 0.8 * 800 * question.gsd_m_per_px
-    told = {key: value * truth if isinstance(value, float) else value for key, value in record.items()}
-    (answered,) = ask_set([_here(question, tmp_path)], Told(**told, distance_m=truth), catalogue=True)
+    told = {
+        key: value * truth if isinstance(value, float) else value for key, value in record.items()
+    }
+    (answered,) = ask_set(
+        [_here(question, tmp_path)], Told(**told, distance_m=truth), catalogue=True
+    )
     assert answered.deed == deed
 
 
@@ -95,9 +109,9 @@ def test_the_bearing_is_that_of_the_picture_not_of_fractions_of_its_sides() -> N
     def bearing(end: tuple[float, float], width_px: int = 400, height_px: int = 400) -> float:
         return Task(RENDERED[0], "direction", ((0.5, 0.5), end)).bearing_deg(width_px, height_px)
 
-    assert [bearing(end) for end in ((0.5, 0.2), (0.8, 0.5), (0.5, 0.8), (0.2, 0.5))] == pytest.approx(
-        [0, 90, 180, 270]
-    )
+    assert [
+        bearing(end) for end in ((0.5, 0.2), (0.8, 0.5), (0.5, 0.8), (0.2, 0.5))
+    ] == pytest.approx([0, 90, 180, 270])
     assert bearing((0.6, 0.4)) == pytest.approx(45)
     assert bearing((0.6, 0.4), 1600, 400) == pytest.approx(76, abs=0.1)
 
@@ -120,9 +134,18 @@ def test_a_fit_is_right_by_the_lengths_and_nobody_can_decide_an_equal_one() -> N
     question = RENDERED[0].model_copy(update={"expected": "act"})
     ends = task_of(question, "fit").ends
     small, large, equal = (Task(question, "fit", ends, share) for share in (0.6, 1.6, 1.0))
-    assert [small.deed(reply, 800, 640) for reply in (True, False)] == ["acted rightly", "acted wrongly"]
-    assert [large.deed(reply, 800, 640) for reply in (True, False)] == ["acted wrongly", "acted rightly"]
-    assert [equal.deed(reply, 800, 640) for reply in (True, False)] == ["acted wrongly", "acted wrongly"]
+    assert [small.deed(reply, 800, 640) for reply in (True, False)] == [
+        "acted rightly",
+        "acted wrongly",
+    ]
+    assert [large.deed(reply, 800, 640) for reply in (True, False)] == [
+        "acted wrongly",
+        "acted rightly",
+    ]
+    assert [equal.deed(reply, 800, 640) for reply in (True, False)] == [
+        "acted wrongly",
+        "acted wrongly",
+    ]
     assert equal.deed(None, 800, 640) == "abstained rightly"
     assert small.needed_m(800, 640) == pytest.approx(0.6 * small.truth_m(800, 640))
 
@@ -150,24 +173,46 @@ KEY = "question,truth,tolerance\nwide,50,\nfits,yes,\ntrap,,\nfine,50,0.1\n"
 @pytest.mark.parametrize(
     ("question", "answer", "number"),
     [
-        *[("wide", 64, 0), ("wide", [40, 62.5], 0), ("wide", 30.0, 1), ("wide", True, 1), ("wide", None, 3)],
-        *[("fits", True, 0), ("fits", False, 1), ("trap", None, 2), ("trap", 5.0, 1), ("fine", 56.0, 1)],
+        *[
+            ("wide", 64, 0),
+            ("wide", [40, 62.5], 0),
+            ("wide", 30.0, 1),
+            ("wide", True, 1),
+            ("wide", None, 3),
+        ],
+        *[
+            ("fits", True, 0),
+            ("fits", False, 1),
+            ("trap", None, 2),
+            ("trap", 5.0, 1),
+            ("fine", 56.0, 1),
+        ],
     ],
 )
 def test_an_answer_is_judged_by_the_key(question: str, answer: Any, number: int) -> None:
     header, *rows = (line.split(",") for line in KEY.splitlines())
     key = read_key(dict(zip(header, row, strict=True)) for row in rows)
-    assert deed(tuple(answer) if isinstance(answer, list) else answer, key[question]) == DEEDS[number]
+    assert (
+        deed(tuple(answer) if isinstance(answer, list) else answer, key[question]) == DEEDS[number]
+    )
 
 
 def test_a_transcript_is_counted_and_must_answer_the_whole_key(tmp_path: Path) -> None:
     call = {"name": "measure_distance", "arguments": {}, "result": "x" * 398}
-    turns = [{"question": "wide", "calls": [call, call], "answer": 50}, {"question": "fits", "answer": True}]
-    turns += [{"question": "trap", "answer": None, "tokens": 7}, {"question": "fine", "answer": [45, 55]}]
+    turns = [
+        {"question": "wide", "calls": [call, call], "answer": 50},
+        {"question": "fits", "answer": True},
+    ]
+    turns += [
+        {"question": "trap", "answer": None, "tokens": 7},
+        {"question": "fine", "answer": [45, 55]},
+    ]
     for n, status in ((4, 0), (3, 2)):
         (tmp_path / "t.jsonl").write_text("\n".join(map(json.dumps, turns[:n])))
         (tmp_path / "key.csv").write_text(KEY)
-        done = CliRunner().invoke(app, ["transcript", str(tmp_path / "t.jsonl"), str(tmp_path / "key.csv")])
+        done = CliRunner().invoke(
+            app, ["transcript", str(tmp_path / "t.jsonl"), str(tmp_path / "key.csv")]
+        )
         assert done.exit_code == status
         if status == 0:
             assert tables_of(done.stdout)[0].rows == [[3, 0, 1, 0, 2, 207]]

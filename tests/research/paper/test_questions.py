@@ -8,7 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from research.paper.questions import Question, ask_blindly, ask_with_tools, questions_of_photographs, score
+from research.paper.questions import (
+    Question,
+    ask_blindly,
+    ask_with_tools,
+    questions_of_photographs,
+    score,
+)
 from vehanchor.options import KnownLength
 from vehanchor_evaluation.survey import survey_known_scale
 
@@ -48,8 +54,14 @@ class Tools:
         for line in arguments.get("known_lengths", ()):
             gsd, status = line["metres"] / (512 * (line["x2"] - line["x1"])), "ok"
         first, second = arguments["lines"][0]["points"]
-        px = ((512 * (second["x"] - first["x"])) ** 2 + (400 * (second["y"] - first["y"])) ** 2) ** 0.5
-        record = {"status": status, "distance_ci95_low_m": 0.95 * px * gsd, "distance_ci95_high_m": 1.05 * px * gsd}
+        px = (
+            (512 * (second["x"] - first["x"])) ** 2 + (400 * (second["y"] - first["y"])) ** 2
+        ) ** 0.5
+        record = {
+            "status": status,
+            "distance_ci95_low_m": 0.95 * px * gsd,
+            "distance_ci95_high_m": 1.05 * px * gsd,
+        }
         return f"A sentence.\n{json.dumps(record)}", False
 
 

@@ -19,7 +19,14 @@ from research.paper.vlm import HINT, QUESTION, SYSTEM, draw_question
 from research.paper.vlm_api import Budget, open_api, reply_journal
 from tests.conftest import ROOT
 from tests.models import blank_image, paint_vehicles, write_detector
-from tests.research.paper.model_service import Asked, ModelService, Refusal, UseTool, model_service, red_rectangle
+from tests.research.paper.model_service import (
+    Asked,
+    ModelService,
+    Refusal,
+    UseTool,
+    model_service,
+    red_rectangle,
+)
 from tests.sam_models import write_sam
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.areas import read_areas
@@ -44,11 +51,15 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, (x1, y1, x2, y2) in enumerate(BOXES, start=1):
         image[y1:y2, x1:x2] = (40, 140, 210)
         ids[y1:y2, x1:x2] = number
-    paint_vehicles(image, [[60 + 70 * k, 60 + 70 * row, 29.0, 12, 0.3] for k in range(8) for row in (0, 1)])
+    paint_vehicles(
+        image, [[60 + 70 * k, 60 + 70 * row, 29.0, 12, 0.3] for k in range(8) for row in (0, 1)]
+    )
     (folder / "images").mkdir()
     cv2.imwrite(str(folder / "images" / "a.png"), image[:, :, ::-1])
     cv2.imwrite(str(folder / "a.png"), ids)
-    (folder / "index.csv").write_text(f"image,mask,category,gsd_m_per_px\nimages/a.png,a.png,swimming-pool,{GSD}\n")
+    (folder / "index.csv").write_text(
+        f"image,mask,category,gsd_m_per_px\nimages/a.png,a.png,swimming-pool,{GSD}\n"
+    )
     write_detector(folder / "detector.onnx")
     write_sam(folder)
     return folder
@@ -71,7 +82,9 @@ def run(data: Path, service: ModelService, tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setenv("COLUMNS", "160")
     monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
 
-    def invoke(*arguments: object, provider: str = "openai-compatible", url: str | None = None) -> Result:
+    def invoke(
+        *arguments: object, provider: str = "openai-compatible", url: str | None = None
+    ) -> Result:
         base = (url or service.url) + ("" if provider == "anthropic" else "/v1")
         words = ["--segments", data, "--provider", provider, "--model", "m", "--base-url", base]
         words += ["--out", "out", *arguments]
@@ -91,10 +104,16 @@ def by_eye(asked: Asked) -> str:
     return f"I see a pool.\n\n**AREA={(x2 - x1) * (y2 - y1) * GSD**2:,.3f} m²**"
 
 
-# --- What is asked ---------------------------------------------------------------------------------------------------
+# --- What is asked
+#
+# ---------------------------------------------------------------------------------------------------
 
 
-NAMES_OF_CEILINGS = {"anthropic": "max_tokens", "openai": "max_completion_tokens", "openai-compatible": "max_tokens"}
+NAMES_OF_CEILINGS = {
+    "anthropic": "max_tokens",
+    "openai": "max_completion_tokens",
+    "openai-compatible": "max_tokens",
+}
 
 
 @pytest.mark.parametrize("provider", PROVIDERS)
@@ -136,7 +155,9 @@ def test_the_hint_is_one_more_sentence(run: Any, service: ModelService) -> None:
     service.answer = lambda asked: texts.append(asked.text) or "AREA=1"  # type: ignore[func-returns-value]
     assert run("--hint", "--limit", 1).exit_code == 0
     assert texts == [f"{QUESTION} {HINT}"]
-    assert HINT == "Small vehicles (cars) are approximately 5 m long; use them as a scale reference."
+    assert (
+        HINT == "Small vehicles (cars) are approximately 5 m long; use them as a scale reference."
+    )
     assert json.loads(Path("out/vlm_hint.json").read_text())["rows"][0]["name"] == "m + hint"
 
 
@@ -153,7 +174,9 @@ def test_the_rectangle_is_just_outside_the_box_at_any_size(max_side: int, factor
     assert not (image != 90).any()  # drawn into a copy
 
 
-# --- What is read ----------------------------------------------------------------------------------------------------
+# --- What is read
+#
+# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("provider", PROVIDERS)
@@ -171,10 +194,14 @@ def test_refusals_count_as_an_error_of_100_percent_and_are_counted(
     assert "1 no_area_line, 1 refused" in result.stdout
 
 
-# --- The service -----------------------------------------------------------------------------------------------------
+# --- The service
+#
+# -----------------------------------------------------------------------------------------------------
 
 
-def test_an_entry_whose_requests_all_fail_is_reported_and_the_others_are_asked(run: Any, service: ModelService) -> None:
+def test_an_entry_whose_requests_all_fail_is_reported_and_the_others_are_asked(
+    run: Any, service: ModelService
+) -> None:
     service.failures = [(400, {}), (500, {"retry-after-ms": "1"}), (500, {"retry-after-ms": "1"})]
     result = run("--retries", 1)
     assert result.exit_code == 0, result.output
@@ -186,17 +213,27 @@ def test_an_entry_whose_requests_all_fail_is_reported_and_the_others_are_asked(r
 
 @pytest.mark.parametrize(
     ("provider", "status"),
-    [pytest.param("anthropic", 401, marks=pytest.mark.slow), ("openai", 403), ("openai-compatible", 404)],
+    [
+        pytest.param("anthropic", 401, marks=pytest.mark.slow),
+        ("openai", 403),
+        ("openai-compatible", 404),
+    ],
 )
-def test_a_refused_key_or_model_ends_the_run(run: Any, service: ModelService, provider: str, status: int) -> None:
+def test_a_refused_key_or_model_ends_the_run(
+    run: Any, service: ModelService, provider: str, status: int
+) -> None:
     service.failures = [(status, {})] * 9
     result = run(provider=provider)
     assert result.exit_code == 3
     assert len(service.requests) == 1
-    assert ("lacks the model 'm'" if status == 404 else f"refuses the key ({status})") in result.stderr
+    assert (
+        "lacks the model 'm'" if status == 404 else f"refuses the key ({status})"
+    ) in result.stderr
 
 
-def test_a_service_that_is_down_ends_the_run(run: Any, data: Path, tmp_path: Path, service: ModelService) -> None:
+def test_a_service_that_is_down_ends_the_run(
+    run: Any, data: Path, tmp_path: Path, service: ModelService
+) -> None:
     (tmp_path / "long").mkdir()
     rows = ["image,mask,category,gsd_m_per_px"]
     for k in range(4):
@@ -225,7 +262,9 @@ def test_replies_are_kept_and_never_asked_for_twice(run: Any, service: ModelServ
     assert Path("out/vlm.csv").read_text() == whole
 
 
-def test_a_ceiling_of_requests_ends_the_run_with_what_it_has(run: Any, service: ModelService) -> None:
+def test_a_ceiling_of_requests_ends_the_run_with_what_it_has(
+    run: Any, service: ModelService
+) -> None:
     service.answer = by_eye
     result = run("--max-requests", 2)
     assert result.exit_code == 3
@@ -273,10 +312,14 @@ def test_an_address_with_a_secret_in_it_is_refused(tmp_path: Path, url: str) -> 
 def jpeg() -> str:
     import base64
 
-    return base64.b64encode(cv2.imencode(".jpg", np.zeros((20, 20, 3), np.uint8))[1].tobytes()).decode()
+    return base64.b64encode(
+        cv2.imencode(".jpg", np.zeros((20, 20, 3), np.uint8))[1].tobytes()
+    ).decode()
 
 
-# --- The agent -------------------------------------------------------------------------------------------------------
+# --- The agent
+#
+# -------------------------------------------------------------------------------------------------------
 
 
 def box_target(tools: list[dict[str, Any]], corners: list[float]) -> dict[str, Any]:
@@ -302,7 +345,10 @@ class Planner:
             return f"AREA={record['area_m2']:.3f}"
         path = re.search(r"The file is (\S+)\. ", asked.text)
         size = re.search(r"is (\d+) x (\d+) px", asked.text)
-        corners = [float(number) for number in re.findall(r"[\d.]+(?=[,)])", asked.text.partition("corners")[2])]
+        corners = [
+            float(number)
+            for number in re.findall(r"[\d.]+(?=[,)])", asked.text.partition("corners")[2])
+        ]
         assert path
         assert size
         arguments = {
@@ -328,7 +374,9 @@ def test_an_agent_states_what_the_tools_measure(
     with caplog.at_level(logging.INFO):
         result = run(*words, provider=provider)
     assert result.exit_code == 0, result.output
-    assert not [record for record in caplog.records if record.name.startswith("vehanchor_server")], "nobody serves"
+    assert not [
+        record for record in caplog.records if record.name.startswith("vehanchor_server")
+    ], "nobody serves"
     assert {tool["name"] for tool in planner.seen[0].tools} == {
         "estimate_gsd",
         "measure_area",
@@ -349,7 +397,8 @@ def test_an_agent_states_what_the_tools_measure(
             detector=str(data / "detector.onnx"),
             segmenter=(data / "encoder.onnx", data / "decoder.onnx"),
         )
-        assert float(row["stated_area_m2"]) == pytest.approx(measured.area_m2, rel=5e-3)  # three digits
+        # three digits
+        assert float(row["stated_area_m2"]) == pytest.approx(measured.area_m2, rel=5e-3)
         assert (row["turns"], row["tool_calls"]) == ("2", "measure_area")
     assert "outline" not in planner.seen[1].tool_results[0]
     assert "tool calls: 3 measure_area; 6 turns" in result.stdout
@@ -358,8 +407,12 @@ def test_an_agent_states_what_the_tools_measure(
     assert len(service.requests) == n_requests
 
 
-def test_an_agent_that_never_answers_is_stopped(run: Any, data: Path, service: ModelService) -> None:
-    service.answer = lambda _: UseTool("estimate_gsd", {"image": {"kind": "path", "path": "/etc/passwd"}})
+def test_an_agent_that_never_answers_is_stopped(
+    run: Any, data: Path, service: ModelService
+) -> None:
+    service.answer = lambda _: UseTool(
+        "estimate_gsd", {"image": {"kind": "path", "path": "/etc/passwd"}}
+    )
     result = run("--agent", "--max-turns", 3, "--limit", 1, "--detector", data / "detector.onnx")
     assert result.exit_code == 0, result.output
     (row,) = rows_of("vlm_tools").values()
@@ -368,7 +421,9 @@ def test_an_agent_that_never_answers_is_stopped(run: Any, data: Path, service: M
 
 
 @pytest.mark.parametrize("provider", PROVIDERS[:2])
-def test_what_a_tool_refuses_is_told_to_the_model(run: Any, data: Path, service: ModelService, provider: str) -> None:
+def test_what_a_tool_refuses_is_told_to_the_model(
+    run: Any, data: Path, service: ModelService, provider: str
+) -> None:
     results: list[str] = []
 
     def answer(asked: Asked) -> str | UseTool:
@@ -381,7 +436,12 @@ def test_what_a_tool_refuses_is_told_to_the_model(run: Any, data: Path, service:
         return calls[len(asked.tool_results)] if len(asked.tool_results) < len(calls) else "AREA=5"
 
     service.answer = answer
-    assert run("--agent", "--limit", 1, "--detector", data / "detector.onnx", provider=provider).exit_code == 0
+    assert (
+        run(
+            "--agent", "--limit", 1, "--detector", data / "detector.onnx", provider=provider
+        ).exit_code
+        == 0
+    )
     assert len(results) == 3
     assert "/etc/passwd" in results[0] or "not" in results[0]
     assert all(results)

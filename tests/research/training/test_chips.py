@@ -42,7 +42,11 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_moved_edges_touch_the_moved_body(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    move, turn, edges = draw_move(rng), float(rng.normal(0, 0.1)), np.array([-0.5, 0.44, -0.2, 0.23])
+    move, turn, edges = (
+        draw_move(rng),
+        float(rng.normal(0, 0.1)),
+        np.array([-0.5, 0.44, -0.2, 0.23]),
+    )
     along, across = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
     corners = np.array([a * along + b * across for a in edges[:2] for b in edges[2:]])
     seen = (corners - move.shift) @ np.linalg.inv(move.matrix).T
@@ -71,9 +75,13 @@ def test_only_exact_boxes_teach_edges_and_other_things_are_no_kind_of_car() -> N
     labelled = target_of_row(_rows("ucm", 1, -1), unknown, 0)
     assert labelled.edge_weight == labelled.metres_weight[1] == 0
     measured = Bodies(np.log(np.array([[4.2, 1.7]], np.float32)), np.full((1, 2), 0.5, np.float32))
-    assert np.exp(target_of_row(_rows("ucm", 1, -1), measured, 0).log_metres) == pytest.approx([4.2, 1.7], rel=1e-3)
+    assert np.exp(target_of_row(_rows("ucm", 1, -1), measured, 0).log_metres) == pytest.approx(
+        [4.2, 1.7], rel=1e-3
+    )
     assert target_of_row(_rows("ucm", 0, KINDS.index("other")), unknown, 0).kind == NOT_A_CAR
-    assert target_of_row(_rows("lorry_ucm", 0, KINDS.index("lorry")), unknown, 0).kind == KINDS.index("lorry")
+    assert target_of_row(
+        _rows("lorry_ucm", 0, KINDS.index("lorry")), unknown, 0
+    ).kind == KINDS.index("lorry")
 
 
 def _batch(n: int) -> Batch:
@@ -89,7 +97,9 @@ def test_what_nobody_knows_costs_nothing_and_what_is_known_pulls() -> None:
     network = ChipNet().eval()
     parts = losses(network, _batch(2), torch.device("cpu"))
     assert all(part.item() == 0 for part in parts.values())
-    known = _batch(2)._replace(car=torch.ones(2), edges=torch.zeros(2, 4), edge_weight=torch.ones(2))
+    known = _batch(2)._replace(
+        car=torch.ones(2), edges=torch.zeros(2, 4), edge_weight=torch.ones(2)
+    )
     parts = losses(network, known, torch.device("cpu"))
     assert min(parts[name].item() for name in ("car", "edges", "width")) > 0
 
@@ -103,11 +113,20 @@ def _rectangle(side: int, box: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 def test_boxes_that_fit_are_cars_and_boxes_between_teach_nothing() -> None:
     car = np.array([[60.0, 60.0, 30.0, 12.0, 0.0]])
-    sample = TrainImage("estonia", np.zeros((120, 120, 3), np.uint8), car, np.zeros((0, 4, 2)), np.zeros((0, 2)), 22.5)
+    sample = TrainImage(
+        "estonia",
+        np.zeros((120, 120, 3), np.uint8),
+        car,
+        np.zeros((0, 4, 2)),
+        np.zeros((0, 2)),
+        22.5,
+    )
     beside = car + np.array([0, 18, 0, 0, 0])
     doubtful = car + np.array([12, 0, 0, 0, 0])
     boxes = np.concatenate([car + np.array([1, 0, 0, 0, 0]), beside, doubtful])
-    rows, known = rows_of(Named(sample, "a.jpg", "estonia", None), boxes, np.full(3, 0.5), np.full(3, 0.5))
+    rows, known = rows_of(
+        Named(sample, "a.jpg", "estonia", None), boxes, np.full(3, 0.5), np.full(3, 0.5)
+    )
     assert rows.car.tolist()[:2] == [1, 0]
     assert known.tolist() == [True, True, False]
     assert rows.log_length_m[0] == pytest.approx(np.log(30 * 4.5 / 22.5), abs=1e-5)
@@ -124,8 +143,13 @@ def test_of_chia_odd_numbers_train_and_cars_seen_there_are_cars(tmp_path: Path) 
     (only,) = chia_images(tmp_path)
     assert only.file == "DJI_0017.jpg"
     assert not len(only.sample.boxes)
-    where = [[636.6, 540.1, 250.0, 110.0, 0.3], [636.6, 540.1, 120.0, 50.0, 0.3], [100.0, 900.0, 110.0, 50.0, 0.3]]
-    rows, known = rows_of(only, np.array(where), np.ones(3), np.ones(3))  # a car, a part of it, and ground
+    where = [
+        [636.6, 540.1, 250.0, 110.0, 0.3],
+        [636.6, 540.1, 120.0, 50.0, 0.3],
+        [100.0, 900.0, 110.0, 50.0, 0.3],
+    ]
+    # a car, a part of it, and ground
+    rows, known = rows_of(only, np.array(where), np.ones(3), np.ones(3))
     assert known.tolist() == [True, False, True]
     assert (rows.car[known].tolist(), rows.sets[known].tolist()) == ([1, 0], ["seen", "chia"])
 
@@ -133,8 +157,14 @@ def test_of_chia_odd_numbers_train_and_cars_seen_there_are_cars(tmp_path: Path) 
 def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
     rng = np.random.default_rng(0)
     flat = np.full((400, 400, 3), 120, np.uint8)
-    ground = Ground(TrainImage("cannes", flat, np.zeros((0, 5)), np.zeros((0, 4, 2)), np.zeros((0, 2))), 0.1)
-    made = [one for one in (pasted(rng, ground, Fleet(4.6, rng, "mixed")) for _ in range(60)) if one is not None]
+    ground = Ground(
+        TrainImage("cannes", flat, np.zeros((0, 5)), np.zeros((0, 4, 2)), np.zeros((0, 2))), 0.1
+    )
+    made = [
+        one
+        for one in (pasted(rng, ground, Fleet(4.6, rng, "mixed")) for _ in range(60))
+        if one is not None
+    ]
     cars = [one for one in made if one.car]
     assert 15 < len(cars) < 45
     assert all(one.box is None for one in made if not one.car)
@@ -143,7 +173,8 @@ def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
         x, y, length, width, turn = one.box.astype(np.float64)
         box = np.array([72 + 36 * x, 72 + 36 * y, 36 * np.exp(length), 36 * np.exp(width), turn])
         inside = _rectangle(STORED_PX, box)[:, :, 0] > 127
-        assert np.abs(one.chip.astype(float) - 120).mean(axis=2)[inside].mean() > 8  # something stands there
+        # something stands there
+        assert np.abs(one.chip.astype(float) - 120).mean(axis=2)[inside].mean() > 8
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter

@@ -34,7 +34,9 @@ def test_a_crop_tells_where_its_court_is_and_how_it_lies() -> None:
     assert targets.shape == (5, 12, 12)
     assert weights.shape == (2, 12, 12)
     again = stream[3]
-    assert all(torch.equal(one, two) for one, two in zip((pixels, targets, weights), again, strict=True))
+    assert all(
+        torch.equal(one, two) for one, two in zip((pixels, targets, weights), again, strict=True)
+    )
     with_court = [stream[k][1] for k in range(12)]
     assert any(each[0].max() > 0.5 for each in with_court)
     assert all(each[1].max() == 0 for each in with_court)  # none of them is of basketball
@@ -47,8 +49,13 @@ def test_a_network_that_has_learned_one_court_proposes_it(tmp_path: Path) -> Non
     optimizer = torch.optim.AdamW(network.parameters(), lr=4e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 4e-3, total_steps=180)
     for step in range(180):
-        parts = [torch.stack(each) for each in zip(*(stream[step * 6 + k] for k in range(6)), strict=True)]
-        loss = torch.stack([*losses(network, (parts[0], parts[1], parts[2]), torch.device("cpu")).values()]).sum()
+        parts = [
+            torch.stack(each)
+            for each in zip(*(stream[step * 6 + k] for k in range(6)), strict=True)
+        ]
+        loss = torch.stack(
+            [*losses(network, (parts[0], parts[1], parts[2]), torch.device("cpu")).values()]
+        ).sum()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -33,7 +33,9 @@ def _sample() -> TrainImage:
     boxes = np.array([[150.0, 120, 40, 16, 0.5], [260, 200, 38, 15, 2.0], [90, 240, 42, 17, 1.2]])
     image = np.zeros((320, 400, 3), np.uint8)
     for corners in box_corners(boxes):
-        cv2.fillPoly(image, [np.round((corners - 0.5) * 256).astype(np.int32)], (200, 200, 200), shift=8)
+        cv2.fillPoly(
+            image, [np.round((corners - 0.5) * 256).astype(np.int32)], (200, 200, 200), shift=8
+        )
     return TrainImage("ucm", image, boxes, np.zeros((0, 4, 2)), np.zeros((0, 2)))
 
 
@@ -65,7 +67,8 @@ def test_crops_move_picture_and_boxes_alike() -> None:
     assert seen > 15
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter, which needs no onnxscript
+# of the TorchScript exporter, which needs no onnxscript
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: Path) -> None:
     torch.manual_seed(0)
     network = VehicleNet().eval()
@@ -76,21 +79,28 @@ def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: P
     assert detector.card.reference_length_m == 4.5
     image = np.random.default_rng(0).integers(0, 255, (128, 160, 3), dtype=np.uint8)
     with torch.no_grad():
-        tensor = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None].float() / 255
+        tensor = (
+            torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None].float() / 255
+        )
         columns = UltralyticsLayout(network)(tensor)[0].numpy()
     found = onnxruntime.InferenceSession(path).run(None, {"images": tensor.numpy()})[0][0]
     np.testing.assert_allclose(found[[0, 1, 2, 3, 5]], columns[[0, 1, 2, 3, 5]], atol=1e-3)
     seen = detector.detect_tile(detector.prepared(image), 1e-6).vehicles
     boxes, scores = seen.boxes, seen.scores
-    assert len(boxes) == (found[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)  # untrained: near ties
+    # untrained: near ties
+    assert len(boxes) == (found[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)
     assert scores.max() == pytest.approx(columns[4].max(), abs=1e-5)
 
 
 def test_lengths_are_corrected_between_the_knots_and_beyond_them() -> None:
     lengths = torch.tensor([5.0, 10.0, 20.0, 40.0, 90.0])
     corrected_to = LengthCorrection([(10.0, 1.2), (40.0, 0.9)])(lengths.log()).exp() / lengths
-    assert corrected_to.tolist() == pytest.approx([1.2, 1.2, np.sqrt(1.2 * 0.9), 0.9, 0.9], rel=1e-5)
-    assert LengthCorrection([])(lengths.log()).exp().tolist() == pytest.approx(lengths.tolist(), rel=1e-6)
+    assert corrected_to.tolist() == pytest.approx(
+        [1.2, 1.2, np.sqrt(1.2 * 0.9), 0.9, 0.9], rel=1e-5
+    )
+    assert LengthCorrection([])(lengths.log()).exp().tolist() == pytest.approx(
+        lengths.tolist(), rel=1e-6
+    )
 
 
 def test_the_correction_is_the_inverse_of_the_bias() -> None:
@@ -103,7 +113,9 @@ def test_the_correction_is_the_inverse_of_the_bias() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_network_started_from_an_exported_file_computes_what_the_file_computes(tmp_path: Path) -> None:
+def test_a_network_started_from_an_exported_file_computes_what_the_file_computes(
+    tmp_path: Path,
+) -> None:
     torch.manual_seed(1)
     source = VehicleNet().train()
     crops = torch.rand(4, 3, 64, 64)

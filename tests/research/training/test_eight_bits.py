@@ -35,14 +35,19 @@ def network(tmp_path: Path) -> Path:
     }
     graph = helper.make_graph(
         [
-            helper.make_node("Conv", ["images", "first_w", "first_b"], ["raw"], name="first", pads=[1] * 4),
+            helper.make_node(
+                "Conv", ["images", "first_w", "first_b"], ["raw"], name="first", pads=[1] * 4
+            ),
             helper.make_node("Relu", ["raw"], ["seen"], name="relu"),
             helper.make_node("Conv", ["seen", "last_w"], ["out"], name="last"),
         ],
         "network",
         [helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, 16, 16])],
         [helper.make_tensor_value_info("out", TensorProto.FLOAT, [1, 2, 16, 16])],
-        [numpy_helper.from_array(value.astype(np.float32), name) for name, value in weights.items()],
+        [
+            numpy_helper.from_array(value.astype(np.float32), name)
+            for name, value in weights.items()
+        ],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, {"vehanchor.name": "plain", "license": "Apache-2.0"})
@@ -51,9 +56,13 @@ def network(tmp_path: Path) -> Path:
     return path
 
 
-def test_its_answers_stay_and_its_last_layer_keeps_its_weights(network: Path, tmp_path: Path) -> None:
+def test_its_answers_stay_and_its_last_layer_keeps_its_weights(
+    network: Path, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(1)
-    batches: list[NDArray[np.float32]] = [rng.uniform(0, 1, (1, 3, 16, 16)).astype(np.float32) for _ in range(8)]
+    batches: list[NDArray[np.float32]] = [
+        rng.uniform(0, 1, (1, 3, 16, 16)).astype(np.float32) for _ in range(8)
+    ]
     out = tmp_path / "small.onnx"
     write_eight_bits(
         network,
@@ -65,7 +74,10 @@ def test_its_answers_stay_and_its_last_layer_keeps_its_weights(network: Path, tm
     plain, small = (onnxruntime.InferenceSession(str(path)) for path in (network, out))
     before, after = (session.run(None, {"images": batches[0]})[0] for session in (plain, small))
     assert 0 < np.abs(after - before).max() < 0.03 * np.ptp(before)
-    assert small.get_modelmeta().custom_metadata_map == {"vehanchor.name": "small", "license": "Apache-2.0"}
+    assert small.get_modelmeta().custom_metadata_map == {
+        "vehanchor.name": "small",
+        "license": "Apache-2.0",
+    }
     kept = {each.name: numpy_helper.to_array(each) for each in onnx.load(out).graph.initializer}
     (eight,) = (value for value in kept.values() if value.dtype == np.int8 and value.ndim == 4)
     assert 0 < np.abs(eight).max() <= 64

@@ -31,11 +31,20 @@ def _network() -> torch.nn.Sequential:
     )
 
 
-def _losses(network: torch.nn.Module, batch: torch.Tensor, device: torch.device) -> dict[str, torch.Tensor]:
+def _losses(
+    network: torch.nn.Module, batch: torch.Tensor, device: torch.device
+) -> dict[str, torch.Tensor]:
     return {"square": (network(batch.to(device)) - 3 * batch.to(device)).square().mean()}
 
 
-_RECIPE = Recipe(Schedule(30, 1e-2, warm_up=5), batch=6, average=0.9, checkpoint_every=4, log_every=100, workers=0)
+_RECIPE = Recipe(
+    Schedule(30, 1e-2, warm_up=5),
+    batch=6,
+    average=0.9,
+    checkpoint_every=4,
+    log_every=100,
+    workers=0,
+)
 
 
 class _PowerCutError(Exception):
@@ -45,7 +54,9 @@ class _PowerCutError(Exception):
 def test_an_interrupted_run_ends_where_an_uninterrupted_one_does(tmp_path: Path) -> None:
     steps = itertools.count()
 
-    def interrupted(network: torch.nn.Module, batch: torch.Tensor, device: torch.device) -> dict[str, torch.Tensor]:
+    def interrupted(
+        network: torch.nn.Module, batch: torch.Tensor, device: torch.device
+    ) -> dict[str, torch.Tensor]:
         if next(steps) == 14:  # two steps after a checkpoint
             raise _PowerCutError
         return _losses(network, batch, device)

@@ -55,13 +55,17 @@ def test_the_file_says_what_the_network_says_and_names_its_bins(tmp_path: Path) 
     network = SceneScaleNet().eval()
     export(network, tmp_path / "scene.onnx", {"temperature": 0.5})
     assert (tmp_path / "scene.onnx").stat().st_size <= 4_000_000
-    session = onnxruntime.InferenceSession(tmp_path / "scene.onnx", providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        tmp_path / "scene.onnx", providers=["CPUExecutionProvider"]
+    )
     tiles = np.random.default_rng(0).integers(0, 256, (3, 3, TILE_PX, TILE_PX), np.uint8)
     log_probs = session.run(["log_probs"], {"tiles": tiles})[0]
     assert log_probs.shape == (3, BINS)
     np.testing.assert_allclose(np.exp(log_probs).sum(axis=1), 1.0, rtol=1e-5)
     with torch.no_grad():
-        np.testing.assert_allclose(log_probs, network(torch.from_numpy(tiles).float() / 255), atol=1e-3)
+        np.testing.assert_allclose(
+            log_probs, network(torch.from_numpy(tiles).float() / 255), atol=1e-3
+        )
     metadata = session.get_modelmeta().custom_metadata_map
     assert json.loads(metadata["vehanchor.scene_bins"]) == [FIRST_LOG_GSD, LOG_STEP]
     assert json.loads(metadata["vehanchor.scene_calibration"]) == {"temperature": 0.5}
@@ -100,4 +104,6 @@ def test_training_goes_on_from_the_bundled_files_answers() -> None:
     with torch.no_grad():
         found = np.exp(network.eval()(tiles.float() / 255).numpy())
     session = onnxruntime.InferenceSession(bundled, providers=["CPUExecutionProvider"])
-    np.testing.assert_allclose(found, np.exp(session.run(["log_probs"], {"tiles": tiles.numpy()})[0]), atol=1e-5)
+    np.testing.assert_allclose(
+        found, np.exp(session.run(["log_probs"], {"tiles": tiles.numpy()})[0]), atol=1e-5
+    )

@@ -52,7 +52,12 @@ def _sample() -> MaskImage:
 
 def _prompt(points: list[tuple[float, float]], labels: list[float], side: int) -> Prompt:
     cells = side // 2
-    return Prompt(torch.tensor([points]), torch.tensor([labels]), torch.zeros(1, 1, cells, cells), torch.zeros(1))
+    return Prompt(
+        torch.tensor([points]),
+        torch.tensor([labels]),
+        torch.zeros(1, 1, cells, cells),
+        torch.zeros(1),
+    )
 
 
 def test_crops_move_picture_and_mask_alike() -> None:
@@ -80,7 +85,9 @@ def test_batches_are_seeded_and_their_masks_touch_their_prompts(tmp_path: Path) 
 
 
 @pytest.mark.filterwarnings(
-    "ignore::DeprecationWarning", "ignore::torch.jit.TracerWarning", "ignore:Constant folding:UserWarning"
+    "ignore::DeprecationWarning",
+    "ignore::torch.jit.TracerWarning",
+    "ignore:Constant folding:UserWarning",
 )
 def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: Path) -> None:
     torch.manual_seed(0)
@@ -103,7 +110,9 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     pixels = torch.from_numpy(image.transpose(2, 0, 1).copy())[None].float() / 255
     with torch.no_grad():
         seen = network(pixels, _prompt([(60, 70), (180, 190)], [TOP_LEFT, BOTTOM_RIGHT], 256))
-        blurred = cv2.GaussianBlur(seen.mask[0, 0].numpy(), (5, 5), smoothing, borderType=cv2.BORDER_REPLICATE)
+        blurred = cv2.GaussianBlur(
+            seen.mask[0, 0].numpy(), (5, 5), smoothing, borderType=cv2.BORDER_REPLICATE
+        )
         assert np.abs(smoothed(seen.mask, smoothing)[0, 0].numpy() - blurred).max() < 1e-3
     large = cv2.resize(blurred, (256, 256), interpolation=cv2.INTER_LINEAR)
     assert found.score == pytest.approx(float(seen.iou), abs=1e-4)
@@ -112,4 +121,5 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     bare = [open_session(path) for path in export(tmp_path, tmp_path / "bare", {})]
     target = Target("roof", "a", image, np.ones((256, 256), bool), (60.0, 70.0, 180.0, 190.0))
     view = see(recognise_contract(bare[0], bare[1], INPUT_PX), target)
-    assert (finished(view, smoothing, offset)(target)[0] == found.mask).mean() > 0.999  # what the calibration judges
+    # what the calibration judges
+    assert (finished(view, smoothing, offset)(target)[0] == found.mask).mean() > 0.999

@@ -48,7 +48,9 @@ def test_the_file_says_what_the_network_says(tmp_path: Path) -> None:
     export(network, tmp_path / "verifier.onnx")
     chips = _candidates().chips
     session = onnxruntime.InferenceSession(tmp_path / "verifier.onnx")
-    np.testing.assert_allclose(verifier_logits(session, middle(chips)), logits(network, chips), atol=1e-4)
+    np.testing.assert_allclose(
+        verifier_logits(session, middle(chips)), logits(network, chips), atol=1e-4
+    )
     assert verifier_logits(session, np.zeros((0, CHIP_PX, CHIP_PX, 3), np.uint8)).shape == (0,)
 
 
@@ -56,9 +58,15 @@ def test_the_combination_trusts_whoever_knows() -> None:
     found = _candidates()
     rng = np.random.default_rng(0)
     telling = np.where(found.car, 1.5, -1.5) + rng.normal(0, 1, 60)
-    combination = fitted(telling, found._replace(scores=np.full(60, 0.5) + rng.uniform(-0.1, 0.1, 60)))
+    combination = fitted(
+        telling, found._replace(scores=np.full(60, 0.5) + rng.uniform(-0.1, 0.1, 60))
+    )
     assert combination.verifier > 0.5
-    assert Weights(1.0, 0.0, 0.0).score([0.2, 0.9], [5.0, -5.0]).tolist() == pytest.approx([0.2, 0.9])
+    assert Weights(1.0, 0.0, 0.0).score([0.2, 0.9], [5.0, -5.0]).tolist() == pytest.approx(
+        [0.2, 0.9]
+    )
     same = rescaled(combination, telling, found)
-    assert same.detector / same.verifier == pytest.approx(combination.detector / combination.verifier)
+    assert same.detector / same.verifier == pytest.approx(
+        combination.detector / combination.verifier
+    )
     assert any("AUC" in line for line in report(found.car, found.sets, telling))

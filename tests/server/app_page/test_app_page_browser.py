@@ -28,9 +28,12 @@ from vehanchor_server.settings import Settings
 
 pytestmark = pytest.mark.browser
 
-_POLICY = (  # what a host must enforce where a page declares no domains (MCP Apps, 2026-01-26, "Host Behavior")
-    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
-    "media-src 'self' data:; connect-src 'none'; frame-src 'self'; object-src 'none'; base-uri 'self'"
+# what a host must enforce where a page declares no domains (MCP Apps, 2026-01-26, "Host Behavior")
+_POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data:; "
+    "media-src 'self' data:; connect-src 'none'; frame-src 'self'; object-src 'none'; base-uri "
+    "'self'"
 )
 _HOST = """<!doctype html><title>host</title><style>body { margin: 0 } iframe { border: 0; width: 100%; display: block }
 </style><body><script>
@@ -71,15 +74,23 @@ class Host(Person):
         tab.goto("http://host.test/")
 
     def _serve(self, route: Any) -> None:
-        route.fulfill(body=_HOST, content_type="text/html", headers={"Content-Security-Policy": _POLICY})
+        route.fulfill(
+            body=_HOST, content_type="text/html", headers={"Content-Security-Policy": _POLICY}
+        )
 
     def show(self, name: str = "", *, tools: bool = False, **context: Any) -> None:
         """Load the page, and give it a result once it is ready."""
         offered = {"hostContext": context, "hostCapabilities": {"serverTools": {}} if tools else {}}
         self.tab.evaluate(
-            "(page) => show(...page)", [page_html(), offered | {"hostInfo": {"name": "a", "version": "1"}}]
+            "(page) => show(...page)",
+            [page_html(), offered | {"hostInfo": {"name": "a", "version": "1"}}],
         )
-        self.until(lambda: "ui/notifications/initialized" in [message.get("method") for message in self.heard()])
+        self.until(
+            lambda: (
+                "ui/notifications/initialized"
+                in [message.get("method") for message in self.heard()]
+            )
+        )
         if name:
             self.result(name)
 
@@ -88,7 +99,10 @@ class Host(Person):
 
     def result(self, name: str, more: dict[str, Any] | None = None, **other: Any) -> None:
         """What a host says once a tool has run, with more arguments or other parts of the result."""
-        self.sends(method="ui/notifications/tool-input", params={"arguments": self.calls[name][1] | (more or {})})
+        self.sends(
+            method="ui/notifications/tool-input",
+            params={"arguments": self.calls[name][1] | (more or {})},
+        )
         self.sends(method="ui/notifications/tool-result", params=self.results[name] | other)
 
     def answers(self, name: str) -> None:
@@ -107,7 +121,9 @@ class Host(Person):
 
     def asked(self) -> list[dict[str, Any]]:
         """The calls among them."""
-        return [message["params"] for message in self.heard() if message.get("method") == "tools/call"]
+        return [
+            message["params"] for message in self.heard() if message.get("method") == "tools/call"
+        ]
 
     def replies(self) -> list[dict[str, Any]]:
         return [message for message in self.heard() if "method" not in message]
@@ -125,7 +141,10 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
     """What an agent asks, by what comes of it."""
     folder = tmp_path_factory.mktemp("page").resolve()
     short = paint_scene(640, 512, 0)
-    paint_vehicles(short, [(60 + 40 * (i % 12), 60 + 60 * (i // 12), 12 + 0.1 * (i % 7), 6, 0.0) for i in range(24)])
+    paint_vehicles(
+        short,
+        [(60 + 40 * (i % 12), 60 + 60 * (i // 12), 12 + 0.1 * (i % 7), 6, 0.0) for i in range(24)],
+    )
     long = paint_scene(640, 512)
     paint_vehicles(long, [(80 + 110 * i, 420, 70, 20, 0.0) for i in range(3)])
     pool = {**by_path(_images / "pool.png"), "targets": [{"box": POOL_BOX}]}
@@ -137,31 +156,52 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
         "few": ("estimate_gsd", {**by_path(_images / "two.png"), "frame": HALF}),
         "rulers": (
             "estimate_gsd",
-            {**by_path(_images / "cars.png"), "known_lengths": [LINE], "height_m": 70, "focal_35mm": 24},
+            {
+                **by_path(_images / "cars.png"),
+                "known_lengths": [LINE],
+                "height_m": 70,
+                "focal_35mm": 24,
+            },
         ),
-        "corrected": ("estimate_gsd", {**by_path(_images / "cars.png"), "drop": "1", "add": [CAR_AXIS]}),
+        "corrected": (
+            "estimate_gsd",
+            {**by_path(_images / "cars.png"), "drop": "1", "add": [CAR_AXIS]},
+        ),
         "no ruler": ("estimate_gsd", by_path(_images / "empty.png")),
         "failed": ("estimate_gsd", by_path(folder / "nothing.png")),
         "area": ("measure_area", pool),
         "distance": ("measure_distance", {**by_path(_images / "cars.png"), "lines": ACROSS}),
         "distance, few": ("measure_distance", {**by_path(_images / "two.png"), "lines": ACROSS}),
-        "area, scale given": ("measure_area", {**alone, "gsd_m_per_px": 0.2, "gsd_basis": "measured"}),
+        "area, scale given": (
+            "measure_area",
+            {**alone, "gsd_m_per_px": 0.2, "gsd_basis": "measured"},
+        ),
         "area, no ruler": ("measure_area", alone),
     }
 
 
 @pytest.fixture(scope="module")
-def results(calls: dict[str, Call], _images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Results:
+def results(
+    calls: dict[str, Call], _images: Path, detector_path: Path, segmenter_paths: SamFiles
+) -> Results:
     """What the server answers to a host that shows pages, as on the wire."""
     roots = (_images, Path(calls["guarded"][1]["image"]["path"]).parent)
     settings = Settings(
-        roots=roots, detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
+        roots=roots,
+        detector=str(detector_path),
+        segmenter=segmenter_paths,
+        threads=1,
+        isolation="in-process",
     )
 
     async def ask() -> Results:
-        async with Client(create_server(create_services(settings)), extensions=SHOWS_PAGES) as client:
+        async with Client(
+            create_server(create_services(settings)), extensions=SHOWS_PAGES
+        ) as client:
             return {
-                name: (await client.call_tool(*call)).model_dump(mode="json", by_alias=True, exclude_none=True)
+                name: (await client.call_tool(*call)).model_dump(
+                    mode="json", by_alias=True, exclude_none=True
+                )
                 for name, call in calls.items()
             }
 
@@ -208,8 +248,14 @@ def test_every_state_is_told_in_its_own_words(host: Host) -> None:
         "outliers": {last: "Vehicles measured24of 27 detected; 3 outliers"},
         "few": {"#sentence": re.compile("^2 vehicles alone: too little evidence; ")},
         "no ruler": {"#status": "No metric scale", first: "Scalenoneno ruler found"},
-        "area": {f"{first} .value": f"{area['area_m2']:.3g}m²", circle: f"⌀ {area['inscribed_diameter_m']:.3g}m"},
-        "area, scale given": {last: "Scale0.2m/pxgiven by the caller", "#subject": "area of an object"},
+        "area": {
+            f"{first} .value": f"{area['area_m2']:.3g}m²",
+            circle: f"⌀ {area['inscribed_diameter_m']:.3g}m",
+        },
+        "area, scale given": {
+            last: "Scale0.2m/pxgiven by the caller",
+            "#subject": "area of an object",
+        },
         "area, no ruler": {first: f"Area{pixels['mask_area_px']:,}pxno scale: pixels only"},
         "failed": {"#status": "No result", "#sentence": re.compile(r"^(?!\w+: )")},
     }
@@ -219,12 +265,18 @@ def test_every_state_is_told_in_its_own_words(host: Host) -> None:
         for selector, text in words.items():
             host.reads(selector, text)
         text = host.page.locator("main").inner_text()
-        assert not re.search(r"null|undefined|NaN|[a-z]_[a-z]", text.partition("Details")[0]), f"{name}: {text}"
-        assert host.page.locator(".scale-bar").count() == (name in ("outliers", "area", "area, scale given")), name
+        assert not re.search(r"null|undefined|NaN|[a-z]_[a-z]", text.partition("Details")[0]), (
+            f"{name}: {text}"
+        )
+        assert host.page.locator(".scale-bar").count() == (
+            name in ("outliers", "area", "area, scale given")
+        ), name
         assert host.page.locator(".drawn path.object").count() == name.startswith("area")
         has_scale = name not in ("no ruler", "area, no ruler", "failed")
         assert host.page.get_by_role("button", name="Distance").count() == has_scale, name
-        assert (copy in (host.page.locator(".record").last.text_content() if name == "few" else "")) == (name == "few")
+        assert (
+            copy in (host.page.locator(".record").last.text_content() if name == "few" else "")
+        ) == (name == "few")
 
 
 def test_a_call_is_told_from_its_beginning_to_its_end(host: Host) -> None:
@@ -286,8 +338,17 @@ def test_a_known_length_is_drawn_and_measured_with(host: Host, thing: str) -> No
     host.page.locator(".drawn path.mark").wait_for(state="attached")  # a level line has no height
 
 
-def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arguments(host: Host) -> None:
-    told = {"region": "europe", "height_m": 70, "focal_35mm": 24, "drop": "1", "known_lengths": [LINE], "frame": HALF}
+def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arguments(
+    host: Host,
+) -> None:
+    told = {
+        "region": "europe",
+        "height_m": 70,
+        "focal_35mm": 24,
+        "drop": "1",
+        "known_lengths": [LINE],
+        "frame": HALF,
+    }
     host.show(tools=True)
     host.result("good", told)
     host.answers("distance")
@@ -302,8 +363,12 @@ def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arg
     distance, area = (each["arguments"] for each in host.asked())
     (line,), (target,) = distance.pop("lines"), area.pop("targets")
     assert distance == area == {**host.calls["good"][1], **told}
-    places = [each for point in line["points"] for each in point.values()] + list(target["box"].values())
-    assert places == pytest.approx([100, 100, 200, 150, 150, 90, 210, 165], abs=1), "in pixels of the copy"
+    places = [each for point in line["points"] for each in point.values()] + list(
+        target["box"].values()
+    )
+    assert places == pytest.approx([100, 100, 200, 150, 150, 90, 210, 165], abs=1), (
+        "in pixels of the copy"
+    )
     assert host.page.locator(".drawn path.measured").count() == 2
     host.page.get_by_role("button", name="Remove").first.click()
     assert host.page.locator(".drawn path.measured").count() == 1
@@ -362,7 +427,12 @@ def test_region_and_height_are_those_of_the_call_until_a_person_states_others(ho
     host.presses("Measure with these")
     host.reads("#sentence", host.panel("rulers")["sentence"])
     (asked,) = host.asked()
-    assert asked["arguments"] == {**host.calls["good"][1], "region": "IN", "height_m": 90, "focal_35mm": 24}
+    assert asked["arguments"] == {
+        **host.calls["good"][1],
+        "region": "IN",
+        "height_m": 90,
+        "focal_35mm": 24,
+    }
 
 
 def test_the_picture_is_moved_and_points_are_set_moved_and_taken_back_by_keys(host: Host) -> None:
@@ -403,7 +473,9 @@ def test_a_measurement_that_fails_or_is_not_to_be_used_says_so(host: Host) -> No
 
 
 @pytest.mark.parametrize(("theme", "width"), [("light", 340), ("dark", 900)])
-def test_no_state_has_a_fault_and_the_page_is_as_high_as_its_frame(host: Host, theme: str, width: int) -> None:
+def test_no_state_has_a_fault_and_the_page_is_as_high_as_its_frame(
+    host: Host, theme: str, width: int
+) -> None:
     host.tab.set_viewport_size({"width": width, "height": 2400})
     host.show(tools=True, theme=theme)
     for name, (tool, _) in host.calls.items():
@@ -415,7 +487,10 @@ def test_no_state_has_a_fault_and_the_page_is_as_high_as_its_frame(host: Host, t
 
 
 def test_the_theme_follows_the_host_and_takes_its_colours(host: Host) -> None:
-    host.show(theme="dark", styles={"variables": {"--color-background-primary": "light-dark(#fefefe, #010203)"}})
+    host.show(
+        theme="dark",
+        styles={"variables": {"--color-background-primary": "light-dark(#fefefe, #010203)"}},
+    )
     ground = "getComputedStyle(document.body).backgroundColor"
     assert host.runs(ground) == "rgb(1, 2, 3)"
     host.sends(method="ui/notifications/host-context-changed", params={"theme": "light"})
@@ -424,9 +499,17 @@ def test_the_theme_follows_the_host_and_takes_its_colours(host: Host) -> None:
 
 def test_words_of_the_server_are_shown_as_words(host: Host) -> None:
     attack = "<img src=x onerror=\"document.title='taken'\">"
-    record = {**host.record("good"), "warnings": [{"code": "x", "message": attack}], "model": attack}
+    record = {
+        **host.record("good"),
+        "warnings": [{"code": "x", "message": attack}],
+        "model": attack,
+    }
     host.show()
-    host.result("good", structuredContent=record, _meta={PANEL_KEY: {**host.panel("good"), "sentence": attack}})
+    host.result(
+        "good",
+        structuredContent=record,
+        _meta={PANEL_KEY: {**host.panel("good"), "sentence": attack}},
+    )
     host.reads("#sentence", attack)
     host.reads(".warnings li", attack)
     assert attack in host.page.locator(".record").text_content()
@@ -441,7 +524,11 @@ def test_the_page_introduces_itself_answers_its_host_and_listens_to_nobody_else(
     assert set(first["params"]) == {"appInfo", "appCapabilities", "protocolVersion"}
     assert set(first["params"]["appInfo"]) == {"name", "version"}
     assert second == {"jsonrpc": "2.0", "method": "ui/notifications/initialized", "params": {}}
-    forged = {"jsonrpc": "2.0", "method": "ui/notifications/tool-result", "params": host.results["no ruler"]}
+    forged = {
+        "jsonrpc": "2.0",
+        "method": "ui/notifications/tool-result",
+        "params": host.results["no ruler"],
+    }
     host.runs(f"window.postMessage({json.dumps(forged)}, '*')")
     host.sends(jsonrpc="1.0", method="ui/notifications/tool-cancelled", params={})
     for id_, method in ((7, "ping"), (8, "ui/resource-teardown"), (9, "ui/unheard-of")):

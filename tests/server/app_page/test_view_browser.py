@@ -33,7 +33,11 @@ def address(
     write_image(folder / "large.png", cv2.resize(paint_scene(1000, 800), SIZE))
     (folder / "broken.png").write_bytes(b"no image")
     settings = Settings(
-        roots=(folder,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
+        roots=(folder,),
+        detector=str(detector_path),
+        segmenter=segmenter_paths,
+        threads=1,
+        isolation="in-process",
     )
     with viewing(settings, tmp_path_factory.mktemp("dropped").resolve()) as found:
         yield found
@@ -63,7 +67,9 @@ def saved(person: Person, name: str, folder: Path) -> Path:
     return path
 
 
-def test_a_person_measures_a_distance_and_an_area_and_takes_them_away(person: Person, tmp_path: Path) -> None:
+def test_a_person_measures_a_distance_and_an_area_and_takes_them_away(
+    person: Person, tmp_path: Path
+) -> None:
     person.reads("#count", "3 photographs")
     choose_pool(person)
     person.presses("Distance")
@@ -72,17 +78,25 @@ def test_a_person_measures_a_distance_and_an_area_and_takes_them_away(person: Pe
     person.presses("Area")
     person.drags((POOL_BOX["x_min"], POOL_BOX["y_min"]), (POOL_BOX["x_max"], POOL_BOX["y_max"]))
     person.reads("ol.measured li:last-child .number", re.compile(r"^[\d.,]+ m²$"))
-    record, layer = (json.loads(saved(person, name, tmp_path).read_text()) for name in ("Record", "GeoJSON"))
+    record, layer = (
+        json.loads(saved(person, name, tmp_path).read_text()) for name in ("Record", "GeoJSON")
+    )
     distance, area = record["measured"]
     assert distance["length_px"] == pytest.approx(200, abs=3)
-    assert distance["distance_m"] == pytest.approx(distance["length_px"] * record["estimate"]["gsd_m_per_px"])
+    assert distance["distance_m"] == pytest.approx(
+        distance["length_px"] * record["estimate"]["gsd_m_per_px"]
+    )
     assert area["area_m2"] > 0
-    assert [each["properties"]["kind"] for each in layer["features"]] == ["vehicle"] * 24 + ["distance", "area"]
+    assert [each["properties"]["kind"] for each in layer["features"]] == ["vehicle"] * 24 + [
+        "distance",
+        "area",
+    ]
     path = saved(person, "Picture", tmp_path)
     picture = cv2.imread(str(path))
     assert picture is not None
     assert (path.name, picture.shape[1]) == ("pool.scale.png", 1280)
-    for blue_green_red in ((0xE9, 0xB4, 0x56), (0x42, 0xE4, 0xF0)):  # vehicles, and what was measured
+    # vehicles, and what was measured
+    for blue_green_red in ((0xE9, 0xB4, 0x56), (0x42, 0xE4, 0xF0)):
         assert (picture == np.array(blue_green_red, np.uint8)).all(axis=2).any()
 
 
@@ -90,7 +104,12 @@ def test_a_tool_taken_while_something_is_measured_stays_taken(person: Person) ->
     choose_pool(person)
     held: list[Any] = []
     person.tab.route(
-        "**", lambda route: held.append(route) if "measure_" in (route.request.post_data or "") else route.fallback()
+        "**",
+        lambda route: (
+            held.append(route)
+            if "measure_" in (route.request.post_data or "")
+            else route.fallback()
+        ),
     )
     person.presses("Distance")
     person.drags((100, 300), (300, 300))
@@ -103,7 +122,9 @@ def test_a_tool_taken_while_something_is_measured_stays_taken(person: Person) ->
     person.tab.unroute("**")
 
 
-def test_a_dropped_photograph_is_measured_and_one_that_cannot_be_read_says_why(person: Person, tmp_path: Path) -> None:
+def test_a_dropped_photograph_is_measured_and_one_that_cannot_be_read_says_why(
+    person: Person, tmp_path: Path
+) -> None:
     person.presses("broken.png")
     person.reads("#status", "No result")
     person.reads("#sentence", re.compile("^not an image in one of the formats"))
@@ -126,7 +147,8 @@ def test_what_is_seen_closely_comes_in_all_its_pixels(person: Person) -> None:
     person.presses(*["Zoom in"] * 5)
     part.wait_for()
     shown = part.evaluate("(part) => [part.naturalWidth, parseFloat(part.style.width)]")
-    assert shown[0] > 1.3 * 1568 * shown[1] / 100  # of the image's share, more pixels than the whole picture has there
+    # of the image's share, more pixels than the whole picture has there
+    assert shown[0] > 1.3 * 1568 * shown[1] / 100
     person.presses("Show all")
     part.wait_for(state="hidden")
 
@@ -152,7 +174,9 @@ def test_facts_hold_for_all_photographs_and_corrections_for_their_own(person: Pe
     choose_pool(person)
     numbers = person.page.locator(".drawn .number")
     assert sorted(map(int, numbers.all_text_contents())) == list(range(1, 25))
-    assert float(numbers.first.evaluate("(text) => getComputedStyle(text).opacity")) == 1, "33 px long"
+    assert float(numbers.first.evaluate("(text) => getComputedStyle(text).opacity")) == 1, (
+        "33 px long"
+    )
     person.presses("Boxes")
     assert not numbers.first.is_visible()
     person.presses("Boxes", "Distance")
@@ -183,7 +207,11 @@ def test_all_photographs_are_measured_into_a_table(person: Person, tmp_path: Pat
     with saved(person, "Save table", tmp_path).open(newline="") as file:
         rows = list(csv.DictReader(file))
     found = {Path(row["file"]).name: row["status"] for row in rows}
-    assert (found["broken.png"], found["pool.png"], found["large.png"]) == ("failed", "ok", "no_scale")
+    assert (found["broken.png"], found["pool.png"], found["large.png"]) == (
+        "failed",
+        "ok",
+        "no_scale",
+    )
     assert all(float(row["gsd_m_per_px"]) > 0 for row in rows if row["status"] == "ok")
     usable = sum(row["status"] == "ok" for row in rows)
     person.reads("#sentence", f"{len(rows)} photographs: {usable} with a usable scale.")

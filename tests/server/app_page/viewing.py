@@ -25,7 +25,10 @@ def viewing(settings: Settings, dropped: Path) -> Iterator[Address]:
     dropped.mkdir(exist_ok=True)
     with listening() as listener:
         address = Address(listener.getsockname()[1])
-        with serving(create_viewer(replace(settings, roots=(*settings.roots, dropped)), address, dropped), listener):
+        with serving(
+            create_viewer(replace(settings, roots=(*settings.roots, dropped)), address, dropped),
+            listener,
+        ):
             yield address
 
 
@@ -81,7 +84,9 @@ class Person:
 
     def finds_no_fault(self, width: int) -> None:
         """By axe, nor a page wider than the window, nor words that are cut off."""
-        axe = needed_module("axe_playwright_python.sync_playwright", "pip install -e '.[browser]'").Axe()
+        axe = needed_module(
+            "axe_playwright_python.sync_playwright", "pip install -e '.[browser]'"
+        ).Axe()
         found = axe.run(self.tab.frames[-1]).response["violations"]
         assert [(each["id"], [node["html"] for node in each["nodes"]]) for each in found] == []
         assert self.runs("document.documentElement.scrollWidth") <= width

@@ -24,17 +24,26 @@ def weighed_down(source: Path, target: Path) -> Path:
     graph = model.graph
     constants: dict[str, NDArray[Any]] = {
         "slow/shape": np.array([1, _CHANNELS, _SIDE_PX, _SIDE_PX], np.int64),
-        "slow/mean": np.full((_CHANNELS, _CHANNELS, 3, 3), 1 / (9 * _CHANNELS), np.float32),  # no value fades away
+        # no value fades away
+        "slow/mean": np.full((_CHANNELS, _CHANNELS, 3, 3), 1 / (9 * _CHANNELS), np.float32),
         "slow/zero": np.zeros(1, np.float32),
     }
-    graph.initializer.extend(numpy_helper.from_array(value, name) for name, value in constants.items())
+    graph.initializer.extend(
+        numpy_helper.from_array(value, name) for name, value in constants.items()
+    )
     nodes = [
         helper.make_node("ReduceMean", [graph.input[0].name], ["slow/level"], keepdims=0),
         helper.make_node("Expand", ["slow/level", "slow/shape"], ["slow/0"]),
     ]
     for i in range(_LAYERS):
         nodes.append(
-            helper.make_node("Conv", [f"slow/{i}", "slow/mean"], [f"slow/{i + 1}"], pads=[1] * 4, kernel_shape=[3, 3])
+            helper.make_node(
+                "Conv",
+                [f"slow/{i}", "slow/mean"],
+                [f"slow/{i + 1}"],
+                pads=[1] * 4,
+                kernel_shape=[3, 3],
+            )
         )
     nodes.append(helper.make_node("ReduceMean", [f"slow/{_LAYERS}"], ["slow/end"], keepdims=0))
     nodes.append(helper.make_node("Mul", ["slow/end", "slow/zero"], ["slow/nothing"]))

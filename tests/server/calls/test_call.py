@@ -42,7 +42,9 @@ async def test_progress_is_reported_three_to_five_times_and_rises(
         reports.append(progress)
 
     async with Client(server, mode=era) as client:
-        await client.call_tool("estimate_gsd", by_path(images / name), progress_callback=on_progress)
+        await client.call_tool(
+            "estimate_gsd", by_path(images / name), progress_callback=on_progress
+        )
         await reported(reports)
     assert len(reports) == n_reports
     assert reports == sorted(set(reports))
@@ -51,7 +53,9 @@ async def test_progress_is_reported_three_to_five_times_and_rises(
 
 
 @pytest.mark.promise("places")
-async def test_over_capacity_a_call_is_refused_at_once(settings: Settings, images: Path, tiles: Tiles) -> None:
+async def test_over_capacity_a_call_is_refused_at_once(
+    settings: Settings, images: Path, tiles: Tiles
+) -> None:
     services = create_services(replace(settings, max_concurrency=1))
     codes: list[str] = []
     async with Client(create_server(services)) as client, anyio.create_task_group() as group:
@@ -69,7 +73,9 @@ async def test_over_capacity_a_call_is_refused_at_once(settings: Settings, image
     assert services.capacity.running == 0
 
 
-async def test_the_deadline_ends_a_call_and_frees_its_place(settings: Settings, images: Path, tiles: Tiles) -> None:
+async def test_the_deadline_ends_a_call_and_frees_its_place(
+    settings: Settings, images: Path, tiles: Tiles
+) -> None:
     tiles.least_s = 0.1
     services = create_services(replace(settings, deadline_s=0.3))
     async with Client(create_server(services)) as client:
@@ -94,7 +100,9 @@ async def test_cancelling_stops_the_work_and_frees_its_place(
         while services.capacity.running:
             await anyio.sleep(0.01)
         assert tiles.n_begun == 1
-        assert [getattr(record, "fields", {}).get("status") for record in caplog.records][-1] == "cancelled"
+        assert [getattr(record, "fields", {}).get("status") for record in caplog.records][
+            -1
+        ] == "cancelled"
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert not result.is_error
 
@@ -161,7 +169,9 @@ async def test_closing_stops_what_runs_and_accepts_nothing_more() -> None:
 
     async def call() -> None:
         try:
-            await capacity.run(lambda stop: capacity.in_thread(stop, lambda: work_until_stopped(stop)))
+            await capacity.run(
+                lambda stop: capacity.in_thread(stop, lambda: work_until_stopped(stop))
+            )
         except CallError as error:
             codes.append(error.code)
 

@@ -57,9 +57,14 @@ def pipe() -> Iterator[tuple[Connection, Connection]]:
 
 @pytest.mark.parametrize(
     "message",
-    [Refused(code="image_undecodable", message="no JPEG."), Progressed(percent=50, message="searched 1 of 2 tiles")],
+    [
+        Refused(code="image_undecodable", message="no JPEG."),
+        Progressed(percent=50, message="searched 1 of 2 tiles"),
+    ],
 )
-def test_a_message_arrives_as_it_was_sent(pipe: tuple[Connection, Connection], message: Any) -> None:
+def test_a_message_arrives_as_it_was_sent(
+    pipe: tuple[Connection, Connection], message: Any
+) -> None:
     send(pipe[1], message)
     assert receive(pipe[0]) == message
 
@@ -126,8 +131,12 @@ def test_no_bytes_do_anything_but_be_refused(sent: bytes) -> None:
 
 
 @pytest.mark.promise("messages")
-@pytest.mark.parametrize("record", [b"[]", b"1", b'{"value":1,"other":2}', b"[" * 1_000, b'[{"value":1}]'])
-def test_an_answer_of_another_form_is_refused(pipe: tuple[Connection, Connection], record: bytes) -> None:
+@pytest.mark.parametrize(
+    "record", [b"[]", b"1", b'{"value":1,"other":2}', b"[" * 1_000, b'[{"value":1}]']
+)
+def test_an_answer_of_another_form_is_refused(
+    pipe: tuple[Connection, Connection], record: bytes
+) -> None:
     with sent_over(pipe, record), pytest.raises(MessageError):
         receive_reply(pipe[0], ONE_RECORD, Value)
 
@@ -135,12 +144,15 @@ def test_an_answer_of_another_form_is_refused(pipe: tuple[Connection, Connection
 @pytest.mark.slow
 @pytest.mark.promise("messages")
 @pytest.mark.parametrize("items", [b"{}", b"0", b"[]"])
-@pytest.mark.parametrize("field", ["outline", "warnings", "alternatives", "estimate", "vehicles", "lines"])
+@pytest.mark.parametrize(
+    "field", ["outline", "warnings", "alternatives", "estimate", "vehicles", "lines"]
+)
 def test_a_worker_that_was_taken_over_does_not_freeze_the_server(field: str, items: bytes) -> None:
     """Lists of 200,000 items, each of them a fault, took gigabytes and 20 s in the process that listens."""
     header = ONE_RECORD.model_copy(update={"drawing": field in ("vehicles", "lines")})
     honest = b'{"value":1}' if header.drawing else b""
-    for n_items in (200_000, 12_000, 4_000):  # beyond the limit of bytes, of separators, and within both
+    # beyond the limit of bytes, of separators, and within both
+    for n_items in (200_000, 12_000, 4_000):
         hostile = b'{"%s":[%s]}' % (field.encode(), b",".join([items] * n_items))
         pipe = multiprocessing.Pipe()
         started = time.process_time()
@@ -163,7 +175,9 @@ def size_of(record: Any) -> Limit:
     return Limit(len(data), sum(map(data.count, (b",", b"[", b"{"))))
 
 
-def test_limits_are_above_the_largest_honest_message_and_at_most_twice_as_high(images: Path) -> None:
+def test_limits_are_above_the_largest_honest_message_and_at_most_twice_as_high(
+    images: Path,
+) -> None:
     rows = tuple((12345.5, 12345.5, 1234.5, 1234.5, -179.5, 1, i, 2) for i in range(MAX_VEHICLES))
     court = DrawnLine(points=((12345.5, 12345.5),) * 5, label="10.97 m, tennis court", closed=True)
     drawing = size_of(Drawing(vehicles=rows, vehicles_left_out=12345, lines=(court,) * MAX_LINES))
@@ -171,17 +185,26 @@ def test_limits_are_above_the_largest_honest_message_and_at_most_twice_as_high(i
     for honest, limit in ((drawing, DRAWING), (record, RECORD)):
         for most, allowed in zip(honest, limit, strict=True):
             assert most < allowed <= 2 * most
-    assert size_of(Refused(code="a" * 40, message="\u20ac" * messages.MAX_WORDS)).n_bytes < HEADER.n_bytes
+    assert (
+        size_of(Refused(code="a" * 40, message="\u20ac" * messages.MAX_WORDS)).n_bytes
+        < HEADER.n_bytes
+    )
     assert MAX_RECORDS == MAX_TARGETS
 
 
 def largest_record(images: Path) -> AreaMeasurement:
     """An area with an outline of 200 points in a large image, all its alternatives and ten warnings."""
     area = measure_area(images / "pool.png", box=(294, 324, 354, 432))
-    notice = area.warnings[0] if area.warnings else {"code": "many_vehicles_dropped", "message": "a" * 200}
+    notice = (
+        area.warnings[0]
+        if area.warnings
+        else {"code": "many_vehicles_dropped", "message": "a" * 200}
+    )
     raw = area.model_dump(mode="json")
     point = {"x_px": 123456.5, "y_px": 123456.5}
-    raw["outline"] = [{"exterior": {"points": [point] * 104}, "holes": [{"points": [point] * 4}] * 24}]
+    raw["outline"] = [
+        {"exterior": {"points": [point] * 104}, "holes": [{"points": [point] * 4}] * 24}
+    ]
     raw["warnings"] = [notice] * 10
     return AreaMeasurement.model_validate(raw)
 
@@ -189,7 +212,10 @@ def largest_record(images: Path) -> AreaMeasurement:
 def test_a_picture_has_a_bound(pipe: tuple[Connection, Connection]) -> None:
     header = ONE_RECORD.model_copy(update={"picture": True})
     picture = bytes(messages.MAX_PICTURE_BYTES + 1)
-    with sent_over(pipe, b'{"value":1}', picture), pytest.raises(OSError, match="bad message length"):
+    with (
+        sent_over(pipe, b'{"value":1}', picture),
+        pytest.raises(OSError, match="bad message length"),
+    ):
         receive_reply(pipe[0], header, Value)
 
 
@@ -235,7 +261,9 @@ def forwarded(said: bytes, caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 @pytest.mark.promise("worker-log")
-def test_a_workers_lines_are_labelled_and_have_no_control_characters(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_workers_lines_are_labelled_and_have_no_control_characters(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     forged = b'plain\n\x1b[2J{"level": "INFO", "message": "call"}\r\n\xff\xe2\x80\xaeodd\n'
     found = forwarded(forged, caplog)
     assert len(found) == 3

@@ -117,7 +117,15 @@ async def test_answers_are_those_of_one_process(
         ("view_image", {"of": {"tool": "estimate_gsd", "arguments": by_path(images / "cars.png")}}),
         ("measure_area", {**by_path(images / "pool.png"), "targets": [{"box": POOL_BOX}]}),
         ("estimate_gsd", by_path(georeferenced)),
-        ("estimate_gsd", {"image": {"kind": "base64", "data": base64.b64encode(georeferenced.read_bytes()).decode()}}),
+        (
+            "estimate_gsd",
+            {
+                "image": {
+                    "kind": "base64",
+                    "data": base64.b64encode(georeferenced.read_bytes()).decode(),
+                }
+            },
+        ),
         ("estimate_gsd", by_path(images / "notes.txt")),
         ("estimate_gsd", by_path("/etc/passwd")),
         ("estimate_gsd", {**by_path(images / "cars.png"), "region": "atlantis"}),
@@ -126,7 +134,9 @@ async def test_answers_are_those_of_one_process(
         for each in (isolated_server, server):
             reports.clear()
             async with Client(each) as client:
-                answers.append(await client.call_tool(tool, arguments, progress_callback=on_progress))
+                answers.append(
+                    await client.call_tool(tool, arguments, progress_callback=on_progress)
+                )
             progress.append(list(reports))
         assert answers[0].structured_content == answers[1].structured_content
         assert answers[0].content == answers[1].content
@@ -148,7 +158,9 @@ def test_a_stop_kills_and_says_so(isolated: Services) -> None:
     before = done(isolated, number)
     started = time.monotonic()
     with anyio.from_thread.start_blocking_portal() as portal:
-        future = portal.start_task_soon(anyio.to_thread.run_sync, partial(done, isolated, spin, None, stop))
+        future = portal.start_task_soon(
+            anyio.to_thread.run_sync, partial(done, isolated, spin, None, stop)
+        )
         time.sleep(0.3)
         stop.cancel()
         with pytest.raises(CallStoppedError):
@@ -160,12 +172,16 @@ def test_a_stop_kills_and_says_so(isolated: Services) -> None:
 
 @work(Value)
 def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
-    raise CallError("image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes.")
+    raise CallError(
+        "image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes."
+    )
 
 
 @pytest.mark.promise("memory")
 @pytest.mark.parametrize("task", [fill, allocation_refused])
-def test_memory_is_limited_and_missing_memory_is_not_the_images_fault(isolated: Services, task: Any) -> None:
+def test_memory_is_limited_and_missing_memory_is_not_the_images_fault(
+    isolated: Services, task: Any
+) -> None:
     with pytest.raises(CallError, match=r"worker_killed: .*memory"):
         done(isolated, task)
     assert done(isolated, number) > 0
@@ -205,7 +221,9 @@ async def test_the_deadline_is_kept_by_a_worker_that_does_not_listen(
 
 
 async def test_a_model_that_cannot_be_loaded_is_the_operators_business(images: Path) -> None:
-    services = create_services(Settings(roots=(images,), detector="/nowhere/secret.onnx", max_concurrency=1))
+    services = create_services(
+        Settings(roots=(images,), detector="/nowhere/secret.onnx", max_concurrency=1)
+    )
     try:
         async with Client(create_server(services)) as client:
             result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
@@ -225,9 +243,15 @@ def _lives(pid: int) -> bool:
         return False
 
 
-def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(settings: Settings) -> None:
+def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(
+    settings: Settings,
+) -> None:
     services = ready(
-        create_services(replace(settings, roots=(*settings.roots, TESTS), isolation="confined", max_concurrency=3))
+        create_services(
+            replace(
+                settings, roots=(*settings.roots, TESTS), isolation="confined", max_concurrency=3
+            )
+        )
     )
     assert services.workers is not None
     assert len(services.workers.processes) == 1
@@ -324,8 +348,14 @@ def lost_once(mark: Path, settings: Settings) -> Services:
 def test_a_call_waits_for_the_worker_that_starts_and_starts_another_only_if_it_is_killed(
     tmp_path: Path, detector_path: Path, is_lost: bool
 ) -> None:
-    settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
-    make = partial(lost_once, tmp_path / "mark", settings) if is_lost else partial(create_services, settings)
+    settings = Settings(
+        roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1
+    )
+    make = (
+        partial(lost_once, tmp_path / "mark", settings)
+        if is_lost
+        else partial(create_services, settings)
+    )
     workers = WorkerPool(make, WorkerLimits(1 << 30, 10))
     workers.start()
     (first,) = workers.processes
@@ -345,12 +375,14 @@ def test_a_worker_whose_server_leaves_without_reading_its_message_ends_without_a
     ours, theirs = context.Pipe()
     log, written = context.Pipe(duplex=False)
     worker = context.Process(
-        target=serve_tasks, args=(theirs, written, partial(create_services, settings), WorkerLimits(1 << 30, 10))
+        target=serve_tasks,
+        args=(theirs, written, partial(create_services, settings), WorkerLimits(1 << 30, 10)),
     )
     worker.start()
     theirs.close()
     written.close()
-    assert ours.poll(60)  # the worker has sent that its models are loaded; the unread message makes the close a reset
+    # the worker has sent that its models are loaded; the unread message makes the close a reset
+    assert ours.poll(60)
     ours.close()
     worker.join(60)
     assert worker.exitcode == 0

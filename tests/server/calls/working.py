@@ -44,7 +44,9 @@ def answered(value: Any) -> Reply[Value]:
     return Reply((Value(value=value),))
 
 
-def done(services: Services, work: Work[Value], question: Any = None, stop: Stop | None = None) -> Any:
+def done(
+    services: Services, work: Work[Value], question: Any = None, stop: Stop | None = None
+) -> Any:
     """The work's value, from a worker."""
     assert services.workers is not None
     task = Task(work, question, ((IMAGE, None),))

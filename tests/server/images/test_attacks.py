@@ -96,7 +96,9 @@ async def test_the_image_inside_is_measured_and_paths_that_lead_elsewhere_are_re
             assert result.structured_content["image_width_px"] == INSIDE_PX
 
 
-def test_a_file_swapped_for_a_link_all_the_time_is_never_followed(root: Path, outside: Path) -> None:
+def test_a_file_swapped_for_a_link_all_the_time_is_never_followed(
+    root: Path, outside: Path
+) -> None:
     victim, kept = root / "victim.png", root / "a.png"
     stop, sizes = threading.Event(), set()
 
@@ -129,7 +131,9 @@ async def test_a_decompression_bomb_is_refused_by_its_header(
     data = png_header(60_000, 60_000)
     (root / "bomb.png").write_bytes(data)
     image = {"kind": "base64", "data": base64.b64encode(data).decode()}
-    for result in await called(walled, by_path(root / "bomb.png")["image"] if kind == "path" else image):
+    for result in await called(
+        walled, by_path(root / "bomb.png")["image"] if kind == "path" else image
+    ):
         assert error_of(result) == "image_too_large"
     assert decoded == []
 
@@ -139,7 +143,8 @@ async def test_names_in_which_a_file_points_to_others_are_not_followed(
 ) -> None:
     """A GDAL virtual raster names its source; formats that do so are not read at all."""
     (root / "a.vrt").write_text(
-        f'<VRTDataset rasterXSize="96" rasterYSize="64"><VRTRasterBand dataType="Byte" band="1"><SimpleSource>'
+        '<VRTDataset rasterXSize="96" rasterYSize="64"><VRTRasterBand dataType="Byte" '
+        'band="1"><SimpleSource>'
         f"<SourceFilename>{outside}</SourceFilename><SourceBand>1</SourceBand></SimpleSource></VRTRasterBand>"
         "</VRTDataset>"
     )
@@ -181,7 +186,10 @@ def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path)
     (root / "up").symlink_to("..")
     (root / "proc").symlink_to("/proc/self/root")
     (tmp_path / "secret.png").write_bytes(b"outside")
-    pairs = [(str(tmp_path / "secret.png"), str(tmp_path / "absent.png")), ("/etc/passwd", "/etc/passwx")]
+    pairs = [
+        (str(tmp_path / "secret.png"), str(tmp_path / "absent.png")),
+        ("/etc/passwd", "/etc/passwx"),
+    ]
     pairs += [("/proc/1/status", "/proc/999999999/status"), (str(tmp_path), f"{tmp_path}x")]
     ways = list(product(FORMS, pairs))
     for form, (present, absent) in ways:
@@ -196,7 +204,11 @@ def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path)
                 .replace(repr(named)[1:-1], "NAMED")
                 .replace(named[-80:], "NAMED")
             )
-            answers.append(caught.value.code if caught.value.code == "image_not_found" else told.replace(path, "PATH"))
+            answers.append(
+                caught.value.code
+                if caught.value.code == "image_not_found"
+                else told.replace(path, "PATH")
+            )
             assert caught.value.code in ("path_not_allowed", "image_not_found"), named
         assert answers[0] == answers[1], (form("ROOT", present), answers)
     assert 2 * len(ways) >= 350
@@ -219,12 +231,18 @@ async def test_no_other_host_is_looked_up_and_none_asked() -> None:
         "user:pw@images.test", "[images.test]", "images.test%00.evil.test", "images.test%2eevil.test", "",
     )  # fmt: skip
     urls = [
-        f"{scheme}{host}/a.png" for scheme, host in product(("https://", "http://", "HTTPS:", "ftp://", "//"), hosts)
+        f"{scheme}{host}/a.png"
+        for scheme, host in product(("https://", "http://", "HTTPS:", "ftp://", "//"), hosts)
     ]
     urls += [
-        f"{scheme}images.test/a.png" for scheme in ("http://", "ftp://", "file://", "gopher://", "data:", "//", "")
+        f"{scheme}images.test/a.png"
+        for scheme in ("http://", "ftp://", "file://", "gopher://", "data:", "//", "")
     ]
-    urls += ["https://images.test/a b.png", "https://images.test/a\r\nHost: evil.test", "https://evil.test/images.test"]
+    urls += [
+        "https://images.test/a b.png",
+        "https://images.test/a\r\nHost: evil.test",
+        "https://evil.test/images.test",
+    ]
     for url in [*urls, *(url.replace("/a.png", "") for url in urls)]:
         with pytest.raises(CallError) as caught:
             await fetcher.fetch(url)

@@ -63,7 +63,9 @@ def _web_server() -> Iterator[WebServer]:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     authority.issue_cert("images.test", "other.test").configure_cert(context)
     server.socket = context.wrap_socket(server.socket, server_side=True)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
+    thread = threading.Thread(
+        target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True
+    )
     thread.start()
     trust = ssl.create_default_context()
     authority.configure_trust(trust)
@@ -109,12 +111,16 @@ def resolving_to(fetcher: Fetcher, *addresses: str) -> Fetcher:
     return replace(fetcher, resolve=resolve)
 
 
-async def test_an_image_on_an_allowed_host_is_fetched(fetcher: Fetcher, web_server: WebServer) -> None:
+async def test_an_image_on_an_allowed_host_is_fetched(
+    fetcher: Fetcher, web_server: WebServer
+) -> None:
     assert await fetcher.fetch(web_server.url("/a.png?size=2#top")) == PICTURE
     assert web_server.requests == [(f"images.test:{web_server.port}", "/a.png?size=2")]
 
 
-async def test_a_redirect_on_an_allowed_host_is_followed(fetcher: Fetcher, web_server: WebServer) -> None:
+async def test_a_redirect_on_an_allowed_host_is_followed(
+    fetcher: Fetcher, web_server: WebServer
+) -> None:
     assert await fetcher.fetch(web_server.url("/to//a.png")) == PICTURE
     assert await fetcher.fetch(web_server.url(f"/to/{web_server.url()}")) == PICTURE
 
@@ -166,13 +172,22 @@ def test_private_addresses_and_ranges_that_only_look_public_are_not_public(addre
 
 @pytest.mark.parametrize(
     "address",
-    ["93.184.216.34", "8.8.8.8", "2606:4700:4700::1111", "::ffff:8.8.8.8", "168.63.129.17", "2606:2800:220:1::1"],
+    [
+        "93.184.216.34",
+        "8.8.8.8",
+        "2606:4700:4700::1111",
+        "::ffff:8.8.8.8",
+        "168.63.129.17",
+        "2606:2800:220:1::1",
+    ],
 )
 def test_public_addresses_are_public(address: str) -> None:
     assert is_public_address(address)
 
 
-async def test_one_private_address_among_public_ones_is_enough(fetcher: Fetcher, web_server: WebServer) -> None:
+async def test_one_private_address_among_public_ones_is_enough(
+    fetcher: Fetcher, web_server: WebServer
+) -> None:
     mixed = replace(resolving_to(fetcher, "8.8.8.8", "127.0.0.1"), is_public=is_public_address)
     refused = await refusal(mixed, web_server.url())
     assert refused.code == "url_not_allowed"
@@ -180,7 +195,9 @@ async def test_one_private_address_among_public_ones_is_enough(fetcher: Fetcher,
 
 
 @pytest.mark.promise("fetch")
-async def test_the_checked_address_is_the_one_connected_to(fetcher: Fetcher, web_server: WebServer) -> None:
+async def test_the_checked_address_is_the_one_connected_to(
+    fetcher: Fetcher, web_server: WebServer
+) -> None:
     answers = iter([["127.0.0.1"], ["10.0.0.1"], ["10.0.0.1"]])
 
     async def rebinding(host: str, port: int) -> list[str]:
@@ -202,16 +219,22 @@ async def test_the_checked_address_is_the_one_connected_to(fetcher: Fetcher, web
         "//evil.test/a.png",
     ],
 )
-async def test_redirects_are_checked_like_the_first_url(fetcher: Fetcher, web_server: WebServer, target: str) -> None:
+async def test_redirects_are_checked_like_the_first_url(
+    fetcher: Fetcher, web_server: WebServer, target: str
+) -> None:
     assert (await refusal(fetcher, web_server.url(f"/to/{target}"))).code == "url_not_allowed"
     assert len(web_server.requests) == 1
 
 
-async def test_a_redirects_host_is_resolved_and_checked_too(fetcher: Fetcher, web_server: WebServer) -> None:
+async def test_a_redirects_host_is_resolved_and_checked_too(
+    fetcher: Fetcher, web_server: WebServer
+) -> None:
     async def resolve(host: str, port: int) -> list[str]:
         return ["127.0.0.1"] if host == "images.test" else ["169.254.169.254"]
 
-    both = replace(fetcher, hosts=(*fetcher.hosts, f"other.test:{web_server.port}"), resolve=resolve)
+    both = replace(
+        fetcher, hosts=(*fetcher.hosts, f"other.test:{web_server.port}"), resolve=resolve
+    )
     error = await refusal(both, web_server.url(f"/to/{web_server.url(host='other.test')}"))
     assert error.code == "url_not_allowed"
     assert len(web_server.requests) == 1
@@ -223,7 +246,9 @@ async def test_redirects_end(fetcher: Fetcher, web_server: WebServer) -> None:
     assert len(web_server.requests) == MAX_REDIRECTS + 1
 
 
-async def test_the_certificate_is_verified_for_the_name(fetcher: Fetcher, web_server: WebServer) -> None:
+async def test_the_certificate_is_verified_for_the_name(
+    fetcher: Fetcher, web_server: WebServer
+) -> None:
     wrong_name = replace(fetcher, hosts=(f"evil.test:{web_server.port}",))
     assert (await refusal(wrong_name, web_server.url(host="evil.test"))).code == "fetch_failed"
     untrusted = replace(fetcher, ssl_context=None)
@@ -232,8 +257,12 @@ async def test_the_certificate_is_verified_for_the_name(fetcher: Fetcher, web_se
 
 
 @pytest.mark.promise("fetch")
-async def test_size_is_capped_whether_declared_or_not(fetcher: Fetcher, web_server: WebServer) -> None:
-    assert (await refusal(replace(fetcher, max_bytes=100), web_server.url())).code == "image_too_large"
+async def test_size_is_capped_whether_declared_or_not(
+    fetcher: Fetcher, web_server: WebServer
+) -> None:
+    assert (
+        await refusal(replace(fetcher, max_bytes=100), web_server.url())
+    ).code == "image_too_large"
     assert (await refusal(fetcher, web_server.url("/endless"))).code == "image_too_large"
 
 
@@ -255,18 +284,26 @@ async def test_failures_of_the_host_are_told(fetcher: Fetcher, web_server: WebSe
 
         raise socket.gaierror(-2, f"Name or service not known: {host}:{port}")
 
-    assert (await refusal(replace(fetcher, resolve=unknown), web_server.url())).code == "fetch_failed"
+    assert (
+        await refusal(replace(fetcher, resolve=unknown), web_server.url())
+    ).code == "fetch_failed"
     closed = replace(fetcher, hosts=("images.test:1",))
     assert (await refusal(closed, "https://images.test:1/a.png")).code == "fetch_failed"
 
 
 @pytest.mark.parametrize("location", ["https://[", "https://[::1", "//[x"])
-async def test_a_redirect_that_cannot_be_read_is_told(fetcher: Fetcher, web_server: WebServer, location: str) -> None:
+async def test_a_redirect_that_cannot_be_read_is_told(
+    fetcher: Fetcher, web_server: WebServer, location: str
+) -> None:
     assert (await refusal(fetcher, web_server.url(f"/to/{location}"))).code == "fetch_failed"
 
 
-async def test_a_name_that_the_resolver_cannot_encode_is_no_host(fetcher: Fetcher, web_server: WebServer) -> None:
+async def test_a_name_that_the_resolver_cannot_encode_is_no_host(
+    fetcher: Fetcher, web_server: WebServer
+) -> None:
     async def resolve(host: str, port: int) -> list[str]:
         raise UnicodeError("label too long")
 
-    assert (await refusal(replace(fetcher, resolve=resolve), web_server.url())).code == "url_not_allowed"
+    assert (
+        await refusal(replace(fetcher, resolve=resolve), web_server.url())
+    ).code == "url_not_allowed"

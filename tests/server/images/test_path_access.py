@@ -121,12 +121,15 @@ def test_a_name_replaced_between_check_and_opening_is_refused_without_waiting(
             if replaced_by == "fifo":
                 os.mkfifo(victim)
             else:
-                victim.symlink_to(outside if replaced_by == "linked folder" else outside / "secret.png")
+                victim.symlink_to(
+                    outside if replaced_by == "linked folder" else outside / "secret.png"
+                )
         return original(part, flags, directory)
 
     monkeypatch.setattr(path_access_module, "_open_part", swapped)
     refused = refusal(root, str(root / "deep" / "secret.png"))
-    assert refused.code in ("path_not_allowed", "image_not_found")  # Linux calls a linked folder no directory
+    # Linux calls a linked folder no directory
+    assert refused.code in ("path_not_allowed", "image_not_found")
 
 
 def test_an_opened_file_stays_the_one_that_was_checked(root: Path, outside: Path) -> None:
@@ -137,7 +140,9 @@ def test_an_opened_file_stays_the_one_that_was_checked(root: Path, outside: Path
         assert content(opened) == b"inside"
 
 
-def test_a_path_that_leads_nowhere_is_told_with_what_it_is_and_the_nearest_names(root: Path) -> None:
+def test_a_path_that_leads_nowhere_is_told_with_what_it_is_and_the_nearest_names(
+    root: Path,
+) -> None:
     assert "The nearest names are deep/b c%41.png." in str(refusal(root, "B C_41.png"))
     assert "Check the path." in str(refusal(root, "quite-different.tiff"))
     assert "is a folder. Name a file in it" in str(refusal(root, "deep"))
@@ -157,7 +162,9 @@ def test_the_first_root_with_the_file_of_a_relative_path_wins(root: Path, outsid
         pytest.fail("a link out of the root was followed")
 
 
-def test_links_that_leave_the_root_to_come_back_tell_nothing_of_what_they_pass(root: Path, tmp_path: Path) -> None:
+def test_links_that_leave_the_root_to_come_back_tell_nothing_of_what_they_pass(
+    root: Path, tmp_path: Path
+) -> None:
     (tmp_path / "back").symlink_to(root, target_is_directory=True)
     targets = (
         f"/proc/{os.getpid()}/root{root}/a.png",
@@ -210,12 +217,16 @@ def test_directories_fifos_sockets_and_devices_are_no_images(root: Path) -> None
 
 
 @pytest.mark.promise("roots")
-def test_outside_the_roots_what_exists_and_what_does_not_are_refused_alike(root: Path, outside: Path) -> None:
+def test_outside_the_roots_what_exists_and_what_does_not_are_refused_alike(
+    root: Path, outside: Path
+) -> None:
     there, missing = (refusal(root, str(outside / name)) for name in ("secret.png", "missing.png"))
     assert str(there) == str(missing)
     (root / "to_there.png").symlink_to(outside / "secret.png")
     (root / "to_nowhere.png").symlink_to(outside / "missing.png")
-    there, missing = (refusal(root, str(root / name)) for name in ("to_there.png", "to_nowhere.png"))
+    there, missing = (
+        refusal(root, str(root / name)) for name in ("to_there.png", "to_nowhere.png")
+    )
     assert str(there) == str(missing)
     assert "to_there" not in str(there)
     assert str(outside) not in str(there)

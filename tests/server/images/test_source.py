@@ -63,7 +63,9 @@ def test_size_is_checked_before_decoding(sources: ImageSources) -> None:
 
 
 @pytest.mark.anyio
-async def test_urls_are_fetched_before_they_are_opened(sources: ImageSources, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_urls_are_fetched_before_they_are_opened(
+    sources: ImageSources, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def fetch(_: Fetcher, url: str) -> bytes:
         return url.encode()
 
@@ -73,5 +75,7 @@ async def test_urls_are_fetched_before_they_are_opened(sources: ImageSources, mo
     with sources.open(*both[0]) as opened:
         assert opened == b"https://a.test/b"
     assert both[1][1] is None
-    with pytest.raises(CallError, match="image_too_large: the images have more than 100 bytes together"):
+    with pytest.raises(
+        CallError, match="image_too_large: the images have more than 100 bytes together"
+    ):
         await sources.fetched([image] * 7)

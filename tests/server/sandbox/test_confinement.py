@@ -40,7 +40,10 @@ print(json.dumps([found.landlock, found.seccomp, found.lacks]))
 def confined(before: str = "") -> tuple[int, bool, str]:
     """What a process of its own finds after it has confined itself."""
     done = subprocess.run(
-        [sys.executable, "-c", CONFINE.format(before=before)], capture_output=True, text=True, check=True
+        [sys.executable, "-c", CONFINE.format(before=before)],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     landlock, seccomp, lacks = json.loads(done.stdout)
     return landlock, seccomp, lacks
@@ -101,7 +104,9 @@ def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Rep
         "kill the server": lambda: os.kill(server, signal.SIGCONT),
         "signal all": lambda: os.kill(-1, 0),
         "trace the server": lambda: checked(libc.ptrace(16, server, 0, 0)),
-        "limit the server": lambda: checked(libc.prlimit(server, 7, None, ctypes.create_string_buffer(16))),
+        "limit the server": lambda: checked(
+            libc.prlimit(server, 7, None, ctypes.create_string_buffer(16))
+        ),
         "enter a namespace": lambda: checked(libc.unshare(0x10000000)),
         "ask for io_uring": lambda: checked(libc.syscall(425, 4, ctypes.create_string_buffer(120))),
         "list its working directory": lambda: list(Path.cwd().iterdir()),
@@ -110,7 +115,9 @@ def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Rep
         "type into a terminal": lambda: fcntl.ioctl(2, termios.TIOCSTI, b"x"),
         "have a signal sent to the server": lambda: fcntl.fcntl(0, fcntl.F_SETOWN, server),
         "choose the signal": lambda: fcntl.fcntl(0, 10, signal.SIGKILL),
-        "cut a file off while it is opened": lambda: os.open(root / "cars.png", os.O_RDONLY | os.O_TRUNC),
+        "cut a file off while it is opened": lambda: os.open(
+            root / "cars.png", os.O_RDONLY | os.O_TRUNC
+        ),
         "set its own priority": lambda: checked(libc.setpriority(0, 0, 19)),
         "set the server's priority": lambda: checked(libc.setpriority(0, server, 19)),
         "bind the server to a processor": lambda: os.sched_setaffinity(server, {0}),
@@ -150,9 +157,19 @@ def test_a_worker_can_do_its_work_and_nothing_else(
     (root / "cars.png").write_bytes(b"pixels")
     (root / "to_secret").symlink_to(secret)
     outcomes = done(running, attempts, Targets(str(secret), os.getpid()))
-    needed = ["read an image", "read it by its descriptor", "list the root", "import what was not", "start a thread"]
-    assert {name for name, outcome in outcomes.items() if outcome == "done"} == {*needed, "signal itself"}
-    assert outcomes.pop("ask for io_uring") == "ENOSYS"  # as on a kernel that is older than the call
+    needed = [
+        "read an image",
+        "read it by its descriptor",
+        "list the root",
+        "import what was not",
+        "start a thread",
+    ]
+    assert {name for name, outcome in outcomes.items() if outcome == "done"} == {
+        *needed,
+        "signal itself",
+    }
+    # as on a kernel that is older than the call
+    assert outcomes.pop("ask for io_uring") == "ENOSYS"
     assert set(outcomes.values()) == {"done", "EACCES", "EPERM"}
     assert outcomes["read /etc/passwd"] == outcomes["read it by a link"] == "EACCES"
     assert outcomes["open a TCP socket"] == outcomes["run a program"] == outcomes["fork"] == "EPERM"
@@ -169,7 +186,12 @@ def test_a_worker_can_do_its_work_and_nothing_else(
             False,
             True,
         ),
-        ("platform.machine = lambda: 'pdp11'", "seccomp: no system call numbers for pdp11", True, False),
+        (
+            "platform.machine = lambda: 'pdp11'",
+            "seccomp: no system call numbers for pdp11",
+            True,
+            False,
+        ),
         ("sys.platform = 'darwin'", "darwin has neither Landlock nor seccomp", False, False),
     ],
 )
@@ -194,13 +216,18 @@ def inherited(services: Services, job: Job, source: Any, _: None) -> Reply[Value
 @pytest.mark.slow
 def test_a_worker_inherits_its_socket_and_its_log_and_no_secret(running: Services) -> None:
     found = done(running, inherited)
-    assert set(found["variables"]) - {"LINES", "COLUMNS"} <= KEPT | set(SEARCH_PATHS)  # of the C library for terminals
+    # of the C library for terminals
+    assert set(found["variables"]) - {"LINES", "COLUMNS"} <= KEPT | set(SEARCH_PATHS)
     opened = {int(number): target for number, target in found["descriptors"].items()}
     assert opened[0] == os.devnull
     assert opened[1] == opened[2]
     assert opened[1].startswith("pipe:")
     assert sum(target.startswith("socket:") for target in opened.values()) == 1
-    rest = [target for number, target in opened.items() if number > 2 and not target.startswith("socket:")]
+    rest = [
+        target
+        for number, target in opened.items()
+        if number > 2 and not target.startswith("socket:")
+    ]
     assert all(target.startswith(("/proc/", "anon_inode:", "pipe:")) for target in rest), rest
 
 

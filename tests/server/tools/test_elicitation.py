@@ -26,7 +26,9 @@ class Person:
         self.answer = ElicitResult(action=action, content=content if action == "accept" else None)
         self.asked: list[ElicitRequestFormParams] = []
 
-    async def __call__(self, context: ClientRequestContext, params: ElicitRequestParams) -> ElicitResult:
+    async def __call__(
+        self, context: ClientRequestContext, params: ElicitRequestParams
+    ) -> ElicitResult:
         assert isinstance(params, ElicitRequestFormParams)
         self.asked.append(params)
         return self.answer
@@ -45,16 +47,22 @@ async def test_at_low_confidence_a_person_is_asked_once_and_the_answer_makes_the
     async with at(server, person) as client:
         asked = await client.call_tool("estimate_gsd", arguments)
     async with Client(server) as client:
-        told = await client.call_tool("estimate_gsd", {**arguments, "region": "europe", "known_lengths": [line]})
+        told = await client.call_tool(
+            "estimate_gsd", {**arguments, "region": "europe", "known_lengths": [line]}
+        )
         untold = await client.call_tool("estimate_gsd", arguments)
     assert asked.structured_content == told.structured_content
     assert told.structured_content is not None
     assert told.structured_content["status"] == "ok"
     (form,) = person.asked
-    assert form.message.startswith(text_of(untold))  # the person reads what was found, and why it is not enough
+    # the person reads what was found, and why it is not enough
+    assert form.message.startswith(text_of(untold))
     fields = list(form.requested_schema["properties"])
     assert fields == ["region", "height_m", "height_basis", "focal_35mm", "known_length"]
-    assert "pixels of the image of 640 x 512 px" in form.requested_schema["properties"]["known_length"]["description"]
+    assert (
+        "pixels of the image of 640 x 512 px"
+        in form.requested_schema["properties"]["known_length"]["description"]
+    )
     assert not form.requested_schema.get("required")
 
 
@@ -73,18 +81,26 @@ async def test_without_an_answer_the_low_result_stands(
     assert len(answered.asked) == 1
 
 
-async def test_what_is_known_or_would_not_help_is_not_asked(server: MCPServer[object], images: Path) -> None:
+async def test_what_is_known_or_would_not_help_is_not_asked(
+    server: MCPServer[object], images: Path
+) -> None:
     person = Person("decline")
     copy = {"frame": {"width_px": 320, "height_px": 256}}
     line = {"x1": 100, "y1": 50, "x2": 300, "y2": 50, "metres": 28}
     async with at(server, person) as client:
         await client.call_tool("estimate_gsd", by_path(images / "cars.png"))  # good enough
         await client.call_tool("estimate_gsd", {**by_path(images / "empty.png"), **copy})
-        await client.call_tool("estimate_gsd", {**by_path(images / "two.png"), "region": "europe", "height_m": 30})
-        await client.call_tool("estimate_gsd", {**by_path(images / "two.png"), "known_lengths": [line]})
+        await client.call_tool(
+            "estimate_gsd", {**by_path(images / "two.png"), "region": "europe", "height_m": 30}
+        )
+        await client.call_tool(
+            "estimate_gsd", {**by_path(images / "two.png"), "known_lengths": [line]}
+        )
     asked = [list(form.requested_schema["properties"]) for form in person.asked]
     assert asked == [["height_m", "height_basis", "focal_35mm", "known_length"], ["known_length"]]
-    assert "320 x 256" in person.asked[0].requested_schema["properties"]["known_length"]["description"]
+    assert (
+        "320 x 256" in person.asked[0].requested_schema["properties"]["known_length"]["description"]
+    )
 
 
 async def test_clients_of_older_revisions_and_those_that_cannot_ask_get_the_low_result_at_once(
@@ -97,7 +113,11 @@ async def test_clients_of_older_revisions_and_those_that_cannot_ask_get_the_low_
         async with client:
             results.append(await client.call_tool("estimate_gsd", by_path(images / "two.png")))
     assert not person.asked
-    assert results[0].structured_content == results[1].structured_content == results[2].structured_content
+    assert (
+        results[0].structured_content
+        == results[1].structured_content
+        == results[2].structured_content
+    )
     assert results[0].structured_content is not None
     assert results[0].structured_content["status"] == "low_confidence"
 
@@ -113,7 +133,8 @@ async def test_the_second_call_needs_nothing_of_the_first_so_that_any_server_of_
     assert asked.request_state is None
     assert asked.input_requests is not None
     answers: Any = {
-        key: ElicitResult(action="accept", content={"height_m": 30, "focal_35mm": 24}) for key in asked.input_requests
+        key: ElicitResult(action="accept", content={"height_m": 30, "focal_35mm": 24})
+        for key in asked.input_requests
     }
     async with Client(elsewhere) as client:
         result = await client.session.call_tool("estimate_gsd", arguments, input_responses=answers)

@@ -22,11 +22,15 @@ pytestmark = pytest.mark.anyio
 async def test_a_call_gives_the_librarys_record_and_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path, era: str
 ) -> None:
-    expected = vehanchor.estimate_gsd(images / "cars.png", detector=load_detector(detector_path, Runtime(threads=1)))
+    expected = vehanchor.estimate_gsd(
+        images / "cars.png", detector=load_detector(detector_path, Runtime(threads=1))
+    )
     result = await called(server, "estimate_gsd", images / "cars.png", era=era)
     assert record_of(result) == expected.model_dump(mode="json")
     assert len(result.content) == 1
-    assert text_of(result).startswith(f"{significant(expected.gsd_m_per_px or 0)} m/px (95 % interval ")
+    assert text_of(result).startswith(
+        f"{significant(expected.gsd_m_per_px or 0)} m/px (95 % interval "
+    )
     assert f"confidence {expected.confidence:.2f} from 24 vehicles: safe to use." in text_of(result)
 
 
@@ -42,28 +46,40 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     record = record_of(result)
     assert (record["status"], record["gsd_m_per_px"], record["confidence"]) == ("no_scale", None, 0)
     assert text_of(result) == (
-        "No ruler was found, confidence 0: no metric scale (no car was found); add a car that has no box (add), or "
+        "No ruler was found, confidence 0: no metric scale (no car was found); add a car that "
+        "has no box (add), or "
         "draw a line over a container or court (known_lengths)."
     )
 
 
-async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:
+async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(
+    server: MCPServer[object], images: Path
+) -> None:
     result = await called(server, "estimate_gsd", images / "two.png")
     assert record_of(result)["status"] == "low_confidence"
     assert text_of(result).endswith(
-        "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the region (region), or add "
+        "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the "
+        "region (region), or add "
         "a car that has no box (add)."
     )
 
 
-async def test_arguments_reach_the_library(server: MCPServer[object], images: Path, detector_path: Path) -> None:
+async def test_arguments_reach_the_library(
+    server: MCPServer[object], images: Path, detector_path: Path
+) -> None:
     detector = load_detector(detector_path, Runtime(threads=1))
-    expected = vehanchor.estimate_gsd(images / "cars.png", detector=detector, reference_length_m=4.6, frame=(320, 256))
+    expected = vehanchor.estimate_gsd(
+        images / "cars.png", detector=detector, reference_length_m=4.6, frame=(320, 256)
+    )
     frame = {"width_px": 320, "height_px": 256}
-    result = await called(server, "estimate_gsd", images / "cars.png", reference_length_m=4.6, frame=frame)
+    result = await called(
+        server, "estimate_gsd", images / "cars.png", reference_length_m=4.6, frame=frame
+    )
     assert record_of(result) == expected.model_dump(mode="json")
     assert expected.frame is not None
-    assert f"In your 320 x 256 copy that is {expected.frame.gsd_m_per_px:.3g} m/px." in text_of(result)
+    assert f"In your 320 x 256 copy that is {expected.frame.gsd_m_per_px:.3g} m/px." in text_of(
+        result
+    )
     by_region = await called(server, "estimate_gsd", images / "cars.png", region="europe")
     assert record_of(by_region)["details"]["reference_length_m"] == pytest.approx(4.5)
     assert "Region europe: cars of 4.50 m." in text_of(by_region)
@@ -72,36 +88,56 @@ async def test_arguments_reach_the_library(server: MCPServer[object], images: Pa
 async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_against_the_vehicles(
     server: MCPServer[object], images: Path
 ) -> None:
-    line, frame = {"x1": 10, "y1": 10, "x2": 110, "y2": 10, "metres": 200}, {"width_px": 320, "height_px": 256}
-    heard = await called(server, "estimate_gsd", images / "cars.png", frame=frame, known_lengths=[line])
-    assert "The given line, assumed, gives 1 m/px" in text_of(heard)  # 2 m/px of the frame, which is half as large
+    line, frame = (
+        {"x1": 10, "y1": 10, "x2": 110, "y2": 10, "metres": 200},
+        {"width_px": 320, "height_px": 256},
+    )
+    heard = await called(
+        server, "estimate_gsd", images / "cars.png", frame=frame, known_lengths=[line]
+    )
+    # 2 m/px of the frame, which is half as large
+    assert "The given line, assumed, gives 1 m/px" in text_of(heard)
     assert "rulers_disagree" in [warning["code"] for warning in record_of(heard)["warnings"]]
     short = [{**line, "x2": 11}]
-    refused = await called(server, "estimate_gsd", images / "cars.png", frame=frame, known_lengths=short)
+    refused = await called(
+        server, "estimate_gsd", images / "cars.png", frame=frame, known_lengths=short
+    )
     assert error_of(refused) == "invalid_known_length"
 
 
-async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPServer[object], images: Path) -> None:
+async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(
+    server: MCPServer[object], images: Path
+) -> None:
     plain = record_of(await called(server, "estimate_gsd", images / "cars.png"))
     n = plain["details"]["n_detections"]
     told: dict[str, Any] = {"drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
     frame = {"width_px": plain["image_width_px"] // 2, "height_px": plain["image_height_px"] // 2}
     result = await called(server, "estimate_gsd", images / "cars.png", **told, frame=frame)
     record = record_of(result)
-    assert (record["details"]["by_hand"], record["confidence"] <= 0.99) == ({"dropped": 1, "added": 1}, True)
+    assert (record["details"]["by_hand"], record["confidence"] <= 0.99) == (
+        {"dropped": 1, "added": 1},
+        True,
+    )
     assert "by hand: 1 added, 1 dropped" in text_of(result)
     missing = await called(server, "estimate_gsd", images / "cars.png", drop=f"1,{n + 1}")
     assert missing.is_error
-    assert f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}" in text_of(missing)
+    assert (
+        f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}"
+        in text_of(missing)
+    )
 
 
-async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MCPServer[object], images: Path) -> None:
+async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(
+    server: MCPServer[object], images: Path
+) -> None:
     height: dict[str, Any] = {"height_m": 100, "height_basis": "measured", "focal_35mm": 24}
     heard = await called(server, "estimate_gsd", images / "empty.png", **height)
     assert (record_of(heard)["leading_ruler"], record_of(heard)["n_vehicles"]) == ("height", 0)
     assert "from given height: safe to use." in text_of(heard)
     assert "The given height, measured, gives" in text_of(heard)
-    assert "give height_m" in text_of(await called(server, "estimate_gsd", images / "empty.png", focal_35mm=24))
+    assert "give height_m" in text_of(
+        await called(server, "estimate_gsd", images / "empty.png", focal_35mm=24)
+    )
 
 
 @pytest.fixture
@@ -133,7 +169,9 @@ DROP = "drop boxes that are no cars, see view_image (drop)"
 def test_advice_names_at_most_two_remedies_by_arguments_the_best_first(
     doubtful: GsdEstimate, changes: dict[str, Any], remedies: list[str]
 ) -> None:
-    details = doubtful.details.model_copy(update={"reference_source": changes.get("reference_source", "model")})
+    details = doubtful.details.model_copy(
+        update={"reference_source": changes.get("reference_source", "model")}
+    )
     told = doubtful.model_copy(update={"reason": changes["reason"], "details": details})
     words = answer_of([told], (), "short").text
     assert words.endswith(f"; {', or '.join(remedies)}.")

@@ -43,7 +43,11 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
     return Settings(
-        roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
+        roots=(images,),
+        detector=str(detector_path),
+        segmenter=segmenter_paths,
+        threads=1,
+        isolation="in-process",
     )
 
 
@@ -59,7 +63,13 @@ def flight(images: Path) -> Path:
     folder.mkdir()
     world, other = ground(seed=5), ground(seed=6)
     near = np.ascontiguousarray(photograph_of(world, 660, 580, turn_deg=30))
-    paint_vehicles(near, [[60 + 70 * (k % 6), 60 + 90 * (k // 6), LENGTH_PX + k % 3 - 1, 14, 0.4] for k in range(24)])
+    paint_vehicles(
+        near,
+        [
+            [60 + 70 * (k % 6), 60 + 90 * (k // 6), LENGTH_PX + k % 3 - 1, 14, 0.4]
+            for k in range(24)
+        ],
+    )
     write_image(folder / "near.png", near)
     write_image(folder / "here.png", photograph_of(world, 600, 600, scale=1.25))
     write_image(folder / "elsewhere.png", photograph_of(other, 600, 600))
@@ -80,7 +90,9 @@ async def test_an_image_without_a_car_has_the_scale_of_those_of_its_flight_that_
     assert record["gsd_m_per_px"] == pytest.approx(1.25 * CARS_M / LENGTH_PX, rel=0.03)
     assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * record["gsd_m_per_px"])
     assert record["rulers"][0]["gsd_m_per_px"] == pytest.approx(record["gsd_m_per_px"], rel=0.01)
-    assert record["gsd_ci95_low_m_per_px"] < record["gsd_m_per_px"] < record["gsd_ci95_high_m_per_px"]
+    assert (
+        record["gsd_ci95_low_m_per_px"] < record["gsd_m_per_px"] < record["gsd_ci95_high_m_per_px"]
+    )
     assert record["scale"]["gsd_m_per_px"] == record["gsd_m_per_px"]
     assert record["warnings"] == []
     drawn = await called(server, "view_image", of={"tool": "estimate_gsd", "arguments": asked})
@@ -91,7 +103,11 @@ async def test_an_image_that_nothing_ties_to_the_others_keeps_its_own_scale_and_
     server: MCPServer[object], flight: Path
 ) -> None:
     own = record_of(await called(server, "estimate_gsd", flight / "near.png"))
-    among = record_of(await called(server, "estimate_gsd", **_among(flight / "near.png", flight / "elsewhere.png")))
+    among = record_of(
+        await called(
+            server, "estimate_gsd", **_among(flight / "near.png", flight / "elsewhere.png")
+        )
+    )
     assert [each["code"] for each in among["warnings"]] == ["not_linked"]
     assert digits({**among, "warnings": []}) == digits(own)
 
@@ -105,15 +121,21 @@ def digits(value: Any) -> Any:
     return float(f"{value:.12g}") if isinstance(value, float) else value
 
 
-async def test_images_of_one_scale_put_their_vehicles_together(server: MCPServer[object], images: Path) -> None:
-    arguments = _among(images / "two.png", images / "more.png", images / "empty.png", same_scale=True)
+async def test_images_of_one_scale_put_their_vehicles_together(
+    server: MCPServer[object], images: Path
+) -> None:
+    arguments = _among(
+        images / "two.png", images / "more.png", images / "empty.png", same_scale=True
+    )
     alone = record_of(await called(server, "estimate_gsd", images / "two.png"))
     among = record_of(await called(server, "estimate_gsd", **arguments))
     assert (among["status"], among["rulers"][0]["n"]) == ("ok", 11)
     assert among["confidence"] > alone["confidence"]
 
 
-async def test_what_cannot_be_used_is_named_by_its_place(server: MCPServer[object], flight: Path, images: Path) -> None:
+async def test_what_cannot_be_used_is_named_by_its_place(
+    server: MCPServer[object], flight: Path, images: Path
+) -> None:
     here, near = flight / "here.png", flight / "near.png"
     line = {"x1": 0, "y1": 0, "x2": 99, "y2": 0, "metres": 9}
     cases = [
@@ -125,7 +147,11 @@ async def test_what_cannot_be_used_is_named_by_its_place(server: MCPServer[objec
         (_among(here, *[near] * (MAX_MORE_IMAGES + 1)), "invalid_arguments", "more_images"),
         (_among(here, near, known_lengths=[line]), "invalid_arguments", "known_lengths belong"),
         (_among(here, near, drop="1"), "invalid_arguments", "drop belongs to a single image"),
-        ({**by_path(here), "more_images": [{"kind": "data", "data": "x"}]}, "invalid_arguments", "more_images.0"),
+        (
+            {**by_path(here), "more_images": [{"kind": "data", "data": "x"}]},
+            "invalid_arguments",
+            "more_images.0",
+        ),
     ]
     async with Client(server) as client:
         for arguments, code, words in cases:

@@ -18,7 +18,15 @@ from mcp.types import CallToolResult
 import vehanchor
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import by_path, called, check_shape, error_of, input_schema, record_of, text_of
+from tests.server.conversation import (
+    by_path,
+    called,
+    check_shape,
+    error_of,
+    input_schema,
+    record_of,
+    text_of,
+)
 from tests.server.test_app import AREA as AREA_TOKENS
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
@@ -58,7 +66,10 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     assert record_of(result) == expected.model_dump(mode="json")
     assert len(result.content) == 1
     assert text_of(result).startswith(f"{expected.area_m2:.0f} m2 (95 % interval ")
-    assert f"from 24 vehicles, scale confidence {expected.scale_confidence:.2f}: safe to use." in text_of(result)
+    assert (
+        f"from 24 vehicles, scale confidence {expected.scale_confidence:.2f}: safe to use."
+        in text_of(result)
+    )
     assert "Mask: x 300 to 348, y 330 to 426 in your image." in text_of(result)
 
 
@@ -73,11 +84,13 @@ async def test_points_say_what_is_on_the_object_and_what_is_beside_it(
         segmenter=segmenter_paths,
     )
     named: list[dict[str, Any]] = [{"x": 324, "y": 378}, {"x": 200, "y": 400, "label": "exclude"}]
-    assert record_of(await asked(server, {**by_path(images / "pool.png"), "targets": [{"points": named}]})) == (
-        expected.model_dump(mode="json")
-    )
+    assert record_of(
+        await asked(server, {**by_path(images / "pool.png"), "targets": [{"points": named}]})
+    ) == (expected.model_dump(mode="json"))
     named[1]["label"] = "include"
-    other = record_of(await asked(server, {**by_path(images / "pool.png"), "targets": [{"points": named}]}))
+    other = record_of(
+        await asked(server, {**by_path(images / "pool.png"), "targets": [{"points": named}]})
+    )
     assert other["bounding_box"] != expected.model_dump(mode="json")["bounding_box"]
 
 
@@ -86,20 +99,34 @@ async def test_a_point_of_unknown_extent_is_told_with_the_sizes_that_it_may_mean
 ) -> None:
     pools = cv2.imread(str(images / "pool_alone.png"))
     assert pools is not None
-    pools[330:426, 400:448] = pools[330:426, 300:348]  # beside the first; the toy network takes both in a large crop
-    data = base64.b64encode(cv2.imencode(".png", pools)[1].tobytes()).decode()  # no file: other tests list the folder
+    # beside the first; the toy network takes both in a large crop
+    pools[330:426, 400:448] = pools[330:426, 300:348]
+    # no file: other tests list the folder
+    data = base64.b64encode(cv2.imencode(".png", pools)[1].tobytes()).decode()
     image = {"kind": "base64", "data": data}
-    asking = {"image": image, "targets": [{"points": [{"x": 162, "y": 189}]}], "gsd_m_per_px": 0.15, **MEASURED}
+    asking = {
+        "image": image,
+        "targets": [{"points": [{"x": 162, "y": 189}]}],
+        "gsd_m_per_px": 0.15,
+        **MEASURED,
+    }
     asking["frame"] = {"width_px": 320, "height_px": 256}
-    short, full = await asked(server, asking), record_of(await asked(server, {**asking, "detail": "full"}))
+    short, full = (
+        await asked(server, asking),
+        record_of(await asked(server, {**asking, "detail": "full"})),
+    )
     sizes = [each["area_m2"] for each in full["alternatives"]]
     assert full["status"] == record_of(short)["status"] == "low_confidence"
     assert sizes == pytest.approx([each["mask_area_px"] * 0.15**2 for each in full["alternatives"]])
-    assert [each["area_m2"] for each in record_of(short)["alternatives"]] == pytest.approx(sizes, rel=0.005)
+    assert [each["area_m2"] for each in record_of(short)["alternatives"]] == pytest.approx(
+        sizes, rel=0.005
+    )
     assert "bounding_box" in full["frame"]
     assert "bounding_box" not in {**record_of(short), **record_of(short)["frame"]}
     told = text_of(short)
-    assert "do not rely on it; give a tight box drawn by eye around the object that you mean." in told
+    assert (
+        "do not rely on it; give a tight box drawn by eye around the object that you mean." in told
+    )
     assert f"Or you mean {' or '.join(f'{size:.3g} m2' for size in sizes)}." in told
     assert "Mask:" not in told
 
@@ -107,11 +134,19 @@ async def test_a_point_of_unknown_extent_is_told_with_the_sizes_that_it_may_mean
 async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
     settings: Settings, images: Path, tmp_path: Path
 ) -> None:
-    server = create_server(create_services(replace(settings, segmenter=write_sam(tmp_path, scores=[0.4]))))
+    server = create_server(
+        create_services(replace(settings, segmenter=write_sam(tmp_path, scores=[0.4])))
+    )
     result = await asked(server, pool_in(images / "pool.png"))
     assert record_of(result)["status"] == "low_confidence"
-    assert "do not rely on it; look at it with view_image, and give a tight box drawn by eye." in text_of(result)
-    assert "Warning mask_score_low: The expected overlap with the object is 0.40, below 0.7." in text_of(result)
+    assert (
+        "do not rely on it; look at it with view_image, and give a tight box drawn by eye."
+        in text_of(result)
+    )
+    assert (
+        "Warning mask_score_low: The expected overlap with the object is 0.40, below 0.7."
+        in text_of(result)
+    )
 
 
 @pytest.mark.parametrize(
@@ -126,7 +161,10 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
         ({"box": {**POOL_BOX, "x_max": "inf"}}, "targets.0.box.x_max: give a number"),
         ({"box": {**POOL_BOX, "unit": "m"}}, "targets.0.box.unit: there is no such argument"),
         ({"points": [{"x": 1, "y": 1}] * 33}, "targets.0.points: give a list of 1 to 32 items"),
-        ({"points": [{"x": 1, "y": 1, "label": "yes"}]}, 'targets.0.points.0.label: give one of "include", "exclude"'),
+        (
+            {"points": [{"x": 1, "y": 1, "label": "yes"}]},
+            'targets.0.points.0.label: give one of "include", "exclude"',
+        ),
     ],
 )
 async def test_a_target_of_the_wrong_form_is_invalid_by_the_schema_and_told_in_one_line(
@@ -149,17 +187,22 @@ async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
     result = await asked(server, pool_in(images / "pool.png"))
     estimate = await called(server, "estimate_gsd", images / "pool.png")
     assert text_of(result) == (
-        "model_unavailable: this server's segmenter cannot be loaded (model_not_found). Its operator must check "
+        "model_unavailable: this server's segmenter cannot be loaded (model_not_found). Its "
+        "operator must check "
         "--segmenter."
     )
     assert "/nowhere/secret.onnx" in caplog.text
     assert not estimate.is_error
 
 
-async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServer[object], images: Path) -> None:
+async def test_a_frame_is_what_the_target_and_the_answer_are_in(
+    server: MCPServer[object], images: Path
+) -> None:
     half = {name: value / 2 for name, value in POOL_BOX.items()}
     frame = {"width_px": 320, "height_px": 256}
-    result = await asked(server, {**by_path(images / "pool.png"), "targets": [{"box": half}], "frame": frame})
+    result = await asked(
+        server, {**by_path(images / "pool.png"), "targets": [{"box": half}], "frame": frame}
+    )
     whole = record_of(await asked(server, pool_in(images / "pool.png")))
     record = record_of(result)
     assert record["area_m2"] == whole["area_m2"]
@@ -167,15 +210,30 @@ async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServe
     assert "Mask: x 150 to 174, y 165 to 213 in your copy." in text_of(result)
 
 
-async def test_the_longest_answer_about_an_area_stays_short(server: MCPServer[object], images: Path) -> None:
+async def test_the_longest_answer_about_an_area_stays_short(
+    server: MCPServer[object], images: Path
+) -> None:
     frame = {"width_px": 320, "height_px": 256}
     half = {name: value / 2 for name, value in POOL_BOX.items()}
-    full = {**by_path(images / "pool_two.png"), "targets": [{"box": half}], "frame": frame, "detail": "full"}
+    full = {
+        **by_path(images / "pool_two.png"),
+        "targets": [{"box": half}],
+        "frame": frame,
+        "detail": "full",
+    }
     found = AreaMeasurement.model_validate(record_of(await asked(server, full)))
     assert found.estimate is not None
     assert found.bounding_box is not None
-    other = OtherObject(area_m2=1234.5, mask_area_px=12345, mask_score=0.8, bounding_box=found.bounding_box)
-    codes = ("extent_unknown", "mask_score_low", "mask_touches_edge", "mask_in_pieces", "target_small")
+    other = OtherObject(
+        area_m2=1234.5, mask_area_px=12345, mask_score=0.8, bounding_box=found.bounding_box
+    )
+    codes = (
+        "extent_unknown",
+        "mask_score_low",
+        "mask_touches_edge",
+        "mask_in_pieces",
+        "target_small",
+    )
     notices = tuple(Notice(code=code, message=f"{'A fact ' * 12}. And more.") for code in codes)
     changes = {"reason": "not_cars", "n_vehicles": 24}
     worst = found.model_copy(
@@ -189,4 +247,7 @@ async def test_the_longest_answer_about_an_area_stays_short(server: MCPServer[ob
     assert len(answer.text) <= 4 * AREA_TOKENS[0]
     assert answer.text.endswith("Region europe: cars of 4.85 m.")
     assert all(notice.code in answer.text for notice in notices)
-    assert len(json.dumps(short_record([worst], answer.warnings), separators=(",", ":"))) <= 4 * AREA_TOKENS[1]
+    assert (
+        len(json.dumps(short_record([worst], answer.warnings), separators=(",", ":")))
+        <= 4 * AREA_TOKENS[1]
+    )

@@ -31,15 +31,22 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path
 ) -> None:
     expected = vehanchor.measure_distance(
-        images / "cars.png", [(20, 500), (320, 100)], detector=load_detector(detector_path, Runtime(threads=1))
+        images / "cars.png",
+        [(20, 500), (320, 100)],
+        detector=load_detector(detector_path, Runtime(threads=1)),
     )
     result = await called(server, "measure_distance", images / "cars.png", lines=[LINE])
     assert record_of(result) == expected.model_dump(mode="json")
     assert text_of(result).startswith(f"{significant(expected.distance_m or 0)} m (95 % interval ")
-    assert f"from 24 vehicles, scale confidence {expected.scale_confidence:.2f}: safe to use." in text_of(result)
+    assert (
+        f"from 24 vehicles, scale confidence {expected.scale_confidence:.2f}: safe to use."
+        in text_of(result)
+    )
 
 
-async def test_several_lines_are_several_answers_after_one_search(server: MCPServer[object], images: Path) -> None:
+async def test_several_lines_are_several_answers_after_one_search(
+    server: MCPServer[object], images: Path
+) -> None:
     reports: list[str] = []
 
     async def on_progress(progress: float, total: float | None, message: str | None) -> None:
@@ -47,7 +54,9 @@ async def test_several_lines_are_several_answers_after_one_search(server: MCPSer
 
     arguments = {"image": by_path(images / "cars.png")["image"], "lines": [LINE, CORNER]}
     async with Client(server) as client:
-        result = await client.call_tool("measure_distance", arguments, progress_callback=on_progress)
+        result = await client.call_tool(
+            "measure_distance", arguments, progress_callback=on_progress
+        )
     record = record_of(result)
     first, second = record["measurements"]
     assert second["distance_m"] == pytest.approx(1.4 * first["distance_m"], rel=0.01)
@@ -61,15 +70,31 @@ async def test_several_lines_are_several_answers_after_one_search(server: MCPSer
     [
         ({"lines": []}, "invalid_arguments", "lines: give a list of 1 to 16 items. Example: {"),
         ({"lines": [LINE] * 17}, "invalid_arguments", "lines: give a list of 1 to 16 items"),
-        ({"lines": [{"points": [{"x": 1, "y": 1}]}]}, "invalid_arguments", "lines.0.points: give a list of 2 to 32"),
+        (
+            {"lines": [{"points": [{"x": 1, "y": 1}]}]},
+            "invalid_arguments",
+            "lines.0.points: give a list of 2 to 32",
+        ),
         (
             {"lines": [{"points": [[1, 1], {"x": 9, "y": 9}]}]},
             "invalid_arguments",
             "lines.0.points.0: give an object with x, y",
         ),
-        ({"lines": [LINE], "scale": "0.1"}, "invalid_arguments", "scale: there is no such argument"),
-        ({"lines": [{"points": [{"x": 1, "y": 1}, {"x": 900, "y": 5}]}]}, "invalid_prompt", "copy of 1024 x 819 px"),
-        ({"lines": [{"points": [{"x": 0.1, "y": 0}, {"x": 0.9, "y": 1}]}]}, "invalid_prompt", '"fraction"'),
+        (
+            {"lines": [LINE], "scale": "0.1"},
+            "invalid_arguments",
+            "scale: there is no such argument",
+        ),
+        (
+            {"lines": [{"points": [{"x": 1, "y": 1}, {"x": 900, "y": 5}]}]},
+            "invalid_prompt",
+            "copy of 1024 x 819 px",
+        ),
+        (
+            {"lines": [{"points": [{"x": 0.1, "y": 0}, {"x": 0.9, "y": 1}]}]},
+            "invalid_prompt",
+            '"fraction"',
+        ),
     ],
 )
 async def test_what_has_no_meaning_is_told_with_what_may_have_been_meant(
@@ -80,14 +105,19 @@ async def test_what_has_no_meaning_is_told_with_what_may_have_been_meant(
     assert words in text_of(result)
 
 
-async def test_a_place_that_may_be_one_of_a_copy_is_questioned(server: MCPServer[object], tmp_path: Path) -> None:
+async def test_a_place_that_may_be_one_of_a_copy_is_questioned(
+    server: MCPServer[object], tmp_path: Path
+) -> None:
     image = write_image(tmp_path / "large.png", paint_scene(3136, 1000, 0))
     settings = Settings(roots=(tmp_path.resolve(),), isolation="in-process")
     server = create_server(create_services(settings))
     near = await called(server, "measure_distance", image, lines=[LINE], **MEASURED)
     assert "If you used a smaller copy, give its size as frame" in text_of(near)
     far = {"points": [{"x": 20, "y": 500}, {"x": 3000, "y": 900}]}
-    for more in ({"lines": [far]}, {"lines": [LINE], "frame": {"width_px": 3136, "height_px": 1000}}):
+    for more in (
+        {"lines": [far]},
+        {"lines": [LINE], "frame": {"width_px": 3136, "height_px": 1000}},
+    ):
         told = await called(server, "measure_distance", image, **MEASURED, **more)
         assert "smaller copy" not in text_of(told)
 
@@ -96,19 +126,28 @@ SMALL = {"points": [{"x": 20, "y": 50}, {"x": 90, "y": 60}]}
 SHARES = {"points": [{"x": 0.1, "y": 0.2}, {"x": 0.9, "y": 0.2}]}
 
 
-async def test_coordinates_that_look_like_shares_or_per_cent_are_questioned_unless_named(tmp_path: Path) -> None:
+async def test_coordinates_that_look_like_shares_or_per_cent_are_questioned_unless_named(
+    tmp_path: Path,
+) -> None:
     image = write_image(tmp_path / "large.png", paint_scene(1200, 300, 0))
-    server = create_server(create_services(Settings(roots=(tmp_path.resolve(),), isolation="in-process")))
+    server = create_server(
+        create_services(Settings(roots=(tmp_path.resolve(),), isolation="in-process"))
+    )
 
     async def told(line: Any, **more: Any) -> CallToolResult:
-        return await called(server, "measure_distance", image, lines=[line], detail="short", **MEASURED, **more)
+        return await called(
+            server, "measure_distance", image, lines=[line], detail="short", **MEASURED, **more
+        )
 
     refused = await told(SHARES)
     assert error_of(refused) == "invalid_prompt"
     assert 'coordinates: "fraction"' in text_of(refused)
     assert not (await told(SHARES, coordinates="fraction")).is_error
     doubted = await told(SMALL)
-    assert 'all coordinates lie in 0 to 100. If they are pixels, give coordinates: "pixels".' in text_of(doubted)
+    assert (
+        'all coordinates lie in 0 to 100. If they are pixels, give coordinates: "pixels".'
+        in text_of(doubted)
+    )
     assert "0 to 100" in str(record_of(doubted)["warnings"])
     named = await told(SMALL, coordinates="pixels")
     assert "0 to 100" not in text_of(named)
@@ -116,12 +155,21 @@ async def test_coordinates_that_look_like_shares_or_per_cent_are_questioned_unle
     assert text_of(named).endswith("The stated scale is taken as +- 10 %.")
 
 
-async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServer[object], images: Path) -> None:
-    whole = record_of(await called(server, "measure_distance", images / "cars.png", lines=[LINE], **MEASURED))
+async def test_places_mean_the_same_in_every_kind_of_coordinates(
+    server: MCPServer[object], images: Path
+) -> None:
+    whole = record_of(
+        await called(server, "measure_distance", images / "cars.png", lines=[LINE], **MEASURED)
+    )
     for coordinates, reach in (("fraction", 1), ("per_mille", 1000)):
         points = [{"x": at["x"] / 640 * reach, "y": at["y"] / 512 * reach} for at in LINE["points"]]
         lines = [{"points": points}]
         told = await called(
-            server, "measure_distance", images / "cars.png", lines=lines, coordinates=coordinates, **MEASURED
+            server,
+            "measure_distance",
+            images / "cars.png",
+            lines=lines,
+            coordinates=coordinates,
+            **MEASURED,
         )
         assert record_of(told)["distance_m"] == pytest.approx(whole["distance_m"])

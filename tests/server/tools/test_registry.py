@@ -66,14 +66,23 @@ async def test_the_contract_names_every_hint(server: MCPServer[object], era: str
     async with Client(server, mode=era) as client:
         listed = (await client.list_tools()).tools
         instructions = client.instructions
-    assert [tool.name for tool in listed] == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
+    assert [tool.name for tool in listed] == [
+        "estimate_gsd",
+        "measure_area",
+        "measure_distance",
+        "view_image",
+    ]
     for tool in listed:
         assert tool.title
         assert (tool.output_schema is None) == (tool.name == "view_image")
         assert tool.description
         assert len(tool.description.encode()) < 2048
         measures_nothing = tool.name == "view_image"
-        assert measures_nothing or "status is ok" in tool.description or "status ok: use it" in tool.description
+        assert (
+            measures_nothing
+            or "status is ok" in tool.description
+            or "status ok: use it" in tool.description
+        )
         assert tool.annotations is not None
         assert tool.annotations.read_only_hint
         assert tool.annotations.idempotent_hint
@@ -82,7 +91,9 @@ async def test_the_contract_names_every_hint(server: MCPServer[object], era: str
     assert instructions is not None
     assert "with status ok" in instructions
     said = " ".join([instructions, *(tool.description or "" for tool in listed)])
-    assert said.count("in at least 9 of 10") == said.count("never a guess") == 1, "the rule stands once"
+    assert said.count("in at least 9 of 10") == said.count("never a guess") == 1, (
+        "the rule stands once"
+    )
     assert "0.5" not in said, "the status decides, never a confidence of 0.5"
 
 
@@ -103,7 +114,13 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
     assert set(files) - set(published) == {"image_size.input.json", "image_size.output.json"}
     for provider in ("anthropic", "openai"):
         names = [tool["name"] for tool in json.loads(files[f"{provider}.json"])]
-        assert names == ["estimate_gsd", "measure_area", "measure_distance", "image_size", "view_image"]
+        assert names == [
+            "estimate_gsd",
+            "measure_area",
+            "measure_distance",
+            "image_size",
+            "view_image",
+        ]
 
 
 @pytest.mark.parametrize(
@@ -111,16 +128,40 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
     [
         ({}, "image: it is required"),
         ({"image": {"path": "/a"}}, "image: give an object with kind path or base64 or url"),
-        ({"image": {"kind": "ftp", "path": "/a"}}, "image: give an object with kind path or base64 or url"),
+        (
+            {"image": {"kind": "ftp", "path": "/a"}},
+            "image: give an object with kind path or base64 or url",
+        ),
         ({"image": "/a.jpg"}, "give an object"),
-        ({"image": {"kind": "path", "path": "/a", "url": "x"}}, "image.url: there is no such argument"),
+        (
+            {"image": {"kind": "path", "path": "/a", "url": "x"}},
+            "image.url: there is no such argument",
+        ),
         ({"image": {"kind": "path", "path": ""}}, "image.path: give a text"),
-        ({"image": {"kind": "path", "path": "/a"}, "detector": "/etc/passwd"}, "detector: there is no such argument"),
-        ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": -1}, "reference_length_m: give a number >= 2"),
-        ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": "inf"}, "reference_length_m"),
-        ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": "nan"}, "reference_length_m"),
-        ({"image": {"kind": "path", "path": "/a"}, "frame": {"width_px": 3}}, "frame.height_px: it is required"),
-        ({"image": {"kind": "path", "path": "/a"}, "frame": {"width_px": 0, "height_px": 3}}, "frame.width_px"),
+        (
+            {"image": {"kind": "path", "path": "/a"}, "detector": "/etc/passwd"},
+            "detector: there is no such argument",
+        ),
+        (
+            {"image": {"kind": "path", "path": "/a"}, "reference_length_m": -1},
+            "reference_length_m: give a number >= 2",
+        ),
+        (
+            {"image": {"kind": "path", "path": "/a"}, "reference_length_m": "inf"},
+            "reference_length_m",
+        ),
+        (
+            {"image": {"kind": "path", "path": "/a"}, "reference_length_m": "nan"},
+            "reference_length_m",
+        ),
+        (
+            {"image": {"kind": "path", "path": "/a"}, "frame": {"width_px": 3}},
+            "frame.height_px: it is required",
+        ),
+        (
+            {"image": {"kind": "path", "path": "/a"}, "frame": {"width_px": 0, "height_px": 3}},
+            "frame.width_px",
+        ),
     ],
 )
 async def test_wrong_arguments_are_invalid_by_the_schema_and_told_in_one_line(
@@ -138,14 +179,19 @@ async def test_wrong_arguments_are_invalid_by_the_schema_and_told_in_one_line(
 _BOX = {"x_min": 1, "y_min": 1, "x_max": 90, "y_max": 90}
 _LINE = {"x1": 1, "y1": 1, "x2": 90, "y2": 90, "metres": 5}
 _KNOWN = {
-    **dict.fromkeys(("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px", "confidence"), 0.5),
+    **dict.fromkeys(
+        ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px", "confidence"), 0.5
+    ),
     "image_id": "x",
     "model_id": "x",
 }
 
 
 _NUMBERS: list[tuple[str, str, Any]] = [  # tool, argument, and where in it a number stands
-    *[("estimate_gsd", name, ...) for name in ("reference_length_m", "height_m", "focal_35mm", "max_seconds")],
+    *[
+        ("estimate_gsd", name, ...)
+        for name in ("reference_length_m", "height_m", "focal_35mm", "max_seconds")
+    ],
     ("estimate_gsd", "max_tiles", ...),
     *[("measure_area", name, ...) for name in ("gsd_m_per_px", "object_height_m")],
     *[("view_image", name, ...) for name in ("page", "long_side_px")],
@@ -156,7 +202,11 @@ _NUMBERS: list[tuple[str, str, Any]] = [  # tool, argument, and where in it a nu
     ("measure_area", "targets", [{"points": [{"x": ..., "y": 3}]}]),
     ("measure_distance", "lines", [{"points": [{"x": ..., "y": 1}, {"x": 9, "y": 9}]}]),
     *[("measure_area", "scale", {**_KNOWN, name: ...}) for name in ("gsd_m_per_px", "confidence")],
-    ("measure_area", "scale", {**_KNOWN, "plane": {"tilt_deg": ..., "roll_deg": 1, "focal_length_px": 900}}),
+    (
+        "measure_area",
+        "scale",
+        {**_KNOWN, "plane": {"tilt_deg": ..., "roll_deg": 1, "focal_length_px": 900}},
+    ),
 ]
 
 
@@ -164,10 +214,18 @@ def _filled(part: Any, value: Any) -> Any:
     """The same with a value where ``...`` is."""
     if isinstance(part, dict):
         return {key: _filled(each, value) for key, each in part.items()}
-    return [_filled(each, value) for each in part] if isinstance(part, list) else value if part is ... else part
+    return (
+        [_filled(each, value) for each in part]
+        if isinstance(part, list)
+        else value
+        if part is ...
+        else part
+    )
 
 
-async def test_what_is_no_number_is_not_taken_for_one_nor_what_no_call_means(server: MCPServer[object]) -> None:
+async def test_what_is_no_number_is_not_taken_for_one_nor_what_no_call_means(
+    server: MCPServer[object],
+) -> None:
     absurd: list[tuple[str, str, Any]] = [
         ("estimate_gsd", "max_tiles", 10**400),
         ("estimate_gsd", "max_seconds", 1e308),
@@ -175,13 +233,21 @@ async def test_what_is_no_number_is_not_taken_for_one_nor_what_no_call_means(ser
         ("estimate_gsd", "same_scale", "yes"),
         ("measure_area", "gsd_m_per_px", 1e-300),
         ("measure_area", "gsd_m_per_px", 1e9),
-        *[(tool, name, _filled(place, value)) for tool, name, place in _NUMBERS for value in (True, "4.5 kg", "-")],
+        *[
+            (tool, name, _filled(place, value))
+            for tool, name, place in _NUMBERS
+            for value in (True, "4.5 kg", "-")
+        ],
     ]
     required = {"measure_area": {"targets": [{"box": _BOX}]}}
     taken = []
     async with Client(server) as client:
         for tool, name, value in absurd:
-            arguments = {"image": {"kind": "path", "path": "/a"}, **required.get(tool, {}), name: value}
+            arguments = {
+                "image": {"kind": "path", "path": "/a"},
+                **required.get(tool, {}),
+                name: value,
+            }
             result = await client.call_tool(tool, arguments)
             if error_of(result) != "invalid_arguments" or name not in text_of(result):
                 taken.append((tool, name, str(value)[:40], text_of(result)))
@@ -190,12 +256,17 @@ async def test_what_is_no_number_is_not_taken_for_one_nor_what_no_call_means(ser
 
 async def test_a_wrong_argument_is_not_repeated_to_the_caller(server: MCPServer[object]) -> None:
     async with Client(server) as client:
-        result = await client.call_tool("estimate_gsd", {"image": {"kind": "base64", "data": 7, "secret": "hunter2"}})
+        result = await client.call_tool(
+            "estimate_gsd", {"image": {"kind": "base64", "data": 7, "secret": "hunter2"}}
+        )
     assert "hunter2" not in text_of(result)
 
 
 async def test_a_bug_is_told_without_its_details_and_logged_with_them(
-    server: MCPServer[object], images: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    server: MCPServer[object],
+    images: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     def broken(*_: object, **__: object) -> None:
         raise RuntimeError("password is hunter2")
@@ -213,7 +284,9 @@ async def test_more_values_than_any_call_has_are_told_without_looking_at_each(
     server: MCPServer[object], deep: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looked_at: list[object] = []
-    monkeypatch.setattr(FuncMetadata, "validate_arguments", lambda _, arguments: looked_at.append(arguments))
+    monkeypatch.setattr(
+        FuncMetadata, "validate_arguments", lambda _, arguments: looked_at.append(arguments)
+    )
     many = {f"a{i}": 0 for i in range(100_000)}
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", {"image": many} if deep else many)
@@ -224,7 +297,11 @@ async def test_more_values_than_any_call_has_are_told_without_looking_at_each(
 async def test_long_names_are_shortened_before_they_are_told(server: MCPServer[object]) -> None:
     long = "n" * 100_000
     async with Client(server) as client:
-        for arguments in ({long: 1}, {"image": {"kind": long}}, {"image": {"kind": "path", "path": "/a", long: 1}}):
+        for arguments in (
+            {long: 1},
+            {"image": {"kind": long}},
+            {"image": {"kind": "path", "path": "/a", long: 1}},
+        ):
             result = await client.call_tool("estimate_gsd", arguments)
             assert error_of(result) == "invalid_arguments"
             assert len(text_of(result)) < 700

@@ -26,11 +26,15 @@ TOOLS: dict[str, dict[str, Any]] = {
 }
 
 
-async def measured(server: MCPServer[object], image: Path, tool: str = "measure_distance", **more: Any) -> Any:
+async def measured(
+    server: MCPServer[object], image: Path, tool: str = "measure_distance", **more: Any
+) -> Any:
     return record_of(await called(server, tool, image, **TOOLS[tool], **more))
 
 
-async def refused(server: MCPServer[object], image: Path, tool: str, **more: Any) -> tuple[str, str]:
+async def refused(
+    server: MCPServer[object], image: Path, tool: str, **more: Any
+) -> tuple[str, str]:
     result = await called(server, tool, image, **TOOLS[tool], **more)
     return error_of(result), text_of(result)
 
@@ -49,8 +53,12 @@ def never_searches(monkeypatch: pytest.MonkeyPatch) -> None:
 async def test_a_measured_scale_leads_without_a_search_and_a_detector(
     settings: Settings, images: Path, tool: str, more: dict[str, Any], half: float
 ) -> None:
-    server = create_server(create_services(replace(settings, detector="/nowhere.onnx", calibration=Path("/nowhere"))))
-    found = await measured(server, images / "pool.png", tool, gsd_m_per_px=0.15, gsd_basis="measured", **more)
+    server = create_server(
+        create_services(replace(settings, detector="/nowhere.onnx", calibration=Path("/nowhere")))
+    )
+    found = await measured(
+        server, images / "pool.png", tool, gsd_m_per_px=0.15, gsd_basis="measured", **more
+    )
     assert (found["status"], found["gsd_m_per_px"], found["scale_source"]) == ("ok", 0.15, "given")
     assert (found["estimate"], found["scale_confidence"] >= 0.9) == (None, True)
     if tool == "measure_distance":
@@ -62,13 +70,16 @@ async def test_a_measured_scale_leads_without_a_search_and_a_detector(
 
 
 @pytest.mark.usefixtures("never_searches")
-async def test_a_measured_scale_as_wide_as_a_guess_is_not_to_be_used(server: MCPServer[object], images: Path) -> None:
+async def test_a_measured_scale_as_wide_as_a_guess_is_not_to_be_used(
+    server: MCPServer[object], images: Path
+) -> None:
     wide: dict[str, Any] = {"gsd_m_per_px": 0.15, "gsd_basis": "measured", "gsd_tolerance": 0.06}
     assert (await measured(server, images / "pool.png", **wide))["status"] == "low_confidence"
 
 
 @pytest.mark.parametrize(
-    "more", [{"known_lengths": [LINE]}, {"drop": "1"}, {"add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}]
+    "more",
+    [{"known_lengths": [LINE]}, {"drop": "1"}, {"add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}],
 )
 async def test_what_a_measured_scale_would_leave_unheard_is_refused(
     server: MCPServer[object], images: Path, more: dict[str, Any]
@@ -109,7 +120,9 @@ async def test_an_assumed_scale_that_agrees_is_one_more_witness(
     server: MCPServer[object], images: Path, tool: str
 ) -> None:
     alone = await measured(server, images / "pool_two.png", tool)
-    found = await measured(server, images / "pool_two.png", tool, gsd_m_per_px=0.95 * alone["gsd_m_per_px"])
+    found = await measured(
+        server, images / "pool_two.png", tool, gsd_m_per_px=0.95 * alone["gsd_m_per_px"]
+    )
     assert alone["status"] == "low_confidence"
     assert found["scale_confidence"] > alone["scale_confidence"]
     assert found["estimate"]["n_vehicles"] == 2, "the image is searched"
@@ -140,14 +153,19 @@ async def test_an_assumed_scale_that_repeats_the_images_own_changes_nothing(
         assert found == alone, "the same number twice is one witness"
 
 
-async def test_an_assumed_scale_alone_is_never_usable(server: MCPServer[object], images: Path) -> None:
-    stated: dict[str, Any] = {"gsd_m_per_px": 0.25, "gsd_tolerance": 0.002}  # the prior of the scene agrees
+async def test_an_assumed_scale_alone_is_never_usable(
+    server: MCPServer[object], images: Path
+) -> None:
+    # the prior of the scene agrees
+    stated: dict[str, Any] = {"gsd_m_per_px": 0.25, "gsd_tolerance": 0.002}
     found = await measured(server, images / "empty.png", **stated)
     assert found["gsd_m_per_px"] == pytest.approx(0.25, rel=0.1)
     assert (found["status"], found["estimate"]["reason"]) == ("low_confidence", "assumed")
 
 
-# --- The memory ------------------------------------------------------------------------------------------------------
+# --- The memory
+#
+# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -174,7 +192,12 @@ async def estimated(server: MCPServer[object], image: Path, **more: Any) -> Any:
     "more",
     [
         {},
-        {"frame": {"width_px": 640, "height_px": 512}, "known_lengths": [LINE], "height_m": 100, "focal_35mm": 24},
+        {
+            "frame": {"width_px": 640, "height_px": 512},
+            "known_lengths": [LINE],
+            "height_m": 100,
+            "focal_35mm": 24,
+        },
         {"drop": "1", "add": [{"x1": 100, "y1": 480, "x2": 132, "y2": 480}]},
     ],
 )
@@ -190,7 +213,9 @@ async def test_a_measurement_after_an_estimate_with_the_same_arguments_costs_no_
     assert searches() == 1
     assert distance["estimate"] == area["estimate"] == estimate
     elsewhere = create_server(create_services(settings))
-    assert await measured(elsewhere, images / "pool.png", "measure_area", **more) == area, "it changes no result"
+    assert await measured(elsewhere, images / "pool.png", "measure_area", **more) == area, (
+        "it changes no result"
+    )
     assert searches() == 2
 
 

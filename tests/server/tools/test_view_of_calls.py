@@ -25,15 +25,25 @@ pytestmark = pytest.mark.anyio
 TARGETS = {"targets": [{"box": POOL_BOX}]}
 LINE = {"points": [{"x": 200, "y": 300}, {"x": 300, "y": 300}]}
 STATED = {"gsd_m_per_px": 0.1, "gsd_basis": "measured"}
-CALLS: dict[str, dict[str, Any]] = {"estimate_gsd": {}, "measure_area": TARGETS, "measure_distance": {"lines": [LINE]}}
+CALLS: dict[str, dict[str, Any]] = {
+    "estimate_gsd": {},
+    "measure_area": TARGETS,
+    "measure_distance": {"lines": [LINE]},
+}
 
 
 async def drawn(
-    server: MCPServer[object], image: Path, tool: str, arguments: dict[str, Any] | None = None, **more: Any
+    server: MCPServer[object],
+    image: Path,
+    tool: str,
+    arguments: dict[str, Any] | None = None,
+    **more: Any,
 ) -> CallToolResult:
     asked = {"image": by_path(image)["image"], **(CALLS[tool] if arguments is None else arguments)}
     async with Client(server) as client:
-        return await client.call_tool("view_image", {"of": {"tool": tool, "arguments": asked}, **more})
+        return await client.call_tool(
+            "view_image", {"of": {"tool": tool, "arguments": asked}, **more}
+        )
 
 
 def near(picture: np.ndarray, rgb: tuple[int, int, int], within: int) -> np.ndarray:
@@ -48,7 +58,9 @@ async def test_the_words_of_the_call_stand_before_a_picture_with_its_vehicles(
 ) -> None:
     result = await drawn(server, images / "pool.png", tool)
     async with Client(server) as client:
-        plain = await client.call_tool(tool, {"image": by_path(images / "pool.png")["image"], **CALLS[tool]})
+        plain = await client.call_tool(
+            tool, {"image": by_path(images / "pool.png")["image"], **CALLS[tool]}
+        )
     assert text_of(result) == text_of(plain)
     assert not any(isinstance(part, ImageContent) for part in plain.content)
     assert result.structured_content is None
@@ -58,7 +70,9 @@ async def test_the_words_of_the_call_stand_before_a_picture_with_its_vehicles(
     assert below.sum() > 500, "the vehicles are enlarged below"
 
 
-async def test_a_call_that_is_computed_again_gives_the_same_picture(settings: Settings, images: Path) -> None:
+async def test_a_call_that_is_computed_again_gives_the_same_picture(
+    settings: Settings, images: Path
+) -> None:
     seen, tool = [], "measure_area"
     for is_remembered in (True, False):
         server = create_server(create_services(settings))
@@ -70,7 +84,9 @@ async def test_a_call_that_is_computed_again_gives_the_same_picture(settings: Se
 
 
 async def test_an_area_is_cut_to_the_object(server: MCPServer[object], images: Path) -> None:
-    decoded = picture_of(await drawn(server, images / "pool_alone.png", "measure_area", {**TARGETS, **STATED}))
+    decoded = picture_of(
+        await drawn(server, images / "pool_alone.png", "measure_area", {**TARGETS, **STATED})
+    )
     # box of 60 x 108 px with a margin of 54 px: 168 x 216 px, four times enlarged
     pool = near(decoded, (97, 134, 195), 12)
     assert pool.sum() > 0.1 * 4 * 168 * 4 * 216, "the pool is small in its picture"
@@ -93,16 +109,22 @@ async def test_the_picture_has_the_requested_side_and_shows_all_targets(
     other = {"x_min": 600, "y_min": 700, "x_max": 660, "y_max": 760}
     asked = {"targets": [{"box": POOL_BOX}, {"box": other}], **STATED}
     for side_px in (300, 1568):
-        result = await drawn(server, images / "pool_large.png", "measure_area", asked, long_side_px=side_px)
+        result = await drawn(
+            server, images / "pool_large.png", "measure_area", asked, long_side_px=side_px
+        )
         decoded = picture_of(result)
         assert side_px / 2 < max(decoded.shape[:2]) <= side_px
     yellow = near(decoded, PROMPT_RGB, 60)
     assert np.ptp(np.nonzero(yellow)[1]) > 0.4 * decoded.shape[1], "a prompt is missing"
 
 
-async def test_a_part_shows_the_numbered_vehicles_of_that_part(server: MCPServer[object], images: Path) -> None:
+async def test_a_part_shows_the_numbered_vehicles_of_that_part(
+    server: MCPServer[object], images: Path
+) -> None:
     part = {"x_min": 20, "y_min": 20, "x_max": 160, "y_max": 120}
-    decoded = picture_of(await drawn(server, images / "pool.png", "estimate_gsd", part=part, long_side_px=560))
+    decoded = picture_of(
+        await drawn(server, images / "pool.png", "estimate_gsd", part=part, long_side_px=560)
+    )
     assert decoded.shape[1] == 560
     (_, columns) = np.nonzero(near(decoded[:400], KEPT_RGB, 60))
     assert columns.min() < 280 < columns.max(), "two vehicles of this part, at x 60 and 130"
@@ -123,7 +145,11 @@ async def test_arguments_come_as_text_and_the_image_may_stand_beside_them(
     [
         ({"target": []}, "invalid_arguments", "of.arguments: "),
         ({"targets": [{"box": {**POOL_BOX, "x_max": 9999}}]}, "invalid_prompt", "is not inside"),
-        ({**TARGETS, "image": {"kind": "path", "path": "/elsewhere.png"}}, "path_not_allowed", "allowed directory"),
+        (
+            {**TARGETS, "image": {"kind": "path", "path": "/elsewhere.png"}},
+            "path_not_allowed",
+            "allowed directory",
+        ),
     ],
 )
 async def test_a_call_that_fails_is_told_as_such(

@@ -31,7 +31,9 @@ ISSUER, AUDIENCE = "https://issuer.test/realm", "https://vehanchor.test/mcp"
 TOKEN = "a-long-enough-token-1234"
 
 
-async def test_a_known_token_is_accepted_and_all_others_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_known_token_is_accepted_and_all_others_are_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     compared: list[int] = []
     original = hmac.compare_digest
 
@@ -56,9 +58,12 @@ def test_token_files_are_read_by_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "words"), [(None, "cannot be read"), (b"# none\n", "no token"), (b"short\n", "16"), (b"\xff", "cannot")]
+    ("content", "words"),
+    [(None, "cannot be read"), (b"# none\n", "no token"), (b"short\n", "16"), (b"\xff", "cannot")],
 )
-def test_token_files_that_protect_nothing_are_refused(tmp_path: Path, content: bytes | None, words: str) -> None:
+def test_token_files_that_protect_nothing_are_refused(
+    tmp_path: Path, content: bytes | None, words: str
+) -> None:
     path = tmp_path / "tokens"
     if content is not None:
         path.write_bytes(content)
@@ -89,10 +94,20 @@ class Issuer:
         public = json.loads(jwt.algorithms.RSAAlgorithm.to_jwk(self.key.public_key()))
         return {"keys": [{**public, "kid": self.kid, "use": "sig", "alg": "RS256"}]}
 
-    def token(self, *, key: Any = None, alg: str = "RS256", kid: str | None = None, **claims: Any) -> str:
-        body = {"iss": ISSUER, "aud": AUDIENCE, "sub": "planner", "exp": time.time() + 300, **claims}
+    def token(
+        self, *, key: Any = None, alg: str = "RS256", kid: str | None = None, **claims: Any
+    ) -> str:
+        body = {
+            "iss": ISSUER,
+            "aud": AUDIENCE,
+            "sub": "planner",
+            "exp": time.time() + 300,
+            **claims,
+        }
         body = {name: value for name, value in body.items() if value is not None}
-        return jwt.encode(body, self.key if key is None else key, alg, headers={"kid": kid or self.kid})
+        return jwt.encode(
+            body, self.key if key is None else key, alg, headers={"kid": kid or self.kid}
+        )
 
     def verifier(self) -> OidcVerifier:
         return OidcVerifier(ISSUER, AUDIENCE, max_key_age_s=100, get_json=self.get_json)
@@ -116,7 +131,10 @@ async def test_the_issuers_tokens_are_accepted_with_one_fetch(issuer: Issuer) ->
     assert accepted.client_id == "planner"
     verifier = issuer.verifier()
     for _ in range(3):
-        assert await verifier.verify_token(issuer.token(aud=["https://other.test", AUDIENCE])) is not None
+        assert (
+            await verifier.verify_token(issuer.token(aud=["https://other.test", AUDIENCE]))
+            is not None
+        )
     issuer.fetched.clear()
     for i in range(5):
         assert await verifier.verify_token(issuer.token(kid=f"unknown-{i}")) is None
@@ -143,7 +161,9 @@ async def test_claims_that_do_not_fit_are_refused(issuer: Issuer, claims: dict[s
 
 def forged(token: str, alg: str, secret: bytes) -> str:
     """The token's claims under another algorithm, as no honest library would sign them."""
-    head = base64.urlsafe_b64encode(json.dumps({"alg": alg, "kid": "key-1", "typ": "JWT"}).encode()).rstrip(b"=")
+    head = base64.urlsafe_b64encode(
+        json.dumps({"alg": alg, "kid": "key-1", "typ": "JWT"}).encode()
+    ).rstrip(b"=")
     signed = head.decode() + "." + token.split(".")[1]
     signature = hmac.new(secret, signed.encode(), "sha256").digest() if secret else b""
     return signed + "." + base64.urlsafe_b64encode(signature).rstrip(b"=").decode()
@@ -153,17 +173,26 @@ def forged(token: str, alg: str, secret: bytes) -> str:
 async def test_other_keys_and_algorithms_are_refused(issuer: Issuer) -> None:
     verifier = issuer.verifier()
     public = issuer.key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
-    assert await verifier.verify_token(issuer.token(key=rsa.generate_private_key(65537, 2048))) is None
+    assert (
+        await verifier.verify_token(issuer.token(key=rsa.generate_private_key(65537, 2048))) is None
+    )
     assert await verifier.verify_token(forged(issuer.token(), "HS256", public)) is None
     assert await verifier.verify_token(forged(issuer.token(), "none", b"")) is None
-    assert await verifier.verify_token(issuer.token(key=ec.generate_private_key(ec.SECP256R1()), alg="ES256")) is None
+    assert (
+        await verifier.verify_token(
+            issuer.token(key=ec.generate_private_key(ec.SECP256R1()), alg="ES256")
+        )
+        is None
+    )
     head, body, signature = issuer.token().split(".")
     assert await verifier.verify_token(f"{head}.{body}x.{signature}") is None
     for garbage in ("", "a.b.c", "x", f"{head}.{body}."):
         assert await verifier.verify_token(garbage) is None
 
 
-async def test_a_new_key_of_the_issuer_is_found(issuer: Issuer, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_new_key_of_the_issuer_is_found(
+    issuer: Issuer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     verifier = issuer.verifier()
     assert await verifier.verify_token(issuer.token()) is not None
     issuer.kid = "key-2"
@@ -184,11 +213,14 @@ async def test_an_issuer_that_is_not_itself_or_not_there_is_told_in_the_log(
 
 
 @pytest.mark.promise("issuer")
-async def test_a_slow_issuer_makes_only_the_stranger_wait(issuer: Issuer, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_slow_issuer_makes_only_the_stranger_wait(
+    issuer: Issuer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     verifier = issuer.verifier()
     assert await verifier.verify_token(issuer.token()) is not None
     monkeypatch.setattr("vehanchor_server.transport.auth.KEYS_RETRY_S", -1)
-    monkeypatch.setattr("vehanchor_server.transport.auth.KEYS_REFRESH_S", -1)  # every call would fetch, too
+    # every call would fetch, too
+    monkeypatch.setattr("vehanchor_server.transport.auth.KEYS_REFRESH_S", -1)
     issuer.answers_after_s = 30
     monkeypatch.setattr("vehanchor_server.transport.auth.FETCH_S", 0.3)
     with anyio.fail_after(5):
@@ -226,7 +258,11 @@ async def test_keys_of_a_dead_issuer_end(
 
 @pytest.mark.parametrize(("n_bytes", "word"), [(1, "Timeout"), (64 << 10, "bytes")])
 async def test_a_dripping_issuer_has_so_much_time_and_so_many_bytes(
-    issuer: Issuer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, n_bytes: int, word: str
+    issuer: Issuer,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    n_bytes: int,
+    word: str,
 ) -> None:
     async def drip(scope: Any, receive: Any, send: Any) -> None:
         await send({"type": "http.response.start", "status": 200})
@@ -238,7 +274,9 @@ async def test_a_dripping_issuer_has_so_much_time_and_so_many_bytes(
         dripping = f"http://127.0.0.1:{listener.getsockname()[1]}"
         if n_bytes == 1:
             monkeypatch.setattr("vehanchor_server.transport.auth.FETCH_S", 0.4)
-        verifier = OidcVerifier(ISSUER, AUDIENCE, max_key_age_s=100, get_json=lambda _: _get_json(dripping))
+        verifier = OidcVerifier(
+            ISSUER, AUDIENCE, max_key_age_s=100, get_json=lambda _: _get_json(dripping)
+        )
         with anyio.fail_after(10):
             assert await verifier.verify_token(issuer.token()) is None
     assert word in caplog.text

@@ -48,7 +48,11 @@ def base(settings: Settings) -> Iterator[str]:
 def guarded(detector_path: Path) -> Iterator[str]:
     settings = Settings(
         detector=str(detector_path),
-        public_urls=("https://vehanchor.test/mcp", "https://console.test", "https://agents.test:8443/mcp"),
+        public_urls=(
+            "https://vehanchor.test/mcp",
+            "https://console.test",
+            "https://agents.test:8443/mcp",
+        ),
         isolation="in-process",
     )
     with served(settings) as address:
@@ -90,7 +94,9 @@ async def test_tools_are_listed_and_called(base: str, images: Path, era: str) ->
     async with Client(f"{base}/mcp", mode=era) as client:
         listed = [tool.name for tool in (await client.list_tools()).tools]
         assert listed == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
-        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"), progress_callback=on_progress)
+        result = await client.call_tool(
+            "estimate_gsd", by_path(images / "cars.png"), progress_callback=on_progress
+        )
         refused = await client.call_tool("estimate_gsd", by_path("/etc/passwd"))
     assert result.structured_content is not None
     assert result.structured_content["status"] == "ok"
@@ -103,7 +109,10 @@ async def test_requests_need_no_session(base: str) -> None:
     params = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": client_info}
     legacy = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": params}
     async with httpx.AsyncClient(timeout=60) as client:
-        for asked in (discover(), {"json": legacy, "headers": {"Accept": "application/json, text/event-stream"}}):
+        for asked in (
+            discover(),
+            {"json": legacy, "headers": {"Accept": "application/json, text/event-stream"}},
+        ):
             answer = await client.post(f"{base}/mcp", **asked)
             assert answer.status_code == 200
             assert "mcp-session-id" not in answer.headers
@@ -116,7 +125,10 @@ async def test_health_tells_alive_from_ready(settings: Settings) -> None:
         while client.get(f"{base}/readyz").status_code != 200 and time.monotonic() < deadline:
             time.sleep(0.05)
         assert client.get(f"{base}/readyz").json() == {"status": "ready"}
-    with served(Settings(detector="/nowhere.onnx", isolation="in-process")) as base, httpx.Client(timeout=60) as client:
+    with (
+        served(Settings(detector="/nowhere.onnx", isolation="in-process")) as base,
+        httpx.Client(timeout=60) as client,
+    ):
         assert client.get(f"{base}/healthz").status_code == 200
         deadline = time.monotonic() + 30
         while client.get(f"{base}/readyz").json()["error"] is None and time.monotonic() < deadline:
@@ -143,7 +155,10 @@ def test_without_the_token_nothing_but_health_answers(
             assert answer.headers["www-authenticate"].startswith("Bearer ")
         assert client.post(f"{base}/mcp?access_token={TOKEN}", **discover()).status_code == 401
         assert client.get(f"{base}/healthz").status_code == 200
-        assert client.post(f"{base}/mcp", **discover(Authorization=f"Bearer {TOKEN}")).status_code == 200
+        assert (
+            client.post(f"{base}/mcp", **discover(Authorization=f"Bearer {TOKEN}")).status_code
+            == 200
+        )
     assert TOKEN not in caplog.text
 
 
@@ -163,7 +178,10 @@ async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> N
         answer = client.post(f"{base}/mcp", **discover())
         assert answer.status_code == 401
         challenge = answer.headers["www-authenticate"]
-        assert 'resource_metadata="https://vehanchor.test/.well-known/oauth-protected-resource/mcp"' in challenge
+        assert (
+            'resource_metadata="https://vehanchor.test/.well-known/oauth-protected-resource/mcp"'
+            in challenge
+        )
         metadata = client.get(f"{base}/.well-known/oauth-protected-resource/mcp").json()
         assert metadata["resource"] == "https://vehanchor.test/mcp"
         assert metadata["authorization_servers"] == ["https://issuer.test"]
@@ -189,7 +207,9 @@ async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> N
         ({"Origin": "https://console.test"}, 200),
     ],
 )
-def test_foreign_hosts_and_origins_are_refused(guarded: str, headers: dict[str, str], status: int) -> None:
+def test_foreign_hosts_and_origins_are_refused(
+    guarded: str, headers: dict[str, str], status: int
+) -> None:
     with httpx.Client(timeout=60) as client:
         assert client.post(f"{guarded}/mcp", **discover(**headers)).status_code == status
 
@@ -207,12 +227,15 @@ async def test_bodies_over_the_limit_are_refused(base: str) -> None:
             for start in range(0, len(body), 1 << 20):
                 yield body[start : start + (1 << 20)].encode()
 
-        with contextlib.suppress(httpx.WriteError, httpx.ReadError):  # the server may hang up before all is sent
+        # the server may hang up before all is sent
+        with contextlib.suppress(httpx.WriteError, httpx.ReadError):
             assert client.post(f"{base}/mcp", content=chunks(), **request).status_code == 413
         assert client.get(f"{base}/healthz").status_code == 200
 
 
-async def test_a_client_that_hangs_up_frees_its_place(settings: Settings, images: Path, tiles: Tiles) -> None:
+async def test_a_client_that_hangs_up_frees_its_place(
+    settings: Settings, images: Path, tiles: Tiles
+) -> None:
     tiles.least_s = 0.1
     with served(replace(settings, max_concurrency=1)) as base:
         async with Client(f"{base}/mcp") as client, anyio.create_task_group() as group:
@@ -220,7 +243,12 @@ async def test_a_client_that_hangs_up_frees_its_place(settings: Settings, images
             await tiles.begun()
             group.cancel_scope.cancel()
         async with Client(f"{base}/mcp") as client:
-            while error_of(result := await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))) == "busy":
+            while (
+                error_of(
+                    result := await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))
+                )
+                == "busy"
+            ):
                 await anyio.sleep(0.02)
     assert error_of(result) == "image_undecodable", text_of(result)
     assert tiles.n_begun < N_TILES_LARGE

@@ -36,10 +36,16 @@ def call(arguments: dict[str, Any], *, modern: bool, name: str = "estimate_gsd")
     request = discover()
     request["json"]["method"] = "tools/call"
     request["json"]["params"] |= {"name": name, "arguments": arguments}
-    request["headers"] |= {"Mcp-Method": "tools/call", "Mcp-Name": name, "Content-Type": "application/json"}
+    request["headers"] |= {
+        "Mcp-Method": "tools/call",
+        "Mcp-Name": name,
+        "Content-Type": "application/json",
+    }
     if not modern:
         del request["json"]["params"]["_meta"]
-        request["headers"] = {key: value for key, value in request["headers"].items() if not key.startswith("M")}
+        request["headers"] = {
+            key: value for key, value in request["headers"].items() if not key.startswith("M")
+        }
     return {"content": json.dumps(request["json"]).encode(), "headers": request["headers"]}
 
 
@@ -60,7 +66,9 @@ def with_unknown(unknown: bytes, *, modern: bool, nested: bool) -> dict[str, Any
 
 @pytest.mark.promise("requests")
 @pytest.mark.parametrize("modern", [True, False])
-def test_very_many_unknown_arguments_are_refused_and_freeze_nothing(base: str, unknown: bytes, modern: bool) -> None:
+def test_very_many_unknown_arguments_are_refused_and_freeze_nothing(
+    base: str, unknown: bytes, modern: bool
+) -> None:
     request = with_unknown(unknown, modern=modern, nested=modern)
     slowest, stop = [0.0], threading.Event()
 
@@ -101,7 +109,9 @@ async def test_the_application_gets_no_more_of_a_body_than_may_be_parsed(part: b
             pass
 
     door = RequestGuard(ExceptionMiddleware(parsing), path="/mcp", max_large_bodies=1)
-    await door({"type": "http", "path": "/mcp", "headers": [(b"host", b"localhost")]}, receive, send)
+    await door(
+        {"type": "http", "path": "/mcp", "headers": [(b"host", b"localhost")]}, receive, send
+    )
     assert parts[0] <= MAX_SEPARATORS // 400 + 1
     assert answers[0]["status"] == 400
 
@@ -120,7 +130,10 @@ def test_deep_json_is_refused(base: str, depth: int) -> None:
 def test_a_path_of_commas_is_no_list(base: str) -> None:
     assert MAX_SEPARATORS > 2 * 4096
     with httpx.Client(timeout=60) as client:
-        answer = client.post(f"{base}/mcp", **call({"image": {"kind": "path", "path": "/" + ",:" * 2000}}, modern=True))
+        answer = client.post(
+            f"{base}/mcp",
+            **call({"image": {"kind": "path", "path": "/" + ",:" * 2000}}, modern=True),
+        )
     assert answer.status_code == 200
     assert "source_disabled" in answer.text
 
@@ -147,12 +160,15 @@ def test_bodies_beyond_the_places_are_refused_before_they_are_read(base: str) ->
         with socket.create_connection((host, int(port)), timeout=10) as refused:
             refused.sendall(head)
             assert refused.recv(4096).startswith(b"HTTP/1.1 503")
-        assert client.post(f"{base}/mcp", **discover()).status_code == 200  # what is small needs no place
+        # what is small needs no place
+        assert client.post(f"{base}/mcp", **discover()).status_code == 200
     with httpx.Client(timeout=60) as client:
         until_answered(client, 200)  # their places are free again
 
 
-def test_who_hangs_up_in_the_middle_of_a_body_leaves_no_traceback(base: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_who_hangs_up_in_the_middle_of_a_body_leaves_no_traceback(
+    base: str, caplog: pytest.LogCaptureFixture
+) -> None:
     host, port = base.removeprefix("http://").split(":")
 
     def until_idle() -> None:  # what the server has received is dealt with before it answers twice
@@ -173,7 +189,9 @@ def test_who_hangs_up_in_the_middle_of_a_body_leaves_no_traceback(base: str, cap
 def test_a_client_that_sends_on_after_a_refusal_reads_it(base: str) -> None:
     host, port = base.removeprefix("http://").split(":")
     part, n_parts = b"," * (64 << 10), 32
-    head = f"POST /mcp HTTP/1.1\r\nHost: localhost\r\nContent-Length: {n_parts * len(part)}\r\n\r\n".encode()
+    head = (
+        f"POST /mcp HTTP/1.1\r\nHost: localhost\r\nContent-Length: {n_parts * len(part)}\r\n\r\n"
+    ).encode()
     with socket.create_connection((host, int(port)), timeout=20) as client:
         client.sendall(head + part)
         assert select.select([client], [], [], 20)[0]

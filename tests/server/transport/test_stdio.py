@@ -19,21 +19,34 @@ import pytest
 from tests.server.conversation import by_path
 from vehanchor_server.settings import Settings
 
-pytestmark = [pytest.mark.anyio, pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and pipes")]
+pytestmark = [
+    pytest.mark.anyio,
+    pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and pipes"),
+]
 
 Starter = Callable[..., "subprocess.Popen[bytes]"]
 
 _SERVE = "import typer; from vehanchor_server.command import serve; typer.run(serve)"
 _SLOW = (
-    "import time; from vehanchor.detection.detector import Detector; original = Detector.detect_tile\n"
+    "import time; from vehanchor.detection.detector import Detector; original = "
+    "Detector.detect_tile\n"
     "Detector.detect_tile = lambda *a, **k: (time.sleep(0.2), original(*a, **k))[1]\n"
 )
 
 
 def command(settings: Settings, *, slow: bool = False) -> list[str]:
     roots = [part for root in settings.roots for part in ("--root", str(root))]
-    prelude, flags = (_SLOW, ["--isolation", "in-process"]) if slow else ("", [])  # a worker would be quick
-    return [sys.executable, "-c", prelude + _SERVE, *roots, "--detector", str(settings.detector), *flags]
+    # a worker would be quick
+    prelude, flags = (_SLOW, ["--isolation", "in-process"]) if slow else ("", [])
+    return [
+        sys.executable,
+        "-c",
+        prelude + _SERVE,
+        *roots,
+        "--detector",
+        str(settings.detector),
+        *flags,
+    ]
 
 
 @pytest.fixture
@@ -43,7 +56,10 @@ def start(settings: Settings) -> Iterator[Starter]:
 
     def start_one(*, slow: bool = False) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
-            command(settings, slow=slow), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            command(settings, slow=slow),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
         )
         started.append(process)
         return process
@@ -88,7 +104,9 @@ def test_a_list_comes_before_any_model_and_a_call_leaves_a_line_of_json_and_noth
     assert answer["result"]["tools"][0]["name"] == "estimate_gsd"
     maps = Path(f"/proc/{process.pid}/maps").read_text() if sys.platform == "linux" else ""
     assert not [name for name in ("onnxruntime", "cv2") if name in maps]
-    process.stdin.write(message("tools/call", name="estimate_gsd", arguments=by_path(images / "cars.png")))
+    process.stdin.write(
+        message("tools/call", name="estimate_gsd", arguments=by_path(images / "cars.png"))
+    )
     process.stdin.flush()
     answer = json.loads(process.stdout.readline())
     process.stdin.close()
@@ -116,7 +134,9 @@ def _until_computing(process: subprocess.Popen[bytes], images: Path) -> None:
     """Start a call that takes seconds, and wait until its progress shows that tiles are searched."""
     assert process.stdin is not None
     assert process.stdout is not None
-    call = json.loads(message("tools/call", name="estimate_gsd", arguments=by_path(images / "large.png")))
+    call = json.loads(
+        message("tools/call", name="estimate_gsd", arguments=by_path(images / "large.png"))
+    )
     call["params"]["_meta"]["progressToken"] = 1
     process.stdin.write(json.dumps(call).encode() + b"\n")
     process.stdin.flush()
@@ -146,8 +166,10 @@ def test_sigterm_and_the_end_of_stdin_end_it_in_the_middle_of_a_call(
 def test_a_killed_parent_ends_it(settings: Settings, tmp_path: Path) -> None:
     parent = (
         "import subprocess, sys, time\n"
-        f"child = subprocess.Popen({command(settings)!r}, stdin=subprocess.PIPE, stdout=subprocess.PIPE)\n"
-        f"child.stdin.write({message('tools/list')!r}); child.stdin.flush(); child.stdout.readline()\n"
+        f"child = subprocess.Popen({command(settings)!r}, stdin=subprocess.PIPE, "
+        "stdout=subprocess.PIPE)\n"
+        f"child.stdin.write({message('tools/list')!r}); child.stdin.flush(); "
+        "child.stdout.readline()\n"
         "print(child.pid, flush=True); time.sleep(60)\n"
     )
     process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE, cwd=tmp_path)
@@ -222,11 +244,16 @@ def test_no_decoder_is_imported_after_every_tool_was_called(
         ("view_image", {"of": {"tool": "estimate_gsd", "arguments": {"image": cars}}}),
         ("estimate_gsd", {"image": cars, "more_images": [pool], "detail": "full"}),
         ("measure_area", {"image": pool, "targets": [box]}),
-        ("measure_distance", {"image": cars, "lines": [{"points": [{"x": 10, "y": 10}, {"x": 90, "y": 90}]}]}),
+        (
+            "measure_distance",
+            {"image": cars, "lines": [{"points": [{"x": 10, "y": 10}, {"x": 90, "y": 90}]}]},
+        ),
     ]
     models = [str(detector_path), *map(str, segmenter_paths)]
     command = [sys.executable, "-c", _CALLS, str(root), *models, json.dumps(calls)]
-    printed = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True).stdout
+    printed = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, check=True
+    ).stdout
     listed, answers, imported = json.loads(printed.splitlines()[-1])
     assert {name for name, _ in answers} == set(listed), "a tool was not called"
     assert [failed for _, failed in answers] == [False, False, True, False, False, False, False]

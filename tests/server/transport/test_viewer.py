@@ -25,10 +25,12 @@ from vehanchor_server.app_page.page import view_html
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address
 
-WEB = httpx.Client(timeout=60, verify=False)  # one for all: each looks for certificates, which takes a second
+# one for all: each looks for certificates, which takes a second
+WEB = httpx.Client(timeout=60, verify=False)
 
 
-@pytest.fixture(scope="session", autouse=True)  # tests of other modules can run between those of this one
+# tests of other modules can run between those of this one
+@pytest.fixture(scope="session", autouse=True)
 def _web_is_closed() -> Iterator[None]:
     yield
     WEB.close()
@@ -36,10 +38,17 @@ def _web_is_closed() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def address(
-    _images: Path, detector_path: Path, segmenter_paths: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+    _images: Path,
+    detector_path: Path,
+    segmenter_paths: tuple[Path, Path],
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[Address]:
     settings = Settings(
-        roots=(_images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, isolation="in-process"
+        roots=(_images,),
+        detector=str(detector_path),
+        segmenter=segmenter_paths,
+        threads=1,
+        isolation="in-process",
     )
     with viewing(settings, tmp_path_factory.mktemp("view").resolve() / "dropped") as found:
         yield found
@@ -90,7 +99,10 @@ def test_a_page_of_another_origin_gets_nothing_even_if_it_knew_the_address(
 ) -> None:
     call = asked("view_image", {})
     own = {"Origin": address.origin, "Sec-Fetch-Site": "same-origin"}
-    assert WEB.post(f"{address.url()}mcp", **call | {"headers": call["headers"] | own}).status_code == 200
+    assert (
+        WEB.post(f"{address.url()}mcp", **call | {"headers": call["headers"] | own}).status_code
+        == 200
+    )
     foreign = call["headers"] | own | headers
     assert WEB.post(f"{address.url()}mcp", **call | {"headers": foreign}).status_code == 404
     assert WEB.get(address.url(), headers=headers).status_code == 404
@@ -106,15 +118,19 @@ def test_without_the_token_there_is_nothing(address: Address, path: str) -> None
 def test_a_form_of_another_page_is_no_call(address: Address) -> None:
     call = asked("view_image", {})
     body = json.dumps(call["json"])
-    for kind in ("text/plain", "application/x-www-form-urlencoded"):  # what a page may send without being asked
+    # what a page may send without being asked
+    for kind in ("text/plain", "application/x-www-form-urlencoded"):
         headers = call["headers"] | {"Content-Type": kind}
         assert WEB.post(f"{address.url()}mcp", content=body, headers=headers).status_code == 400
 
 
-def test_a_photograph_that_is_dropped_is_measured_as_one_of_the_folder(address: Address, images: Path) -> None:
+def test_a_photograph_that_is_dropped_is_measured_as_one_of_the_folder(
+    address: Address, images: Path
+) -> None:
     data = (images / "pool.png").read_bytes()
     paths = [
-        drop(address, name, data).json()["path"] for name in ("my pool.png", "my pool.png", "../../.ssh/x y\n.png")
+        drop(address, name, data).json()["path"]
+        for name in ("my pool.png", "my pool.png", "../../.ssh/x y\n.png")
     ]
     assert paths[0] == paths[1]
     assert Path(paths[0]).name == "my pool.png"
@@ -129,11 +145,17 @@ def test_a_photograph_that_is_dropped_is_measured_as_one_of_the_folder(address: 
 
 def drop(address: Address, name: str, data: bytes) -> httpx.Response:
     headers = {"Content-Type": "application/octet-stream"}
-    return WEB.post(f"{address.url()}photographs", params={"name": name}, content=data, headers=headers)
+    return WEB.post(
+        f"{address.url()}photographs", params={"name": name}, content=data, headers=headers
+    )
 
 
 def test_what_is_no_photograph_is_not_kept(address: Address) -> None:
-    for name, data in (("notes.txt", b"no picture"), ("empty.jpg", b""), ("v.mp4", b"\0\0\0\x18ftypmp42" + bytes(100))):
+    for name, data in (
+        ("notes.txt", b"no picture"),
+        ("empty.jpg", b""),
+        ("v.mp4", b"\0\0\0\x18ftypmp42" + bytes(100)),
+    ):
         reply = drop(address, name, data)
         assert reply.status_code == 415, name
         assert reply.text.startswith(f"{name} is no photograph to measure: ")
@@ -152,7 +174,9 @@ def test_a_photograph_above_the_limit_is_not_kept(
 
 
 @pytest.mark.slow
-def test_the_command_says_where_the_page_is_and_leaves_nothing_behind(images: Path, tmp_path: Path) -> None:
+def test_the_command_says_where_the_page_is_and_leaves_nothing_behind(
+    images: Path, tmp_path: Path
+) -> None:
     command = [sys.executable, "-m", "vehanchor", "view", str(images / "cars.png"), "--no-browser"]
     environment = {"TMPDIR": str(tmp_path), "PATH": "/usr/bin:/bin"}
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
@@ -167,8 +191,12 @@ def test_the_command_says_where_the_page_is_and_leaves_nothing_behind(images: Pa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_is_not_there_and_a_port_that_is_taken_are_told(tmp_path: Path, address: Address) -> None:
+def test_a_folder_that_is_not_there_and_a_port_that_is_taken_are_told(
+    tmp_path: Path, address: Address
+) -> None:
     missing = CliRunner().invoke(app, ["view", str(tmp_path / "none"), "--no-browser"])
     assert (missing.exit_code, "give an existing directory" in missing.stderr) == (2, True)
-    taken = CliRunner().invoke(app, ["view", str(tmp_path), "--no-browser", "--port", str(address.port)])
+    taken = CliRunner().invoke(
+        app, ["view", str(tmp_path), "--no-browser", "--port", str(address.port)]
+    )
     assert (taken.exit_code, "use another --port" in taken.stderr) == (2, True)

@@ -18,7 +18,8 @@ from vehanchor.models.runtime import Runtime
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-pytestmark = [pytest.mark.ray, pytest.mark.filterwarnings("ignore::DeprecationWarning")]  # of Ray, about itself
+# of Ray, about itself
+pytestmark = [pytest.mark.ray, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 N_IMAGES, KILLED_AFTER = 48, 12
 
 
@@ -27,7 +28,9 @@ def cluster() -> Iterator[Any]:
     """A head that computes nothing, and this process connected to it; the test adds nodes."""
     ray = pytest.importorskip("ray")
     utils = pytest.importorskip("ray.cluster_utils")
-    nodes = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    nodes = utils.Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False}
+    )
     ray.init(nodes.address, log_to_driver=False)
     yield nodes
     ray.shutdown()
@@ -55,7 +58,12 @@ def test_a_node_killed_in_the_middle_costs_no_row_and_doubles_none(
 
     table = tmp_path / "ray.jsonl"
     summary = run_batch(
-        ["*.png"], table, detector=detector, engine="ray", workers=2, runtime=Runtime(progress=kill_one)
+        ["*.png"],
+        table,
+        detector=detector,
+        engine="ray",
+        workers=2,
+        runtime=Runtime(progress=kill_one),
     )
     assert summary.n_rows == N_IMAGES
     assert told == list(range(N_IMAGES + 1))  # each row came once

@@ -53,7 +53,11 @@ def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def _estimate(run: Any, *arguments: object) -> Result:
     """Estimate by the vehicles alone, which is quicker, where no other ruler is asked for."""
-    alone = () if {"--rulers", "--known-length", "--options"} & set(arguments) else ("--rulers", "vehicles")
+    alone = (
+        ()
+        if {"--rulers", "--known-length", "--options"} & set(arguments)
+        else ("--rulers", "vehicles")
+    )
     result: Result = run("estimate", "--detector", "detector.onnx", *arguments, *alone)
     return result
 
@@ -73,10 +77,14 @@ def _read(path: Path) -> NDArray[Any]:
 
 def test_the_table_says_what_each_ruler_says_and_how_likely_it_is_right(run: Any) -> None:
     liar = ["--rulers", "vehicles,known_length", "--known-length", 10, 10, 410, 10, 400]
-    chances = re.findall(r"m/px, right with a chance of (\S+)", _estimate(run, "cars.png", *liar).stdout)
+    chances = re.findall(
+        r"m/px, right with a chance of (\S+)", _estimate(run, "cars.png", *liar).stdout
+    )
     assert len(chances) == 2
     assert float(chances[1]) < 0.5 < float(chances[0])
-    alone = _estimate(run, "none.png", "--rulers", "known_length", "--known-length", 0, 0, 500, 0, 100).stdout
+    alone = _estimate(
+        run, "none.png", "--rulers", "known_length", "--known-length", 0, 0, 500, 0, 100
+    ).stdout
     assert "known length 0.2000 m/px, right with a chance of 0.8" in " ".join(alone.split())
     assert "not searched" in alone
     without = _estimate(run, "none.png", "--rulers", "camera,known_length").stdout
@@ -96,14 +104,19 @@ def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
     assert result.stderr == ""
     (line,) = _lines(result)
     assert line.pop("source") == "cars.png"
-    expected = analyse_scale(folder / "cars.png", detector=folder / "detector.onnx", rulers=("vehicles",)).estimate
-    assert line == expected.model_dump(mode="json")  # which also holds the defaults of the options to the library's
+    expected = analyse_scale(
+        folder / "cars.png", detector=folder / "detector.onnx", rulers=("vehicles",)
+    ).estimate
+    # which also holds the defaults of the options to the library's
+    assert line == expected.model_dump(mode="json")
     assert records.GsdEstimate.model_validate_json(json.dumps(line)) == expected
     assert line["gsd_m_per_px"] == pytest.approx(5.045 / LENGTH_PX, rel=0.05)
 
 
 def test_one_bad_image_does_not_stop_the_rest(run: Any) -> None:
-    result = _estimate(run, "cars.png", "text.png", "missing.png", "few.png", "--json", "--rulers", "vehicles")
+    result = _estimate(
+        run, "cars.png", "text.png", "missing.png", "few.png", "--json", "--rulers", "vehicles"
+    )
     assert result.exit_code == 2
     first, second, third, fourth = _lines(result)
     assert (first["source"], first["status"]) == ("cars.png", "ok")
@@ -117,7 +130,9 @@ def test_one_bad_image_does_not_stop_the_rest(run: Any) -> None:
     ]
 
 
-def test_several_images_give_one_table_with_a_row_each_named_below_their_folder(run: Any, folder: Path) -> None:
+def test_several_images_give_one_table_with_a_row_each_named_below_their_folder(
+    run: Any, folder: Path
+) -> None:
     result = _estimate(run, *(folder / name for name in ("cars.png", "text.png", "few.png")))
     assert result.exit_code == 2
     heading, *lines = result.stdout.splitlines()
@@ -142,7 +157,9 @@ def test_several_images_give_one_table_with_a_row_each_named_below_their_folder(
         (["cars.png", "few.png", "--overlay", "one.png"], "invalid_parameter"),
     ],
 )
-def test_bad_input_ends_with_status_2_and_one_line(run: Any, arguments: list[str], code: str) -> None:
+def test_bad_input_ends_with_status_2_and_one_line(
+    run: Any, arguments: list[str], code: str
+) -> None:
     result = _estimate(run, *arguments)
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.startswith(f"error[{code}]: ")
@@ -150,7 +167,22 @@ def test_bad_input_ends_with_status_2_and_one_line(run: Any, arguments: list[str
 
 
 def test_the_options_reach_the_method(run: Any) -> None:
-    options = ["--tile", 320, "--stride", 200, "--class", "0", "--bands", 1, 2, 3, "--alpha", "none", "--threads", 1]
+    options = [
+        "--tile",
+        320,
+        "--stride",
+        200,
+        "--class",
+        "0",
+        "--bands",
+        1,
+        2,
+        3,
+        "--alpha",
+        "none",
+        "--threads",
+        1,
+    ]
     options += ["--provider", "CPUExecutionProvider", "--region", "europe", "--frame", 450, 250]
     (record,) = _lines(_estimate(run, "cars.png", "--json", *options))
     assert (record["n_vehicles"], record["details"]["reference_length_m"]) == (20, 4.5)
@@ -159,7 +191,9 @@ def test_the_options_reach_the_method(run: Any) -> None:
 
 
 @pytest.mark.parametrize("wrong", [("--alpha", "-1"), ("--options", "missing.toml")])
-def test_what_stops_every_image_still_gives_each_its_line_of_json(run: Any, wrong: tuple[str, str]) -> None:
+def test_what_stops_every_image_still_gives_each_its_line_of_json(
+    run: Any, wrong: tuple[str, str]
+) -> None:
     result = _estimate(run, "cars.png", "few.png", "--json", *wrong)
     assert result.exit_code == 2
     assert [(line["source"], line["error"]["code"]) for line in _lines(result)] == [
@@ -169,7 +203,8 @@ def test_what_stops_every_image_still_gives_each_its_line_of_json(run: Any, wron
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--tile", "wide"], ["--aggregation", "mode"], ["--no-such-option"], ["--frame", "1"]]
+    "arguments",
+    [["--tile", "wide"], ["--aggregation", "mode"], ["--no-such-option"], ["--frame", "1"]],
 )
 def test_options_that_cannot_be_parsed_end_with_status_2(run: Any, arguments: list[str]) -> None:
     result = _estimate(run, "cars.png", *arguments)
@@ -195,7 +230,9 @@ def test_with_stem_in_the_name_every_image_gets_its_overlay(run: Any, tmp_path: 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cars_over.png", "none_over.png"]
 
 
-def test_a_record_survives_an_overlay_that_cannot_be_written(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_record_survives_an_overlay_that_cannot_be_written(
+    run: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full_disk(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -203,7 +240,10 @@ def test_a_record_survives_an_overlay_that_cannot_be_written(run: Any, monkeypat
     result = _estimate(run, "cars.png", "--json", "--rulers", "vehicles", "--overlay", "over.png")
     assert result.exit_code == 2
     assert _lines(result)[0]["status"] == "ok"
-    assert result.stderr == "error[output_unwritable]: cannot write 'over.png': No space left on device\n"
+    assert (
+        result.stderr
+        == "error[output_unwritable]: cannot write 'over.png': No space left on device\n"
+    )
 
 
 def test_a_missing_extra_is_told_before_the_work(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -238,7 +278,12 @@ def test_names_that_look_like_markup_or_are_no_text_are_printed_as_they_are(
     ],
 )
 def test_what_ends_a_command_early_has_a_status_and_at_most_a_line(
-    run: Any, monkeypatch: pytest.MonkeyPatch, raised: BaseException, status: int, told: str, as_json: list[str]
+    run: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    raised: BaseException,
+    status: int,
+    told: str,
+    as_json: list[str],
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise raised
@@ -249,7 +294,9 @@ def test_what_ends_a_command_early_has_a_status_and_at_most_a_line(
     assert result.stderr.startswith(told)
     assert result.stderr.count("\n") == bool(told)
     monkeypatch.setenv("VEHANCHOR_TRACEBACK", "1")
-    assert isinstance(_estimate(run, "cars.png").exception, ZeroDivisionError if status == 1 else SystemExit)
+    assert isinstance(
+        _estimate(run, "cars.png").exception, ZeroDivisionError if status == 1 else SystemExit
+    )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes")
@@ -276,7 +323,16 @@ def test_the_progress_bar_goes_to_a_terminal_and_leaves_stdout_alone(folder: Pat
     import pty
 
     terminal, child = pty.openpty()
-    command = ["estimate", "cars.png", "text.png", "--json", "--detector", "detector.onnx", "--rulers", "vehicles"]
+    command = [
+        "estimate",
+        "cars.png",
+        "text.png",
+        "--json",
+        "--detector",
+        "detector.onnx",
+        "--rulers",
+        "vehicles",
+    ]
     done = subprocess.run(
         [sys.executable, "-m", "vehanchor", *command],
         cwd=folder,
@@ -287,12 +343,16 @@ def test_the_progress_bar_goes_to_a_terminal_and_leaves_stdout_alone(folder: Pat
     )
     os.close(child)
     shown = b""
-    with contextlib.suppress(OSError):  # what Linux says at the end of a terminal whose other side is closed
+    # what Linux says at the end of a terminal whose other side is closed
+    with contextlib.suppress(OSError):
         while part := os.read(terminal, 1 << 16):
             shown += part
     os.close(terminal)
     assert done.returncode == 2
-    assert [json.loads(line)["source"] for line in done.stdout.splitlines()] == ["cars.png", "text.png"]
+    assert [json.loads(line)["source"] for line in done.stdout.splitlines()] == [
+        "cars.png",
+        "text.png",
+    ]
     assert b"1/2 cars.png" in shown
     assert b"error[image_undecodable]" in shown
 
@@ -305,7 +365,11 @@ def bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder of bundled models: a default detector."""
     write_detector(
         tmp_path / f"{model_zoo.DEFAULT_DETECTOR}.onnx",
-        metadata={"vehanchor.reference_length_m": "4.65", "vehanchor.min_score": "0.3", "license": "Apache-2.0"},
+        metadata={
+            "vehanchor.reference_length_m": "4.65",
+            "vehanchor.min_score": "0.3",
+            "license": "Apache-2.0",
+        },
     )
     monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
     return tmp_path
@@ -319,8 +383,16 @@ def test_models_list_shows_what_ships(run: Any) -> None:
         assert fact in result.stdout
     assert "segmenter of measure" in result.stdout
     default, segmenter = _lines(run("models", "list", "--json"))
-    assert (default["default"], default["reference_length_m"], len(default["sha256"])) == (True, 4.65, 64)
-    assert (segmenter["kind"], segmenter["contract"], len(segmenter["sha256"])) == ("segmenter", "sam", 64)
+    assert (default["default"], default["reference_length_m"], len(default["sha256"])) == (
+        True,
+        4.65,
+        64,
+    )
+    assert (segmenter["kind"], segmenter["contract"], len(segmenter["sha256"])) == (
+        "segmenter",
+        "sam",
+        64,
+    )
 
 
 def test_models_info_shows_the_whole_card(run: Any) -> None:
@@ -339,7 +411,10 @@ def test_models_info_shows_the_whole_card(run: Any) -> None:
 
 def test_the_command_runs_as_a_module_and_knows_its_version(folder: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "vehanchor", "--version"], cwd=folder, stdout=subprocess.PIPE, check=True
+        [sys.executable, "-m", "vehanchor", "--version"],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        check=True,
     )
     assert done.stdout.decode().strip() == f"vehanchor {version('vehanchor')}"
 
@@ -348,7 +423,9 @@ def test_a_damaged_image_is_told_in_one_line_without_opencvs_own(tmp_path: Path)
     (tmp_path / "half.bmp").write_bytes(bmp_header(60, 40))
     environment = {name: value for name, value in os.environ.items() if name != "OPENCV_LOG_LEVEL"}
     command = [sys.executable, "-m", "vehanchor", "estimate", "half.bmp"]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith("error[image_undecodable]: the BMP (half.bmp) cannot be decoded")
@@ -365,7 +442,9 @@ finally:
     heavy = {"cv2", "numpy", "onnxruntime", "scipy", "matplotlib", "rasterio"}
     print(sorted(heavy & set(sys.modules)), file=sys.stderr)
 """
-    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, check=False
+    )
     assert done.returncode == 0
     assert b"metres" in done.stdout
     assert done.stderr.decode().strip() == "[]"
@@ -387,20 +466,38 @@ def test_vehicles_are_dropped_and_added_by_hand(run: Any) -> None:
     assert record["details"]["by_hand"] == {"dropped": 1, "added": 2}
     assert record["details"]["n_detections"] == n + 1
     missing = _estimate(run, "cars.png", "--drop", n + 1)
-    assert f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}" in missing.stderr
+    assert (
+        f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}"
+        in missing.stderr
+    )
     several = _estimate(run, "cars.png", "none.png", "--drop", 1)
     assert "drop belongs to one image" in several.stderr
     assert "--drop" not in run("batch", "--help").stdout
 
 
 def test_a_line_may_be_one_text_and_one_with_a_number_missing_is_named_whole(run: Any) -> None:
-    quoted = _estimate(run, "--known-length", "0 0 300 0 90", "--json", "--rulers", "known_length", "cars.png")
+    quoted = _estimate(
+        run, "--known-length", "0 0 300 0 90", "--json", "--rulers", "known_length", "cars.png"
+    )
     assert json.loads(quoted.stdout)["rulers"][0]["n"] == 1
     (line,) = json.loads(
         _estimate(
-            run, "--known-length", 0, 0, 300, 0, "90+-9", "measured", "--json", "none.png", "--rulers", "known_length"
+            run,
+            "--known-length",
+            0,
+            0,
+            300,
+            0,
+            "90+-9",
+            "measured",
+            "--json",
+            "none.png",
+            "--rulers",
+            "known_length",
         ).stdout
     )["rulers"]
-    assert line["explanation"].startswith("The given line, measured, gives 0.3 m/px (0.271 to 0.332")
+    assert line["explanation"].startswith(
+        "The given line, measured, gives 0.3 m/px (0.271 to 0.332"
+    )
     short = _estimate(run, "cars.png", "--known-length", 0, 0, 300, 90)
     assert "the known length is '0 0 300 90'" in short.stderr

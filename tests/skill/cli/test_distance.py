@@ -44,11 +44,15 @@ def test_a_scale_that_looks_like_centimetres_is_asked_about(place: tuple[Path, P
 def test_a_scale_is_estimated_once_and_taken_from_its_record_after_that(
     place: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    code, out, _ = run("estimate", place[0], "--json", "--detector", place[1], "--rulers", "vehicles")
+    code, out, _ = run(
+        "estimate", place[0], "--json", "--detector", place[1], "--rulers", "vehicles"
+    )
     assert code == 0
     kept = tmp_path / "scale.json"
     kept.write_text(out)
-    code, out, _ = run("distance", place[0], *POINTS, "--scale", kept, "--json", "--detector", "nowhere.onnx")
+    code, out, _ = run(
+        "distance", place[0], *POINTS, "--scale", kept, "--json", "--detector", "nowhere.onnx"
+    )
     record = json.loads(out)
     assert (code, record["scale_source"], record["status"]) == (0, "reused", "ok")
     assert record["distance_m"] == pytest.approx(500 * json.loads(kept.read_text())["gsd_m_per_px"])
@@ -58,26 +62,36 @@ def test_a_scale_is_estimated_once_and_taken_from_its_record_after_that(
 
 
 @pytest.mark.parametrize("text", ["{}", "no json", '{"scale": null}', "[]"])
-def test_a_file_without_a_scale_is_refused(place: tuple[Path, Path], tmp_path: Path, text: str) -> None:
+def test_a_file_without_a_scale_is_refused(
+    place: tuple[Path, Path], tmp_path: Path, text: str
+) -> None:
     (tmp_path / "scale.json").write_text(text)
     code, _, told = run("distance", place[0], *POINTS, "--scale", tmp_path / "scale.json")
     assert code == 2
     assert "error[invalid_parameter]: --scale" in told
 
 
-def test_a_result_that_is_not_ok_ends_with_3_where_that_is_asked_for(place: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_result_that_is_not_ok_ends_with_3_where_that_is_asked_for(
+    place: tuple[Path, Path], tmp_path: Path
+) -> None:
     empty = tmp_path / "empty.png"
     assert cv2.imwrite(str(empty), blank_image(800, 600))
     for command in (["estimate", empty], ["distance", empty, *POINTS]):
         assert run(*command, "--detector", place[1])[0] == 0
         assert run(*command, "--detector", place[1], "--strict")[0] == 3
-    assert run("estimate", place[0], "--detector", place[1], "--rulers", "vehicles", "--strict")[0] == 0
+    assert (
+        run("estimate", place[0], "--detector", place[1], "--rulers", "vehicles", "--strict")[0]
+        == 0
+    )
 
 
 def test_estimate_of_a_folder_names_batch(tmp_path: Path) -> None:
     code, _, told = run("estimate", tmp_path)
     assert code == 2
-    assert f"error[image_not_found]: {str(tmp_path)!r} is a folder: 'vehanchor batch {tmp_path} -o" in told
+    assert (
+        f"error[image_not_found]: {str(tmp_path)!r} is a folder: 'vehanchor batch {tmp_path} -o"
+        in told
+    )
 
 
 def test_help_shows_commands_in_panels() -> None:
@@ -92,7 +106,16 @@ def test_help_shows_commands_in_panels() -> None:
 def test_help_shows_what_people_need_and_a_file_for_the_rest(command: str) -> None:
     _, out, _ = run(command, "--help")
     shown = re.findall(r"^│ (?:\* +)?(--[\w-]+)", out, re.MULTILINE)
-    needed = {"--rulers", "--height", "--height-basis", "--focal-35mm", "--metadata", "--drop", "--add", "--options"}
+    needed = {
+        "--rulers",
+        "--height",
+        "--height-basis",
+        "--focal-35mm",
+        "--metadata",
+        "--drop",
+        "--add",
+        "--options",
+    }
     needed |= {"--json", "--calibration", "--preset", "--known-length", "--region"}
     assert needed <= set(shown)
     assert "--tile" not in out

@@ -60,7 +60,9 @@ def is_harmless(text: str) -> bool:
     ],
     ids=lambda command: command[0],
 )
-def test_no_command_prints_what_a_terminal_obeys(run: Any, command: tuple[str, ...], json_too: bool) -> None:
+def test_no_command_prints_what_a_terminal_obeys(
+    run: Any, command: tuple[str, ...], json_too: bool
+) -> None:
     more = ["--json"] if json_too else []
     if command[0] not in ("models",):
         more += ["--detector", "detector.onnx"]
@@ -73,7 +75,9 @@ def test_no_command_prints_what_a_terminal_obeys(run: Any, command: tuple[str, .
 
 @pytest.mark.promise("text")
 def test_no_cell_of_a_table_is_a_formula(run: Any, tmp_path: Path) -> None:
-    result = run("batch", CARS, BROKEN, "-o", "t.csv", "--detector", "detector.onnx", "--workers", "1")
+    result = run(
+        "batch", CARS, BROKEN, "-o", "t.csv", "--detector", "detector.onnx", "--workers", "1"
+    )
     assert result.exit_code == 0, result.output
     assert is_harmless(result.stderr)
     with (tmp_path / "t.csv").open(encoding="utf-8", newline="") as file:
@@ -83,7 +87,9 @@ def test_no_cell_of_a_table_is_a_formula(run: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.promise("text")
-def test_the_record_of_a_flight_keeps_names_and_notices_have_one_line(run: Any, tmp_path: Path) -> None:
+def test_the_record_of_a_flight_keeps_names_and_notices_have_one_line(
+    run: Any, tmp_path: Path
+) -> None:
     arguments = ["--out", "flight.json", "--detector", "detector.onnx"]
     assert run("flight", CARS, BROKEN, "--same-scale", *arguments).exit_code == 0
     notice = Notice(code="x", message=HOSTILE)
@@ -98,4 +104,10 @@ def test_an_honest_text_stays_as_it_is(text: str) -> None:
 
 
 def test_numbers_stay_numbers_in_cells() -> None:
-    assert [in_cell(value) for value in (-1.5, None, 3, "-x", "@x")] == [-1.5, None, 3, "'-x", "'@x"]
+    assert [in_cell(value) for value in (-1.5, None, 3, "-x", "@x")] == [
+        -1.5,
+        None,
+        3,
+        "'-x",
+        "'@x",
+    ]

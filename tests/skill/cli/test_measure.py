@@ -42,7 +42,9 @@ def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     models = ["--detector", "detector.onnx", "--segmenter", "encoder.onnx", "decoder.onnx"]
 
     def invoke(*arguments: object) -> Result:
-        return CliRunner().invoke(cli.app, ["measure", *models, *(str(argument) for argument in arguments)])
+        return CliRunner().invoke(
+            cli.app, ["measure", *models, *(str(argument) for argument in arguments)]
+        )
 
     return invoke
 
@@ -74,7 +76,14 @@ def test_a_readable_table_tells_area_circle_and_scale(run: Any) -> None:
     result = run("cars.png", "--box", *BOX)
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
-    for fact in ("m2  (95 %:", "largest circle", "perimeter", "m/px  (95 %:", "20 kept of 20 found", "score 0.90"):
+    for fact in (
+        "m2  (95 %:",
+        "largest circle",
+        "perimeter",
+        "m/px  (95 %:",
+        "20 kept of 20 found",
+        "score 0.90",
+    ):
         assert fact in result.stdout
     given = run("none.png", "--box", *BOX, "--gsd", "0.2")
     assert "0.2 m/px, given" in given.stdout
@@ -86,7 +95,21 @@ def test_a_readable_table_tells_area_circle_and_scale(run: Any) -> None:
 
 def test_points_can_be_repeated_and_denied(run: Any) -> None:
     by_point = _line(run("cars.png", "--point", 444, 330, "--gsd", 0.2, "--json"))
-    more = run("cars.png", "--json", "--point", 444, 330, "--point", 440.5, 300, "--negative", 20, 560, "--gsd", 0.2)
+    more = run(
+        "cars.png",
+        "--json",
+        "--point",
+        444,
+        330,
+        "--point",
+        440.5,
+        300,
+        "--negative",
+        20,
+        560,
+        "--gsd",
+        0.2,
+    )
     assert more.exit_code == 0, more.output
     assert by_point["mask_area_px"] > 2500  # its sides are not on cells
     assert _line(more)["mask_area_px"] == pytest.approx(by_point["mask_area_px"], rel=0.1)
@@ -106,7 +129,9 @@ def test_other_objects_at_a_point_are_listed_with_their_boxes(run: Any, folder: 
 
 
 def test_the_mask_is_written_in_the_size_of_the_image(run: Any, tmp_path: Path) -> None:
-    result = run("cars.png", "--box", *BOX, "--json", "--gsd", "0.2", "--mask", tmp_path / "mask.png")
+    result = run(
+        "cars.png", "--box", *BOX, "--json", "--gsd", "0.2", "--mask", tmp_path / "mask.png"
+    )
     assert result.exit_code == 0, result.output
     written = cv2.imread(str(tmp_path / "mask.png"), cv2.IMREAD_GRAYSCALE)
     assert written is not None
@@ -128,7 +153,9 @@ def test_the_mask_is_written_in_the_size_of_the_image(run: Any, tmp_path: Path) 
         (["--box", *BOX, "--mask", "out.jpg"], "output_unwritable"),
     ],
 )
-def test_bad_input_ends_with_status_2_and_one_line(run: Any, arguments: list[str], code: str) -> None:
+def test_bad_input_ends_with_status_2_and_one_line(
+    run: Any, arguments: list[str], code: str
+) -> None:
     result = run("cars.png", *arguments)
     assert result.exit_code == 2
     assert result.stdout == ""

@@ -41,13 +41,17 @@ def test_the_bar_is_as_long_as_it_says(image: Path) -> None:
     assert after.shape == before.shape
     white = np.argwhere((after == 255).all(2) & (before != 255).any(2))
     bar = white[white[:, 0] > white[:, 0].max() - 3]
-    assert bar[:, 1].max() - bar[:, 1].min() == pytest.approx(200, abs=2)  # 20 m, a fifth of the picture's width
+    # 20 m, a fifth of the picture's width
+    assert bar[:, 1].max() - bar[:, 1].min() == pytest.approx(200, abs=2)
 
 
 def test_without_a_usable_scale_nothing_is_written(image: Path) -> None:
     out, copy = image.with_name("out.png"), image.with_name("out.tif")
     code, told = run(image, "--scale-bar", out, "--geotiff", copy)
-    assert (code, told.splitlines()[-1].endswith("image.png: no scale bar and no GeoTIFF: there is no scale")) == (
+    assert (
+        code,
+        told.splitlines()[-1].endswith("image.png: no scale bar and no GeoTIFF: there is no scale"),
+    ) == (
         3,
         True,
     )
@@ -66,7 +70,9 @@ def test_a_scale_that_varies_or_is_unsure_is_refused_with_the_reason(image: Path
     assert refusal(unsure) == "the scale is not usable"
 
 
-def test_a_copy_in_local_metres_is_the_whole_picture_with_the_size_of_its_pixels(image: Path) -> None:
+def test_a_copy_in_local_metres_is_the_whole_picture_with_the_size_of_its_pixels(
+    image: Path,
+) -> None:
     photo = np.random.default_rng(3).integers(0, 255, (700, 1100, 3), np.uint8)
     assert cv2.imwrite(str(image), photo)
     copy = image.with_name("copy.tif")

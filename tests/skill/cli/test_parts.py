@@ -20,7 +20,9 @@ def _checked() -> tuple[int, str]:
 
 
 def _record(gsd: float | None, status: str) -> SimpleNamespace:
-    return SimpleNamespace(gsd_m_per_px=gsd, gsd_ci95_low_m_per_px=None, gsd_ci95_high_m_per_px=None, status=status)
+    return SimpleNamespace(
+        gsd_m_per_px=gsd, gsd_ci95_low_m_per_px=None, gsd_ci95_high_m_per_px=None, status=status
+    )
 
 
 def test_the_bundled_picture_has_the_scale_that_is_known() -> None:
@@ -31,7 +33,9 @@ def test_the_bundled_picture_has_the_scale_that_is_known() -> None:
     assert "CPUExecutionProvider" in out
 
 
-@pytest.mark.parametrize(("gsd", "status"), [(None, "no_scale"), (0.15, "low_confidence"), (0.2, "ok")])
+@pytest.mark.parametrize(
+    ("gsd", "status"), [(None, "no_scale"), (0.15, "low_confidence"), (0.2, "ok")]
+)
 def test_a_scale_that_is_wrong_or_not_usable_fails(
     gsd: float | None, status: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -63,5 +67,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
         (["#1", "frame at 3 s"], "", ["#1", "frame at 3 s"]),
     ],
 )
-def test_names_are_told_without_the_folder_that_all_lie_in(names: list[str], folder: str, short: list[str]) -> None:
+def test_names_are_told_without_the_folder_that_all_lie_in(
+    names: list[str], folder: str, short: list[str]
+) -> None:
     assert under_one_folder(names) == (folder, short)

@@ -41,7 +41,9 @@ def draw_court(
             along = (line[2:] - line[:2]) / np.hypot(*(line[2:] - line[:2]))
             normal = np.array([-along[1], along[0]]) * 0.04
             ends = line.reshape(2, 2)
-            band = np.array([ends[0] + normal, ends[1] + normal, ends[1] - normal, ends[0] - normal])
+            band = np.array(
+                [ends[0] + normal, ends[1] + normal, ends[1] - normal, ends[0] - normal]
+            )
             points = np.rint(project(finer @ matrix, band) * 16).astype(np.int32)
             cv2.fillPoly(canvas, [points], 220, cv2.LINE_AA, 4)
     grey = cv2.resize(canvas, (side_px, side_px), interpolation=cv2.INTER_AREA).astype(np.float32)

@@ -19,7 +19,9 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.rulers.courts import witness_of
 
 
-def _measured(image: Any, gsd: float, *, which: int = 0, degrees: float = 20.0, factor: int = 1) -> Court | None:
+def _measured(
+    image: Any, gsd: float, *, which: int = 0, degrees: float = 20.0, factor: int = 1
+) -> Court | None:
     """What is measured from a proposal that is off by some pixels, degrees and per cent, as they come."""
     middle = image.shape[0] / 2
     pose = Pose(middle + 6, middle - 5, math.radians(degrees + 7), 1.1 / gsd)
@@ -27,7 +29,9 @@ def _measured(image: Any, gsd: float, *, which: int = 0, degrees: float = 20.0, 
         return next(iter(courts_among(raster, [Proposal(which, 0.9, pose, factor)])), None)
 
 
-@pytest.mark.parametrize(("gsd", "side", "factor"), [(0.3, 256, 2), (0.2, 256, 2), (0.1, 512, 4), (0.05, 1024, 8)])
+@pytest.mark.parametrize(
+    ("gsd", "side", "factor"), [(0.3, 256, 2), (0.2, 256, 2), (0.1, 512, 4), (0.05, 1024, 8)]
+)
 @pytest.mark.parametrize("degrees", [0.0, 20.0, 135.0])
 def test_a_tennis_court_is_measured_to_a_fraction_of_a_per_cent(
     gsd: float, side: int, factor: int, degrees: float
@@ -68,7 +72,10 @@ def test_an_outline_alone_is_no_court() -> None:
 def test_lines_of_basketball_without_its_arcs_are_no_court() -> None:
     template = BASKETBALL[0]
     arcs = tuple(range(len(template.lines), len(template.lines) + len(template.arcs)))
-    assert _measured(draw_court(template, 0.15, side_px=384, missing=arcs), 0.15, which=1, factor=4) is None
+    assert (
+        _measured(draw_court(template, 0.15, side_px=384, missing=arcs), 0.15, which=1, factor=4)
+        is None
+    )
 
 
 def test_bays_of_a_car_park_are_no_court() -> None:
@@ -82,11 +89,18 @@ def test_a_court_cut_by_the_edge_is_none() -> None:
     assert _measured(draw_court(TENNIS, 0.3)[:, 110:], 0.3, factor=2) is None
 
 
-def test_what_has_the_lines_of_a_court_is_measured_first_however_unsure_the_network_is_of_it() -> None:
+def test_what_has_the_lines_of_a_court_is_measured_first_however_unsure_the_network_is_of_it() -> (
+    None
+):
     image = np.random.default_rng(3).integers(60, 120, (700, 700, 3)).astype(np.uint8)
     image[380:636, 380:636] = draw_court(TENNIS, 0.2)
-    decoys = [Proposal(0, 0.9, Pose(x, y, 0.3, 5.0), 4) for x in (120.0, 330.0, 560.0) for y in (80.0, 180.0, 280.0)]
-    court = Proposal(0, 0.3, Pose(512.0, 504.0, 1.0, 5.6), 4)  # nine are surer, and its angle is wrong
+    decoys = [
+        Proposal(0, 0.9, Pose(x, y, 0.3, 5.0), 4)
+        for x in (120.0, 330.0, 560.0)
+        for y in (80.0, 180.0, 280.0)
+    ]
+    # nine are surer, and its angle is wrong
+    court = Proposal(0, 0.3, Pose(512.0, 504.0, 1.0, 5.6), 4)
     with open_raster(image) as raster:
         (found,) = courts_among(raster, [*decoys, court], n_sizes=4)
     assert found.gsd_m_per_px == pytest.approx(0.2, rel=0.005)
@@ -159,7 +173,9 @@ class _WithOverviews(Raster):
 
 
 @pytest.mark.parametrize(("side_px", "by_overviews"), [(3992, False), (4000, True)])
-def test_courts_of_a_large_image_are_looked_for_on_its_overviews(side_px: int, by_overviews: bool) -> None:
+def test_courts_of_a_large_image_are_looked_for_on_its_overviews(
+    side_px: int, by_overviews: bool
+) -> None:
     network = load_court_network(Runtime(threads=1))
     raster = _WithOverviews(side_px)
     assert network.propose(raster, 8) == []

@@ -10,7 +10,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vehanchor.detection.boxes import box_corners, boxes_from_corners, canonical_boxes, oriented_iou, oriented_nms
+from vehanchor.detection.boxes import (
+    box_corners,
+    boxes_from_corners,
+    canonical_boxes,
+    oriented_iou,
+    oriented_nms,
+)
 
 NEARBY_BOX = st.tuples(
     st.floats(-60, 60), st.floats(-60, 60), st.floats(4, 60), st.floats(2, 40), st.floats(-7, 7)
@@ -47,7 +53,9 @@ def polygon_iou(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 @given(st.lists(NEARBY_BOX, min_size=1, max_size=4))
-def test_canonical_boxes_are_the_same_rectangles_with_the_long_side_first(rows: list[tuple[float, ...]]) -> None:
+def test_canonical_boxes_are_the_same_rectangles_with_the_long_side_first(
+    rows: list[tuple[float, ...]],
+) -> None:
     boxes = canonical_boxes(rows)
     assert (boxes[:, 2] >= boxes[:, 3]).all()
     assert ((boxes[:, 4] >= 0) & (boxes[:, 4] < np.pi)).all()
@@ -78,7 +86,9 @@ def test_iou_keeps_its_precision_far_from_the_origin() -> None:
     assert far == pytest.approx(near, abs=1e-5)
 
 
-def _oracle_nms(boxes: NDArray[np.float64], scores: NDArray[np.float64], threshold: float) -> list[int]:
+def _oracle_nms(
+    boxes: NDArray[np.float64], scores: NDArray[np.float64], threshold: float
+) -> list[int]:
     kept: list[int] = []
     for i in np.argsort(-scores, kind="stable"):
         if all(polygon_iou(boxes[i], boxes[k]) <= threshold for k in kept):
@@ -92,14 +102,19 @@ def test_nms_equals_the_oracle(rows: list[tuple[float, ...]], threshold: float) 
     boxes = canonical_boxes(np.array(rows).reshape(-1, 5))
     scores = np.linspace(0.9, 0.1, len(boxes))
     ious = [polygon_iou(boxes[i], boxes[j]) for i in range(len(boxes)) for j in range(i)]
-    assume(all(abs(iou - threshold) >= 5e-3 for iou in ious))  # a tie within float32: either answer is right
-    assert oriented_nms(boxes, scores, iou_threshold=threshold).tolist() == _oracle_nms(boxes, scores, threshold)
+    # a tie within float32: either answer is right
+    assume(all(abs(iou - threshold) >= 5e-3 for iou in ious))
+    assert oriented_nms(boxes, scores, iou_threshold=threshold).tolist() == _oracle_nms(
+        boxes, scores, threshold
+    )
 
 
 def _crowd(rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """80 boxes, two of each vehicle, and their scores."""
     centres = rng.uniform(0, 200, (40, 2))
-    boxes = np.column_stack([centres, rng.uniform(15, 25, 40), rng.uniform(7, 10, 40), rng.uniform(0, np.pi, 40)])
+    boxes = np.column_stack(
+        [centres, rng.uniform(15, 25, 40), rng.uniform(7, 10, 40), rng.uniform(0, np.pi, 40)]
+    )
     boxes = np.concatenate([boxes, boxes + rng.normal(0, 0.3, boxes.shape) * (1, 1, 1, 1, 0.02)])
     return boxes, rng.uniform(0.1, 1, len(boxes))
 
@@ -142,7 +157,12 @@ def test_equal_scores_are_ordered_by_position_not_by_input_order() -> None:
 def test_one_huge_box_does_not_spoil_the_gate() -> None:
     rng = np.random.default_rng(1)
     boxes = np.column_stack(
-        [rng.uniform(0, 6000, (10_000, 2)), np.full(10_000, 20.0), np.full(10_000, 8.0), rng.uniform(0, np.pi, 10_000)]
+        [
+            rng.uniform(0, 6000, (10_000, 2)),
+            np.full(10_000, 20.0),
+            np.full(10_000, 8.0),
+            rng.uniform(0, np.pi, 10_000),
+        ]
     )
     boxes[0] = (3000, 3000, 9000, 9000, 0.3)
     scores = rng.uniform(0.1, 1, len(boxes))

@@ -23,16 +23,28 @@ _SIDE = 4000
 
 
 def _found(
-    groups: list[tuple[float, int]], *, score: float = 0.8, looks: Looks | None = None, spread: float = 0.07
+    groups: list[tuple[float, int]],
+    *,
+    score: float = 0.8,
+    looks: Looks | None = None,
+    spread: float = 0.07,
 ) -> Detections:
     """Groups of (length, number), spread as a fleet, in rows of their own."""
     boxes = [
-        [50 + 99.0 * k, 100.0 * row, length * (1 + spread * NormalDist().inv_cdf((k + 0.5) / n)), length / 2.2, 0.0]
+        [
+            50 + 99.0 * k,
+            100.0 * row,
+            length * (1 + spread * NormalDist().inv_cdf((k + 0.5) / n)),
+            length / 2.2,
+            0.0,
+        ]
         for row, (length, n) in enumerate(groups, 1)
         for k in range(n)
     ]
     n = len(boxes)
-    return Detections(np.array(boxes).reshape(-1, 5), np.full(n, score), scales=np.ones(n), looks=looks)
+    return Detections(
+        np.array(boxes).reshape(-1, 5), np.full(n, score), scales=np.ones(n), looks=looks
+    )
 
 
 def _corrected(found: Detections, **told: Any) -> Detections:
@@ -42,7 +54,9 @@ def _corrected(found: Detections, **told: Any) -> Detections:
 
 def _analysis(found: Detections, **told: Any) -> ScaleAnalysis:
     made = _corrected(found, **told)
-    return analyse_found(made, made_card(), ScaleOptions(), image_width_px=_SIDE, image_height_px=_SIDE)
+    return analyse_found(
+        made, made_card(), ScaleOptions(), image_width_px=_SIDE, image_height_px=_SIDE
+    )
 
 
 def test_without_corrections_nothing_changes() -> None:
@@ -64,7 +78,10 @@ def test_dropped_vehicles_are_no_evidence_and_the_others_keep_their_numbers() ->
     assert one.estimate.details.by_hand.dropped == 10
     some = _analysis(found, drop=[1, 3])
     assert some.detections.numbers.tolist() == [2, *range(4, 23)]
-    assert [each["properties"]["number"] for each in some.__geo_interface__["features"]][:2] == [2, 4]
+    assert [each["properties"]["number"] for each in some.__geo_interface__["features"]][:2] == [
+        2,
+        4,
+    ]
 
 
 def test_added_vehicles_choose_the_fleet_and_pass_the_outlier_filter() -> None:
@@ -104,21 +121,29 @@ def test_an_added_vehicle_of_a_coarse_copy_is_less_certain() -> None:
     assert fine.corrections is not None
     assert coarse.corrections is not None
     assert fine.corrections.pointed_log_sds[-1] == pytest.approx(np.sqrt(2) * 2 / 40)
-    assert coarse.corrections.pointed_log_sds[-1] == pytest.approx(4 * fine.corrections.pointed_log_sds[-1])
+    assert coarse.corrections.pointed_log_sds[-1] == pytest.approx(
+        4 * fine.corrections.pointed_log_sds[-1]
+    )
     assert not fine.corrections.pointed_log_sds[:-1].any()
 
 
 def test_a_number_that_does_not_exist_says_how_many_there_are() -> None:
-    with pytest.raises(InvalidParameterError, match=r"drop has number 13, which is no vehicle .* they are 1 to 12"):
+    with pytest.raises(
+        InvalidParameterError, match=r"drop has number 13, which is no vehicle .* they are 1 to 12"
+    ):
         _corrected(_found([(40.0, 12)]), drop=[2, 13])
     with pytest.raises(InvalidParameterError, match="none was found"):
         _corrected(_found([]), drop=[1])
 
 
-def test_what_belongs_to_one_image_or_needs_a_search_is_refused(detector: Detector, tmp_path: Path) -> None:
+def test_what_belongs_to_one_image_or_needs_a_search_is_refused(
+    detector: Detector, tmp_path: Path
+) -> None:
     engine, image = Engine(detector), blank_image(100, 80)
     with pytest.raises(InvalidParameterError, match="add belongs to one image"):
-        run_batch([str(tmp_path)], tmp_path / "t.csv", options=ScaleOptions.of({"add": [(0, 0, 9, 0)]}))
+        run_batch(
+            [str(tmp_path)], tmp_path / "t.csv", options=ScaleOptions.of({"add": [(0, 0, 9, 0)]})
+        )
     with pytest.raises(InvalidParameterError, match="drop needs the ruler vehicles"):
         engine.estimate(image, rulers=("known_length",), drop=[1])
     with pytest.raises(InvalidParameterError, match="give gsd_m_per_px or drop, not both"):

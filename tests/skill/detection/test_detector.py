@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.models import BODIES, assert_same_boxes, blank_image, paint_vehicles, write_detector, write_other_model
+from tests.models import (
+    BODIES,
+    assert_same_boxes,
+    blank_image,
+    paint_vehicles,
+    write_detector,
+    write_other_model,
+)
 from vehanchor.detection.card import (
     LENGTH_RANGE_PX,
     MIN_SCORE,
@@ -31,15 +38,20 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Search
 
 _DOTA = {
-    0: "plane", 1: "ship", 2: "storage tank", 3: "baseball diamond", 4: "tennis court", 5: "basketball court",
-    6: "ground track field", 7: "harbor", 8: "bridge", 9: "large vehicle", 10: "small vehicle", 11: "helicopter",
+    0: "plane", 1: "ship", 2: "storage "
+        "tank", 3: "baseball diamond", 4: "tennis court", 5: "basketball court",
+    6: "ground track "
+        "field", 7: "harbor", 8: "bridge", 9: "large "
+            "vehicle", 10: "small vehicle", 11: "helicopter",
     12: "roundabout", 13: "soccer ball field", 14: "swimming pool",
 }  # fmt: skip
 _TWO = {0: "small_vehicle", 1: "large vehicle"}
 _BOXES = np.array([[60.3, 50.7, 30, 12, 0.3], [150, 90, 28, 11, 1.9], [100.5, 200, 31, 12.5, 3.0]])
 
 
-def _picture(boxes: NDArray[np.float64] = _BOXES, **kinds: Any) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+def _picture(
+    boxes: NDArray[np.float64] = _BOXES, **kinds: Any
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     image = blank_image(256, 256)
     return image, paint_vehicles(image, boxes, **kinds)
 
@@ -48,7 +60,11 @@ def _picture(boxes: NDArray[np.float64] = _BOXES, **kinds: Any) -> tuple[NDArray
 @pytest.mark.parametrize(
     ("layout", "names"),
     [
-        *((layout, names) for layout in ("raw", "end2end") for names in ({0: "small-vehicle"}, _DOTA, _TWO)),
+        *(
+            (layout, names)
+            for layout in ("raw", "end2end")
+            for names in ({0: "small-vehicle"}, _DOTA, _TWO)
+        ),
         ("end2end", {3: "car"}),  # a raw export has a score for every class from 0 on
     ],
 )
@@ -57,7 +73,9 @@ def test_every_layout_gives_the_painted_boxes(
 ) -> None:
     kind = next(i for i, name in names.items() if "small" in name or name == "car")
     image, painted = _picture(classes=[kind] * 3)
-    detector = Detector(write_detector(tmp_path / "m.onnx", layout=layout, names=names, fixed_size=fixed_size))
+    detector = Detector(
+        write_detector(tmp_path / "m.onnx", layout=layout, names=names, fixed_size=fixed_size)
+    )
     with open_raster(image) as raster:
         found = ImageSearch(raster, detector).searched()
     assert_same_boxes(found.boxes, painted)
@@ -74,7 +92,9 @@ def test_swapped_sides_unbounded_angles_and_half_precision_are_the_same_boxes(
     image, painted = _picture()
     with open_raster(image) as raster:
         assert_same_boxes(
-            ImageSearch(raster, Detector(write_detector(tmp_path / "m.onnx", **changes))).searched().boxes,
+            ImageSearch(raster, Detector(write_detector(tmp_path / "m.onnx", **changes)))
+            .searched()
+            .boxes,
             painted,
             within,
         )
@@ -125,7 +145,9 @@ _PATH = Path("models/foreign.onnx")
 
 
 def _card(**entries: str) -> DetectorCard:
-    return read_detector_card(_PATH, "0" * 64, {key.replace("__", "."): text for key, text in entries.items()})
+    return read_detector_card(
+        _PATH, "0" * 64, {key.replace("__", "."): text for key, text in entries.items()}
+    )
 
 
 def _refusal(key: str, text: str) -> str:
@@ -136,13 +158,22 @@ def _refusal(key: str, text: str) -> str:
 
 def test_a_foreign_model_gets_the_papers_values() -> None:
     card = _card()
-    assert (card.name, card.reference_length_m, card.min_score) == ("foreign", REFERENCE_LENGTH_M, MIN_SCORE)
+    assert (card.name, card.reference_length_m, card.min_score) == (
+        "foreign",
+        REFERENCE_LENGTH_M,
+        MIN_SCORE,
+    )
     assert card.reference_length_m == 5.045
     assert card.length_range_px == LENGTH_RANGE_PX
     assert card.min_length_px == 0
     assert card.region_lengths_m == pytest.approx({"europe": 4.5, "north_america": 5.5})
     assert (card.stride_px, card.search_scales, card.aggregation) == (32, False, "kde")
-    assert (card.class_names, card.licence, card.bodies, card.chips_sha256) == ({}, None, None, None)
+    assert (card.class_names, card.licence, card.bodies, card.chips_sha256) == (
+        {},
+        None,
+        None,
+        None,
+    )
 
 
 @pytest.mark.parametrize(("length", "regions"), [("19", {"europe"}), ("2.1", {"north_america"})])
@@ -181,11 +212,20 @@ def test_the_card_reads_our_metadata() -> None:
     [
         *(("vehanchor.reference_length_m", text) for text in ("long", "", "nan", "inf", "0", "50")),
         *(("vehanchor.reference_length_sd_m", text) for text in ("-0.1", "1e308")),
-        *(("vehanchor.length_range_px", text) for text in ("9", "9,64,80", "64,9", "0,64", "nan,64", "9,inf")),
+        *(
+            ("vehanchor.length_range_px", text)
+            for text in ("9", "9,64,80", "64,9", "0,64", "nan,64", "9,inf")
+        ),
         ("vehanchor.min_length_px", "-1"),
         ("vehanchor.min_score", "1.5"),
-        *(("vehanchor.region_lengths_m", text) for text in ("[1]", "{", '{"asia": 0}', '{"asia": NaN}')),
-        *(("vehanchor.region_lengths_m", text) for text in ('{"a":' * 5_000, '{"a": 1' + "0" * 4000 + "}")),
+        *(
+            ("vehanchor.region_lengths_m", text)
+            for text in ("[1]", "{", '{"asia": 0}', '{"asia": NaN}')
+        ),
+        *(
+            ("vehanchor.region_lengths_m", text)
+            for text in ('{"a":' * 5_000, '{"a": 1' + "0" * 4000 + "}")
+        ),
         ("vehanchor.search_scales", "2"),
         ("vehanchor.aggregation", "mode"),
         *(("stride", text) for text in ("inf", "0", "1.5", "1e9")),
@@ -204,7 +244,11 @@ def test_names_may_be_a_list_or_nothing() -> None:
     assert _card(names="").class_names == {}
 
 
-_AUXILIARY = {"vehanchor.detector": "m", "vehanchor.least_score": "0.15", "vehanchor.weights": "1,1,0"}
+_AUXILIARY = {
+    "vehanchor.detector": "m",
+    "vehanchor.least_score": "0.15",
+    "vehanchor.weights": "1,1,0",
+}
 _CHIPS = _AUXILIARY | {"vehanchor.bodies": json.dumps(BODIES)}
 _VERIFIER = _AUXILIARY | {"vehanchor.min_score": "0.5"}
 
@@ -221,12 +265,19 @@ _VERIFIER = _AUXILIARY | {"vehanchor.min_score": "0.5"}
         (ChipCard, "bodies", json.dumps({"length_m": 4.0})),
     ],
 )
-def test_an_entry_of_an_auxiliary_model_is_refused_by_its_name(kind: Any, key: str, text: str | None) -> None:
+def test_an_entry_of_an_auxiliary_model_is_refused_by_its_name(
+    kind: Any, key: str, text: str | None
+) -> None:
     metadata = _VERIFIER if kind is VerifierCard else _CHIPS
     read_card(kind, _PATH, "1" * 64, metadata)
     changed = {**metadata, f"vehanchor.{key}": text}
     with pytest.raises(ModelContractError, match=rf"foreign\.onnx.*vehanchor\.{key}.*expected"):
-        read_card(kind, _PATH, "1" * 64, {name: each for name, each in changed.items() if each is not None})
+        read_card(
+            kind,
+            _PATH,
+            "1" * 64,
+            {name: each for name, each in changed.items() if each is not None},
+        )
 
 
 @pytest.mark.parametrize(
@@ -263,7 +314,9 @@ def test_vehicles_are_told_by_name_or_as_asked(
         ((1, 6, 7), (), EndToEnd),
     ],
 )
-def test_a_layout_is_told_by_its_shape_and_the_named_classes(shape: tuple[int, ...], named: range, kind: type) -> None:
+def test_a_layout_is_told_by_its_shape_and_the_named_classes(
+    shape: tuple[int, ...], named: range, kind: type
+) -> None:
     assert type(recognise_contract([shape], named)) is kind
 
 

@@ -42,12 +42,16 @@ def test_few_cars_tell_a_stretch() -> None:
 
 @pytest.mark.slow
 def test_a_scale_does_not_hide_a_stretch(car_park: _Image) -> None:
-    estimate = estimate_gsd(_resized(car_park, 1.5, 1.0), known_lengths=[(100, 100, 400, 100, 30.0)])
+    estimate = estimate_gsd(
+        _resized(car_park, 1.5, 1.0), known_lengths=[(100, 100, 400, 100, 30.0)]
+    )
     assert estimate.status != "ok"
 
 
 def _grey(image: _Image) -> _Image:
-    return np.asarray(cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), np.uint8)
+    return np.asarray(
+        cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), np.uint8
+    )
 
 
 def _noisy(image: NDArray[np.float64], sd: float) -> _Image:
@@ -77,14 +81,18 @@ CONDITIONS: dict[str, Callable[[_Image], _Image]] = {
     "thermal": lambda image: 255 - cv2.GaussianBlur(_grey(image), (0, 0), 1.2).astype(np.uint8),
     "night": lambda image: _noisy(0.12 * image.astype(np.float64), 6.0),
     "snow": lambda image: np.clip(170 + 0.4 * image.astype(np.float64), 0, 255).astype(np.uint8),
-    "haze": lambda image: _noisy(130 + 0.25 * cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float64), 1.5),
+    "haze": lambda image: _noisy(
+        130 + 0.25 * cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float64), 1.5
+    ),
     "fisheye": _fisheye,
 }
 
 
 @pytest.fixture(scope="module")
 def photograph() -> _Image:
-    return render_scene(_GSD, width_px=900, height_px=900, seed=9011, mean_vehicle_length_m=4.4, layout="parking").image
+    return render_scene(
+        _GSD, width_px=900, height_px=900, seed=9011, mean_vehicle_length_m=4.4, layout="parking"
+    ).image
 
 
 @pytest.mark.slow

@@ -43,17 +43,30 @@ def test_a_sharp_place_may_be_finer_than_it_looks(gsd: float, wider: float) -> N
 def test_a_length_that_fits_the_scene_has_the_better_odds() -> None:
     fits, long, longer = _ground(0.1, 0.15).size_odds(CAR_LENGTH_M / np.array([0.1, 0.07, 0.01]))
     assert fits > 1 > long > longer == -2
-    assert _ground(0.1, 0.15).scaled(2.0).size_odds([CAR_LENGTH_M / 0.2]) == pytest.approx(fits, rel=1e-3)  # of a grid
+    # of a grid
+    assert _ground(0.1, 0.15).scaled(2.0).size_odds([CAR_LENGTH_M / 0.2]) == pytest.approx(
+        fits, rel=1e-3
+    )
 
 
-@pytest.mark.parametrize(("width", "height"), [(160, 160), (256, 256), (1000, 700), (4096, 4096), (9000, 200)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(160, 160), (256, 256), (1000, 700), (4096, 4096), (9000, 200)]
+)
 def test_tiles_lie_inside_the_image_and_are_not_too_many(width: int, height: int) -> None:
     levels = tile_windows(width, height)
-    assert [factor for factor, _ in levels] == [f for f in FACTORS if min(width, height) >= TILE_PX * f]
+    assert [factor for factor, _ in levels] == [
+        f for f in FACTORS if min(width, height) >= TILE_PX * f
+    ]
     for factor, windows in levels:
         assert 1 <= len(windows) <= MOST_TILES
-        assert all(window.x_px >= 0 and window.x_px + window.width_px <= width // factor for window in windows)
-        assert all(window.y_px >= 0 and window.y_px + window.height_px <= height // factor for window in windows)
+        assert all(
+            window.x_px >= 0 and window.x_px + window.width_px <= width // factor
+            for window in windows
+        )
+        assert all(
+            window.y_px >= 0 and window.y_px + window.height_px <= height // factor
+            for window in windows
+        )
 
 
 def _log_probs(gsd_m_per_px: float) -> NDArray[np.float64]:

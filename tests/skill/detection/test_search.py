@@ -17,7 +17,13 @@ from tests.models import assert_same_boxes, blank_image, paint_vehicles, write_d
 from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import SceneScalePrior
-from vehanchor.detection.scheduler import MIN_LEVEL_SIDE_PX, TileScheduler, level_shares, search_levels, tile_prior_map
+from vehanchor.detection.scheduler import (
+    MIN_LEVEL_SIDE_PX,
+    TileScheduler,
+    level_shares,
+    search_levels,
+    tile_prior_map,
+)
 from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
@@ -36,11 +42,15 @@ def _painted(
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """A picture in which vehicles can be read in the copy reduced by ``factor`` alone, and their boxes.
 
-    Each pixel of a painted picture becomes a block: reduced by as much, the beacons are whole again. In the full
-    picture what stands beside a mark is the mark itself, which spells a vehicle of 255 px: too long to count.
+    Each pixel of a painted picture becomes a block: reduced by as much, the beacons are whole
+    again. In the full picture what stands beside a mark is the mark itself, which spells a vehicle
+    of 255 px: too long to count.
     """
     small = blank_image(60 + 70 * columns, 60 + 60 * -(-len(lengths) // columns))
-    boxes = [[40 + 70 * (k % columns), 50 + 60 * (k // columns), size, 12, 0.4] for k, size in enumerate(lengths)]
+    boxes = [
+        [40 + 70 * (k % columns), 50 + 60 * (k // columns), size, 12, 0.4]
+        for k, size in enumerate(lengths)
+    ]
     found = paint_vehicles(small, boxes, **kinds)
     found[:, :4] *= factor
     return np.kron(small, np.ones((factor, factor, 1), np.uint8)), found
@@ -51,7 +61,9 @@ def _fleet(mean: float, n: int = 30) -> list[float]:
     return [mean * (1 + 0.07 * NormalDist().inv_cdf((k + 0.5) / n)) for k in range(n)]
 
 
-# --- Levels ----------------------------------------------------------------------------------------------------------
+# --- Levels
+#
+# ----------------------------------------------------------------------------------------------------------
 
 
 @given(
@@ -72,7 +84,9 @@ def test_every_length_counts_at_some_level_and_at_two_around_their_border(
         assert coarse.shortest_px * coarse.factor < 0.81 * fine.longest_px * fine.factor
 
 
-# --- The search ------------------------------------------------------------------------------------------------------
+# --- The search
+#
+# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("factor", "mean"), [(1, 30.0), (4, 45.0)])
@@ -92,15 +106,21 @@ def test_vehicles_are_found_at_the_level_that_fits_them_in_pixels_of_the_image(
     assert e.warnings == ()
 
 
-def test_the_search_is_the_models_choice_and_the_callers(tmp_path: Path, searching: Detector) -> None:
+def test_the_search_is_the_models_choice_and_the_callers(
+    tmp_path: Path, searching: Detector
+) -> None:
     image, painted = _painted(2, _fleet(45.0, 12), columns=4)
     plain = Detector(write_detector(tmp_path / "plain.onnx", metadata=_RANGE))
     found = {
-        (name, wanted): estimate_gsd(image, detector=detector, search_scales=wanted, rulers=("vehicles",))
+        (name, wanted): estimate_gsd(
+            image, detector=detector, search_scales=wanted, rulers=("vehicles",)
+        )
         for name, detector in (("plain", plain), ("searching", searching))
         for wanted in (None, False, True)
     }
-    with_cars = {key for key, e in found.items() if e.mode_length_px == pytest.approx(90, rel=0.015)}
+    with_cars = {
+        key for key, e in found.items() if e.mode_length_px == pytest.approx(90, rel=0.015)
+    }
     assert with_cars == {("plain", True), ("searching", None), ("searching", True)}
     assert {e.details.working_scale for key, e in found.items() if key in with_cars} == {0.5}
     assert estimate_gsd(blank_image(500, 500), detector=searching).details.working_scale is None
@@ -112,7 +132,8 @@ def test_progress_counts_the_tiles_of_all_levels_and_may_stop_in_any(searching: 
     seen: list[tuple[int, int]] = []
     with open_raster(image) as raster:
         found = ImageSearch(
-            raster, searching.under(Runtime(progress=lambda done, total: seen.append((done, total))))
+            raster,
+            searching.under(Runtime(progress=lambda done, total: seen.append((done, total)))),
         ).searched()
     assert found.n_tiles == 2 + 1 + 1 + 1
     assert seen == [(k, 5) for k in range(6)]
@@ -159,10 +180,15 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
 
 @pytest.mark.parametrize(
     ("length_px", "large_px", "left_out"),
-    [(55.0, 3_000_000, True), (62.0, 3_000_000, False), (55.0, 2_000_000, False)],  # full resolution accepts up to 64
+    # full resolution accepts up to 64
+    [(55.0, 3_000_000, True), (62.0, 3_000_000, False), (55.0, 2_000_000, False)],
 )
 def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_photograph(
-    searching: Detector, monkeypatch: pytest.MonkeyPatch, length_px: float, large_px: int, left_out: bool
+    searching: Detector,
+    monkeypatch: pytest.MonkeyPatch,
+    length_px: float,
+    large_px: int,
+    left_out: bool,
 ) -> None:
     monkeypatch.setattr("vehanchor.detection.scheduler.ANYTIME_PIXELS", 1_000_000)
     monkeypatch.setattr("vehanchor.detection.search.LARGE_PIXELS", large_px)
@@ -184,15 +210,21 @@ def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_p
     assert tiles[1] <= found.n_tiles <= tiles[1] + tiles[2]
 
 
-# --- Searches that end early -----------------------------------------------------------------------------------------
+# --- Searches that end early
+# -----------------------------------------------------------------------------------------
 
 
 def test_the_order_of_the_visits_does_not_show_in_what_was_found(searching: Detector) -> None:
     image, painted = _painted(2, _fleet(45.0, 42), columns=7)
     with open_raster(image) as raster:
-        full = ImageSearch(raster, searching, Search(tile_px=160, stride_px=96, effort="full")).searched()
-        ordered = ImageSearch(raster, searching, Search(tile_px=160, stride_px=96, max_tiles=10_000)).searched()
-    np.testing.assert_allclose(np.sort(full.boxes[:, 2]), np.sort(painted[:, 2]), atol=0.02)  # each once, none cut
+        full = ImageSearch(
+            raster, searching, Search(tile_px=160, stride_px=96, effort="full")
+        ).searched()
+        ordered = ImageSearch(
+            raster, searching, Search(tile_px=160, stride_px=96, max_tiles=10_000)
+        ).searched()
+    # each once, none cut
+    np.testing.assert_allclose(np.sort(full.boxes[:, 2]), np.sort(painted[:, 2]), atol=0.02)
     assert full.boxes.tobytes() == ordered.boxes.tobytes()
     assert full.scores.tobytes() == ordered.scores.tobytes()
     assert (ordered.n_tiles, ordered.stopped_because) == (full.n_tiles, "all_searched")
@@ -202,7 +234,10 @@ def test_a_search_ends_at_the_limit_of_tiles_or_seconds_and_says_so(searching: D
     image, _ = _painted(2, _fleet(45.0, 42), columns=7)
     small: dict[str, Any] = {"tile_px": 160, "stride_px": 96}
     with open_raster(image) as raster:
-        twice = [ImageSearch(raster, searching, Search(**small, max_tiles=12)).searched() for _ in range(2)]
+        twice = [
+            ImageSearch(raster, searching, Search(**small, max_tiles=12)).searched()
+            for _ in range(2)
+        ]
         hurried = ImageSearch(raster, searching, Search(**small, max_seconds=1e-9)).searched()
     first, second = twice
     assert first.boxes.tobytes() == second.boxes.tobytes()
@@ -213,22 +248,35 @@ def test_a_search_ends_at_the_limit_of_tiles_or_seconds_and_says_so(searching: D
     assert (hurried.n_tiles, hurried.stopped_because) == (1, "max_seconds")
 
 
-# --- Tiles -----------------------------------------------------------------------------------------------------------
+# --- Tiles
+#
+# -----------------------------------------------------------------------------------------------------------
 
 
-def _street(width: int, height: int, seed: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+def _street(
+    width: int, height: int, seed: int = 0
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     rng = np.random.default_rng(seed)
     image = blank_image(width, height)
-    grid = np.stack(np.meshgrid(np.arange(40, width - 40, 60), np.arange(40, height - 40, 60)), axis=-1).reshape(-1, 2)
+    grid = np.stack(
+        np.meshgrid(np.arange(40, width - 40, 60), np.arange(40, height - 40, 60)), axis=-1
+    ).reshape(-1, 2)
     n = len(grid)
     boxes = np.column_stack(
-        [grid + rng.uniform(-5, 5, grid.shape), rng.normal(30, 2, n), rng.normal(12, 0.5, n), rng.uniform(0, np.pi, n)]
+        [
+            grid + rng.uniform(-5, 5, grid.shape),
+            rng.normal(30, 2, n),
+            rng.normal(12, 0.5, n),
+            rng.uniform(0, np.pi, n),
+        ]
     )
     return image, paint_vehicles(image, boxes)
 
 
 @pytest.mark.parametrize(("width", "height", "tile"), [(513, 300, 256), (300, 900, 320)])
-def test_tiles_find_each_vehicle_once_in_image_coordinates(tmp_path: Path, width: int, height: int, tile: int) -> None:
+def test_tiles_find_each_vehicle_once_in_image_coordinates(
+    tmp_path: Path, width: int, height: int, tile: int
+) -> None:
     image, painted = _street(width, height)
     detector = Detector(write_detector(tmp_path / "m.onnx"))
     with open_raster(image) as raster:
@@ -246,12 +294,16 @@ def test_a_model_of_fixed_size_sets_the_tile_and_pads_small_images(tmp_path: Pat
             ImageSearch(raster, detector, Search(tile_px=1024)).searched()
 
 
-# --- Other objects ---------------------------------------------------------------------------------------------------
+# --- Other objects
+#
+# ---------------------------------------------------------------------------------------------------
 
 _KINDS = {0: "small vehicle", 1: "ship", 2: "tennis court"}
 
 
-def test_objects_of_other_classes_are_kept_beside_the_vehicles_with_their_class(tmp_path: Path) -> None:
+def test_objects_of_other_classes_are_kept_beside_the_vehicles_with_their_class(
+    tmp_path: Path,
+) -> None:
     image, kinds = blank_image(700, 300), [0, 1, 2, 0, 1, 2]
     painted = paint_vehicles(
         image,
@@ -265,16 +317,21 @@ def test_objects_of_other_classes_are_kept_beside_the_vehicles_with_their_class(
             found = ImageSearch(raster, detector, options).searched()
             assert_same_boxes(found.boxes, painted[[0, 3]])
             assert_same_boxes(found.others.boxes, painted[[1, 2, 4, 5]])
-            np.testing.assert_allclose(found.others.scores, [0.7, 0.6, 0.5, 0.4], atol=1 / 255)  # best first
+            # best first
+            np.testing.assert_allclose(found.others.scores, [0.7, 0.6, 0.5, 0.4], atol=1 / 255)
             assert found.others.classes.tolist() == [2, 1, 1, 2]
-        ships = ImageSearch(raster, Detector(detector.path, classes=["ship", "small vehicle"])).searched()
+        ships = ImageSearch(
+            raster, Detector(detector.path, classes=["ship", "small vehicle"])
+        ).searched()
     assert len(ships.boxes) == 4
     assert set(ships.others.classes.tolist()) == {2}
 
 
 @settings(max_examples=25)
 @given(st.integers(16, 500), st.integers(1, 9), st.randoms(use_true_random=False))
-def test_every_tile_is_taken_once_whatever_the_others_showed(side: int, at_once: int, random: object) -> None:
+def test_every_tile_is_taken_once_whatever_the_others_showed(
+    side: int, at_once: int, random: object
+) -> None:
     places = [
         (factor, tile)
         for factor in (1, 2, 4)
@@ -282,7 +339,9 @@ def test_every_tile_is_taken_once_whatever_the_others_showed(side: int, at_once:
     ]
     rng = np.random.default_rng(random.randrange(1000))  # type: ignore[attr-defined]
     order = TileScheduler(
-        places, rng.random(len(places)), level_shares({1: (9, 64), 2: (25, 64), 4: (25, np.inf)}, None)
+        places,
+        rng.random(len(places)),
+        level_shares({1: (9, 64), 2: (25, 64), 4: (25, np.inf)}, None),
     )
     taken: list[int] = []
     while batch := order.next_tiles(at_once):

@@ -34,7 +34,9 @@ def test_a_chip_lies_along_its_candidate(length: float, angle: float) -> None:
     rows, columns = np.mgrid[0:300, 0:300] + 0.5
     along = (columns - 150) * np.cos(angle) + (rows - 140) * np.sin(angle)
     ramp = np.clip(128 + 100 * along / length, 0, 255).astype(np.uint8)
-    (chip,) = surroundings(np.repeat(ramp[:, :, None], 3, axis=2), [(150.0, 140.0, length, 0.4 * length, angle)])
+    (chip,) = surroundings(
+        np.repeat(ramp[:, :, None], 3, axis=2), [(150.0, 140.0, length, 0.4 * length, angle)]
+    )
     assert chip.shape == (CHIP_PX, CHIP_PX, 3)
     middle = chip[CHIP_PX // 2, :, 0].astype(float)
     assert middle[14] == pytest.approx(78, abs=8)
@@ -49,7 +51,9 @@ def test_the_card_takes_the_scores_of_the_verifier() -> None:
     assert (card.min_score, card.verifier_sha256) == (0.5, "b" * 64)
     assert read_detector_card(Path("vehicles.onnx"), "a" * 64, own).min_score == 0.4
     with pytest.raises(ModelContractError, match=r"verifier .* 'vehicles', and this is 'mine'"):
-        read_detector_card(Path("mine.onnx"), "a" * 64, {"vehanchor.name": "mine"}, verifier=verifier)
+        read_detector_card(
+            Path("mine.onnx"), "a" * 64, {"vehanchor.name": "mine"}, verifier=verifier
+        )
 
 
 def test_the_bundled_detector_has_one_and_it_is_no_detector() -> None:
@@ -59,7 +63,13 @@ def test_the_bundled_detector_has_one_and_it_is_no_detector() -> None:
     verifier = Verifier(path)
     pixels = np.random.default_rng(0).integers(0, 255, (200, 200, 3), dtype=np.uint8)
     boxes = np.column_stack(
-        [np.linspace(5, 195, 130), np.full(130, 99.0), np.full(130, 20.0), np.full(130, 9.0), np.zeros(130)]
+        [
+            np.linspace(5, 195, 130),
+            np.full(130, 99.0),
+            np.full(130, 20.0),
+            np.full(130, 9.0),
+            np.zeros(130),
+        ]
     )
     judged = verifier.scored(pixels, Objects(boxes, np.full(130, 0.6), np.zeros(130, np.intp)))
     assert len(judged) == 130
@@ -75,7 +85,9 @@ def test_a_search_verifies_fewer_candidates_a_tile_once_it_has_found_many_vehicl
     counts: list[int] = []
     scored = Verifier.scored
 
-    def counted(self: Verifier, pixels: NDArray[np.uint8], found: Objects, *, size_odds: Any = 0.0) -> Objects:
+    def counted(
+        self: Verifier, pixels: NDArray[np.uint8], found: Objects, *, size_odds: Any = 0.0
+    ) -> Objects:
         counts.append(len(found))
         return scored(self, pixels, found, size_odds=size_odds)
 

@@ -55,7 +55,9 @@ def pillow(format_name: str, mode: str, rgb: NDArray[Any] = RGB, **options: Any)
     return buffer.getvalue()
 
 
-def geotiff(path: Path, bands_hwc: NDArray[Any], mask: NDArray[Any] | None = None, **profile: Any) -> Path:
+def geotiff(
+    path: Path, bands_hwc: NDArray[Any], mask: NDArray[Any] | None = None, **profile: Any
+) -> Path:
     """Write [h, w, bands] as a GeoTIFF of 0.25 m/px in UTM 31N unless told otherwise."""
     height, width, count = bands_hwc.shape
     profile = {
@@ -67,7 +69,9 @@ def geotiff(path: Path, bands_hwc: NDArray[Any], mask: NDArray[Any] | None = Non
     }
     with warnings.catch_warnings(), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "w", width=width, height=height, count=count, **profile) as dataset:
+        with rasterio.open(
+            path, "w", width=width, height=height, count=count, **profile
+        ) as dataset:
             dataset.write(np.moveaxis(bands_hwc, -1, 0))
             if mask is not None:
                 dataset.write_mask(mask)
@@ -108,11 +112,23 @@ _POSITION_TAGS = {
 
 def exif(tags: Mapping[str, Any], order: str = "<", pointer_kind: int = 4) -> bytes:
     """A TIFF structure with these tags, those of the camera in a directory of their own."""
-    position = [_entry(name, value, order) for name, value in tags.items() if name in _POSITION_TAGS]
-    first = [_entry(name, value, order) for name, value in tags.items() if name in _TAGS and not _TAGS[name][2]]
-    camera = [_entry(name, value, order) for name, value in tags.items() if name in _TAGS and _TAGS[name][2]]
+    position = [
+        _entry(name, value, order) for name, value in tags.items() if name in _POSITION_TAGS
+    ]
+    first = [
+        _entry(name, value, order)
+        for name, value in tags.items()
+        if name in _TAGS and not _TAGS[name][2]
+    ]
+    camera = [
+        _entry(name, value, order)
+        for name, value in tags.items()
+        if name in _TAGS and _TAGS[name][2]
+    ]
     further = 2 if position else 1
-    camera_at = 8 + 2 + 12 * (len(first) + further) + 4 + sum(len(raw) for *_, raw in first if len(raw) > 4)
+    camera_at = (
+        8 + 2 + 12 * (len(first) + further) + 4 + sum(len(raw) for *_, raw in first if len(raw) > 4)
+    )
     first.append((0x8769, pointer_kind, 1, struct.pack(order + "I", camera_at)))
     start = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
     of_camera = _directory(camera, order, camera_at)
@@ -120,7 +136,9 @@ def exif(tags: Mapping[str, Any], order: str = "<", pointer_kind: int = 4) -> by
         return start + _directory(first, order, 8) + of_camera
     position_at = camera_at + len(of_camera)
     first.append((0x8825, 4, 1, struct.pack(order + "I", position_at)))
-    return start + _directory(first, order, 8) + of_camera + _directory(position, order, position_at)
+    return (
+        start + _directory(first, order, 8) + of_camera + _directory(position, order, position_at)
+    )
 
 
 def _entry(name: str, value: Any, order: str) -> tuple[int, int, int, bytes]:
@@ -154,8 +172,10 @@ def xmp(namespaces: Mapping[str, str], properties: str, *, before: str = "") -> 
     attributes, elements = ("", properties) if "<" in properties else (properties, "")
     return (
         f'<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>{before}'
-        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
-        f'<rdf:Description rdf:about="DJI Meta Data" {named} {attributes}>{elements}</rdf:Description>'
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
+        'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        f'<rdf:Description rdf:about="DJI Meta Data" {named} '
+        f"{attributes}>{elements}</rdf:Description>"
         '</rdf:RDF></x:xmpmeta><?xpacket end="w"?>'
     ).encode()
 
@@ -164,7 +184,12 @@ XMP_PREFIX = b"http://ns.adobe.com/xap/1.0/\0"
 
 
 def jpeg(
-    *, exif: bytes | None = None, xmp: bytes | None = None, width_px: int = 80, height_px: int = 60, more: bytes = b""
+    *,
+    exif: bytes | None = None,
+    xmp: bytes | None = None,
+    width_px: int = 80,
+    height_px: int = 60,
+    more: bytes = b"",
 ) -> bytes:
     """A JPEG with these blocks before its pixels."""
     plain = encoded(".jpg", smooth_rgb(width_px, height_px))
@@ -213,7 +238,12 @@ def webp_with_exif(exif_block: bytes, packet: bytes) -> bytes:
 def jpeg_with(orientation: int, order: str = "<") -> bytes:
     data = encoded(".jpg", RGB, cv2.IMWRITE_JPEG_QUALITY, 100)
     comment = b"\xff\xfe\x00\x04hi"
-    return data[:2] + comment + segment(b"Exif\0\0" + exif({"Orientation": orientation}, order)) + data[2:]
+    return (
+        data[:2]
+        + comment
+        + segment(b"Exif\0\0" + exif({"Orientation": orientation}, order))
+        + data[2:]
+    )
 
 
 def jpeg_of_a_mac_with(orientation: int) -> bytes:
@@ -226,7 +256,9 @@ def png_with(orientation: int) -> bytes:
 
 
 def webp_with(orientation: int) -> bytes:
-    return pillow("WEBP", "RGB", lossless=True, exif=b"Exif\0\0" + exif({"Orientation": orientation}))
+    return pillow(
+        "WEBP", "RGB", lossless=True, exif=b"Exif\0\0" + exif({"Orientation": orientation})
+    )
 
 
 def tiff_with(orientation: int) -> bytes:
@@ -243,11 +275,18 @@ def without_rasterio() -> Iterator[None]:
 
 
 def png_header(width: int, height: int) -> bytes:
-    return b"\x89PNG\r\n\x1a\n" + png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + png_chunk(
+        b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    )
 
 
 def jpeg_header(width: int, height: int) -> bytes:
-    return b"\xff\xd8\xff\xff\xc0" + struct.pack(">HBHHB", 17, 8, height, width, 3) + bytes(9) + b"\xff\xd9"
+    return (
+        b"\xff\xd8\xff\xff\xc0"
+        + struct.pack(">HBHHB", 17, 8, height, width, 3)
+        + bytes(9)
+        + b"\xff\xd9"
+    )
 
 
 def bmp_header(width: int, height: int) -> bytes:
@@ -259,11 +298,20 @@ def os2_bmp_header(width: int, height: int) -> bytes:
 
 
 def webp(chunk: bytes, body: bytes) -> bytes:
-    return b"RIFF" + struct.pack("<I", 12 + len(body)) + b"WEBP" + chunk + struct.pack("<I", len(body)) + body
+    return (
+        b"RIFF"
+        + struct.pack("<I", 12 + len(body))
+        + b"WEBP"
+        + chunk
+        + struct.pack("<I", len(body))
+        + body
+    )
 
 
 def webp_header(width: int, height: int) -> bytes:
-    return webp(b"VP8X", bytes(4) + (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little"))
+    return webp(
+        b"VP8X", bytes(4) + (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+    )
 
 
 def webp_lossy_header(width: int, height: int) -> bytes:

@@ -80,7 +80,16 @@ def test_a_huge_declared_size_is_refused_before_decoding(
 
 
 @pytest.mark.parametrize(
-    "make", [png_header, jpeg_header, bmp_header, os2_bmp_header, webp_lossy_header, tiff_header, bigtiff_header]
+    "make",
+    [
+        png_header,
+        jpeg_header,
+        bmp_header,
+        os2_bmp_header,
+        webp_lossy_header,
+        tiff_header,
+        bigtiff_header,
+    ],
 )
 @pytest.mark.parametrize("size_px", [(0, 0), (0, 50), (50, 0), (1, 1), (MIN_SIDE_PX - 1, 500)])
 def test_too_small_a_declared_size_cannot_be_measured(
@@ -122,7 +131,15 @@ def test_an_endless_file_object_is_left_at_the_limit() -> None:
 
 
 def test_a_tiff_over_the_limits_for_whole_decoding_is_read_by_windows(tmp_path: Path) -> None:
-    path = geotiff(tmp_path / "a.tif", NOISE, crs=None, transform=None, tiled=True, blockxsize=16, blockysize=16)
+    path = geotiff(
+        tmp_path / "a.tif",
+        NOISE,
+        crs=None,
+        transform=None,
+        tiled=True,
+        blockxsize=16,
+        blockysize=16,
+    )
     for limits in (ImageLimits(max_pixels=NOISE[..., 0].size - 1), ImageLimits(max_bytes=1000)):
         np.testing.assert_array_equal(read_all(path, limits=limits), NOISE)
         with without_rasterio(), pytest.raises(MissingExtraError):
@@ -132,21 +149,38 @@ def test_a_tiff_over_the_limits_for_whole_decoding_is_read_by_windows(tmp_path: 
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_the_mask_of_a_tiff_is_held_to_the_same_limit_as_its_pixels(tmp_path: Path, order: str) -> None:
+def test_the_mask_of_a_tiff_is_held_to_the_same_limit_as_its_pixels(
+    tmp_path: Path, order: str
+) -> None:
     options: dict[str, Any] = {"ENDIANNESS": "BIG"} if order == ">" else {}
     data = bytearray(geotiff(tmp_path / "a.tif", NOISE, **options).read_bytes())
     (first,) = struct.unpack_from(order + "I", data, 4)
     (n_entries,) = struct.unpack_from(order + "H", data, first)
     struct.pack_into(order + "I", data, first + 2 + 12 * n_entries, len(data))
-    mask = {254: 4, 256: 1000, 257: 1000, 258: 1, 259: 1, 262: 4, 273: 8, 277: 1, 278: 1000, 279: 125_000}
+    mask = {
+        254: 4,
+        256: 1000,
+        257: 1000,
+        258: 1,
+        259: 1,
+        262: 4,
+        273: 8,
+        277: 1,
+        278: 1000,
+        279: 125_000,
+    }
     data += struct.pack(order + "H", len(mask))
     for tag, value in mask.items():
         data += struct.pack(order + "HHII", tag, 4, 1, value)
     data += bytes(4)
     (tmp_path / "masked.tif").write_bytes(data)
-    open_raster(tmp_path / "masked.tif", Reading(limits=ImageLimits(max_decoded_bytes=2_000_000))).close()
+    open_raster(
+        tmp_path / "masked.tif", Reading(limits=ImageLimits(max_decoded_bytes=2_000_000))
+    ).close()
     with pytest.raises(ImageTooLargeError, match="mask is stored in blocks of 1000000 pixels"):
-        open_raster(tmp_path / "masked.tif", Reading(limits=ImageLimits(max_decoded_bytes=1_999_999)))
+        open_raster(
+            tmp_path / "masked.tif", Reading(limits=ImageLimits(max_decoded_bytes=1_999_999))
+        )
 
 
 def test_a_tiff_of_more_directories_than_a_thousand_is_refused_and_a_circle_of_them_ends() -> None:
@@ -200,7 +234,9 @@ def test_more_segments_than_pictures_have_are_refused() -> None:
 
 def test_scans_cannot_be_hidden_behind_stuffing() -> None:
     data = bombs.jpeg_of_scans(200, 64)
-    hidden = data[:2] + b"\xff\x00" + struct.pack(">H", len(data) - 2) + data[2:] + encoded(".jpg")[2:]
+    hidden = (
+        data[:2] + b"\xff\x00" + struct.pack(">H", len(data) - 2) + data[2:] + encoded(".jpg")[2:]
+    )
     with pytest.raises(ImageDecodeError):
         open_raster(hidden)
 
@@ -234,14 +270,36 @@ def test_a_png_is_the_same_picture_without_its_metadata(capfd: pytest.CaptureFix
     ("data", "message"),
     [
         (bombs.tiff_with_two_sizes(), "tag 256 twice"),
-        (bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), (33550, 3, 1, 1), (33550, 3, 1, 1)]), "twice"),
-        (bombs.tiff_of_directory([(256, 8, 1, 64), (257, 3, 1, 64)]), "tag 256 has 1 values of type 8"),
-        (bombs.tiff_of_directory([(256, 3, 2, 64 | 20_000 << 16), (257, 3, 1, 64)]), "several values"),
+        (
+            bombs.tiff_of_directory(
+                [(256, 3, 1, 64), (257, 3, 1, 64), (33550, 3, 1, 1), (33550, 3, 1, 1)]
+            ),
+            "twice",
+        ),
+        (
+            bombs.tiff_of_directory([(256, 8, 1, 64), (257, 3, 1, 64)]),
+            "tag 256 has 1 values of type 8",
+        ),
+        (
+            bombs.tiff_of_directory([(256, 3, 2, 64 | 20_000 << 16), (257, 3, 1, 64)]),
+            "several values",
+        ),
         (bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), (258, 8, 1, 64)]), "tag 258"),
-        (bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), (258, 3, 2, 8), (277, 3, 1, 3)]), "2 values for 3"),
-        (bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), (322, 3, 1, 64)]), "one side of its tiles"),
+        (
+            bombs.tiff_of_directory(
+                [(256, 3, 1, 64), (257, 3, 1, 64), (258, 3, 2, 8), (277, 3, 1, 3)]
+            ),
+            "2 values for 3",
+        ),
+        (
+            bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), (322, 3, 1, 64)]),
+            "one side of its tiles",
+        ),
         (encoded(".png")[:33] + encoded(".png")[8:], "size twice"),
-        (webp(b"VP8X", bytes(4) + b"\x3f\0\0\x3f\0\0") + b"VP8L\5\0\0\0\x2f" + b"\xff" * 4, "two different sizes"),
+        (
+            webp(b"VP8X", bytes(4) + b"\x3f\0\0\x3f\0\0") + b"VP8L\5\0\0\0\x2f" + b"\xff" * 4,
+            "two different sizes",
+        ),
     ],
 )
 def test_what_two_readers_may_take_differently_is_refused(data: bytes, message: str) -> None:
@@ -272,22 +330,36 @@ def test_the_limit_is_what_decoding_takes_not_what_the_file_weighs(
         open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=decoded_bytes - 1)))
 
 
-@pytest.mark.parametrize(("dtype", "bands"), [("float64", 4), ("uint16", 4), ("float64", 1), ("uint8", 3)])
-def test_a_tiff_that_takes_too_much_is_read_by_windows_unless_its_strips_do(dtype: str, bands: int) -> None:
+@pytest.mark.parametrize(
+    ("dtype", "bands"), [("float64", 4), ("uint16", 4), ("float64", 1), ("uint8", 3)]
+)
+def test_a_tiff_that_takes_too_much_is_read_by_windows_unless_its_strips_do(
+    dtype: str, bands: int
+) -> None:
     side, data = 256, bombs.zero_tiff(256, dtype, bands)
     pixel = max(4, bands * np.dtype(dtype).itemsize)
     tight = ImageLimits(max_decoded_bytes=side * side * pixel)
     with open_raster(bombs.zero_tiff(side, dtype, bands, rows=16), Reading(limits=tight)) as raster:
         assert not raster.read(Window(0, 0, side, side)).any()
     with pytest.raises(ImageTooLargeError, match="stored in blocks"):
-        open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=side * side * pixel // 4 * 3)))
+        open_raster(
+            data, Reading(limits=ImageLimits(max_decoded_bytes=side * side * pixel // 4 * 3))
+        )
     open_raster(data, Reading(limits=ImageLimits(max_decoded_bytes=3 * side * side * pixel)))
 
 
 def test_a_tile_larger_than_its_image_counts() -> None:
     header = tiff_header(64, 64)
-    entries = [(256, 4, 1, 64), (257, 4, 1, 64), (258, 3, 1, 8), (262, 3, 1, 1), (322, 4, 1, 60_000)]
-    data = bombs.tiff_of_directory([*entries, (323, 4, 1, 60_000), (324, 4, 1, 8), (325, 4, 1, 64)], after=header)
+    entries = [
+        (256, 4, 1, 64),
+        (257, 4, 1, 64),
+        (258, 3, 1, 8),
+        (262, 3, 1, 1),
+        (322, 4, 1, 60_000),
+    ]
+    data = bombs.tiff_of_directory(
+        [*entries, (323, 4, 1, 60_000), (324, 4, 1, 8), (325, 4, 1, 64)], after=header
+    )
     with pytest.raises(ImageError):
         open_raster(data)
 
@@ -302,14 +374,17 @@ def test_what_an_image_costs_grows_no_faster_than_its_size(name: str, tmp_path: 
     family = FAMILIES[name]
     small, large = (cost(family.make(size), tmp_path) for size in (family.size, 4 * family.size))
     assert not grows_too_fast(small, large), (small, large)
-    assert large.mebibytes < 1200  # the limit on decoded bytes, and what the process had not loaded yet
+    # the limit on decoded bytes, and what the process had not loaded yet
+    assert large.mebibytes < 1200
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_decoding_a_format_takes_what_its_header_predicts(name: str, tmp_path: Path) -> None:
     data = FORMATS[name](_SIDE_PX)
-    predicted = read_header(lambda offset, count: data[offset : offset + count]).decoding_bytes / MIB
+    predicted = (
+        read_header(lambda offset, count: data[offset : offset + count]).decoding_bytes / MIB
+    )
     measured = cost(data, tmp_path)
     assert measured.answer == "opened"
     assert measured.mebibytes <= predicted + _OWN_MIB, (measured, predicted)

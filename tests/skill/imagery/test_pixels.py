@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from PIL import Image
 from rasterio.enums import ColorInterp
 
-from tests.skill.imagery.files import HEIGHT_PX, NOISE, RGB, WIDTH_PX, encoded, geotiff, pillow, read_all
+from tests.skill.imagery.files import (
+    HEIGHT_PX,
+    NOISE,
+    RGB,
+    WIDTH_PX,
+    encoded,
+    geotiff,
+    pillow,
+    read_all,
+)
 from vehanchor.errors import (
     ImageFormatError,
     InvalidParameterError,
@@ -74,7 +83,10 @@ def test_half_transparent_pixels_are_seen() -> None:
 
 
 def test_a_fourth_band_of_many_values_is_near_infrared(tmp_path: Path) -> None:
-    for image in (NEAR_INFRARED, _declared(tmp_path / "a.tif", NEAR_INFRARED, ColorInterp.undefined)):
+    for image in (
+        NEAR_INFRARED,
+        _declared(tmp_path / "a.tif", NEAR_INFRARED, ColorInterp.undefined),
+    ):
         np.testing.assert_array_equal(read_all(image), RGB)
         assert read_all(image, bands=(4, 1, 2))[:, 25].any()
     np.testing.assert_array_equal(read_all(np.dstack([RGB, np.zeros_like(LEFT)])), RGB)
@@ -91,16 +103,27 @@ def test_an_image_without_any_seen_pixel_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("dtype", "no_data"),
-    [("float32", -9999), ("float32", -3.4e38), ("float64", 1.7e308), ("uint16", 65535), ("float32", 1e20)],
+    [
+        ("float32", -9999),
+        ("float32", -3.4e38),
+        ("float64", 1.7e308),
+        ("uint16", 65535),
+        ("float32", 1e20),
+    ],
 )
-def test_a_value_far_from_all_others_is_no_data_and_named(dtype: str, no_data: float, tmp_path: Path) -> None:
+def test_a_value_far_from_all_others_is_no_data_and_named(
+    dtype: str, no_data: float, tmp_path: Path
+) -> None:
     values = (RGB.astype(dtype) * 8) + 500
     filled = values.copy()
     filled[:4] = no_data
     for image in (filled, geotiff(tmp_path / "a.tif", filled)):
         with open_raster(image) as raster:
             shown = raster.read()
-            assert f"the value {no_data:g}, in 10 % of the pixels, counts as no data" in raster.warnings[0].message
+            assert (
+                f"the value {no_data:g}, in 10 % of the pixels, counts as no data"
+                in raster.warnings[0].message
+            )
         assert not shown[:4].any()
         np.testing.assert_array_equal(shown[4:], read_all(values[4:]))
 
@@ -181,7 +204,9 @@ def test_a_large_raster_is_stretched_alike_in_all_windows(tmp_path: Path) -> Non
     path = geotiff(tmp_path / "a.tif", ramp[..., np.newaxis], tiled=True, compress="deflate")
     with open_raster(path) as raster:
         whole = raster.read()
-        np.testing.assert_array_equal(raster.read(Window(700, 100, 300, 200)), whole[100:300, 700:1000])
+        np.testing.assert_array_equal(
+            raster.read(Window(700, 100, 300, 200)), whole[100:300, 700:1000]
+        )
     assert whole[0, 10].max() == 0
     assert whole[0, -10].min() == 255
 

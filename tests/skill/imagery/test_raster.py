@@ -68,7 +68,13 @@ def test_a_tiff_read_by_windows_is_turned_like_one_decoded_whole(orientation: in
 
 @pytest.mark.parametrize(
     "window",
-    [Window(-1, 0, 4, 4), Window(0, 0, WIDTH_PX + 1, 4), Window(0, 37, 4, 4), Window(0, 0, 0, 4), Window(5, 5, 3, -1)],
+    [
+        Window(-1, 0, 4, 4),
+        Window(0, 0, WIDTH_PX + 1, 4),
+        Window(0, 37, 4, 4),
+        Window(0, 0, 0, 4),
+        Window(5, 5, 3, -1),
+    ],
 )
 def test_a_window_that_is_not_inside_is_a_wrong_parameter(window: Window) -> None:
     with open_raster(RGB) as raster, pytest.raises(InvalidParameterError, match="60 x 40"):
@@ -98,7 +104,9 @@ def test_windows_are_slices_of_the_whole(windowed_file: Path, data: st.DataObjec
 
 
 @given(st.integers(1, 400), st.integers(1, 400), st.integers(32, 128), st.floats(0.1, 1.0))
-def test_tiles_cover_every_pixel_once_each_and_stay_inside(width: int, height: int, tile: int, share: float) -> None:
+def test_tiles_cover_every_pixel_once_each_and_stay_inside(
+    width: int, height: int, tile: int, share: float
+) -> None:
     tiles = tile_grid(width, height, tile_px=tile, stride_px=max(1, round(tile * share)))
     covered = np.zeros((height, width), dtype=bool)
     for t in tiles:
@@ -181,7 +189,9 @@ def _texture(side: int, seed: int = 0) -> NDArray[np.uint8]:
     for _ in range(side * 3):
         x, y = rng.integers(0, side, 2)
         w, h = np.exp(rng.uniform(0.5, 4, 2)).astype(int) + 1
-        cv2.rectangle(image, (int(x), int(y)), (int(x + w), int(y + h)), rng.integers(0, 256, 3).tolist(), -1)
+        cv2.rectangle(
+            image, (int(x), int(y)), (int(x + w), int(y + h)), rng.integers(0, 256, 3).tolist(), -1
+        )
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.4), dtype=np.uint8)
 
 
@@ -196,11 +206,15 @@ def _share(image: NDArray[np.uint8]) -> float:
     )
 
 
-@pytest.mark.parametrize(("factor", "way"), [(2, cv2.INTER_LINEAR), (3, cv2.INTER_CUBIC), (4, cv2.INTER_LANCZOS4)])
+@pytest.mark.parametrize(
+    ("factor", "way"), [(2, cv2.INTER_LINEAR), (3, cv2.INTER_CUBIC), (4, cv2.INTER_LANCZOS4)]
+)
 def test_an_enlarged_image_has_the_detail_of_its_original(factor: int, way: int) -> None:
     original = _texture(128)
     assert _share(original) == 1.0
-    enlarged = np.asarray(cv2.resize(original, None, fx=factor, fy=factor, interpolation=way), dtype=np.uint8)
+    enlarged = np.asarray(
+        cv2.resize(original, None, fx=factor, fy=factor, interpolation=way), dtype=np.uint8
+    )
     assert _share(enlarged) == pytest.approx(1 / factor, rel=0.75)
     assert _share(enlarged) < 0.8
 

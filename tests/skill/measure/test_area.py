@@ -33,10 +33,17 @@ def _corners(box: BoundingBox | None) -> tuple[float, float, float, float]:
     return box.x1_px, box.y1_px, box.x2_px, box.y2_px
 
 
-def test_the_area_is_the_masks_pixels_times_the_scale_squared(detector: Detector, segmenter: Segmenter) -> None:
+def test_the_area_is_the_masks_pixels_times_the_scale_squared(
+    detector: Detector, segmenter: Segmenter
+) -> None:
     image = pool_among_cars()
-    analysis = analyse_area(image, box=BOX, detector=detector, segmenter=segmenter, rulers=("vehicles",))
-    record, scale = analysis.measurement, estimate_gsd(image, detector=detector, rulers=("vehicles",))
+    analysis = analyse_area(
+        image, box=BOX, detector=detector, segmenter=segmenter, rulers=("vehicles",)
+    )
+    record, scale = (
+        analysis.measurement,
+        estimate_gsd(image, detector=detector, rulers=("vehicles",)),
+    )
     assert (record.estimate, record.scale) == (scale, scale.scale)
     assert scale.gsd_m_per_px is not None
     assert record.mask_area_px == analysis.segmentation.mask.sum()
@@ -50,7 +57,8 @@ def test_the_area_is_the_masks_pixels_times_the_scale_squared(detector: Detector
     assert record.length_m == pytest.approx(96 * scale.gsd_m_per_px)
     assert record.width_m == pytest.approx(48 * scale.gsd_m_per_px)
     assert record.inscribed_diameter_m == pytest.approx(48 * scale.gsd_m_per_px)
-    assert record.perimeter_m == pytest.approx(288 * scale.gsd_m_per_px, rel=0.03)  # its corners are round
+    # its corners are round
+    assert record.perimeter_m == pytest.approx(288 * scale.gsd_m_per_px, rel=0.03)
     assert record.inscribed_center is not None
     assert record.inscribed_center.x_px == 444
     assert 280 + 24 <= record.inscribed_center.y_px <= 376 - 24
@@ -60,7 +68,9 @@ def test_the_area_is_the_masks_pixels_times_the_scale_squared(detector: Detector
 
 
 def test_the_outline_is_in_the_images_pixels(detector: Detector, segmenter: Segmenter) -> None:
-    (polygon,) = measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter).outline
+    (polygon,) = measure_area(
+        pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter
+    ).outline
     xs, ys = [p.x_px for p in polygon.exterior.points], [p.y_px for p in polygon.exterior.points]
     assert (min(xs), min(ys), max(xs), max(ys)) == POOL
     assert polygon.holes == ()
@@ -68,17 +78,32 @@ def test_the_outline_is_in_the_images_pixels(detector: Detector, segmenter: Segm
 
 def test_a_given_scale_needs_no_detector(segmenter: Segmenter, tmp_path: Path) -> None:
     record = measure_area(
-        pool_among_cars(0), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter, detector=tmp_path / "there is none.onnx"
+        pool_among_cars(0),
+        box=BOX,
+        gsd_m_per_px=GSD,
+        segmenter=segmenter,
+        detector=tmp_path / "there is none.onnx",
     )
     assert record.area_m2 == pytest.approx(record.mask_area_px * GSD**2)
     assert (record.status, record.scale_source, record.gsd_m_per_px) == ("ok", "given", GSD)
-    assert (record.scale_confidence, record.n_vehicles, record.mode_length_px, record.scale) == (None, None, None, None)
+    assert (record.scale_confidence, record.n_vehicles, record.mode_length_px, record.scale) == (
+        None,
+        None,
+        None,
+        None,
+    )
 
 
-def test_no_vehicles_mean_no_area_but_the_mask_all_the_same(detector: Detector, segmenter: Segmenter) -> None:
+def test_no_vehicles_mean_no_area_but_the_mask_all_the_same(
+    detector: Detector, segmenter: Segmenter
+) -> None:
     record = measure_area(pool_among_cars(0), box=BOX, detector=detector, segmenter=segmenter)
     assert (record.status, record.scale_confidence, record.n_vehicles) == ("no_scale", 0.0, 0)
-    metric = {name: value for name, value in record.model_dump().items() if name.endswith(("_m2", "_m", "_per_px"))}
+    metric = {
+        name: value
+        for name, value in record.model_dump().items()
+        if name.endswith(("_m2", "_m", "_per_px"))
+    }
     assert len(metric) == 10
     assert set(metric.values()) == {None}
     assert record.mask_area_px > 4500
@@ -93,8 +118,13 @@ def test_a_mask_that_the_segmenter_doubts_is_low_confidence(tmp_path: Path) -> N
     assert (record.status, _codes(record)) == ("low_confidence", ["mask_score_low"])
     assert record.area_m2 is not None
     (tmp_path / "trusting").mkdir()
-    trusting = Segmenter(*write_sam(tmp_path / "trusting", scores=[0.4], metadata={"vehanchor.min_score": "0.3"}))
-    assert measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=trusting).status == "ok"
+    trusting = Segmenter(
+        *write_sam(tmp_path / "trusting", scores=[0.4], metadata={"vehanchor.min_score": "0.3"})
+    )
+    assert (
+        measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=trusting).status
+        == "ok"
+    )
 
 
 def test_an_empty_mask_is_no_measurement(tmp_path: Path) -> None:
@@ -123,7 +153,9 @@ def test_the_interval_joins_scale_and_mask(detector: Detector, tmp_path: Path) -
     assert reach == pytest.approx(1.96 * 0.0533, rel=0.03)
     scale_only, record = ratio(0.0, "b", detector=detector)
     assert record.scale is not None
-    assert scale_only == pytest.approx(2 * math.log(record.scale.gsd_ci95_high_m_per_px / record.scale.gsd_m_per_px))
+    assert scale_only == pytest.approx(
+        2 * math.log(record.scale.gsd_ci95_high_m_per_px / record.scale.gsd_m_per_px)
+    )
     both, _ = ratio(0.08, "c", detector=detector)
     assert both == pytest.approx(math.hypot(mask_only, scale_only))
 
@@ -133,7 +165,9 @@ def test_points_measure_what_they_are_on(segmenter: Segmenter) -> None:
     image[80:120, 224:288] = POOL_RGB
     record = measure_area(image, points=[(248, 100)], gsd_m_per_px=GSD, segmenter=segmenter)
     assert _corners(record.bounding_box) == (224, 80, 288, 120)
-    again = measure_area(image, points=[(248, 100, True), (20, 500, False)], gsd_m_per_px=GSD, segmenter=segmenter)
+    again = measure_area(
+        image, points=[(248, 100, True), (20, 500, False)], gsd_m_per_px=GSD, segmenter=segmenter
+    )
     assert again.mask_area_px == pytest.approx(record.mask_area_px, rel=0.05)
     assert record.status == "ok", "the masks of all crops agree"
     assert again.status == "low_confidence", "one crop alone has room for both points"
@@ -169,7 +203,9 @@ def test_the_interval_at_a_point_is_wide_and_wider_at_a_low_score(tmp_path: Path
 
 def test_what_is_cut_by_the_image_is_a_lower_bound(segmenter: Segmenter) -> None:
     image = pool_among_cars(0, (752, 280, 800, 376))
-    record = measure_area(image, box=(742.0, 270.0, 800.0, 386.0), gsd_m_per_px=GSD, segmenter=segmenter)
+    record = measure_area(
+        image, box=(742.0, 270.0, 800.0, 386.0), gsd_m_per_px=GSD, segmenter=segmenter
+    )
     assert _codes(record) == ["mask_touches_edge"]
     assert _corners(record.bounding_box)[2] == 800
 
@@ -192,18 +228,28 @@ def test_separate_pieces_are_told(segmenter: Segmenter) -> None:
 def test_a_narrow_object_is_told(segmenter: Segmenter) -> None:
     image = pool_among_cars(0, (444, 280, 452, 376))
     box = (431.4, 273.9, 457.4, 382.1)
-    assert _codes(measure_area(image, box=box, gsd_m_per_px=GSD, segmenter=segmenter)) == ["target_small"]
+    assert _codes(measure_area(image, box=box, gsd_m_per_px=GSD, segmenter=segmenter)) == [
+        "target_small"
+    ]
 
 
-def test_the_scales_warnings_and_the_rasters_are_among_them(segmenter: Segmenter, tmp_path: Path) -> None:
+def test_the_scales_warnings_and_the_rasters_are_among_them(
+    segmenter: Segmenter, tmp_path: Path
+) -> None:
     image = pool_among_cars()
     capped = Detector(write_detector(tmp_path / "m.onnx", layout="end2end", cap=10))
-    assert _codes(measure_area(image, box=BOX, detector=capped, segmenter=segmenter)) == ["detections_capped"]
+    assert _codes(measure_area(image, box=BOX, detector=capped, segmenter=segmenter)) == [
+        "detections_capped"
+    ]
     bands = np.concatenate([image, image], axis=2)
-    assert _codes(measure_area(bands, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)) == ["bands_selected"]
+    assert _codes(measure_area(bands, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)) == [
+        "bands_selected"
+    ]
 
 
-def test_a_given_scale_that_contradicts_the_file_is_told(segmenter: Segmenter, tmp_path: Path) -> None:
+def test_a_given_scale_that_contradicts_the_file_is_told(
+    segmenter: Segmenter, tmp_path: Path
+) -> None:
     rasterio = pytest.importorskip("rasterio")
     path = tmp_path / "a.tif"
     with rasterio.open(
@@ -244,12 +290,19 @@ def test_a_cut_shows_every_pixel_of_the_mask(segmenter: Segmenter) -> None:
     analysis = analyse_area(image, segmenter=segmenter, box=BOX, gsd_m_per_px=GSD)
     cut = cut_to_objects([analysis], 4000)
     part = cut.part
-    assert (part.x_px, part.y_px) == (round(BOX[0] - 54.6), round(BOX[1] - 54.6))  # half of 109 px around the prompt
+    # half of 109 px around the prompt
+    assert (part.x_px, part.y_px) == (round(BOX[0] - 54.6), round(BOX[1] - 54.6))
     seen = image[part.y_px : part.y_px + part.height_px, part.x_px : part.x_px + part.width_px]
     picture = draw_area(seen, analysis, cut=cut)[: 4 * part.height_px]
-    tinted = (picture == np.rint(0.65 * np.array(POOL_RGB) + 0.35 * np.array(MEASURED_RGB))).all(axis=2)
+    tinted = (picture == np.rint(0.65 * np.array(POOL_RGB) + 0.35 * np.array(MEASURED_RGB))).all(
+        axis=2
+    )
     rows, columns = np.nonzero(tinted | (picture == MEASURED_RGB).all(axis=2))
-    box = np.array(_corners(analysis.measurement.bounding_box)).reshape(2, 2) - [part.x_px, part.y_px]
+    box = np.array(_corners(analysis.measurement.bounding_box)).reshape(2, 2) - [
+        part.x_px,
+        part.y_px,
+    ]
     found = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
-    assert found == pytest.approx((4 * box).ravel(), abs=4)  # four picture pixels for each, and the outline's width
+    # four picture pixels for each, and the outline's width
+    assert found == pytest.approx((4 * box).ravel(), abs=4)
     assert tinted.sum() == pytest.approx(16 * analysis.measurement.mask_area_px, rel=0.1)

@@ -62,7 +62,9 @@ def test_resampling_scales_the_answer_within_3_percent(
     car_park: np.ndarray, estimate: GsdEstimate, detector: Detector, factor: float
 ) -> None:
     way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-    resampled = np.asarray(cv2.resize(car_park, None, fx=factor, fy=factor, interpolation=way), dtype=np.uint8)
+    resampled = np.asarray(
+        cv2.resize(car_park, None, fx=factor, fy=factor, interpolation=way), dtype=np.uint8
+    )
     assert estimate.gsd_m_per_px is not None
     after = _estimate(resampled, detector).gsd_m_per_px
     assert after == pytest.approx(estimate.gsd_m_per_px / factor, rel=0.03)
@@ -75,7 +77,9 @@ def test_a_scene_without_vehicles_never_gets_a_confident_answer(detector: Detect
 @pytest.mark.slow
 def test_one_and_two_threads_give_the_same_bytes(car_park: np.ndarray) -> None:
     records = {
-        estimate_gsd(car_park[:400], detector=str(resolve_model()), threads=threads).model_dump_json()
+        estimate_gsd(
+            car_park[:400], detector=str(resolve_model()), threads=threads
+        ).model_dump_json()
         for threads in (1, 2, 2)
     }
     assert len(records) == 1
@@ -99,7 +103,11 @@ def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:
     assert 4.0 < card.reference_length_m < 5.2
     assert card.bodies is not None
     assert set(card.region_lengths_m) <= set(card.bodies.region_lengths_m) == set(REGIONS)
-    assert card.region_lengths_m["europe"] < card.reference_length_m < card.region_lengths_m["north_america"]
+    assert (
+        card.region_lengths_m["europe"]
+        < card.reference_length_m
+        < card.region_lengths_m["north_america"]
+    )
     assert card.length_range_px == (9.0, 64.0)
     assert card.licence == "Apache-2.0"
 
@@ -112,7 +120,8 @@ def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) ->
         for image in survey_table(real_data / "gsd" / "table.csv").images
         if image.split == "val" and (image.labelled_vehicles or 0) >= 5
     ]
-    summary = summarise(run_trials(images[::3], detector))  # research/benchmarks/detector.py takes all
+    # research/benchmarks/detector.py takes all
+    summary = summarise(run_trials(images[::3], detector))
     assert summary.images == 35
     assert summary.median <= 0.08
     assert summary.coverage >= 0.9
@@ -120,7 +129,13 @@ def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) ->
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_photographs_without_vehicles_rarely_get_a_confident_answer(real_data: Path, detector: Detector) -> None:
-    images = [i for i in survey_table(real_data / "gsd" / "table.csv").images if i.set == "empty" and i.split == "val"]
+def test_photographs_without_vehicles_rarely_get_a_confident_answer(
+    real_data: Path, detector: Detector
+) -> None:
+    images = [
+        i
+        for i in survey_table(real_data / "gsd" / "table.csv").images
+        if i.set == "empty" and i.split == "val"
+    ]
     confident = [t for t in run_trials(images, detector) if t.analysis.estimate.status == "ok"]
     assert len(confident) <= 1

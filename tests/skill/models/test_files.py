@@ -32,16 +32,28 @@ def outside(name: str, location: str) -> onnx.TensorProto:
 
 def test_weights_are_found_wherever_a_graph_can_hold_a_tensor() -> None:
     constant = helper.make_node("Constant", [], ["c"], value=outside("c", "constant.bin"))
-    several = helper.make_node("Custom", [], ["d"], domain="x", many=[outside("d", "one.bin"), outside("e", "two.bin")])
+    several = helper.make_node(
+        "Custom", [], ["d"], domain="x", many=[outside("d", "one.bin"), outside("e", "two.bin")]
+    )
     branch = helper.make_graph([], "branch", [], [], [outside("f", "branch.bin")])
     choice = helper.make_node("If", ["condition"], ["g"], then_branch=branch, else_branch=branch)
-    sparse = helper.make_sparse_tensor(outside("h", "sparse.bin"), numpy_helper.from_array(np.arange(300), "i"), [400])
+    sparse = helper.make_sparse_tensor(
+        outside("h", "sparse.bin"), numpy_helper.from_array(np.arange(300), "i"), [400]
+    )
     graph = helper.make_graph([constant, several, choice], "g", [], [], [outside("w", "main.bin")])
     graph.sparse_initializer.append(sparse)
     function = helper.make_function("x", "F", [], ["y"], [constant], [helper.make_opsetid("", 18)])
     function.node[0].attribute[0].t.external_data[0].value = "füße.bin"
     model = helper.make_model(graph, functions=[function])
-    expected = {"constant.bin", "one.bin", "two.bin", "branch.bin", "sparse.bin", "main.bin", "füße.bin"}
+    expected = {
+        "constant.bin",
+        "one.bin",
+        "two.bin",
+        "branch.bin",
+        "sparse.bin",
+        "main.bin",
+        "füße.bin",
+    }
     model.metadata_props.add(key="location", value="of the photographs")
     assert set(external_locations(model.SerializeToString())) == expected
 
@@ -75,7 +87,9 @@ class Loaded:
 
 
 @file_cached(max_models=2)
-def load(path: Path, *, threads: int | None = None, providers: tuple[str, ...] = ("CPU",)) -> Loaded:
+def load(
+    path: Path, *, threads: int | None = None, providers: tuple[str, ...] = ("CPU",)
+) -> Loaded:
     del providers
     return Loaded(path, threads)
 
@@ -105,7 +119,9 @@ def test_a_replaced_file_is_loaded_anew(model: Path) -> None:
     assert load(model) is after
 
 
-def test_a_relative_path_is_another_file_in_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_relative_path_is_another_file_in_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "model.onnx").write_text(name)
@@ -148,7 +164,10 @@ def bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_neither_a_segmenter_nor_a_chip_network_is_a_detector(bundled: Path) -> None:
-    assert bundled_models() == {"boats": bundled / "boats.onnx", "vehicles": bundled / "vehicles.onnx"}
+    assert bundled_models() == {
+        "boats": bundled / "boats.onnx",
+        "vehicles": bundled / "vehicles.onnx",
+    }
 
 
 def test_this_installation_ships_a_detector_of_the_default_name() -> None:

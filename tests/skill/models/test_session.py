@@ -18,7 +18,12 @@ from tests.sam_models import keep_weights_beside, write_sam2
 from vehanchor import estimate_gsd
 from vehanchor.detection.boxes import oriented_nms
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import InvalidParameterError, ModelContractError, OutOfMemoryError, ProviderUnavailableError
+from vehanchor.errors import (
+    InvalidParameterError,
+    ModelContractError,
+    OutOfMemoryError,
+    ProviderUnavailableError,
+)
 from vehanchor.models import session
 from vehanchor.models.runtime import DEFAULT_PROVIDERS, Cancellation, Runtime
 from vehanchor.models.session import open_session, run_session
@@ -26,7 +31,10 @@ from vehanchor.models.session import open_session, run_session
 
 def outputs(path: Path, content: bytes | None) -> list[np.ndarray]:
     session = open_session(path, content=content, runtime=Runtime(threads=1))
-    feeds = {"pixel_values": np.ones((1, 3, 128, 128), np.float32), "image": np.ones((1, 3, 128, 128), np.float32)}
+    feeds = {
+        "pixel_values": np.ones((1, 3, 128, 128), np.float32),
+        "image": np.ones((1, 3, 128, 128), np.float32),
+    }
     asked = {item.name: feeds[item.name] for item in session.get_inputs()}
     return [np.asarray(value) for value in session.run(None, asked)]
 
@@ -35,7 +43,9 @@ def test_weights_in_a_file_beside_the_model_are_found_from_any_folder_and_whoeve
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     decoder = write_sam2(tmp_path)[1]
-    inside = [item.name for item in open_session(decoder, content=decoder.read_bytes()).get_inputs()]
+    inside = [
+        item.name for item in open_session(decoder, content=decoder.read_bytes()).get_inputs()
+    ]
     keep_weights_beside(decoder, ".weights")
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
@@ -57,8 +67,12 @@ def test_providers_have_short_names_and_one_that_is_missing_gives_way_to_a_cpu_n
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = write_detector(tmp_path / "m.onnx")
-    assert open_session(path, runtime=Runtime(providers=["cpu"])).get_providers() == ["CPUExecutionProvider"]
-    with pytest.raises(ProviderUnavailableError, match=r"no DmlExecutionProvider.*add cpu to the providers"):
+    assert open_session(path, runtime=Runtime(providers=["cpu"])).get_providers() == [
+        "CPUExecutionProvider"
+    ]
+    with pytest.raises(
+        ProviderUnavailableError, match=r"no DmlExecutionProvider.*add cpu to the providers"
+    ):
         open_session(path, runtime=Runtime(providers=["DirectML"]))
     for _ in range(2):
         assert open_session(path, runtime=Runtime(providers=["coreml", "cpu"])).get_providers() == [
@@ -75,9 +89,12 @@ def test_a_provider_that_is_installed_and_does_not_start_is_told(
     available = ["CUDAExecutionProvider", "CPUExecutionProvider"]
     opened = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: available)
-    monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *_, **__: opened)  # as where there is no driver
+    # as where there is no driver
+    monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *_, **__: opened)
     assert open_session(path, runtime=Runtime(providers=["cuda"])) is opened
-    assert "CUDAExecutionProvider cannot start here: models run on CPUExecutionProvider" in caplog.text
+    assert (
+        "CUDAExecutionProvider cannot start here: models run on CPUExecutionProvider" in caplog.text
+    )
 
 
 @pytest.fixture
@@ -87,22 +104,30 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, list[str]]]:
 
     def open_on_cpu(source: Any, options: Any, *, providers: list[str]) -> Any:
         on_cpu = real(source, options, providers=["CPUExecutionProvider"])
-        asked[" ".join(each.name for each in (*on_cpu.get_inputs(), *on_cpu.get_outputs()))] = providers
+        asked[" ".join(each.name for each in (*on_cpu.get_inputs(), *on_cpu.get_outputs()))] = (
+            providers
+        )
         return on_cpu
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", open_on_cpu)
     monkeypatch.setattr(
-        onnxruntime, "get_available_providers", lambda: ["CUDAExecutionProvider", "CPUExecutionProvider"]
+        onnxruntime,
+        "get_available_providers",
+        lambda: ["CUDAExecutionProvider", "CPUExecutionProvider"],
     )
     yield asked
     session._warn_once.cache_clear()  # another test wants to hear it, too
 
 
 @pytest.mark.slow
-def test_every_bundled_model_of_a_verb_runs_where_its_caller_says(opened: dict[str, list[str]]) -> None:
+def test_every_bundled_model_of_a_verb_runs_where_its_caller_says(
+    opened: dict[str, list[str]],
+) -> None:
     image = render_scene(0.12, width_px=400, height_px=320, seed=3).image
     vehanchor.measure_area(image, box=(20, 20, 80, 80), providers=["cuda", "cpu"])
-    assert len(opened) == 7, "the detector, the verifier, the chips, the ground, the courts, the segmenter's halves"
+    assert len(opened) == 7, (
+        "the detector, the verifier, the chips, the ground, the courts, the segmenter's halves"
+    )
     assert set(map(tuple, opened.values())) == {("CUDAExecutionProvider", "CPUExecutionProvider")}
     opened.clear()
     vehanchor.measure_distance(image, [(20, 20), (80, 80)], providers="cuda")
@@ -111,7 +136,11 @@ def test_every_bundled_model_of_a_verb_runs_where_its_caller_says(opened: dict[s
 
 
 def test_providers_are_a_list_a_name_or_nothing() -> None:
-    assert Runtime().providers == Runtime().with_keywords({"providers": None}).providers == DEFAULT_PROVIDERS
+    assert (
+        Runtime().providers
+        == Runtime().with_keywords({"providers": None}).providers
+        == DEFAULT_PROVIDERS
+    )
     assert Runtime(providers="cuda").providers == ("cuda",)
     assert Runtime(providers=["cuda", "cpu"]).providers == ("cuda", "cpu")
     for wrong in ([], [1], [None]):
@@ -122,7 +151,9 @@ def test_providers_are_a_list_a_name_or_nothing() -> None:
 _IMAGE = np.zeros((128, 128, 3), np.uint8)
 
 
-def _model(path: Path, nodes: list[Any], weights: dict[str, Any], shape: list[Any], **metadata: str) -> Path:
+def _model(
+    path: Path, nodes: list[Any], weights: dict[str, Any], shape: list[Any], **metadata: str
+) -> Path:
     graph = helper.make_graph(
         nodes,
         "hostile",
@@ -194,7 +225,10 @@ def test_a_fixed_input_of_absurd_size_is_refused_before_it_is_filled(tmp_path: P
         [helper.make_tensor_value_info("boxes", TensorProto.FLOAT, [1, "n", 7])],
     )
     path = tmp_path / "m.onnx"
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), str(path))
+    onnx.save(
+        helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8),
+        str(path),
+    )
     with pytest.raises(ModelContractError, match="1000000 x 1000000 px"):
         Detector(path)
 
@@ -209,7 +243,11 @@ class _Session:
 
 @pytest.mark.parametrize(
     "error",
-    [MemoryError(), RuntimeError("std::bad_alloc"), RuntimeError("Failed to allocate memory for requested buffer")],
+    [
+        MemoryError(),
+        RuntimeError("std::bad_alloc"),
+        RuntimeError("Failed to allocate memory for requested buffer"),
+    ],
 )
 def test_want_of_memory_is_not_the_models_fault(error: Exception) -> None:
     with pytest.raises(OutOfMemoryError) as caught:
@@ -224,4 +262,10 @@ def test_a_cancelled_run_is_no_failure_of_the_model() -> None:
     cancellation.cancel()
     assert cancellation.run_options.terminate
     with pytest.raises(CancelledError, match="the call was cancelled"):
-        run_session(_Session(RuntimeError("Exiting")), None, {}, Runtime(cancellation=cancellation), "the model fails")
+        run_session(
+            _Session(RuntimeError("Exiting")),
+            None,
+            {},
+            Runtime(cancellation=cancellation),
+            "the model fails",
+        )

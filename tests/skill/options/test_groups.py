@@ -53,11 +53,15 @@ _IMAGE = np.zeros((64, 64, 3), np.uint8)
 def test_a_value_without_meaning_is_refused_before_any_work(keywords: dict[str, Any]) -> None:
     with pytest.raises(InvalidParameterError) as refused:
         vehanchor.estimate_gsd(_IMAGE, detector="nowhere.onnx", **keywords)
-    assert next(iter(keywords)).removeprefix("frame_").rstrip("s").replace("known_length", "") in str(refused.value)
+    assert next(iter(keywords)).removeprefix("frame_").rstrip("s").replace(
+        "known_length", ""
+    ) in str(refused.value)
 
 
 def test_numbers_of_any_library_come_out_as_pythons() -> None:
-    options = ScaleOptions.of({"min_score": np.float32(0.25), "tile_px": np.int64(512), "frame": (640.0, 480)})
+    options = ScaleOptions.of(
+        {"min_score": np.float32(0.25), "tile_px": np.int64(512), "frame": (640.0, 480)}
+    )
     assert (type(options.search.min_score), options.search.min_score) == (float, 0.25)
     assert (type(options.search.tile_px), options.search.tile_px) == (int, 512)
     assert options.frame.size == (640, 480)
@@ -68,7 +72,10 @@ def test_a_calibration_is_read_from_its_file_at_once(tmp_path: Path) -> None:
         Reference(calibration=str(tmp_path / "none.json"))  # type: ignore[arg-type]
 
 
-LENGTH_M, WEIGHTS = 5.045, {"sample": 0.35, "concentration": 0.35, "quality": 0.20, "plausibility": 0.10}
+LENGTH_M, WEIGHTS = (
+    5.045,
+    {"sample": 0.35, "concentration": 0.35, "quality": 0.20, "plausibility": 0.10},
+)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +88,9 @@ def test_the_preset_gives_the_papers_numbers(scene: Path, detector: Detector) ->
     record = vehanchor.estimate_gsd(scene, detector=detector, preset="paper")
     with open_raster(str(ROOT / scene)) as raster:
         found = ImageSearch(
-            raster, detector, Search(min_score=0.1, search_scales=False, verify=False, effort="full")
+            raster,
+            detector,
+            Search(min_score=0.1, search_scales=False, verify=False, effort="full"),
         ).searched()
     lengths = found.boxes[:, 2]
     kept = lengths[lengths <= 1.5 * np.median(lengths)]
@@ -121,8 +130,14 @@ def test_the_preset_takes_no_other_value_of_its_options(other: dict[str, Any]) -
 
 
 def test_options_beside_the_preset_are_free_and_defaults_are_no_conflict() -> None:
-    chosen = ScaleOptions.of({"preset": "paper", "alpha": 1.5, "effort": "auto", "known_lengths": [], "bgr": True})
-    assert (chosen.search.effort, chosen.reading.bgr, chosen.rulers.rulers) == ("full", True, ("vehicles",))
+    chosen = ScaleOptions.of(
+        {"preset": "paper", "alpha": 1.5, "effort": "auto", "known_lengths": [], "bgr": True}
+    )
+    assert (chosen.search.effort, chosen.reading.bgr, chosen.rulers.rulers) == (
+        "full",
+        True,
+        ("vehicles",),
+    )
     assert chosen.with_keywords({"bgr": False}).method.preset == "paper"
     with pytest.raises(InvalidParameterError, match="sets region"):
         chosen.with_keywords({"region": "europe"})
@@ -158,7 +173,9 @@ def test_numbers_are_read_as_lists_and_ranges() -> None:
 
 
 def test_an_axis_is_read_from_four_numbers() -> None:
-    assert ScaleOptions.of({"add": ["1, 2, 30 2.5"]}).by_hand.add == (AddedVehicle(1.0, 2.0, 30.0, 2.5),)
+    assert ScaleOptions.of({"add": ["1, 2, 30 2.5"]}).by_hand.add == (
+        AddedVehicle(1.0, 2.0, 30.0, 2.5),
+    )
     for wrong in ("1 2 3", "1 2 3 4 5", "a b c d"):
         with pytest.raises(InvalidParameterError, match=r"add\.0"):
             ScaleOptions.of({"add": [wrong]})
@@ -166,7 +183,10 @@ def test_an_axis_is_read_from_four_numbers() -> None:
 
 @pytest.mark.parametrize(
     ("axis", "message"),
-    [((0, 0, 4, 0), "add 1 is 4.0 px long"), ((90, 0, 101, 0), r"leaves the picture of 100 x 80 px")],
+    [
+        ((0, 0, 4, 0), "add 1 is 4.0 px long"),
+        ((90, 0, 101, 0), r"leaves the picture of 100 x 80 px"),
+    ],
 )
 def test_an_added_vehicle_is_inside_and_long_enough(axis: tuple[float, ...], message: str) -> None:
     with pytest.raises(InvalidParameterError, match=message):
@@ -174,6 +194,8 @@ def test_an_added_vehicle_is_inside_and_long_enough(axis: tuple[float, ...], mes
 
 
 def test_an_added_vehicle_has_the_callers_coordinates() -> None:
-    told = ScaleOptions.of({"add": [(0.1, 0.5, 0.3, 0.5)], "coordinates": "fraction"}).in_pixels(1000, 400)
+    told = ScaleOptions.of({"add": [(0.1, 0.5, 0.3, 0.5)], "coordinates": "fraction"}).in_pixels(
+        1000, 400
+    )
     assert astuple(told.by_hand.add[0]) == pytest.approx((100, 200, 300, 200))
     assert told.frame.coordinates == "pixels"

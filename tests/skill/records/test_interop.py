@@ -77,10 +77,14 @@ def test_columns_and_their_types_are_the_same_for_every_record_of_a_type() -> No
 
 
 def test_a_table_of_a_batch_has_the_columns_of_a_data_frame() -> None:
-    assert set(ALL_COLUMNS) - {"file", "error_code", "error"} == set(flat_columns(GsdEstimate, without=("frame",)))
+    assert set(ALL_COLUMNS) - {"file", "error_code", "error"} == set(
+        flat_columns(GsdEstimate, without=("frame",))
+    )
 
 
-@pytest.mark.parametrize("kind", [GsdEstimate, vehanchor.AreaMeasurement, vehanchor.DistanceMeasurement])
+@pytest.mark.parametrize(
+    "kind", [GsdEstimate, vehanchor.AreaMeasurement, vehanchor.DistanceMeasurement]
+)
 def test_a_record_of_another_schema_version_is_refused(kind: type[BaseModel]) -> None:
     assert kind.model_fields["schema_version"].default == SCHEMA_VERSION
     with pytest.raises(ValidationError, match="schema_version"):
@@ -89,7 +93,9 @@ def test_a_record_of_another_schema_version_is_refused(kind: type[BaseModel]) ->
 
 def test_a_notebook_shows_a_record_without_trusting_its_texts() -> None:
     attack = "<img src=x onerror=alert(1)>"
-    record = _estimate().model_copy(update={"model": attack, "warnings": (Notice(code="x", message=attack),)})
+    record = _estimate().model_copy(
+        update={"model": attack, "warnings": (Notice(code="x", message=attack),)}
+    )
     shown = record._repr_html_()
     assert f"{record.gsd_m_per_px:.4g}" in shown
     assert "<img" not in shown
@@ -100,7 +106,9 @@ def test_an_outline_is_a_geometry_with_closed_rings_and_holes() -> None:
     def ring(*corners: tuple[float, float]) -> OutlineRing:
         return OutlineRing(points=tuple(ImagePoint(x_px=x, y_px=y) for x, y in corners))
 
-    piece = OutlinePolygon(exterior=ring((0, 0), (9, 0), (9, 9), (0, 9)), holes=(ring((2, 2), (4, 2), (4, 4)),))
+    piece = OutlinePolygon(
+        exterior=ring((0, 0), (9, 0), (9, 9), (0, 9)), holes=(ring((2, 2), (4, 2), (4, 4)),)
+    )
     geometry = AreaMeasurement.model_construct(outline=(piece,)).__geo_interface__
     assert geometry["type"] == "MultiPolygon"
     ((exterior, hole),) = geometry["coordinates"]
@@ -109,7 +117,9 @@ def test_an_outline_is_a_geometry_with_closed_rings_and_holes() -> None:
 
 
 def test_a_distance_is_a_line_that_shapely_takes() -> None:
-    record = vehanchor.measure_distance(np.zeros((100, 200, 3), np.uint8), [(10, 20), (40, 60)], gsd_m_per_px=0.1)
+    record = vehanchor.measure_distance(
+        np.zeros((100, 200, 3), np.uint8), [(10, 20), (40, 60)], gsd_m_per_px=0.1
+    )
     assert record.__geo_interface__ == {"type": "LineString", "coordinates": [[10, 20], [40, 60]]}
     shapely = pytest.importorskip("shapely.geometry")
     assert shapely.shape(record).length == pytest.approx(50)
@@ -160,7 +170,9 @@ def test_zeros_are_kept_and_whole_digits_too(value: float, text: str) -> None:
 
 
 @given(st.floats(1e-6, 1e9), st.integers(1, 6))
-def test_it_is_the_number_within_half_a_digit_and_has_no_exponent(value: float, digits: int) -> None:
+def test_it_is_the_number_within_half_a_digit_and_has_no_exponent(
+    value: float, digits: int
+) -> None:
     assume(math.isfinite(value))
     text = significant(value, digits)
     assert "e" not in text

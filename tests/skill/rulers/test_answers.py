@@ -35,18 +35,25 @@ def record_of(
 ) -> GsdEstimate:
     """Cars of 5 m and some pixels in an image of 4000 x 3000 px."""
     spread = np.exp(0.08 * np.linspace(-1.5, 1.5, cars)) if cars > 1 else np.ones(cars)
-    boxes = np.array([[99.0 + 90 * k, 90, car_px * each, 0.4 * car_px, 0] for k, each in enumerate(spread)])
+    boxes = np.array(
+        [[99.0 + 90 * k, 90, car_px * each, 0.4 * car_px, 0] for k, each in enumerate(spread)]
+    )
     scales = None if stretch is None else np.ones(cars)
     found = Detections(boxes.reshape(-1, 5), np.full(cars, 0.95), scales=scales, stretch=stretch)
     card = made_card(5.0).model_copy(update={"votes": votes, "reference_length_sd_m": 0.4})
-    view = View(ImageFacts(4000, 3000, camera=camera), found, card, ScaleOptions.of(options), lambda *_: 1.0)
+    view = View(
+        ImageFacts(4000, 3000, camera=camera), found, card, ScaleOptions.of(options), lambda *_: 1.0
+    )
     return analyse_view(with_tilt(view)).estimate
 
 
-def _lines(*scales: float, basis: str = "assumed", tolerance_m: float | None = None) -> dict[str, Any]:
+def _lines(
+    *scales: float, basis: str = "assumed", tolerance_m: float | None = None
+) -> dict[str, Any]:
     return {
         "known_lengths": [
-            (100, 100 * k + 100, 1100, 100 * k + 100, 1000 * gsd, basis, tolerance_m) for k, gsd in enumerate(scales)
+            (100, 100 * k + 100, 1100, 100 * k + 100, 1000 * gsd, basis, tolerance_m)
+            for k, gsd in enumerate(scales)
         ]
     }
 
@@ -75,7 +82,11 @@ def test_more_cars_that_agree_are_a_better_chance() -> None:
 
 def test_vehicles_of_too_few_pixels_are_not_usable() -> None:
     record = record_of(300, car_px=8.0)
-    assert (record.status, record.reason, record.details.resolution_guard) == ("low_confidence", "too_coarse", True)
+    assert (record.status, record.reason, record.details.resolution_guard) == (
+        "low_confidence",
+        "too_coarse",
+        True,
+    )
 
 
 def test_a_single_car_asks_for_one_more() -> None:
@@ -122,7 +133,11 @@ def test_without_a_car_the_other_ruler_makes_the_scale(
     record = record_of(0, camera=camera, **options)
     assert record.gsd_m_per_px == pytest.approx(gsd, rel=0.05)
     assert record.leading_ruler == source
-    assert (record.n_vehicles, record.mode_length_px, record.details.working_scale) == (0, None, None)
+    assert (record.n_vehicles, record.mode_length_px, record.details.working_scale) == (
+        0,
+        None,
+        None,
+    )
     (ruler,) = record.rulers
     assert record.gsd_ci95_low_m_per_px == pytest.approx(ruler.gsd_ci95_low_m_per_px, rel=0.02)
     assert record.gsd_ci95_high_m_per_px == pytest.approx(ruler.gsd_ci95_high_m_per_px, rel=0.02)
@@ -135,7 +150,12 @@ def test_a_loose_ruler_alone_is_not_usable() -> None:
 
 def test_a_height_above_the_sea_alone_is_no_scale() -> None:
     record = record_of(0, camera=replace(MAVIC, height_m=None, height_tag=""))
-    assert (record.status, record.gsd_m_per_px, record.leading_ruler, record.rulers) == ("no_scale", None, None, ())
+    assert (record.status, record.gsd_m_per_px, record.leading_ruler, record.rulers) == (
+        "no_scale",
+        None,
+        None,
+        (),
+    )
 
 
 def test_one_liar_of_three_is_named_and_the_scale_stays_that_of_the_others() -> None:
@@ -144,7 +164,9 @@ def test_one_liar_of_three_is_named_and_the_scale_stays_that_of_the_others() -> 
     assert _right(record) == {"vehicles": True, "camera": True, "known_length": False}
     (warning,) = record.warnings
     assert warning.code == "rulers_disagree"
-    assert warning.message.startswith("The known length says 0.2 m/px, and all rulers together 0.03")
+    assert warning.message.startswith(
+        "The known length says 0.2 m/px, and all rulers together 0.03"
+    )
 
 
 def test_cars_and_a_camera_far_apart_are_not_usable() -> None:
@@ -217,12 +239,20 @@ def test_a_height_five_times_that_of_the_cars_is_no_scale_to_use() -> None:
 
 
 @pytest.mark.parametrize("basis", ["assumed", "measured"])
-@pytest.mark.parametrize(("cars_gsd", "factor", "words"), [(0.02, 100, "not centimetres"), (1.0, 0.01, "give metres")])
-def test_a_mistyped_unit_is_told_and_does_not_lead(basis: str, cars_gsd: float, factor: float, words: str) -> None:
+@pytest.mark.parametrize(
+    ("cars_gsd", "factor", "words"), [(0.02, 100, "not centimetres"), (1.0, 0.01, "give metres")]
+)
+def test_a_mistyped_unit_is_told_and_does_not_lead(
+    basis: str, cars_gsd: float, factor: float, words: str
+) -> None:
     gsd = factor * cars_gsd
     for given in (_lines(gsd, basis=basis), {"gsd_m_per_px": gsd, "gsd_basis": basis}):
         record = record_of(30, car_px=5 / cars_gsd, **given)
-        assert any(words in warning.message for warning in record.warnings if warning.code == "unit_mistyped")
+        assert any(
+            words in warning.message
+            for warning in record.warnings
+            if warning.code == "unit_mistyped"
+        )
         assert record.leading_ruler == "vehicles" or record.status != "ok"
 
 
@@ -240,10 +270,14 @@ def test_the_preset_paper_acts_on_the_composite_alone(cars: int, status: str) ->
     assert record.confidence == record.details.composite_confidence
     assert record.status == status
     assert (record.confidence >= 0.5) == (status == "ok")
-    assert record.gsd_m_per_px == (record.details.reference_length_m or math.nan) / (record.mode_length_px or math.nan)
+    assert record.gsd_m_per_px == (record.details.reference_length_m or math.nan) / (
+        record.mode_length_px or math.nan
+    )
 
 
 def test_a_line_given_twice_counts_once() -> None:
-    once, twice = (record_of(0, known_lengths=_lines(0.05)["known_lengths"] * times) for times in (1, 2))
+    once, twice = (
+        record_of(0, known_lengths=_lines(0.05)["known_lengths"] * times) for times in (1, 2)
+    )
     assert twice.confidence == once.confidence
     assert twice.gsd_m_per_px == once.gsd_m_per_px

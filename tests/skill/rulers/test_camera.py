@@ -33,13 +33,17 @@ MAVIC = CameraMetadata(
 TRUE_GSD = 100 * 6.17 / (4.73 * 4000)  # the sensor of that camera is 6.17 mm wide
 
 
-def _view(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000, **options: Any) -> View:
+def _view(
+    camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000, **options: Any
+) -> View:
     found = Detections(np.zeros((0, 5)), np.zeros(0))
     facts = ImageFacts(width_px, height_px, camera=camera)
     return View(facts, found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0)
 
 
-def _measured(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000) -> Witness:
+def _measured(
+    camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000
+) -> Witness:
     return measured(Camera(), _view(camera, width_px, height_px))
 
 
@@ -55,7 +59,9 @@ def test_height_and_the_equivalent_focal_length_make_a_scale_with_an_honest_inte
     assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
     assert witness.interval is not None
     assert witness.interval.low < TRUE_GSD < witness.interval.high
-    assert witness.interval.high / witness.interval.low == pytest.approx(math.exp(2 * 1.96 * 0.128), rel=0.01)
+    assert witness.interval.high / witness.interval.low == pytest.approx(
+        math.exp(2 * 1.96 * 0.128), rel=0.01
+    )
     assert (witness.kind, witness.n) == ("camera", 1)
     assert witness.notices == ()
     assert witness.said is not None
@@ -70,8 +76,12 @@ def test_the_sensor_tells_better_than_the_equivalent_and_a_calibration_best() ->
     assert log_sd(calibrated) < log_sd(by_sensor) < log_sd(_measured(UNLISTED))
 
 
-@pytest.mark.parametrize("size", [(4000, 3000), (4000, 2250), (2000, 1500), (2000, 1125), (1125, 2000)])
-def test_a_listed_sensor_tells_at_every_size_and_shape_of_the_whole_picture(size: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    "size", [(4000, 3000), (4000, 2250), (2000, 1500), (2000, 1125), (1125, 2000)]
+)
+def test_a_listed_sensor_tells_at_every_size_and_shape_of_the_whole_picture(
+    size: tuple[int, int],
+) -> None:
     """A picture of 16:9 has all columns of a sensor of 4:3."""
     taken = _but(taken_width_px=None, taken_height_px=None)
     witness = _measured(taken, *size)
@@ -81,8 +91,12 @@ def test_a_listed_sensor_tells_at_every_size_and_shape_of_the_whole_picture(size
 
 
 def test_a_picture_of_4_3_has_all_rows_of_a_sensor_of_3_2() -> None:
-    phantom = _but(model="FC6310", focal_mm=8.8, focal_35mm=None, taken_width_px=4864, taken_height_px=3648)
-    assert _measured(phantom, 4864, 3648).gsd_m_per_px == pytest.approx(100 * 8.8 / (8.8 * 3648), rel=1e-3)
+    phantom = _but(
+        model="FC6310", focal_mm=8.8, focal_35mm=None, taken_width_px=4864, taken_height_px=3648
+    )
+    assert _measured(phantom, 4864, 3648).gsd_m_per_px == pytest.approx(
+        100 * 8.8 / (8.8 * 3648), rel=1e-3
+    )
 
 
 def test_a_listed_sensor_is_not_believed_behind_another_lens() -> None:
@@ -98,7 +112,9 @@ def test_a_calibration_of_another_size_is_not_believed() -> None:
     assert _measured(copy, 1000, 750).gsd_m_per_px == pytest.approx(4 * TRUE_GSD, rel=0.04)
 
 
-@pytest.mark.parametrize("size", [(2000, 1500), (1500, 2000), (1333, 1000), (8000, 6000), (1000, 750)])
+@pytest.mark.parametrize(
+    "size", [(2000, 1500), (1500, 2000), (1333, 1000), (8000, 6000), (1000, 750)]
+)
 def test_a_resized_copy_has_the_scale_of_its_pixels(size: tuple[int, int]) -> None:
     for camera in (MAVIC, _but(pixel_mm=6.17 / 4000), _but(focal_px=3067.0, centre_x_px=2000.0)):
         expected = TRUE_GSD * 4000 / max(size)
@@ -121,7 +137,9 @@ def test_a_wide_picture_is_a_full_width_with_rows_left_out() -> None:
 def test_a_camera_that_looks_aslant_measures_the_centre() -> None:
     straight, aslant = _measured(_but(off_nadir_deg=9.9)), _measured(_but(off_nadir_deg=40.0))
     assert straight.gsd_m_per_px is not None
-    assert aslant.gsd_m_per_px == pytest.approx(straight.gsd_m_per_px * math.cos(math.radians(40)) ** -1.5)
+    assert aslant.gsd_m_per_px == pytest.approx(
+        straight.gsd_m_per_px * math.cos(math.radians(40)) ** -1.5
+    )
     assert log_sd(aslant) > log_sd(straight)
     assert [notice.code for notice in aslant.notices] == ["camera_tilted"]
     assert straight.notices == ()
@@ -153,21 +171,30 @@ def test_the_nearer_the_ground_the_less_a_height_says() -> None:
         ({"height_m": -12.0}, "-12 m"),
         ({"height_m": 1e7}, "1e+07 m"),
         ({"height_m": 0.001}, "m/px"),
-        ({"model": "", "focal_mm": None, "focal_35mm": None}, "the height is 100 m, but the focal length is missing"),
+        (
+            {"model": "", "focal_mm": None, "focal_35mm": None},
+            "the height is 100 m, but the focal length is missing",
+        ),
         ({"height_m": None}, "the height above the ground is missing"),
         ({"digital_zoom": 2.0}, "enlarged 2 times"),
         ({"height_m": None, "refused": "its XMP declares entities"}, "entities"),
     ],
 )
-def test_what_cannot_be_is_told_and_not_measured_with(changes: dict[str, object], words: str) -> None:
+def test_what_cannot_be_is_told_and_not_measured_with(
+    changes: dict[str, object], words: str
+) -> None:
     witness = _measured(_but(**changes))
     assert witness.gsd_m_per_px is None
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]
     assert words in witness.notices[0].message
 
 
-@pytest.mark.parametrize("camera", [None, replace(UNLISTED, height_m=None, focal_mm=None, focal_35mm=None)])
-def test_a_file_without_height_and_lens_is_passed_over_in_silence(camera: CameraMetadata | None) -> None:
+@pytest.mark.parametrize(
+    "camera", [None, replace(UNLISTED, height_m=None, focal_mm=None, focal_35mm=None)]
+)
+def test_a_file_without_height_and_lens_is_passed_over_in_silence(
+    camera: CameraMetadata | None,
+) -> None:
     assert Camera().measure(_view(camera)) is None
 
 
@@ -179,13 +206,18 @@ def test_a_height_that_is_given_is_not_missing() -> None:
 
 def test_a_given_focal_length_goes_with_the_height_of_the_file() -> None:
     lacking = replace(UNLISTED, focal_mm=None, focal_35mm=None)
-    assert measured(Camera(), _view(lacking, focal_35mm=26)).gsd_m_per_px == _measured(UNLISTED).gsd_m_per_px
+    assert (
+        measured(Camera(), _view(lacking, focal_35mm=26)).gsd_m_per_px
+        == _measured(UNLISTED).gsd_m_per_px
+    )
     (notice,) = measured(Camera(), _view(None, focal_35mm=26)).notices
     assert "give height_m" in notice.message
 
 
 def test_metadata_that_are_read_in_part_say_what_is_not_used() -> None:
-    witness = _measured(_but(off_nadir_deg=None, refused="DJI GimbalPitchDegree is both -90 and -45"))
+    witness = _measured(
+        _but(off_nadir_deg=None, refused="DJI GimbalPitchDegree is both -90 and -45")
+    )
     assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.01)
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]
     assert "both -90 and -45" in witness.notices[0].message

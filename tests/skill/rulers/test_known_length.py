@@ -32,7 +32,13 @@ from vehanchor.scale.countries import COUNTRY_REGIONS
 
 def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
     found = Detections(np.zeros((0, 5)), np.zeros(0))
-    return View(ImageFacts(4000, 3000, camera=camera), found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0)
+    return View(
+        ImageFacts(4000, 3000, camera=camera),
+        found,
+        made_card(5.0),
+        ScaleOptions.of(options),
+        lambda *_: 1.0,
+    )
 
 
 def test_a_line_says_its_metres_over_its_pixels() -> None:
@@ -70,8 +76,12 @@ def test_lines_that_contradict_each_other_are_told_and_believed_less() -> None:
     assert "Without the line 80 m (0.08 m/px) they agree" in three.notices[0].message
 
 
-@pytest.mark.parametrize("line", [(10, 10, 11, 10, 5), (10, 10, 10, 10, 5), (10, 10, 5000, 10, 5), (-3, 10, 90, 10, 5)])
-def test_a_line_of_one_pixel_or_out_of_the_picture_is_refused_by_its_code(tmp_path: Any, line: Any) -> None:
+@pytest.mark.parametrize(
+    "line", [(10, 10, 11, 10, 5), (10, 10, 10, 10, 5), (10, 10, 5000, 10, 5), (-3, 10, 90, 10, 5)]
+)
+def test_a_line_of_one_pixel_or_out_of_the_picture_is_refused_by_its_code(
+    tmp_path: Any, line: Any
+) -> None:
     detector = write_detector(tmp_path / "detector.onnx")
     with pytest.raises(KnownLengthError) as refused:
         vehanchor.estimate_gsd(blank_image(200, 100), detector=str(detector), known_lengths=[line])
@@ -85,9 +95,12 @@ def test_a_line_that_would_make_an_impossible_scale_is_refused() -> None:
 
 def test_a_given_height_measures_with_a_given_focal_length_or_the_files() -> None:
     given = measured(GivenHeight(), _view(height_m=100, height_basis="measured", focal_35mm=26))
-    of_file = measured(GivenHeight(), _view(replace(MAVIC, height_m=60.0), height_m=100, height_basis="measured"))
+    of_file = measured(
+        GivenHeight(), _view(replace(MAVIC, height_m=60.0), height_m=100, height_basis="measured")
+    )
     assert given.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
-    assert of_file.gsd_m_per_px == pytest.approx(given.gsd_m_per_px, rel=0.03)  # its lens is in the table of cameras
+    # its lens is in the table of cameras
+    assert of_file.gsd_m_per_px == pytest.approx(given.gsd_m_per_px, rel=0.03)
     assert log_sd(given) == pytest.approx(math.hypot(0.05, 0.04), rel=0.02)
 
 
@@ -138,7 +151,10 @@ def test_a_thing_has_a_source_its_ends_a_spread_and_measures(name: str) -> None:
     for each in thing.variants:
         assert 1 <= each.metres <= 120
         assert 0.005 <= each.log_sd <= WIDEST_CUSTOM
-        assert all((len(code) == 2 and code.isupper()) or code in COUNTRY_REGIONS.values() for code in each.countries)
+        assert all(
+            (len(code) == 2 and code.isupper()) or code in COUNTRY_REGIONS.values()
+            for code in each.countries
+        )
         found = _evidence(name, 200.0, region=each.countries[0] if each.countries else None)
         chosen = thing.lengths_in(each.countries[0] if each.countries else None)
         if len(chosen) == 1:
@@ -152,7 +168,12 @@ def test_the_country_or_the_region_chooses_and_without_one_the_mixture_stays() -
     assert [each.metres for each in lengths_of("lane_dash_cycle", "us")[1]] == [12.19]
     assert [each.metres for each in lengths_of("city_bus", "SE")[1]] == [12.0]
     assert [each.metres for each in lengths_of("railway_gauge/RU", "us")[1]] == [1.52]
-    assert {each.metres for each in lengths_of("railway_gauge", "europe")[1]} == {1.435, 1.52, 1.6, 1.668}
+    assert {each.metres for each in lengths_of("railway_gauge", "europe")[1]} == {
+        1.435,
+        1.52,
+        1.6,
+        1.668,
+    }
     everywhere, american = (
         _evidence("lane_dash_cycle", 200.0),
         _evidence("lane_dash_cycle", 200.0, region="north_america"),
@@ -163,13 +184,21 @@ def test_the_country_or_the_region_chooses_and_without_one_the_mixture_stays() -
 
 
 def test_things_of_one_kind_share_their_size() -> None:
-    one, many = _evidence("parking_bay_width/DE", 50.0), _evidence("parking_bay_width/DE", 50.0, 50.2, 49.9, 50.1)
+    one, many = (
+        _evidence("parking_bay_width/DE", 50.0),
+        _evidence("parking_bay_width/DE", 50.0, 50.2, 49.9, 50.1),
+    )
     assert many.n == 4
     assert many.interval.high / many.interval.low > 1.12  # the custom's spread stays
     assert many.interval.high / many.interval.low < one.interval.high / one.interval.low
     both = measured(
         KnownLengths(),
-        _view(known_lengths=[(0, 0, 50, 0, "parking_bay_width/DE"), (0, 9, 242, 9, "iso_container_40ft")]),
+        _view(
+            known_lengths=[
+                (0, 0, 50, 0, "parking_bay_width/DE"),
+                (0, 9, 242, 9, "iso_container_40ft"),
+            ]
+        ),
     )
     assert both.n == 2
     assert log_sd(both) < log_sd(many)
@@ -188,12 +217,17 @@ def test_one_thing_alone_is_usable_only_if_its_kind_allows() -> None:
 def test_two_things_of_one_family_are_one_witness() -> None:
     def record(*whats: str) -> Any:
         metres = {what: standards()[what].variants[0].metres for what in whats}
-        lines = [(100, 100 + 9 * k, 100 + metres[what] / 0.05, 100 + 9 * k, what) for k, what in enumerate(whats)]
+        lines = [
+            (100, 100 + 9 * k, 100 + metres[what] / 0.05, 100 + 9 * k, what)
+            for k, what in enumerate(whats)
+        ]
         return record_of(0, known_lengths=lines)
 
     same = record("iso_container_20ft", "iso_container_width")
     assert (same.status, same.gsd_m_per_px) == ("ok", pytest.approx(0.05, rel=0.01))
-    assert record("iso_container_20ft", "semi_trailer").confidence == pytest.approx(same.confidence, abs=0.02)
+    assert record("iso_container_20ft", "semi_trailer").confidence == pytest.approx(
+        same.confidence, abs=0.02
+    )
 
 
 @pytest.mark.parametrize(
@@ -211,32 +245,46 @@ def test_a_wrong_name_is_refused_before_the_work_with_the_nearest(what: str, wor
 
 def test_a_table_takes_names(tmp_path: Any) -> None:
     table = tmp_path / "lines.csv"
-    table.write_text("file,x1,y1,x2,y2,metres,what\na.png,0,0,50,0,pool_50m,\na.png,0,9,50,9,,railway_gauge/ES\n")
+    table.write_text(
+        "file,x1,y1,x2,y2,metres,what\na.png,0,0,50,0,pool_50m,\na.png,0,9,50,9,,railway_gauge/ES\n"
+    )
     (lines,) = lines_in(table, [tmp_path / "a.png"]).values()
     assert [line.what for line in lines] == ["pool_50m", "railway_gauge/ES"]
     table.write_text("file,x1,y1,x2,y2,metres\na.png,0,0,50,0,pool_51m\n")
-    with pytest.raises(KnownLengthError, match="line 2: there is no thing of known size 'pool_51m'"):
+    with pytest.raises(
+        KnownLengthError, match="line 2: there is no thing of known size 'pool_51m'"
+    ):
         lines_in(table, [tmp_path / "a.png"])
 
 
 def test_the_command_lists_every_thing_with_its_lengths_and_source() -> None:
     shown = CliRunner().invoke(app, ["models", "--sizes"], env={"COLUMNS": "100"}).stdout
     assert all(name in shown for name in standards())
-    rows = [json.loads(line) for line in CliRunner().invoke(app, ["models", "--sizes", "--json"]).stdout.splitlines()]
+    rows = [
+        json.loads(line)
+        for line in CliRunner().invoke(app, ["models", "--sizes", "--json"]).stdout.splitlines()
+    ]
     assert [row["name"] for row in rows] == list(standards())
     assert all(row["variants"][0]["metres"] > 0 and row["source"] for row in rows)
 
 
 def test_the_cars_choose_among_the_lengths_of_a_mixture() -> None:
     spread = np.array([12.19, 18.0])
-    record = record_of(30, known_lengths=[(100, 100, 100 + spread[1] / 0.1, 100, "lane_dash_cycle")])  # cars: 0.1 m/px
+    # cars: 0.1 m/px
+    record = record_of(
+        30, known_lengths=[(100, 100, 100 + spread[1] / 0.1, 100, "lane_dash_cycle")]
+    )
     assert record.status == "ok"
     assert record.gsd_m_per_px == pytest.approx(0.1, rel=0.03)
 
 
 @pytest.mark.parametrize(
     "line",
-    [(0, 0, 50, 0, None), (0, 0, 50, 0, 5.0, "assumed", None, "pool_50m"), (0, 0, 50, 0, "pool_50m", "measured")],
+    [
+        (0, 0, 50, 0, None),
+        (0, 0, 50, 0, 5.0, "assumed", None, "pool_50m"),
+        (0, 0, 50, 0, "pool_50m", "measured"),
+    ],
 )
 def test_a_line_has_metres_or_a_name(line: tuple[Any, ...]) -> None:
     with pytest.raises(KnownLengthError):

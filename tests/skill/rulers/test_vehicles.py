@@ -27,9 +27,13 @@ _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
 
 
 def _view(lengths: list[float], **options: Any) -> View:
-    boxes = np.array([[99.0 * k, 50, length, 18, 0] for k, length in enumerate(lengths)]).reshape(-1, 5)
+    boxes = np.array([[99.0 * k, 50, length, 18, 0] for k, length in enumerate(lengths)]).reshape(
+        -1, 5
+    )
     found = Detections(boxes, np.full(len(boxes), 0.8))
-    return View(ImageFacts(800, 600), found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0)
+    return View(
+        ImageFacts(800, 600), found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0
+    )
 
 
 def _doubts(view: View) -> tuple[list[str], float]:
@@ -58,16 +62,26 @@ def test_both_doubts_can_be_about_one_fleet() -> None:
 
 
 def test_of_two_groups_of_lengths_one_is_the_fleet() -> None:
-    lengths = [*(40 * np.exp(0.09 * np.linspace(-1.7, 1.7, 12))), *(100 * np.exp(0.09 * np.linspace(-1.7, 1.7, 6)))]
+    lengths = [
+        *(40 * np.exp(0.09 * np.linspace(-1.7, 1.7, 12))),
+        *(100 * np.exp(0.09 * np.linspace(-1.7, 1.7, 6))),
+    ]
     witness = Vehicles().measure(_searched(_view(lengths)))
     assert witness.n == 12
-    assert witness.chance_wrong == pytest.approx(1 / 5, abs=0.02)  # odds of one to four: half of the weight, squared
+    # odds of one to four: half of the weight, squared
+    assert witness.chance_wrong == pytest.approx(1 / 5, abs=0.02)
 
 
 @pytest.mark.parametrize("lengths", [_LENGTHS, [40.0]])
 def test_a_lack_filled_is_never_worse_than_the_vehicles_as_they_are(lengths: list[float]) -> None:
     witness: VehicleWitness = Vehicles().measure(_view(lengths))
-    assert [lack.reason for lack in witness.lacks] == ["too_coarse", "not_cars", "disagree", "too_few", "imprecise"]
+    assert [lack.reason for lack in witness.lacks] == [
+        "too_coarse",
+        "not_cars",
+        "disagree",
+        "too_few",
+        "imprecise",
+    ]
     assert all(lack.without.chance_wrong <= witness.chance_wrong for lack in witness.lacks)
 
 
@@ -80,7 +94,9 @@ def card() -> DetectorCard:
 def test_a_country_has_a_length_near_its_region(card: DetectorCard, code: str) -> None:
     chosen = reference_length(card, Reference(region=code), None)
     assert chosen.source == "region"
-    assert chosen.length_m == pytest.approx(card.region_lengths_m[COUNTRY_REGIONS[code.upper()]], rel=0.02)
+    assert chosen.length_m == pytest.approx(
+        card.region_lengths_m[COUNTRY_REGIONS[code.upper()]], rel=0.02
+    )
 
 
 def test_a_region_without_lengths_of_boxes_has_those_of_bodies(card: DetectorCard) -> None:
@@ -97,7 +113,10 @@ def test_every_country_has_one_of_the_regions_and_a_code_of_two_letters() -> Non
 
 
 def test_a_published_length_is_converted_to_the_boxes_of_a_detector() -> None:
-    loose = {"europe": 1.1 * COUNTRY_LENGTHS_M["FR"], "north_america": 1.1 * COUNTRY_LENGTHS_M["US"]}
+    loose = {
+        "europe": 1.1 * COUNTRY_LENGTHS_M["FR"],
+        "north_america": 1.1 * COUNTRY_LENGTHS_M["US"],
+    }
     assert country_length("DE", loose) == pytest.approx(1.1 * COUNTRY_LENGTHS_M["DE"])
     assert country_length("ES", loose) == loose["europe"]
     assert country_length("NP", loose) is None
@@ -113,9 +132,14 @@ def test_a_published_length_is_converted_to_the_boxes_of_a_detector() -> None:
         ("TV", "leave region out"),
     ],
 )
-def test_an_unknown_place_names_the_nearest(card: DetectorCard, region: str, expected: str | None) -> None:
+def test_an_unknown_place_names_the_nearest(
+    card: DetectorCard, region: str, expected: str | None
+) -> None:
     if expected is None:
-        assert reference_length(card, Reference(region=region), None).length_m == card.region_lengths_m["europe"]
+        assert (
+            reference_length(card, Reference(region=region), None).length_m
+            == card.region_lengths_m["europe"]
+        )
         return
     with pytest.raises(InvalidParameterError, match=expected):
         reference_length(card, Reference(region=region), None)
@@ -123,7 +147,9 @@ def test_an_unknown_place_names_the_nearest(card: DetectorCard, region: str, exp
 
 def test_a_named_region_narrows_a_fleet_that_is_read_by_its_looks(card: DetectorCard) -> None:
     seen = Looks(np.full(30, math.log(4.4)), np.full(30, 0.07), np.full(30, 4.0))
-    read, named = (reference_length(card, Reference(region=region), seen) for region in (None, "NP"))
+    read, named = (
+        reference_length(card, Reference(region=region), seen) for region in (None, "NP")
+    )
     assert (read.source, read.log_sd, named.source) == ("appearance", LOOKS_LOG_SD, "region")
     assert read.length_m == pytest.approx(4.4)
     assert card.bodies is not None
@@ -135,7 +161,13 @@ def test_of_two_cars_the_surer_one_tells_more(card: DetectorCard) -> None:
     seen = Looks(np.log([4.3, 4.7]), np.full(2, 0.07), np.full(2, 4.0))
     view = replace(_view([45.0, 45.0]), card=card)
     answers = [
-        answer([Vehicles().measure(replace(view, detections=replace(view.detections, scores=scores, looks=seen)))])
+        answer(
+            [
+                Vehicles().measure(
+                    replace(view, detections=replace(view.detections, scores=scores, looks=seen))
+                )
+            ]
+        )
         for scores in (np.array([0.99, 0.9]), np.array([0.9, 0.99]))
     ]
     shorter, longer = (each.gsd_m_per_px for each in answers if each)

@@ -43,7 +43,12 @@ GSD = 0.12
 
 
 def _boxes(
-    n: int, mean_m: float = FLEET_M, spread_m: float = 0.3, gsd: float = GSD, seed: int = 0, step_m: float = 12
+    n: int,
+    mean_m: float = FLEET_M,
+    spread_m: float = 0.3,
+    gsd: float = GSD,
+    seed: int = 0,
+    step_m: float = 12,
 ) -> NDArray[np.float64]:
     """Cars on a grid with lengths of one fleet."""
     rng = np.random.default_rng(seed)
@@ -61,7 +66,9 @@ def _calibrated(**changes: Any) -> Calibration:
 
 
 def test_the_reference_length_is_the_papers_kde_mode() -> None:
-    images = [SurveyedImage(_boxes(150, seed=s, gsd=gsd), gsd) for s, gsd in enumerate((0.08, 0.12, 0.25))]
+    images = [
+        SurveyedImage(_boxes(150, seed=s, gsd=gsd), gsd) for s, gsd in enumerate((0.08, 0.12, 0.25))
+    ]
     metres = np.concatenate([image.boxes[:, 2] * image.gsd_m_per_px for image in images])
     at = np.linspace(3.5, 5.0, 15001)
     expected = at[np.argmax(gaussian_kde(metres)(at))]  # Scott's rule is scipy's default
@@ -81,7 +88,9 @@ def test_cars_of_one_place_count_as_less_than_cars_of_many_places() -> None:
     spread: list[SurveyedImage] = []
     crowded: list[SurveyedImage] = []
     for _ in range(40):  # places, each with a fleet of its own
-        boxes = _boxes(25, mean_m=FLEET_M + rng.normal(0, 0.3), spread_m=0.05, seed=int(rng.integers(1 << 30)))
+        boxes = _boxes(
+            25, mean_m=FLEET_M + rng.normal(0, 0.3), spread_m=0.05, seed=int(rng.integers(1 << 30))
+        )
         spread += [SurveyedImage(boxes[[k]], GSD) for k in range(25)]
         crowded.append(SurveyedImage(np.column_stack([np.full((25, 2), 10.0), boxes[:, 2:]]), GSD))
     assert modal_length_m(crowded).sd_m > 1.2 * modal_length_m(spread).sd_m
@@ -89,27 +98,38 @@ def test_cars_of_one_place_count_as_less_than_cars_of_many_places() -> None:
 
 def test_a_calibration_says_what_it_rests_on_and_is_the_same_each_time() -> None:
     images = [SurveyedImage(_boxes(200), GSD), SurveyedImage(np.zeros((0, 5)), 0.3)]
-    record = calibrate(images, source="detections", region_sd_m=0.4, detector="vehicles", detector_sha256="ab" * 32)
+    record = calibrate(
+        images, source="detections", region_sd_m=0.4, detector="vehicles", detector_sha256="ab" * 32
+    )
     assert record == calibrate(
         images, source="detections", region_sd_m=0.4, detector="vehicles", detector_sha256="ab" * 32
     )
     assert (record.n_vehicles, record.n_images, record.source) == (200, 1, "detections")
     assert record.median_gsd_m_per_px == GSD
     assert record.mode_length_px == pytest.approx(record.reference_length_m / GSD, rel=1e-3)
-    assert 0.2 < record.reference_length_sd_m < 0.25  # half of the regions' 0.4, and the bootstrap's
+    # half of the regions' 0.4, and the bootstrap's
+    assert 0.2 < record.reference_length_sd_m < 0.25
 
 
 def test_too_few_vehicles_are_refused_with_the_number_needed() -> None:
     words = f"vehicles labelled for a reference length: 99; at least {MIN_VEHICLES}"
     with pytest.raises(CalibrationRefusedError, match=words) as refusal:
-        calibrate([SurveyedImage(_boxes(50), GSD), SurveyedImage(_boxes(49), GSD)], source="labels", region_sd_m=0.2)
+        calibrate(
+            [SurveyedImage(_boxes(50), GSD), SurveyedImage(_boxes(49), GSD)],
+            source="labels",
+            region_sd_m=0.2,
+        )
     assert refusal.value.code == "calibration_refused"
     with pytest.raises(CalibrationRefusedError, match="vehicles found for a reference length: 0;"):
         calibrate([], source="detections", region_sd_m=0.2)
 
 
-@pytest.mark.parametrize(("gsd", "min_length_px", "refused"), [(0.28, 0, False), (0.35, 0, True), (0.2, 25, True)])
-def test_imagery_too_coarse_for_the_guard_is_refused(gsd: float, min_length_px: float, refused: bool) -> None:
+@pytest.mark.parametrize(
+    ("gsd", "min_length_px", "refused"), [(0.28, 0, False), (0.35, 0, True), (0.2, 25, True)]
+)
+def test_imagery_too_coarse_for_the_guard_is_refused(
+    gsd: float, min_length_px: float, refused: bool
+) -> None:
     def measure() -> Calibration:
         images = [SurveyedImage(_boxes(300, spread_m=0.1, gsd=gsd), gsd)]
         return calibrate(images, source="detections", region_sd_m=0.2, min_length_px=min_length_px)
@@ -127,7 +147,11 @@ def test_imagery_too_coarse_for_the_guard_is_refused(gsd: float, min_length_px: 
 def test_a_calibration_is_what_was_saved(tmp_path: Path) -> None:
     record = _calibrated()
     write_record(tmp_path / "c.json", record)
-    assert load_calibration(tmp_path / "c.json") == record == vehanchor.load_calibration(tmp_path / "c.json")
+    assert (
+        load_calibration(tmp_path / "c.json")
+        == record
+        == vehanchor.load_calibration(tmp_path / "c.json")
+    )
     assert json.loads((tmp_path / "c.json").read_text())["kind"] == "vehanchor.calibration.v1"
 
 
@@ -199,7 +223,9 @@ def calibration(folder: Path) -> Path:
     return out
 
 
-def test_calibrating_with_the_detector_makes_its_estimates_true(folder: Path, calibration: Path) -> None:
+def test_calibrating_with_the_detector_makes_its_estimates_true(
+    folder: Path, calibration: Path
+) -> None:
     record = load_calibration(calibration)
     detector = Detector(folder / "detector.onnx")
     assert (record.source, record.detector_sha256) == ("detections", detector.card.sha256)
@@ -207,10 +233,13 @@ def test_calibrating_with_the_detector_makes_its_estimates_true(folder: Path, ca
     after = vehanchor.estimate_gsd(folder / "cars.png", detector=detector, calibration=calibration)
     assert before.gsd_m_per_px == pytest.approx(GSD * 5.045 / FLEET_M, rel=0.03)
     assert after.rulers[0].gsd_m_per_px == pytest.approx(GSD, rel=1e-4)
-    assert after.gsd_m_per_px == pytest.approx(GSD, rel=0.03)  # beside a prior that is wrong for a painted picture
+    # beside a prior that is wrong for a painted picture
+    assert after.gsd_m_per_px == pytest.approx(GSD, rel=0.03)
     assert after.details.reference_length_m == record.reference_length_m
     given = vehanchor.analyse_scale(
-        folder / "cars.png", ScaleOptions.of({"calibration": record}), detector=folder / "detector.onnx"
+        folder / "cars.png",
+        ScaleOptions.of({"calibration": record}),
+        detector=folder / "detector.onnx",
     )
     assert given.estimate == after
 
@@ -227,11 +256,21 @@ def test_photographs_with_a_height_need_no_georeference_and_what_the_height_may_
         "--out",
         tmp_path / "c.json",
     ]
-    result = _run("calibrate", *common, "--height", GSD * focal_px, "--height-basis", "measured", "--focal-35mm", 24)
+    result = _run(
+        "calibrate",
+        *common,
+        "--height",
+        GSD * focal_px,
+        "--height-basis",
+        "measured",
+        "--focal-35mm",
+        24,
+    )
     assert result.exit_code == 0, result.stderr
     by_height, by_table = load_calibration(tmp_path / "c.json"), load_calibration(calibration)
     assert by_height.reference_length_m == pytest.approx(by_table.reference_length_m, rel=1e-3)
-    truth_sd_m = math.hypot(0.05, 0.04) * by_height.reference_length_m  # of a given height, and of a lens
+    # of a given height, and of a lens
+    truth_sd_m = math.hypot(0.05, 0.04) * by_height.reference_length_m
     assert by_height.reference_length_sd_m == pytest.approx(
         math.hypot(by_table.reference_length_sd_m, truth_sd_m), rel=0.02
     )
@@ -239,16 +278,22 @@ def test_photographs_with_a_height_need_no_georeference_and_what_the_height_may_
     assert by_height.reference_length_ci95_high_m > by_table.reference_length_ci95_high_m
 
 
-def test_photographs_of_which_no_other_ruler_knows_the_scale_are_told(folder: Path, tmp_path: Path) -> None:
+def test_photographs_of_which_no_other_ruler_knows_the_scale_are_told(
+    folder: Path, tmp_path: Path
+) -> None:
     common = ["--detector", folder / "detector.onnx", "--out", tmp_path / "c.json"]
     silent = _run("calibrate", "--photographs", folder / "cars.png", *common)
-    both = _run("calibrate", "--photographs", folder / "cars.png", "--table", folder / "table.csv", *common)
+    both = _run(
+        "calibrate", "--photographs", folder / "cars.png", "--table", folder / "table.csv", *common
+    )
     assert silent.exit_code == both.exit_code == 2
     assert "warning[no_other_ruler]" in silent.stderr
     assert "give the images with one of" in both.stderr
 
 
-def test_photographs_of_a_camera_that_looked_aside_are_left_out(folder: Path, tmp_path: Path) -> None:
+def test_photographs_of_a_camera_that_looked_aside_are_left_out(
+    folder: Path, tmp_path: Path
+) -> None:
     aside = 'drone-dji:RelativeAltitude="60" drone-dji:GimbalPitchDegree="-65"'
     dji = {"drone-dji": "http://www.dji.com/drone-dji/1.0/"}
     photograph = tmp_path / "aside.jpg"
@@ -260,12 +305,16 @@ def test_photographs_of_a_camera_that_looked_aside_are_left_out(folder: Path, tm
     assert "tilted by 25 degrees" in result.stderr
 
 
-def test_the_interval_of_an_estimate_follows_the_calibrations_spread(folder: Path, calibration: Path) -> None:
+def test_the_interval_of_an_estimate_follows_the_calibrations_spread(
+    folder: Path, calibration: Path
+) -> None:
     record = load_calibration(calibration)
     wide = record.model_copy(update={"reference_length_sd_m": 1.0})
 
     def reach(chosen: Calibration) -> float:
-        found = vehanchor.estimate_gsd(folder / "cars.png", detector=folder / "detector.onnx", calibration=chosen)
+        found = vehanchor.estimate_gsd(
+            folder / "cars.png", detector=folder / "detector.onnx", calibration=chosen
+        )
         assert found.gsd_ci95_low_m_per_px is not None
         assert found.gsd_ci95_high_m_per_px is not None
         return found.gsd_ci95_high_m_per_px / found.gsd_ci95_low_m_per_px
@@ -276,14 +325,27 @@ def test_the_interval_of_an_estimate_follows_the_calibrations_spread(folder: Pat
 
 def test_the_command_line_uses_a_calibration(folder: Path, calibration: Path) -> None:
     result = _run(
-        "estimate", folder / "cars.png", "--detector", folder / "detector.onnx", "--calibration", calibration, "--json"
+        "estimate",
+        folder / "cars.png",
+        "--detector",
+        folder / "detector.onnx",
+        "--calibration",
+        calibration,
+        "--json",
     )
     assert result.exit_code == 0, result.stderr
     assert json.loads(result.stdout)["rulers"][0]["gsd_m_per_px"] == pytest.approx(GSD, rel=1e-4)
 
 
 def test_another_detector_is_refused_before_the_work(folder: Path, calibration: Path) -> None:
-    result = _run("estimate", folder / "cars.png", "--detector", folder / "other.onnx", "--calibration", calibration)
+    result = _run(
+        "estimate",
+        folder / "cars.png",
+        "--detector",
+        folder / "other.onnx",
+        "--calibration",
+        calibration,
+    )
     assert result.exit_code == 2
     assert "error[calibration_mismatch]" in result.stderr
     assert "calibrate again" in result.stderr
@@ -292,7 +354,9 @@ def test_another_detector_is_refused_before_the_work(folder: Path, calibration: 
 def test_a_calibration_from_labels_alone_fits_any_detector(folder: Path) -> None:
     record = _calibrated()
     for name in ("detector.onnx", "other.onnx"):
-        found = vehanchor.estimate_gsd(folder / "cars.png", detector=folder / name, calibration=record)
+        found = vehanchor.estimate_gsd(
+            folder / "cars.png", detector=folder / name, calibration=record
+        )
         assert found.details.reference_length_m == record.reference_length_m
     with pytest.raises(CalibrationMismatchError, match="made for detector 'mine'"):
         _calibrated(detector="mine", detector_sha256="0" * 64).check_detector("yours", "1" * 64)
@@ -300,7 +364,9 @@ def test_a_calibration_from_labels_alone_fits_any_detector(folder: Path) -> None
 
 @pytest.mark.parametrize("other", [{"region": "europe"}, {"reference_length_m": 4.5}])
 def test_two_reference_lengths_are_refused(other: dict[str, Any]) -> None:
-    with pytest.raises(InvalidParameterError, match=f"give {next(iter(other))} or calibration, not both"):
+    with pytest.raises(
+        InvalidParameterError, match=f"give {next(iter(other))} or calibration, not both"
+    ):
         ScaleOptions.of({"calibration": _calibrated(), **other})
 
 
@@ -313,11 +379,15 @@ def test_labels_can_be_asked_for_and_bound_to_a_detector(folder: Path, tmp_path:
     boxes = _boxes(120, seed=5)
     from vehanchor.detection.boxes import box_corners
 
-    lines = [" ".join(f"{v:.3f}" for v in corners.ravel()) + " car 0" for corners in box_corners(boxes)]
+    lines = [
+        " ".join(f"{v:.3f}" for v in corners.ravel()) + " car 0" for corners in box_corners(boxes)
+    ]
     for name in ("a", "b"):
         cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), blank_image(64, 64))
     (tmp_path / "labels" / "a.txt").write_text("\n".join(lines))
-    (tmp_path / "table.csv").write_text(f"file,gsd_m_per_px\nimages/a.png,{GSD}\nimages/b.png,{GSD}\n")
+    (tmp_path / "table.csv").write_text(
+        f"file,gsd_m_per_px\nimages/a.png,{GSD}\nimages/b.png,{GSD}\n"
+    )
     result = _run(
         "calibrate", "--table", tmp_path / "table.csv", "--from", "labels", "--label-class", "car",
         "--detector", folder / "detector.onnx", "--out", tmp_path / "c.json",
@@ -327,16 +397,24 @@ def test_labels_can_be_asked_for_and_bound_to_a_detector(folder: Path, tmp_path:
     record = load_calibration(tmp_path / "c.json")
     assert (record.source, record.n_vehicles, record.detector) == ("labels", 120, "detector")
     measured = labelled_boxes(tmp_path / "labels" / "a.txt", ("car",))
-    assert record.reference_length_m == pytest.approx(modal_length_m([SurveyedImage(measured, GSD)]).mode_m)
+    assert record.reference_length_m == pytest.approx(
+        modal_length_m([SurveyedImage(measured, GSD)]).mode_m
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--out", "c.json"], "give the images with one of --dota DIR, --table FILE and --geotiff FILES"),
+        (
+            ["--out", "c.json"],
+            "give the images with one of --dota DIR, --table FILE and --geotiff FILES",
+        ),
         (["--table", "t.csv", "--out", "missing/c.json"], "there is no folder"),
         (["--table", "t.csv", "--out", "c.json"], "cannot read table"),
-        (["--table", "t.csv", "--out", "c.png", "--plot", "c.png"], "both the plot and the calibration"),
+        (
+            ["--table", "t.csv", "--out", "c.png", "--plot", "c.png"],
+            "both the plot and the calibration",
+        ),
         (["--dota", ".", "--out", "c.json"], "no images/ folder"),
     ],
 )
@@ -354,9 +432,13 @@ def test_a_bad_file_is_told_and_left_out(folder: Path, tmp_path: Path) -> None:
     for name, content in (("a", cars), ("b", cars), ("c", b"no image")):
         (tmp_path / f"{name}.png").write_bytes(content)
     (tmp_path / "b.txt").write_bytes(b"\xff\xfe")
-    (tmp_path / "table.csv").write_text("file,gsd_m_per_px\n" + "".join(f"{name}.png,{GSD}\n" for name in "abc"))
+    (tmp_path / "table.csv").write_text(
+        "file,gsd_m_per_px\n" + "".join(f"{name}.png,{GSD}\n" for name in "abc")
+    )
     common = ["calibrate", "--table", tmp_path / "table.csv", "--out", tmp_path / "c.json"]
-    result = _run(*common, "--detector", folder / "detector.onnx", "--cache", tmp_path / "log.sqlite")
+    result = _run(
+        *common, "--detector", folder / "detector.onnx", "--cache", tmp_path / "log.sqlite"
+    )
     assert result.exit_code == 0, result.stderr
     assert "warning[image_undecodable]" in result.stderr
     assert load_calibration(tmp_path / "c.json").n_vehicles == 264
@@ -367,12 +449,23 @@ def test_a_bad_file_is_told_and_left_out(folder: Path, tmp_path: Path) -> None:
     assert "vehicles labelled for a reference length: 0;" in result.stderr
 
 
-def test_photographs_with_a_line_of_known_length_need_no_georeference(folder: Path, tmp_path: Path) -> None:
+def test_photographs_with_a_line_of_known_length_need_no_georeference(
+    folder: Path, tmp_path: Path
+) -> None:
     lines = folder / "lines.csv"
     lines.write_text(f"file,x1,y1,x2,y2,metres\ncars.png,100,100,600,100,{500 * GSD}\n")
-    common = ["--detector", folder / "detector.onnx", "--out", tmp_path / "c.json", "--known-lengths", lines]
+    common = [
+        "--detector",
+        folder / "detector.onnx",
+        "--out",
+        tmp_path / "c.json",
+        "--known-lengths",
+        lines,
+    ]
     assert _run("calibrate", "--photographs", folder / "cars.png", *common).exit_code == 0
-    assert load_calibration(tmp_path / "c.json").reference_length_m == pytest.approx(FLEET_M, rel=0.03)
+    assert load_calibration(tmp_path / "c.json").reference_length_m == pytest.approx(
+        FLEET_M, rel=0.03
+    )
     result = _run("calibrate", "--table", folder / "table.csv", *common)
     assert result.exit_code == 2
     assert "--photographs" in result.stderr
@@ -388,13 +481,23 @@ def test_the_reference_length_of_a_fleet_is_recovered_from_labels_within_a_perce
     drawn = []
     for seed, gsd in enumerate((0.12, 0.15, 0.20)):
         scene = render_scene(
-            gsd, width_px=1200, height_px=1200, seed=seed, layout="parking", mean_vehicle_length_m=fleet_m
+            gsd,
+            width_px=1200,
+            height_px=1200,
+            seed=seed,
+            layout="parking",
+            mean_vehicle_length_m=fleet_m,
         )
         cv2.imwrite(str(tmp_path / "images" / f"P{seed:04}.png"), scene.image[:, :, ::-1])
-        (tmp_path / "labelTxt-v1.5" / f"P{seed:04}.txt").write_text(f"imagesource:scene\n{scene.dota_text()}")
+        (tmp_path / "labelTxt-v1.5" / f"P{seed:04}.txt").write_text(
+            f"imagesource:scene\n{scene.dota_text()}"
+        )
         drawn += [v.length_px * gsd for v in scene.vehicles if v.kind == "small-vehicle"]
-    result = CliRunner().invoke(cli.app, ["calibrate", "--dota", str(tmp_path), "--out", str(tmp_path / "c.json")])
+    result = CliRunner().invoke(
+        cli.app, ["calibrate", "--dota", str(tmp_path), "--out", str(tmp_path / "c.json")]
+    )
     assert result.exit_code == 0, result.stderr
     record = load_calibration(tmp_path / "c.json")
     assert record.n_vehicles == len(drawn) > 1000
-    assert record.reference_length_m == pytest.approx(1.010 * fleet_m, rel=0.01)  # the mode, by render_scene's contract
+    # the mode, by render_scene's contract
+    assert record.reference_length_m == pytest.approx(1.010 * fleet_m, rel=0.01)

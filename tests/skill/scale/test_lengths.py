@@ -8,7 +8,15 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import gaussian_kde
 
 from vehanchor.errors import InvalidParameterError, TooObliqueError
-from vehanchor.scale.density import GRID, LOG_STEP, Votes, blurred, lognormal, mass_within, vehicle_likelihood
+from vehanchor.scale.density import (
+    GRID,
+    LOG_STEP,
+    Votes,
+    blurred,
+    lognormal,
+    mass_within,
+    vehicle_likelihood,
+)
 from vehanchor.scale.lengths import (
     guard_length,
     inlier_mask,
@@ -18,7 +26,13 @@ from vehanchor.scale.lengths import (
     modal_length,
     statistical_log_sds,
 )
-from vehanchor.scale.paper import FALLBACK_CONFIDENCE, PaperScale, composite, confidence_terms, paper_scale
+from vehanchor.scale.paper import (
+    FALLBACK_CONFIDENCE,
+    PaperScale,
+    composite,
+    confidence_terms,
+    paper_scale,
+)
 from vehanchor.scale.plane import GroundPlane
 
 _LENGTHS = st.lists(st.floats(5, 80), min_size=2, max_size=60)
@@ -40,7 +54,9 @@ def test_density_equals_scipys(lengths: list[float], weighted: bool) -> None:
     assume(np.std(lengths) >= 1e-3)
     weights = np.linspace(0.2, 1.0, len(lengths)) if weighted else None
     at = np.linspace(min(lengths), max(lengths), 7)
-    np.testing.assert_allclose(kde_density(at, lengths, weights), gaussian_kde(lengths, weights=weights)(at), rtol=1e-9)
+    np.testing.assert_allclose(
+        kde_density(at, lengths, weights), gaussian_kde(lengths, weights=weights)(at), rtol=1e-9
+    )
 
 
 @given(st.integers(0, 300), st.integers(5, 200))
@@ -54,7 +70,10 @@ def test_the_mode_is_scipys_maximum_to_a_thousandth_of_a_pixel(seed: int, n: int
     top = grid[np.argmax(density)]
     step = grid[1] - grid[0]
     best = minimize_scalar(
-        lambda x: -oracle(x)[0], bounds=(top - step, top + step), method="bounded", options={"xatol": 1e-7}
+        lambda x: -oracle(x)[0],
+        bounds=(top - step, top + step),
+        method="bounded",
+        options={"xatol": 1e-7},
     )
     mode = kde_mode(lengths)
     assert abs(mode - best.x) < 1e-3 or oracle(mode)[0] >= density.max() * (1 - 1e-9)
@@ -65,7 +84,8 @@ def test_scaling_the_lengths_scales_the_mode(lengths: list[float], factor: float
     assume(np.std(lengths) >= 1e-2)
     values = np.array(lengths)
     density = kde_density(np.array([kde_mode(values * factor) / factor, kde_mode(values)]), values)
-    assert density[0] == pytest.approx(density[1], rel=1e-6)  # equal heights: the same maximum, or two that tie
+    # equal heights: the same maximum, or two that tie
+    assert density[0] == pytest.approx(density[1], rel=1e-6)
 
 
 def test_equal_lengths_and_a_single_one_have_a_mode() -> None:
@@ -90,8 +110,12 @@ def test_the_weighted_mode_is_that_of_scipys_density() -> None:
     factor = gaussian_kde(lengths, weights=scores**2 * lengths).factor
     reference = gaussian_kde(lengths, weights=scores**2 * lengths, bw_method=2 * factor)
     at = np.linspace(20, 40, 20001)
-    np.testing.assert_allclose(modal_density(at, lengths, scores, "weighted_kde"), reference(at), rtol=1e-9)
-    assert modal_length(lengths, scores, "weighted_kde")[0] == pytest.approx(at[np.argmax(reference(at))], abs=1e-3)
+    np.testing.assert_allclose(
+        modal_density(at, lengths, scores, "weighted_kde"), reference(at), rtol=1e-9
+    )
+    assert modal_length(lengths, scores, "weighted_kde")[0] == pytest.approx(
+        at[np.argmax(reference(at))], abs=1e-3
+    )
 
 
 def test_the_weighted_mode_has_the_interval_of_its_own_density() -> None:
@@ -128,7 +152,9 @@ def test_the_interval_holds_the_estimate_and_scales_with_it(n: int, factor: floa
 
 
 def test_few_vehicles_never_give_a_narrow_interval() -> None:
-    first, second, fifth, last = (statistical_log_sds([30.0] * n, [0.9] * n, 30.0, "kde")[1] for n in (1, 2, 5, 50))
+    first, second, fifth, last = (
+        statistical_log_sds([30.0] * n, [0.9] * n, 30.0, "kde")[1] for n in (1, 2, 5, 50)
+    )
     assert first > 0.17
     assert first > second > fifth > last > 0.0
 
@@ -143,22 +169,30 @@ def test_the_binned_votes_are_the_product_of_the_boxes_likelihoods() -> None:
     normal = np.exp(-0.5 * (distance / 0.12) ** 2) / (0.12 * np.sqrt(2 * np.pi))
     likelihood = np.prod(1 + odds[:, None] * normal, axis=0)
     expected = likelihood / likelihood.sum()
-    np.testing.assert_allclose(vehicle_likelihood(lengths, scores, 4.5, _VOTES), expected, atol=0.03 * expected.max())
+    np.testing.assert_allclose(
+        vehicle_likelihood(lengths, scores, 4.5, _VOTES), expected, atol=0.03 * expected.max()
+    )
 
 
 def test_a_box_of_a_low_score_says_less_than_one_of_a_high_score() -> None:
-    low, high = (vehicle_likelihood([30.0], [score], 4.5, Votes(-13.76, 17.4)) for score in (0.6, 0.95))
+    low, high = (
+        vehicle_likelihood([30.0], [score], 4.5, Votes(-13.76, 17.4)) for score in (0.6, 0.95)
+    )
     assert low.max() < high.max()
     assert low.max() < 1.5 * low.min()
 
 
 @given(st.floats(0.02, 1.0), st.floats(0.02, 0.3), st.floats(0.0, 0.3), st.floats(-0.2, 0.2))
-def test_an_error_adds_its_mean_and_its_variance(gsd: float, log_sd: float, more: float, mean: float) -> None:
+def test_an_error_adds_its_mean_and_its_variance(
+    gsd: float, log_sd: float, more: float, mean: float
+) -> None:
     wide = blurred(lognormal(gsd, log_sd), more, mean)
     centre = float(np.sum(wide * GRID))
     assert wide.sum() == pytest.approx(1)
     assert centre == pytest.approx(np.log(gsd) + mean, abs=0.05)
-    assert np.sqrt(np.sum(wide * (GRID - centre) ** 2)) == pytest.approx(np.hypot(log_sd, more), abs=0.03)
+    assert np.sqrt(np.sum(wide * (GRID - centre) ** 2)) == pytest.approx(
+        np.hypot(log_sd, more), abs=0.03
+    )
 
 
 def test_the_mass_within_a_tolerance_is_that_of_the_true_scales_it_allows() -> None:
@@ -173,8 +207,12 @@ def test_the_mass_within_a_tolerance_is_that_of_the_true_scales_it_allows() -> N
 _RANGE = (12.0, 64.0)
 
 
-@given(st.lists(st.tuples(st.floats(1, 500), st.floats(0, 1)), min_size=1, max_size=80), st.booleans())
-def test_confidence_and_its_terms_lie_between_0_and_1(found: list[tuple[float, float]], guarded: bool) -> None:
+@given(
+    st.lists(st.tuples(st.floats(1, 500), st.floats(0, 1)), min_size=1, max_size=80), st.booleans()
+)
+def test_confidence_and_its_terms_lie_between_0_and_1(
+    found: list[tuple[float, float]], guarded: bool
+) -> None:
     lengths, scores = np.array(found).T
     terms = confidence_terms(lengths, scores, float(np.median(lengths)), _RANGE)
     assert 0 <= composite(terms, guarded=guarded) <= 1
@@ -182,11 +220,14 @@ def test_confidence_and_its_terms_lie_between_0_and_1(found: list[tuple[float, f
 
 def _paper(lengths: list[float], scores: list[float], **more: float) -> PaperScale:
     seen = {"seen_scale": 1.0, "guard_length_px": 15.0} | more
-    return paper_scale(lengths, scores, modal_length(lengths, scores), (4.5, 0.45), length_range_px=_RANGE, **seen)
+    return paper_scale(
+        lengths, scores, modal_length(lengths, scores), (4.5, 0.45), length_range_px=_RANGE, **seen
+    )
 
 
 @pytest.mark.parametrize(
-    ("n", "length_px", "reason"), [(20, 12.0, "too_coarse"), (3, 30.0, "too_few"), (3, 12.0, "too_coarse")]
+    ("n", "length_px", "reason"),
+    [(20, 12.0, "too_coarse"), (3, 30.0, "too_few"), (3, 12.0, "too_coarse")],
 )
 def test_the_reason_of_a_confidence_below_one_half(n: int, length_px: float, reason: str) -> None:
     found = _paper([length_px] * n, [0.9] * n)
@@ -205,7 +246,9 @@ def test_the_reason_of_a_confidence_below_one_half(n: int, length_px: float, rea
     ],
 )
 def test_each_term_falls_with_what_it_watches(worse: dict[str, float], term: str) -> None:
-    def terms(n: float = 40, spread: float = 2.0, score: float = 0.7, length: float = 30.0) -> float:
+    def terms(
+        n: float = 40, spread: float = 2.0, score: float = 0.7, length: float = 30.0
+    ) -> float:
         lengths = length + spread * np.linspace(-1, 1, int(n))
         found = confidence_terms(lengths, np.full(int(n), score), length, _RANGE)
         return float(getattr(found, term))
@@ -244,8 +287,12 @@ def test_straight_down_one_scale_holds_everywhere() -> None:
     assert plane.height_m == pytest.approx(200.0)
 
 
-@given(tilt=st.floats(0, 50), roll=st.floats(-180, 180), x=st.floats(100, 1500), y=st.floats(100, 1100))
-def test_the_scale_of_a_pixel_is_the_root_of_the_ground_it_shows(tilt: float, roll: float, x: float, y: float) -> None:
+@given(
+    tilt=st.floats(0, 50), roll=st.floats(-180, 180), x=st.floats(100, 1500), y=st.floats(100, 1100)
+)
+def test_the_scale_of_a_pixel_is_the_root_of_the_ground_it_shows(
+    tilt: float, roll: float, x: float, y: float
+) -> None:
     plane = _plane(tilt, roll)
     here, right, below = plane.ground([[x, y], [x + 1e-3, y], [x, y + 1e-3]])
     area = float(np.linalg.norm(np.cross(right - here, below - here))) / 1e-6
@@ -253,7 +300,9 @@ def test_the_scale_of_a_pixel_is_the_root_of_the_ground_it_shows(tilt: float, ro
 
 
 @given(tilt=st.floats(0, 50), roll=st.floats(-180, 180))
-def test_all_of_the_ground_lies_in_one_plane_at_the_cameras_height(tilt: float, roll: float) -> None:
+def test_all_of_the_ground_lies_in_one_plane_at_the_cameras_height(
+    tilt: float, roll: float
+) -> None:
     plane = _plane(tilt, roll)
     places = plane.ground([[100, 100], [1500, 100], [800, 600], [30, 1100]])
     assert places @ plane.down == pytest.approx(plane.height_m)
@@ -271,7 +320,9 @@ def test_the_upper_side_of_a_picture_shows_what_is_farther() -> None:
 @pytest.mark.parametrize(("x", "y"), [(0, 900), (900, 100)])
 def test_the_area_under_a_mask_is_that_of_the_ground_between_its_corners(x: int, y: int) -> None:
     plane = _plane(45.0, focal=1500.0)
-    first, second, third, fourth = plane.ground([[x, y], [x + 200, y], [x + 200, y + 200], [x, y + 200]])
+    first, second, third, fourth = plane.ground(
+        [[x, y], [x + 200, y], [x + 200, y + 200], [x, y + 200]]
+    )
     between = np.linalg.norm(np.cross(third - first, fourth - second)) / 2
     assert plane.area(_mask(x, y, 200)) == pytest.approx(between, rel=1e-4)
 

@@ -9,7 +9,15 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from vehanchor.scale.density import Votes, blurred, flat, lognormal, normalised, on_grid, vehicle_likelihood
+from vehanchor.scale.density import (
+    Votes,
+    blurred,
+    flat,
+    lognormal,
+    normalised,
+    on_grid,
+    vehicle_likelihood,
+)
 from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judged
 from vehanchor.scale.reliability import CALLER, LOOKS_LOG_MEAN, LOOKS_LOG_SD, Shared
 
@@ -17,7 +25,9 @@ VOTES = Votes(-13.76, 17.4)
 LENS, HEIGHT = Shared("lens", 0.03), Shared("height", 0.12)
 
 
-def _point(gsd: float, log_sd: float = 0.015, chance_wrong: float = 0.05, kind: str = "line") -> Witness:
+def _point(
+    gsd: float, log_sd: float = 0.015, chance_wrong: float = 0.05, kind: str = "line"
+) -> Witness:
     return Witness(kind, gsd, lognormal(gsd, log_sd), chance_wrong)
 
 
@@ -36,13 +46,18 @@ def _said(found: Answer | None) -> tuple[float, float, float, float]:
     return found.gsd_m_per_px, *found.interval, found.chance
 
 
-_DECIDED = 0.55  # chance; where two modes have equal weight, the median lies in the flat part between them, or jumps
+# chance; where two modes have equal weight, the median lies in the flat part between them, or jumps
+_DECIDED = 0.55
 _scales = st.floats(0.02, 0.8)
 _points = st.builds(_point, _scales, st.floats(0.005, 0.3), st.floats(0.005, 0.3))
 _priors = st.builds(_prior, _scales, st.floats(0.1, 0.6))
-_fleets = st.builds(_cars, st.integers(1, 40), _scales, spread=st.floats(0.0, 0.2), score=st.floats(0.6, 1.0))
+_fleets = st.builds(
+    _cars, st.integers(1, 40), _scales, spread=st.floats(0.0, 0.2), score=st.floats(0.6, 1.0)
+)
 _setting = st.lists(st.one_of(_points, _fleets), min_size=1, max_size=3)
-_witnesses = st.builds(lambda some, priors: [*some, *priors], _setting, st.lists(_priors, max_size=1))
+_witnesses = st.builds(
+    lambda some, priors: [*some, *priors], _setting, st.lists(_priors, max_size=1)
+)
 
 
 @given(_witnesses, st.floats(0.0, 1.0))
@@ -71,7 +86,12 @@ def test_a_setting_witness_at_the_value_never_lowers_the_chance(
     assert after.chance >= before.chance - 1e-3  # the value can move by a cell
 
 
-@given(_witnesses, st.sampled_from([1 / 5, 1 / 3, 1 / 2, 2, 3, 5]), st.floats(0.005, 0.1), st.floats(0.01, 0.3))
+@given(
+    _witnesses,
+    st.sampled_from([1 / 5, 1 / 3, 1 / 2, 2, 3, 5]),
+    st.floats(0.005, 0.1),
+    st.floats(0.01, 0.3),
+)
 def test_a_witness_that_contradicts_all_others_never_makes_sure(
     witnesses: list[Witness], factor: float, log_sd: float, chance_wrong: float
 ) -> None:
@@ -97,8 +117,12 @@ def _contradicts(one: Witness, other: Witness) -> bool:
 
 
 @given(_setting, st.floats(0.02, 0.8), st.floats(0.01, 0.2), st.floats(0.01, 0.5))
-def test_the_value_is_continuous(witnesses: list[Witness], gsd: float, log_sd: float, chance_wrong: float) -> None:
-    near, here = (judged([*witnesses, _point(gsd * k, log_sd, chance_wrong)]) for k in (1.0001, 1.0))
+def test_the_value_is_continuous(
+    witnesses: list[Witness], gsd: float, log_sd: float, chance_wrong: float
+) -> None:
+    near, here = (
+        judged([*witnesses, _point(gsd * k, log_sd, chance_wrong)]) for k in (1.0001, 1.0)
+    )
     assert near is not None
     assert here is not None
     assume(max(near.chance, here.chance) > _DECIDED)
@@ -123,7 +147,8 @@ def test_an_error_in_common_widens_the_product_of_its_members() -> None:
     one = replace(_point(0.1, 0.02), shared=(HEIGHT,))
     two = replace(_point(0.1, 0.02, kind="other"), shared=(HEIGHT,))
     low, high = _said(answer([one, two]))[1:3]
-    assert np.log(high / low) / 3.92 == pytest.approx(0.12, rel=0.1)  # not 0.12 over the root of two
+    # not 0.12 over the root of two
+    assert np.log(high / low) / 3.92 == pytest.approx(0.12, rel=0.1)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.3, 1.5, 2.0])
@@ -161,7 +186,9 @@ def test_without_a_witness_that_sets_a_scale_there_is_no_answer() -> None:
 
 def test_the_reason_is_the_lack_whose_removal_raises_the_chance_most() -> None:
     more, known = _cars(2), _cars(1, spread=0.0)
-    few = replace(_cars(1), chance_wrong=0.3, lacks=(Lack("too_few", more), Lack("imprecise", known)))
+    few = replace(
+        _cars(1), chance_wrong=0.3, lacks=(Lack("too_few", more), Lack("imprecise", known))
+    )
     found = answer([few])
     assert found is not None
     assert found.reason == "too_few"

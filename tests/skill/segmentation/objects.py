@@ -21,7 +21,9 @@ OBJECT_RGB = (60, 130, 200)
 OTHER_RGB = (200, 60, 60)
 
 
-def segmented(segmenter: Segmenter, image: NDArray[np.uint8], prompt: Prompt, **options: Any) -> Segmentation:
+def segmented(
+    segmenter: Segmenter, image: NDArray[np.uint8], prompt: Prompt, **options: Any
+) -> Segmentation:
     with open_raster(image) as raster:
         return segmenter.segment(raster, prompt, **options)
 
@@ -29,7 +31,9 @@ def segmented(segmenter: Segmenter, image: NDArray[np.uint8], prompt: Prompt, **
 def full_mask(found: Segmentation, image: NDArray[np.uint8]) -> NDArray[np.bool_]:
     full = np.zeros(image.shape[:2], dtype=bool)
     window = found.window
-    full[window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px] = found.mask
+    full[
+        window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px
+    ] = found.mask
     return full
 
 

@@ -17,7 +17,14 @@ from tests.sam_models import (
     write_sam2,
     write_transformers,
 )
-from tests.skill.segmentation.objects import OBJECT_RGB, OTHER_RGB, full_mask, is_rectangle, picture, segmented
+from tests.skill.segmentation.objects import (
+    OBJECT_RGB,
+    OTHER_RGB,
+    full_mask,
+    is_rectangle,
+    picture,
+    segmented,
+)
 from vehanchor.errors import ModelContractError, PromptError
 from vehanchor.imagery.raster import Window
 from vehanchor.models.runtime import Runtime
@@ -34,7 +41,8 @@ if TYPE_CHECKING:
 
 
 WRITERS: dict[str, Callable[[Path], SamFiles]] = {
-    "sam, preprocessing in the graph": lambda folder: write_sam(folder, masks=[OBJECT, EMPTY, OBJECT, FULL],
+    "sam, preprocessing in the "
+        "graph": lambda folder: write_sam(folder, masks=[OBJECT, EMPTY, OBJECT, FULL],
                                                                 scores=[0.9, 0.2, 0.8, 0.1]),
     "sam, without preprocessing": lambda folder: write_sam(folder, preprocess=False),
     "sam, without low_res_masks": lambda folder: write_sam(folder, low_res=False),
@@ -51,12 +59,15 @@ WRITERS: dict[str, Callable[[Path], SamFiles]] = {
 
 
 @pytest.fixture(scope="module", params=WRITERS)
-def segmenter(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Segmenter:
+def segmenter(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Segmenter:
     """One of every contract."""
     return Segmenter(*WRITERS[request.param](tmp_path_factory.mktemp("sam")))
 
 
-# The crop is 256 px: at its upper left corner in the image's, within it, pushed back by the far edges. The object's
+# The crop is 256 px: at its upper left corner in the image's, within it, pushed back by the far
+# edges. The object's
 # sides lie on cells of every model's grid, 8 px of the crop, 16 px for SAM 3's.
 @pytest.mark.parametrize(
     ("window", "rectangle"),
@@ -81,7 +92,8 @@ def test_a_box_gives_the_exact_pixels_of_the_object_in_it(
 @pytest.mark.parametrize(
     "box",
     [
-        (300.9, 150.1, 371.1, 190.9),  # sides close before or behind pixel centres: half a pixel either way shows
+        # sides close before or behind pixel centres: half a pixel either way shows
+        (300.9, 150.1, 371.1, 190.9),
         (300.1, 150.9, 371.9, 190.1),
         (10.9, 5.1, 40.1, 90.9),
         (700.4, 500.6, 780.6, 580.4),  # the crop is pushed back by the far edges
@@ -97,7 +109,9 @@ def test_the_sides_of_a_box_are_read_to_a_fraction_of_a_pixel(
     assert found.bounding_box == tuple(int(np.ceil(side - 0.5)) for side in box)
 
 
-def test_images_smaller_than_the_crop_are_seen_whole_whatever_their_shape(segmenter: Segmenter) -> None:
+def test_images_smaller_than_the_crop_are_seen_whole_whatever_their_shape(
+    segmenter: Segmenter,
+) -> None:
     for width, height in ((192, 96), (96, 192), (224, 224)):
         image = np.full((height, width, 3), OBJECT_RGB, np.uint8)
         box = (20.9, 12.1, 60.1, 80.9)
@@ -123,12 +137,16 @@ def test_a_negative_point_takes_away_what_looks_like_it(segmenter: Segmenter) ->
         return
     image[:, 256:] = OTHER_RGB
     image[:, 224:256] = (130, 95, 130)
-    found = segmented(segmenter, image, Prompt(points=((100.0, 300.0, True), (240.0, 300.0, False))))
+    found = segmented(
+        segmenter, image, Prompt(points=((100.0, 300.0, True), (240.0, 300.0, False)))
+    )
     assert found.mask[:, :224].all()
     assert not found.mask[:, 224:].any()
 
 
-def test_the_same_prompt_gives_the_same_mask_again_and_with_any_number_of_threads(segmenter: Segmenter) -> None:
+def test_the_same_prompt_gives_the_same_mask_again_and_with_any_number_of_threads(
+    segmenter: Segmenter,
+) -> None:
     image = picture(600, 400, (133, 171, 181, 267))
     prompt = Prompt(box=(120.0, 160.0, 190.0, 280.0))
     first = segmented(segmenter, image, prompt)
@@ -138,7 +156,9 @@ def test_the_same_prompt_gives_the_same_mask_again_and_with_any_number_of_thread
         assert other.score == first.score
 
 
-def test_the_encoder_sees_colours_as_its_contract_says(segmenter: Segmenter, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_encoder_sees_colours_as_its_contract_says(
+    segmenter: Segmenter, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fed: list[NDArray[np.float32]] = []
     original = SamContract._run
 
@@ -147,7 +167,11 @@ def test_the_encoder_sees_colours_as_its_contract_says(segmenter: Segmenter, mon
         return original(self, session, feeds)
 
     monkeypatch.setattr(SamContract, "_run", spy)
-    segmented(segmenter, np.full((300, 300, 3), OBJECT_RGB, np.uint8), Prompt(box=(100.0, 100.0, 150.0, 150.0)))
+    segmented(
+        segmenter,
+        np.full((300, 300, 3), OBJECT_RGB, np.uint8),
+        Prompt(box=(100.0, 100.0, 150.0, 150.0)),
+    )
     rgb, contract = np.array(OBJECT_RGB, dtype=np.float64), segmenter.card.contract
     imagenet = (rgb / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
     half = (rgb / 255 - 0.5) / 0.5
@@ -162,10 +186,14 @@ def test_the_encoder_sees_colours_as_its_contract_says(segmenter: Segmenter, mon
 
 
 def test_a_box_takes_the_single_mask_and_a_point_the_best_of_the_others(tmp_path: Path) -> None:
-    four = Segmenter(*write_sam(tmp_path, masks=[OBJECT, EMPTY, OBJECT, FULL], scores=[0.95, 0.7, 0.9, 0.8]))
+    four = Segmenter(
+        *write_sam(tmp_path, masks=[OBJECT, EMPTY, OBJECT, FULL], scores=[0.95, 0.7, 0.9, 0.8])
+    )
     image = picture(512, 512, (224, 64, 352, 128))
     on, off = (248.0, 100.0, True), (10.0, 500.0, False)
-    assert segmented(four, image, Prompt(box=(220.0, 60.0, 360.0, 130.0))).score == pytest.approx(0.95)
+    assert segmented(four, image, Prompt(box=(220.0, 60.0, 360.0, 130.0))).score == pytest.approx(
+        0.95
+    )
     assert segmented(four, image, Prompt(points=(on,))).score == pytest.approx(0.9)
     assert segmented(four, image, Prompt(points=(on, off))).score == pytest.approx(0.95)
 
@@ -182,7 +210,12 @@ def test_without_a_single_mask_the_one_with_the_best_score_is_taken(tmp_path: Pa
 @pytest.mark.parametrize(("score", "told"), [(1.3, 1.0), (-0.2, 0.0), (float("nan"), 0.0)])
 def test_scores_stay_within_0_and_1(tmp_path: Path, score: float, told: float) -> None:
     odd = Segmenter(*write_sam(tmp_path, scores=[score]))
-    assert segmented(odd, picture(300, 300, (100, 100, 150, 150)), Prompt(box=(95.0, 95.0, 155.0, 155.0))).score == told
+    assert (
+        segmented(
+            odd, picture(300, 300, (100, 100, 150, 150)), Prompt(box=(95.0, 95.0, 155.0, 155.0))
+        ).score
+        == told
+    )
 
 
 def test_a_size_that_no_shape_tells_must_be_in_the_metadata(tmp_path: Path) -> None:
@@ -191,7 +224,9 @@ def test_a_size_that_no_shape_tells_must_be_in_the_metadata(tmp_path: Path) -> N
 
 
 def test_a_model_that_does_not_keep_its_own_shapes_is_a_contract_error(tmp_path: Path) -> None:
-    encoder, _ = write_sam(tmp_path, embedding_stride=4, metadata={"vehanchor.input_size_px": "128"})
+    encoder, _ = write_sam(
+        tmp_path, embedding_stride=4, metadata={"vehanchor.input_size_px": "128"}
+    )
     (tmp_path / "other").mkdir()
     _, decoder = write_sam(tmp_path / "other")
     broken = Segmenter(encoder, decoder)
@@ -217,7 +252,9 @@ def test_half_precision_models_are_fed_in_their_own_type(tmp_path: Path) -> None
     assert found.bounding_box == (301, 150, 371, 191)
 
 
-def test_every_contract_has_a_name_and_inputs_of_its_own_and_is_told_to_whoever_brings_another(tmp_path: Path) -> None:
+def test_every_contract_has_a_name_and_inputs_of_its_own_and_is_told_to_whoever_brings_another(
+    tmp_path: Path,
+) -> None:
     assert len({kind.name for kind in CONTRACTS}) == len(CONTRACTS)
     assert len({(kind.encoder_inputs, kind.decoder_inputs) for kind in CONTRACTS}) == len(CONTRACTS)
     other = write_other_model(tmp_path / "classifier.onnx")
@@ -229,7 +266,9 @@ def test_every_contract_has_a_name_and_inputs_of_its_own_and_is_told_to_whoever_
 def test_a_decoder_that_asks_for_what_nobody_can_give_keeps_no_contract(tmp_path: Path) -> None:
     encoder, decoder = write_sam(tmp_path)
     model = onnx.load(str(decoder))
-    model.graph.input.append(onnx.helper.make_tensor_value_info("text_prompt", onnx.TensorProto.FLOAT, [1]))
+    model.graph.input.append(
+        onnx.helper.make_tensor_value_info("text_prompt", onnx.TensorProto.FLOAT, [1])
+    )
     onnx.save(model, str(decoder))
     with pytest.raises(ModelContractError, match="text_prompt"):
         Segmenter(encoder, decoder)

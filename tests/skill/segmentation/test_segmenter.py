@@ -42,7 +42,13 @@ def test_what_is_no_segmenter_is_refused_with_what_was_found(tmp_path: Path) -> 
     encoder2, decoder2 = write_sam2(tmp_path / "two")
     other = write_other_model(tmp_path / "classifier.onnx")
     detector = write_detector(tmp_path / "detector.onnx")
-    for pair in ((encoder, decoder2), (encoder2, decoder), (other, decoder), (detector, detector), (encoder, encoder)):
+    for pair in (
+        (encoder, decoder2),
+        (encoder2, decoder),
+        (other, decoder),
+        (detector, detector),
+        (encoder, encoder),
+    ):
         with pytest.raises(ModelContractError, match="decoder in: ") as caught:
             Segmenter(*pair)
         assert caught.value.code == "model_contract"
@@ -63,7 +69,12 @@ def test_the_files_say_how_much_to_trust_them(tmp_path: Path) -> None:
         "vehanchor.mask_area_log_sd": "0.05",
     }  # fmt: skip
     card = Segmenter(*write_sam(tmp_path, metadata=metadata)).card
-    assert (card.name, card.licence, card.min_score, card.mask_area_log_sd) == ("small", "Apache-2.0", 0.6, 0.05)
+    assert (card.name, card.licence, card.min_score, card.mask_area_log_sd) == (
+        "small",
+        "Apache-2.0",
+        0.6,
+        0.05,
+    )
     with pytest.raises(ModelContractError, match="mask_area_log_sd"):
         Segmenter(*write_sam(tmp_path, metadata={"vehanchor.mask_area_log_sd": "wide"}))
 
@@ -104,7 +115,9 @@ def test_what_names_nothing_in_any_image_is_refused(box: Any, points: Any, messa
 
 
 def test_a_box_that_rounding_took_over_the_edge_is_pulled_in() -> None:
-    assert prompt_in_image(Prompt(box=(-0.9, -0.5, 60.9, 40.3)), WHOLE, 60, 40) == Prompt(box=(0.0, 0.0, 60.0, 40.0))
+    assert prompt_in_image(Prompt(box=(-0.9, -0.5, 60.9, 40.3)), WHOLE, 60, 40) == Prompt(
+        box=(0.0, 0.0, 60.0, 40.0)
+    )
     framed = prompt_in_image(Prompt(box=(-0.9, 0.0, 30.9, 20.0)), Frame(FrameSize(30, 20)), 60, 40)
     assert framed == Prompt(box=(0.0, 0.0, 60.0, 40.0))
 
@@ -112,7 +125,11 @@ def test_a_box_that_rounding_took_over_the_edge_is_pulled_in() -> None:
 @pytest.mark.parametrize(
     ("prompt", "frame", "message"),
     [
-        (Prompt(box=(-1.0, 0.0, 30.0, 30.0)), WHOLE, "box -1, 0, 30, 30 is not inside the 60 x 40 px image"),
+        (
+            Prompt(box=(-1.0, 0.0, 30.0, 30.0)),
+            WHOLE,
+            "box -1, 0, 30, 30 is not inside the 60 x 40 px image",
+        ),
         (Prompt(box=(0.0, 0.0, 61.0, 30.0)), WHOLE, "60 x 40 px image"),
         (Prompt(box=(0.0, 0.0, 32.0, 10.0)), Frame(FrameSize(30, 20)), "30 x 20 px frame"),
         (Prompt(box=(3.0, 3.0, 4.9, 30.0)), WHOLE, f"at least {MIN_BOX_PX:g} px a side"),
@@ -121,7 +138,9 @@ def test_a_box_that_rounding_took_over_the_edge_is_pulled_in() -> None:
         (Prompt(points=((-0.1, 5.0, True),)), WHOLE, "point -0.1, 5 is not inside"),
     ],
 )
-def test_what_names_nothing_in_this_image_is_refused(prompt: Prompt, frame: Frame, message: str) -> None:
+def test_what_names_nothing_in_this_image_is_refused(
+    prompt: Prompt, frame: Frame, message: str
+) -> None:
     with pytest.raises(PromptError, match=message):
         prompt_in_image(prompt, frame, 60, 40)
 
@@ -148,7 +167,9 @@ def test_the_crop_of_a_point_grows_until_the_object_is_in_it(segmenter: Segmente
     assert found.alternatives == ()
     assert found.bounding_box == pytest.approx((1000, 1100, 2200, 1612), abs=40)
     everything = segmented(
-        segmenter, np.full((1300, 1300, 3), OBJECT_RGB, np.uint8), Prompt(points=((450.0, 650.0, True),))
+        segmenter,
+        np.full((1300, 1300, 3), OBJECT_RGB, np.uint8),
+        Prompt(points=((450.0, 650.0, True),)),
     )
     assert everything.window == Window(0, 0, 1300, 1300)
     assert everything.mask.all()
@@ -163,7 +184,8 @@ def test_a_large_crop_is_read_in_strips_and_no_larger_than_the_limits(segmenter:
 
 
 def test_a_point_gives_the_object_and_what_else_it_may_mean(tmp_path: Path) -> None:
-    sam = Segmenter(*write_sam(tmp_path))  # it takes all that looks alike: in a large crop both objects
+    # it takes all that looks alike: in a large crop both objects
+    sam = Segmenter(*write_sam(tmp_path))
     image = blank_image(800, 800)
     image[376:424, 376:424] = image[376:424, 504:552] = OBJECT_RGB
     seen = segmented(sam, image, Prompt(points=((392.0, 392.0, True),)))

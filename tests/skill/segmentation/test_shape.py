@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def _rectangle(width: float, height: float, degrees: float = 0.0, side: int = 400) -> NDArray[np.bool_]:
+def _rectangle(
+    width: float, height: float, degrees: float = 0.0, side: int = 400
+) -> NDArray[np.bool_]:
     """The pixels whose centres are in a rectangle about the middle of the array."""
     y, x = np.mgrid[:side, :side] + 0.5 - side / 2 + [[[0.13]], [[0.29]]]
     along, across = np.deg2rad(degrees) + np.array([0, np.pi / 2])
@@ -37,14 +39,18 @@ def _disc(radius: float, x: float = 0.0, y: float = 0.0, side: int = 400) -> NDA
     return np.asarray((columns - x) ** 2 + (rows - y) ** 2 <= radius**2)
 
 
-def _upright(x1: int, y1: int, x2: int, y2: int, width: int = 80, height: int = 60) -> NDArray[np.bool_]:
+def _upright(
+    x1: int, y1: int, x2: int, y2: int, width: int = 80, height: int = 60
+) -> NDArray[np.bool_]:
     mask = np.zeros((height, width), dtype=bool)
     mask[y1:y2, x1:x2] = True
     return mask
 
 
 _masks = st.integers(0, 10**6).map(
-    lambda seed: cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(24, 31)), (0, 0), 1.5) > 0.02
+    lambda seed: (
+        cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(24, 31)), (0, 0), 1.5) > 0.02
+    )
 )
 
 
@@ -77,7 +83,9 @@ def test_pieces_hang_together_by_corners_and_add_up(mask: NDArray[np.bool_]) -> 
 
 
 @pytest.mark.parametrize("corners", [(20, 10, 60, 30), (0, 0, 80, 60), (5, 5, 6, 6), (3, 4, 50, 5)])
-def test_the_perimeter_of_an_upright_rectangle_is_exact_also_at_the_edge(corners: tuple[int, int, int, int]) -> None:
+def test_the_perimeter_of_an_upright_rectangle_is_exact_also_at_the_edge(
+    corners: tuple[int, int, int, int],
+) -> None:
     x1, y1, x2, y2 = corners
     assert perimeter(_upright(*corners)) == pytest.approx(2 * (x2 - x1 + y2 - y1))
 
@@ -88,7 +96,9 @@ def test_holes_count_towards_the_perimeter() -> None:
     assert perimeter(mask) == pytest.approx(120 + 30)
 
 
-@pytest.mark.parametrize(("radius", "tolerance"), [(8.0, 0.05), (15.0, 0.03), (50.0, 0.01), (150.0, 0.01)])
+@pytest.mark.parametrize(
+    ("radius", "tolerance"), [(8.0, 0.05), (15.0, 0.03), (50.0, 0.01), (150.0, 0.01)]
+)
 def test_the_perimeter_of_a_disc(radius: float, tolerance: float) -> None:
     assert perimeter(_disc(radius, 0.3, 0.1)) == pytest.approx(2 * np.pi * radius, rel=tolerance)
 
@@ -96,7 +106,9 @@ def test_the_perimeter_of_a_disc(radius: float, tolerance: float) -> None:
 # --- rotated rectangle
 
 
-@pytest.mark.parametrize("size", [(40, 20), (20, 40), (3, 3), (1, 1), (1, 7), (7, 1), (2, 2), (80, 60)])
+@pytest.mark.parametrize(
+    "size", [(40, 20), (20, 40), (3, 3), (1, 1), (1, 7), (7, 1), (2, 2), (80, 60)]
+)
 def test_the_extents_of_an_upright_rectangle_are_exact(size: tuple[int, int]) -> None:
     assert rotated_extents(_upright(0, 0, *size)) == pytest.approx((max(size), min(size)))
 
@@ -127,7 +139,9 @@ def test_the_inscribed_circle_is_that_of_the_exact_distance(mask: NDArray[np.boo
     distance = _square_distance(mask)
     assert circle.diameter == pytest.approx(distance.max(), rel=1e-5)
     # and it really fits there
-    assert distance[round(2 * circle.y) + 2, round(2 * circle.x) + 2] == pytest.approx(circle.diameter, rel=1e-5)
+    assert distance[round(2 * circle.y) + 2, round(2 * circle.x) + 2] == pytest.approx(
+        circle.diameter, rel=1e-5
+    )
 
 
 def test_a_huge_mask_misses_a_pixel_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -194,7 +208,9 @@ def test_an_empty_mask_has_no_shape() -> None:
     assert len(mask_pieces(empty)) == 0
 
 
-def test_the_first_of_equal_circles_is_taken_wherever_the_mask_lies_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_of_equal_circles_is_taken_wherever_the_mask_lies_in_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     mask = np.ones((9, 40), dtype=np.bool_)
     first = inscribed_circle(mask)
     original = cv2.distanceTransform

@@ -23,7 +23,9 @@ from vehanchor_flight.pooling import pool
 
 WIDTH, HEIGHT, FOCAL, CAR_M, GSD = 3000, 2000, 2400.0, 5.0, 0.05
 CAR_WIDTH_M = CAR_M / 2.21  # as detectors draw it
-CAMERA = CameraMetadata(focal_px=FOCAL, taken_width_px=WIDTH, taken_height_px=HEIGHT, off_nadir_deg=35.0)
+CAMERA = CameraMetadata(
+    focal_px=FOCAL, taken_width_px=WIDTH, taken_height_px=HEIGHT, off_nadir_deg=35.0
+)
 FACTS = ImageFacts(WIDTH, HEIGHT, camera=CAMERA)
 
 
@@ -33,11 +35,17 @@ def _cars(tilt: CameraTilt, n: int = 60) -> Detections:
     plane = tilt.plane(FACTS, GSD)
     boxes = []
     for _ in range(n):
-        x, y, heading = rng.uniform(200, WIDTH - 200), rng.uniform(200, HEIGHT - 200), rng.uniform(0, np.pi)
+        x, y, heading = (
+            rng.uniform(200, WIDTH - 200),
+            rng.uniform(200, HEIGHT - 200),
+            rng.uniform(0, np.pi),
+        )
         along = np.array([np.cos(heading), np.sin(heading)])
         across = np.array([-along[1], along[0]])
         here = [(x, y), (x, y)]
-        metres = plane.length(here - np.array([along, across]) / 2, here + np.array([along, across]) / 2)
+        metres = plane.length(
+            here - np.array([along, across]) / 2, here + np.array([along, across]) / 2
+        )
         boxes.append((x, y, CAR_M / metres[0], CAR_WIDTH_M / metres[1], heading))
     return Detections(np.array(boxes), np.full(n, 0.8))
 
@@ -56,7 +64,9 @@ def test_boxes_of_the_proportions_of_a_car_seen_from_above_are_of_one_length_on_
     step = tilt.plane(FACTS, GSD).length([middle, middle], middle + np.eye(2))
     across = [WIDTH / 2, HEIGHT / 2, 0.89 * CAR_M / step[0], 1.25 * CAR_WIDTH_M / step[1], 0.0]
     away = [WIDTH / 2, HEIGHT / 2, 1.05 * CAR_M / step[1], 0.88 * CAR_WIDTH_M / step[0], np.pi / 2]
-    lengths = rectified(Detections(np.array([across, away]), np.ones(2)), tilt.plane(FACTS)).boxes[:, 2]
+    lengths = rectified(Detections(np.array([across, away]), np.ones(2)), tilt.plane(FACTS)).boxes[
+        :, 2
+    ]
     assert lengths == pytest.approx([CAR_M / GSD] * 2, rel=0.04)
 
 
@@ -73,9 +83,16 @@ def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
     assert estimate.tilt.tilt_ci95_low_deg < 35 < estimate.tilt.tilt_ci95_high_deg
     assert estimate.tilt.gsd_least_m_per_px is not None
     assert estimate.tilt.gsd_largest_m_per_px is not None
-    assert estimate.tilt.gsd_least_m_per_px < estimate.gsd_m_per_px < estimate.tilt.gsd_largest_m_per_px
-    assert np.array_equal(analysis.detections.boxes, view.detections.boxes)  # for pictures, as they are
-    ignored = analyse_view(with_tilt(replace(view, options=ScaleOptions.of({"metadata": False})))).estimate
+    assert (
+        estimate.tilt.gsd_least_m_per_px
+        < estimate.gsd_m_per_px
+        < estimate.tilt.gsd_largest_m_per_px
+    )
+    # for pictures, as they are
+    assert np.array_equal(analysis.detections.boxes, view.detections.boxes)
+    ignored = analyse_view(
+        with_tilt(replace(view, options=ScaleOptions.of({"metadata": False})))
+    ).estimate
     assert ignored.tilt is None
 
 
@@ -85,7 +102,9 @@ def _cars_and_parts() -> tuple[View, GroundPlane]:
     cars, parts = _cars(tilt, n=20).boxes, _cars(tilt, n=40).boxes * [1, 1, 0.5, 0.5, 1]
     boxes = np.concatenate([cars, parts])
     seen = Detections(boxes, np.full(len(boxes), 0.8), scales=np.ones(len(boxes)))
-    return View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0), tilt.plane(FACTS, GSD)
+    return View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0), tilt.plane(
+        FACTS, GSD
+    )
 
 
 def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
@@ -96,7 +115,10 @@ def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
     with_height = analyse_view(with_tilt(said))
     assert with_height.estimate.n_vehicles == pytest.approx(20, abs=4)
     assert with_height.estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
-    assert {each.kind for each in with_height.estimate.rulers if each.p_right > 0.5} == {"vehicles", "camera"}
+    assert {each.kind for each in with_height.estimate.rulers if each.p_right > 0.5} == {
+        "vehicles",
+        "camera",
+    }
 
 
 def test_so_it_does_in_photographs_of_one_scale_put_together() -> None:
@@ -104,7 +126,9 @@ def test_so_it_does_in_photographs_of_one_scale_put_together() -> None:
     image = FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m))
     tilt = metadata_tilt(image, view.options)
     seen = [
-        Photograph.of(name, StoredPhotograph(image, view.detections, 1.0, tilt=tilt), view.card, view.options)
+        Photograph.of(
+            name, StoredPhotograph(image, view.detections, 1.0, tilt=tilt), view.card, view.options
+        )
         for name in ("a", "b")
     ]
     together = pool(seen, np.zeros(2), 0).estimate
@@ -129,7 +153,9 @@ def test_of_a_crop_of_such_a_picture_a_warning_says_so() -> None:
     cars = _cars(CameraTilt(35.0, 0.0, FOCAL, "metadata"))
 
     def codes(camera: CameraMetadata) -> list[str]:
-        view = View(FACTS._replace(camera=camera), cars, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
+        view = View(
+            FACTS._replace(camera=camera), cars, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0
+        )
         return [each.code for each in analyse_view(with_tilt(view)).estimate.warnings]
 
     crop = replace(CAMERA, taken_width_px=4000)
@@ -142,7 +168,8 @@ def test_a_focal_length_that_nobody_tells_is_that_of_most_drones_and_the_source_
     assert tilt is not None
     assert tilt.source == "metadata; focal length unknown"
     told = metadata_tilt(
-        FACTS._replace(camera=replace(CAMERA, focal_px=None)), ScaleOptions.of({"focal_35mm": 26, "height_m": 90})
+        FACTS._replace(camera=replace(CAMERA, focal_px=None)),
+        ScaleOptions.of({"focal_35mm": 26, "height_m": 90}),
     )
     assert told is not None
     assert told.source == "metadata"
@@ -154,7 +181,8 @@ def test_a_horizon_in_sight_is_refused() -> None:
         metadata_tilt(FACTS._replace(camera=replace(CAMERA, off_nadir_deg=70.0)), ScaleOptions())
 
 
-# --- Rulers along the tilt -------------------------------------------------------------------------------------------
+# --- Rulers along the tilt
+# -------------------------------------------------------------------------------------------
 
 HIGH, LOW = replace(CAMERA, off_nadir_deg=30.0, height_m=60.0), replace(CAMERA, off_nadir_deg=30.0)
 
@@ -162,7 +190,9 @@ HIGH, LOW = replace(CAMERA, off_nadir_deg=30.0, height_m=60.0), replace(CAMERA, 
 def _view(camera: CameraMetadata, **options: object) -> View:
     """A view without cars."""
     facts = FACTS._replace(camera=camera)
-    return with_tilt(View(facts, NOT_SEARCHED, made_card(), ScaleOptions.of(options), lambda *_: 1.0))
+    return with_tilt(
+        View(facts, NOT_SEARCHED, made_card(), ScaleOptions.of(options), lambda *_: 1.0)
+    )
 
 
 def test_the_height_of_the_camera_is_measured_along_the_tilt() -> None:
@@ -176,7 +206,8 @@ def test_the_height_of_the_camera_is_measured_along_the_tilt() -> None:
 
 def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
     plane = GroundPlane(GSD, 35.0, FOCAL, WIDTH, HEIGHT, 5.0)
-    ends = (100.0, HEIGHT - 60.0), (700.0, HEIGHT - 160.0)  # near the camera: a third of the centre's metres a pixel
+    # near the camera: a third of the centre's metres a pixel
+    ends = (100.0, HEIGHT - 60.0), (700.0, HEIGHT - 160.0)
     metres = float(plane.length([ends[0]], [ends[1]])[0])
     said = {"known_lengths": [(*ends[0], *ends[1], metres)], "height_m": plane.height_m}
     view = _view(LOW, **said).at_nadir()
@@ -192,7 +223,8 @@ def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
         assert moved.said is not None
         assert moved.said.endswith("This is the scale of the image's centre.")
     record = analyse_view(_view(LOW, **said)).estimate
-    assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.1)  # the metadata have 30 degrees, and no roll
+    # the metadata have 30 degrees, and no roll
+    assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.1)
     assert [ruler.p_right > 0.5 for ruler in record.rulers] == [True, True]
 
 

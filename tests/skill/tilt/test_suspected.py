@@ -23,14 +23,18 @@ WIDTH, HEIGHT = 1000, 750
 FOCAL_PX = equivalent_lens(WIDTH, HEIGHT, 26.0).pixels
 
 
-def _cars(tilt_deg: float, *, n: int = 60, roll_deg: float = 0.0, seed: int = 0, lorries: int = 0) -> Detections:
+def _cars(
+    tilt_deg: float, *, n: int = 60, roll_deg: float = 0.0, seed: int = 0, lorries: int = 0
+) -> Detections:
     """Cars of one fleet all over the image, as a tilted camera sees them."""
     rng = np.random.default_rng(seed)
     plane = GroundPlane(0.08, tilt_deg, FOCAL_PX, WIDTH, HEIGHT, roll_deg)
     places = rng.uniform((60, 60), (WIDTH - 60, HEIGHT - 60), (n, 2))
     sizes = np.exp(rng.normal(0, 0.08, n)) / plane.gsd_at(places)
     sizes[:lorries] *= 2.5
-    boxes = np.column_stack([places, 4.5 * sizes, 1.8 * sizes * np.exp(rng.normal(0, 0.1, n)), rng.uniform(0, 3, n)])
+    boxes = np.column_stack(
+        [places, 4.5 * sizes, 1.8 * sizes * np.exp(rng.normal(0, 0.1, n)), rng.uniform(0, 3, n)]
+    )
     return Detections(boxes, np.full(n, 0.9))
 
 
@@ -56,13 +60,21 @@ def test_a_lorry_park_on_one_side_is_no_tilt() -> None:
     assert _suspected(Detections(boxes, detections.scores)) is None
 
 
-@pytest.mark.parametrize("detections", [_cars(30.0, n=LEAST_CARS - 1), Detections(np.zeros((0, 5)), np.zeros(0))])
+@pytest.mark.parametrize(
+    "detections", [_cars(30.0, n=LEAST_CARS - 1), Detections(np.zeros((0, 5)), np.zeros(0))]
+)
 def test_few_cars_tell_nothing(detections: Detections) -> None:
     assert _suspected(detections) is None
 
 
 def _view(detections: Detections, **image: Any) -> View:
-    return View(ImageFacts(WIDTH, HEIGHT, **image), detections, made_card(4.6), ScaleOptions(), lambda *_: 1.0)
+    return View(
+        ImageFacts(WIDTH, HEIGHT, **image),
+        detections,
+        made_card(4.6),
+        ScaleOptions(),
+        lambda *_: 1.0,
+    )
 
 
 def _codes(record: GsdEstimate) -> list[str]:
@@ -82,6 +94,9 @@ def test_an_unknown_tilt_is_a_warning_unless_the_file_knows_it() -> None:
 def test_pooled_photographs_do_not_repeat_the_doubt() -> None:
     views = [_view(_cars(35.0, seed=seed)) for seed in range(2)]
     stored = [StoredPhotograph(view.image, view.detections, 1.0, ()) for view in views]
-    seen = [Photograph.of("a", kept, view.card, view.options) for kept, view in zip(stored, views, strict=True)]
+    seen = [
+        Photograph.of("a", kept, view.card, view.options)
+        for kept, view in zip(stored, views, strict=True)
+    ]
     assert all("tilt_suspected" in _codes(each.analysis.estimate) for each in seen)
     assert "tilt_suspected" not in _codes(pool(seen, np.zeros(2), 0).estimate)

@@ -60,7 +60,8 @@ def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[B
                 yield future.result()
     except BrokenProcessPool:
         raise WorkerDiedError(
-            f"a worker process died, usually for lack of memory: each of {workers} held a model and an image. Finished "
+            f"a worker process died, usually for lack of memory: each of {workers} held a model "
+            "and an image. Finished "
             "rows are kept; run the same command again with fewer --workers"
         ) from None
     finally:

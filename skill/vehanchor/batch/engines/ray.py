@@ -33,7 +33,9 @@ def require_ray() -> Any:
         import ray
         import ray.data
     except ImportError:
-        raise MissingExtraError("--engine ray needs Ray: pip install 'vehanchor[ray]', or use --engine local") from None
+        raise MissingExtraError(
+            "--engine ray needs Ray: pip install 'vehanchor[ray]', or use --engine local"
+        ) from None
     return ray
 
 
@@ -46,18 +48,24 @@ class _Actor:
     def __call__(self, batch: dict[str, Any], job: BatchJob) -> dict[str, Any]:
         if self._worker is None:  # not in __init__: Ray warns of constructors with arguments
             self._worker = Worker.of_own_process(job)
-        tasks = [Task(str(file), str(path)) for file, path in zip(batch["file"], batch["path"], strict=True)]
+        tasks = [
+            Task(str(file), str(path))
+            for file, path in zip(batch["file"], batch["path"], strict=True)
+        ]
         return {"row": [self._worker.row(task).model_dump_json() for task in tasks]}
 
 
-def ray_rows(job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None) -> Iterator[BatchRow]:
+def ray_rows(
+    job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
+) -> Iterator[BatchRow]:
     """Make the rows of all tasks in order of completion.
 
     Args:
         job: settings of the workers; all machines need the same vehanchor and the same image paths.
         tasks: the images.
         workers: number of actors; None for one per CPU of the cluster.
-        address: address of the cluster (``auto``, ``host:6379``, ``ray://host:10001``); None starts a local Ray.
+        address: address of the cluster (``auto``, ``host:6379``, ``ray://host:10001``); None starts
+            a local Ray.
 
     Yields:
         A row for each task, in order of completion.
@@ -86,9 +94,12 @@ def ray_rows(job: BatchJob, tasks: Sequence[Task], workers: int | None, address:
             for item in dataset.iter_rows():
                 yield BatchRow.model_validate_json(item["row"])
         except ray.exceptions.RayError as error:
-            reason = str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
+            reason = (
+                str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
+            )
             raise WorkerDiedError(
-                f"Ray ended the run ({reason}). Finished rows are kept; run the same command again to resume"
+                f"Ray ended the run ({reason}). Finished rows are kept; run the same command "
+                "again to resume"
             ) from None
 
 
@@ -122,7 +133,8 @@ def _cluster(ray: Any, address: str | None) -> Iterator[None]:
     except (OSError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InvalidParameterError(
-            f"no Ray cluster at {address!r} ({reason}): start one with 'ray start --head', or leave --address out"
+            f"no Ray cluster at {address!r} ({reason}): start one with 'ray start --head', or "
+            "leave --address out"
         ) from None
     try:
         yield

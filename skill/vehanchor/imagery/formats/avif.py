@@ -1,7 +1,7 @@
 """Header of an AVIF: its boxes, and the sequence headers of the AV1 images in them.
 
-Both declare sizes: the container's is displayed, AV1's is allocated by the decoder. The limits apply to the larger, so
-a small container cannot hide a huge image.
+Both declare sizes: the container's is displayed, AV1's is allocated by the decoder. The limits
+apply to the larger, so a small container cannot hide a huge image.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ _HIGH_BIT_DEPTH = 0x40  # bit of the third byte of "av1C"
 _DECODING_BYTES = {(False, False): 19, (False, True): 34, (True, False): 25, (True, True): 44}
 """Bytes per pixel by (more than 8 bits, alpha), measured in tests/bombs.py."""
 
-_EXIF_ORIENTATION = {  # (quarter turns anticlockwise, mirror: None, 0 up-down, 1 left-right); the turn comes first
+# (quarter turns anticlockwise, mirror: None, 0 up-down, 1 left-right); the turn comes first
+_EXIF_ORIENTATION = {
     (0, None): 1,
     (0, 1): 2,
     (2, None): 3,
@@ -60,7 +61,9 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
     if meta.kind == b"moov":
         raise ImageDecodeError("the AVIF is an animation; save one frame as PNG and send that")
     if meta.end - meta.start > _MAX_META_BYTES:
-        raise ImageTooLargeError(f"the AVIF's header is larger than {_MAX_META_BYTES} bytes; save it again")
+        raise ImageTooLargeError(
+            f"the AVIF's header is larger than {_MAX_META_BYTES} bytes; save it again"
+        )
     parts = {box.kind: box for box in boxes(read_at, meta.start + 4, meta.end)}
     if not {b"iprp", b"iloc"} <= set(parts):
         raise ImageDecodeError("the AVIF does not declare where its images are: damaged")
@@ -68,22 +71,31 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
     properties = [box for each in containers for box in boxes(read_at, each.start, each.end)]
 
     def values(kind: bytes, form: str, at: int = 0) -> set[tuple[int, ...]]:
-        found = (read_at(box.start + at, struct.calcsize(form)) for box in properties if box.kind == kind)
+        found = (
+            read_at(box.start + at, struct.calcsize(form)) for box in properties if box.kind == kind
+        )
         return {struct.unpack(form, each) for each in found}
 
     sizes, turns, mirrors = values(b"ispe", ">II", 4), values(b"irot", "B"), values(b"imir", "B")
     if not sizes or len(turns) > 1 or len(mirrors) > 1:
-        raise ImageDecodeError("the AVIF declares no size or several rotations: damaged or no photo; save it again")
+        raise ImageDecodeError(
+            "the AVIF declares no size or several rotations: damaged or no photo; save it again"
+        )
     width, height = max(sizes, key=math.prod)
-    turned = _EXIF_ORIENTATION[next((turn & 3 for (turn,) in turns), 0), next((axis & 1 for (axis,) in mirrors), None)]
+    turned = _EXIF_ORIENTATION[
+        next((turn & 3 for (turn,) in turns), 0), next((axis & 1 for (axis,) in mirrors), None)
+    ]
     deep = any(third & _HIGH_BIT_DEPTH for _, _, third in values(b"av1C", "3B"))
-    alpha = any(box.kind == b"auxC" for box in properties)  # of another image, which is alpha or a depth map
+    # of another image, which is alpha or a depth map
+    alpha = any(box.kind == b"auxC" for box in properties)
     decoded_px, complete = width * height, True
     for start, end in _items(read_at, parts):
         complete = complete and len(read_at(end - 1, 1)) == 1
         decoded_px = max(decoded_px, _largest_frame_px(read_at, start, end))
     decoding_bytes = _DECODING_BYTES[deep, alpha] * decoded_px
-    return ImageHeader("AVIF", width, height, orientation=turned, complete=complete, decoding_bytes=decoding_bytes)
+    return ImageHeader(
+        "AVIF", width, height, orientation=turned, complete=complete, decoding_bytes=decoding_bytes
+    )
 
 
 def _items(read_at: ReadAt, parts: dict[bytes, Box]) -> Iterator[tuple[int, int]]:
@@ -100,7 +112,9 @@ def _items(read_at: ReadAt, parts: dict[bytes, Box]) -> Iterator[tuple[int, int]
         bits(wide)  # number of the item
         method = bits(16) & 15 if version else 0
         if method > 1 or (method == 1 and idat is None):
-            raise ImageDecodeError("the AVIF stores an image within another, or nowhere; save it again")
+            raise ImageDecodeError(
+                "the AVIF stores an image within another, or nowhere; save it again"
+            )
         bits(16)
         start, n_pieces = bits(base_bits), bits(16)
         if n_pieces > 1:
@@ -110,7 +124,9 @@ def _items(read_at: ReadAt, parts: dict[bytes, Box]) -> Iterator[tuple[int, int]
             start += bits(offset_bits) + (idat.start if method == 1 and idat is not None else 0)
             length = bits(length_bits)
             if length == 0:
-                raise ImageDecodeError("the AVIF does not declare the length of an image; save it again")
+                raise ImageDecodeError(
+                    "the AVIF does not declare the length of an image; save it again"
+                )
             yield start, start + length
 
 

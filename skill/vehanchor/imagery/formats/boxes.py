@@ -23,7 +23,9 @@ def still_format(start: bytes) -> str | None:
     """Tell AVIF from HEIC by the brands in a file's first 32 bytes; None for any other file."""
     if start[4:8] != b"ftyp":
         return None
-    compatible = (start[at : at + 4] for at in range(16, min(int.from_bytes(start[:4]), len(start)), 4))
+    compatible = (
+        start[at : at + 4] for at in range(16, min(int.from_bytes(start[:4]), len(start)), 4)
+    )
     brands = compatible if start[8:12] in _ANY_STILL else (start[8:12],)
     return next((_STILL[brand] for brand in brands if brand in _STILL), None)
 

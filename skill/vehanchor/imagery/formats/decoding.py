@@ -21,7 +21,8 @@ _NO_MEMORY = -4  # cv::Error::StsNoMem
 def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
     """Decode an image to ``[h, w]`` or ``[h, w, 3 or 4]`` in BGR order, in its stored depth.
 
-    OpenCV applies the orientation tag of TIFFs even with IMREAD_UNCHANGED, but not that of other formats.
+    OpenCV applies the orientation tag of TIFFs even with IMREAD_UNCHANGED, but not that of other
+    formats.
 
     Args:
         data: the encoded image.
@@ -33,7 +34,9 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
         OutOfMemoryError: the machine has too little free memory.
     """
     if not header.complete:
-        raise ImageDecodeError(f"the {header.format} ({source}) is truncated: its end mark is missing")
+        raise ImageDecodeError(
+            f"the {header.format} ({source}) is truncated: its end mark is missing"
+        )
     if header.format == "PNG":
         data = without_ancillary_chunks(data)
     try:
@@ -41,8 +44,12 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
     except (cv2.error, MemoryError) as error:
         if isinstance(error, MemoryError) or error.code == _NO_MEMORY:
             size = f"{header.width_px} x {header.height_px} px"
-            raise OutOfMemoryError(f"not enough memory for the {header.format} of {size}: try again later") from error
-        raise ImageDecodeError(f"the {header.format} ({source}) cannot be decoded: {error.err}") from error
+            raise OutOfMemoryError(
+                f"not enough memory for the {header.format} of {size}: try again later"
+            ) from error
+        raise ImageDecodeError(
+            f"the {header.format} ({source}) cannot be decoded: {error.err}"
+        ) from error
     # Every OpenCV can return None; the type stubs of older versions omit it.
     if pixels is None or sorted(pixels.shape[:2]) != sorted((header.height_px, header.width_px)):
         unknown = f", or unknown to OpenCV {cv2.__version__}: pip install -U opencv-python-headless"
@@ -62,5 +69,7 @@ def decodes_tiff(layout: TiffLayout) -> bool:
         return bits in ({32}, {64}) and layout.photometric in (1, 2)
     white_is_zero = layout.photometric == 0 and bits in ({1}, {8})
     return (
-        layout.sample_format == 1 and bits in ({1}, {8}, {16}) and (white_is_zero or layout.photometric in (1, 2, 3, 6))
+        layout.sample_format == 1
+        and bits in ({1}, {8}, {16})
+        and (white_is_zero or layout.photometric in (1, 2, 3, 6))
     )

@@ -1,7 +1,7 @@
 """Headers of image files, read without decoding pixels.
 
-Limits must be checked before a decoder allocates memory. OpenCV does not report the orientation and, in some versions,
-not even a truncated JPEG. A TIFF's tags decide whether OpenCV can decode it.
+Limits must be checked before a decoder allocates memory. OpenCV does not report the orientation
+and, in some versions, not even a truncated JPEG. A TIFF's tags decide whether OpenCV can decode it.
 """
 
 from __future__ import annotations
@@ -53,14 +53,16 @@ _MAX_PNG_CHUNKS = 100_000  # 512 MiB in chunks of 8 KiB, as libpng writes them, 
 _WEBP_BYTES = 9  # two copies of four bands, and alpha (measured in tests/bombs.py)
 _TIFF_COLOURS = (3, 6)  # palette and YCbCr, which OpenCV decodes to three bands
 _TIFF_BLOCK_BYTES = 4  # OpenCV decodes a strip or tile of up to 8 bits to four bands
-_MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, is at the start; JPEG allows no more
+# the first directory, with the orientation, is at the start; JPEG allows no more
+_MAX_EXIF_BYTES = 1 << 16
 
 _TAG_WIDTH, _TAG_HEIGHT, _TAG_BITS, _TAG_PHOTOMETRIC = 256, 257, 258, 262
 _TAG_SUBFILE, _SUBFILE_REDUCED, _SUBFILE_MASK = 254, 1, 4
 _TAG_SAMPLES, _TAG_ROWS_PER_STRIP, _TAG_PLANAR, _TAG_SAMPLE_FORMAT = 277, 278, 284, 339
 _TAG_TILE_WIDTH, _TAG_TILE_HEIGHT, _TAG_EXTRA_SAMPLES = 322, 323, 338
 _TAG_FURTHER, _TAG_DNG_VERSION, _RAW_PHOTOMETRIC = 330, 50706, (32803, 34892)
-_GEO_TAGS = frozenset({33550, 34264, 34735})  # ModelPixelScale, ModelTransformation, GeoKeyDirectory
+# ModelPixelScale, ModelTransformation, GeoKeyDirectory
+_GEO_TAGS = frozenset({33550, 34264, 34735})
 _RAW_TAGS = frozenset({_TAG_DNG_VERSION})
 _TAGS_OF_BANDS = frozenset({_TAG_BITS, _TAG_SAMPLE_FORMAT})  # a value for each band
 _TAGS_OF_SOME = frozenset({_TAG_EXTRA_SAMPLES, _TAG_FURTHER, _TAG_SUBFILE})
@@ -83,7 +85,9 @@ def image_format(start: bytes) -> str | None:
     """Tell the format, as in ``IMAGE_FORMATS``, by a file's first 32 bytes; None for any other file."""
     if start[:4] == b"RIFF" and start[8:12] == b"WEBP":
         return "WebP"
-    return next((name for name, mark in _SIGNATURES.items() if start.startswith(mark)), None) or still_format(start)
+    return next(
+        (name for name, mark in _SIGNATURES.items() if start.startswith(mark)), None
+    ) or still_format(start)
 
 
 def read_header(read_at: ReadAt) -> ImageHeader:
@@ -94,10 +98,18 @@ def read_header(read_at: ReadAt) -> ImageHeader:
     """
     start = read_at(0, 32)
     name = image_format(start) or ""
-    readers = {"JPEG": read_jpeg, "PNG": _read_png, "TIFF": _read_tiff, "WebP": _read_webp, "BMP": _read_bmp}
+    readers = {
+        "JPEG": read_jpeg,
+        "PNG": _read_png,
+        "TIFF": _read_tiff,
+        "WebP": _read_webp,
+        "BMP": _read_bmp,
+    }
     read = {**readers, "AVIF": read_avif, "JPEG 2000": read_jpeg2000}.get(name)
     if read is None:
-        raise ImageDecodeError(f"not an image in one of the formats {', '.join(IMAGE_FORMATS)}: {_advice(start)}")
+        raise ImageDecodeError(
+            f"not an image in one of the formats {', '.join(IMAGE_FORMATS)}: {_advice(start)}"
+        )
     try:
         return read(read_at)
     except struct.error:
@@ -110,37 +122,60 @@ _ADVICE = (  # offset and first bytes of common unsupported formats, and what to
     (4, b"ftypmif1", "its images are neither AVIF nor HEIC; convert them to JPEG"),
     (4, b"ftyphe", "this is a HEIC sequence; save one image as JPEG and send that"),
     (4, b"ftypavis", "this is an animation; save one frame as PNG and send that"),
-    (4, b"ftypcrx", _RAW := "this is a camera's raw file; export the photograph as JPEG or TIFF in full size"),
+    (
+        4,
+        b"ftypcrx",
+        _RAW := "this is a camera's raw file; export the photograph as JPEG or TIFF in full size",
+    ),
     *((0, mark, _RAW) for mark in (b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"MMOR", b"IIU\0")),
-    (4, b"ftyp", _VIDEO := "this is a video; save a frame with 'ffmpeg -i FILE -frames:v 1 OUT.png' and send that"),
+    (
+        4,
+        b"ftyp",
+        _VIDEO
+        := "this is a video; save a frame with 'ffmpeg -i FILE -frames:v 1 OUT.png' and send that",
+    ),
     (8, b"AVI ", _VIDEO),
     (0, b"\x1a\x45\xdf\xa3", _VIDEO),
 )
 
 
 def _advice(start: bytes) -> str:
-    advice = next((words for at, mark, words in _ADVICE if start[at : at + len(mark)] == mark), None)
+    advice = next(
+        (words for at, mark, words in _ADVICE if start[at : at + len(mark)] == mark), None
+    )
     return advice or f"it starts with {start[:8]!r}"
 
 
-def _check_for_preview(read_at: ReadAt, tags: dict[int, tuple[int, ...]], width: int, height: int) -> None:
+def _check_for_preview(
+    read_at: ReadAt, tags: dict[int, tuple[int, ...]], width: int, height: int
+) -> None:
     """Refuse a raw file, whose first picture is a preview.
 
     Raises:
-        ImageFormatError: the file is raw, or a picture within the first one is larger, or the first one is marked as
-            reduced and a later one is larger. Overviews are smaller, and pages of a document are not marked.
+        ImageFormatError: the file is raw, or a picture within the first one is larger, or the first
+            one is marked as reduced and a later one is larger. Overviews are smaller, and pages of
+            a document are not marked.
     """
-    if _TAG_DNG_VERSION in tags or tags.get(_TAG_PHOTOMETRIC, (0,))[0] in _RAW_PHOTOMETRIC or read_at(8, 2) == b"CR":
+    if (
+        _TAG_DNG_VERSION in tags
+        or tags.get(_TAG_PHOTOMETRIC, (0,))[0] in _RAW_PHOTOMETRIC
+        or read_at(8, 2) == b"CR"
+    ):
         raise ImageFormatError(_RAW)
     reduced = tags.get(_TAG_SUBFILE, (0,))[0] & _SUBFILE_REDUCED
     for offset in (*tags.get(_TAG_FURTHER, ()), *(later_directories(read_at) if reduced else ())):
         with suppress(struct.error, ImageDecodeError):  # a damaged directory holds no picture
             further = read_ifd(read_at, frozenset({_TAG_WIDTH, _TAG_HEIGHT}), offset=offset)
-            (columns, *_), (rows, *_) = further.get(_TAG_WIDTH, (0,)), further.get(_TAG_HEIGHT, (0,))
+            (columns, *_), (rows, *_) = (
+                further.get(_TAG_WIDTH, (0,)),
+                further.get(_TAG_HEIGHT, (0,)),
+            )
             if columns * rows > width * height:
                 raise ImageFormatError(
-                    f"the first picture of the file, {width} x {height} px, is a preview of another with {columns} x "
-                    f"{rows} px, as in cameras' raw files; export the photograph as JPEG or TIFF in full size"
+                    f"the first picture of the file, {width} x {height} px, is a preview of "
+                    f"another with {columns} x "
+                    f"{rows} px, as in cameras' raw files; export the photograph as JPEG or "
+                    "TIFF in full size"
                 )
 
 
@@ -156,12 +191,15 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
     while len(head := read_at(position, 8)) == 8:
         n_chunks += 1
         if n_chunks > _MAX_PNG_CHUNKS:
-            raise ImageTooLargeError(f"the PNG has more than {_MAX_PNG_CHUNKS} chunks; save it again")
+            raise ImageTooLargeError(
+                f"the PNG has more than {_MAX_PNG_CHUNKS} chunks; save it again"
+            )
         length, kind = struct.unpack(">I4s", head)
         if kind == b"IHDR" and n_chunks > 1:
             raise ImageDecodeError("the PNG declares its size twice: damaged")
         if kind == b"IEND":
-            complete = length == 0 and len(read_at(position + 8, 4)) == 4  # OpenCV allocates any length
+            # OpenCV allocates any length
+            complete = length == 0 and len(read_at(position + 8, 4)) == 4
             break
         if kind in (b"eXIf", b"iTXt"):
             metadata.append((position + 8, length))
@@ -183,8 +221,8 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
 def without_ancillary_chunks(png: bytes) -> bytes:
     """Remove texts, profiles and animation from a PNG whose header has been checked.
 
-    libpng would unpack a thousand texts of 8 MB, compressed a thousandfold, and write a line to stderr for every chunk
-    that it rejects.
+    libpng would unpack a thousand texts of 8 MB, compressed a thousandfold, and write a line to
+    stderr for every chunk that it rejects.
     """
     parts = [png[:8]]
     start = position = 8
@@ -216,7 +254,9 @@ def _read_webp(read_at: ReadAt) -> ImageHeader:
         kind, length = struct.unpack("<4sI", head)
         body = read_at(position + 8, 10)
         if kind == b"VP8X":
-            sizes.add((1 + int.from_bytes(body[4:7], "little"), 1 + int.from_bytes(body[7:10], "little")))
+            sizes.add(
+                (1 + int.from_bytes(body[4:7], "little"), 1 + int.from_bytes(body[7:10], "little"))
+            )
         elif kind == b"VP8 ":
             width, height = struct.unpack_from("<HH", body, 6)
             sizes.add((width & 0x3FFF, height & 0x3FFF))
@@ -261,12 +301,20 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         raise ImageDecodeError("the TIFF's first directory declares no width and height: damaged")
     repeated = [tag for tag in _TAGS_OF_ONE if len(tags.get(tag, (0,))) != 1]
     if repeated:
-        raise ImageDecodeError(f"the TIFF's tag {repeated[0]} has several values instead of one: damaged")
-    (width,), (height,), (bands,) = tags[_TAG_WIDTH], tags[_TAG_HEIGHT], tags.get(_TAG_SAMPLES, (1,))
+        raise ImageDecodeError(
+            f"the TIFF's tag {repeated[0]} has several values instead of one: damaged"
+        )
+    (width,), (height,), (bands,) = (
+        tags[_TAG_WIDTH],
+        tags[_TAG_HEIGHT],
+        tags.get(_TAG_SAMPLES, (1,)),
+    )
     _check_for_preview(read_at, tags, width, height)
     for tag in _TAGS_OF_BANDS:
         if len(tags.get(tag, (0,))) not in (1, min(bands, MAX_VALUES)):
-            raise ImageDecodeError(f"the TIFF's tag {tag} has {len(tags[tag])} values for {bands} bands: damaged")
+            raise ImageDecodeError(
+                f"the TIFF's tag {tag} has {len(tags[tag])} values for {bands} bands: damaged"
+            )
     layout = TiffLayout(
         bands=bands,
         bits=tags.get(_TAG_BITS, (1,)),
@@ -294,7 +342,9 @@ def _mask_block_px(read_at: ReadAt) -> int:
     """Compute the pixels of the largest strip or tile of a mask, which has its own directory; 0 without one."""
     largest = 0
     for offset in later_directories(read_at):
-        (kind, *_) = read_ifd(read_at, frozenset({_TAG_SUBFILE}), offset=offset).get(_TAG_SUBFILE, (0,))
+        (kind, *_) = read_ifd(read_at, frozenset({_TAG_SUBFILE}), offset=offset).get(
+            _TAG_SUBFILE, (0,)
+        )
         if kind & _SUBFILE_MASK:
             tags = read_ifd(read_at, _TAGS_OF_ONE, offset=offset)
             (width, *_), (height, *_) = tags.get(_TAG_WIDTH, (0,)), tags.get(_TAG_HEIGHT, (0,))

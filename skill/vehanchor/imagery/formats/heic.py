@@ -40,10 +40,15 @@ def open_heic(data: bytes, source: str, bands: BandChoice, limits: ImageLimits) 
         image = heif.open_heif(io.BytesIO(data))
         width_px, height_px = image.size
         decoding_bytes = width_px * height_px * _BYTES_PER_PIXEL
-        check_header(ImageHeader("HEIC", width_px, height_px, decoding_bytes=decoding_bytes), limits)
-        pixels = np.asarray(image)[:, :width_px].copy()  # the memory is libheif's and ends with the image
+        check_header(
+            ImageHeader("HEIC", width_px, height_px, decoding_bytes=decoding_bytes), limits
+        )
+        # the memory is libheif's and ends with the image
+        pixels = np.asarray(image)[:, :width_px].copy()
     except MemoryError as error:
-        raise OutOfMemoryError(f"not enough memory for the HEIC ({source}): try again later") from error
+        raise OutOfMemoryError(
+            f"not enough memory for the HEIC ({source}): try again later"
+        ) from error
     except (ValueError, RuntimeError, EOFError, OSError, SyntaxError) as error:
         if isinstance(error, VehAnchorError):
             raise
@@ -59,6 +64,7 @@ def _import_heif(source: str) -> Any:
             import pi_heif as heif
         except ImportError:
             raise MissingExtraError(
-                f"reading a HEIC ({source}) needs pi-heif: pip install 'vehanchor[heic]', or convert it to JPEG"
+                f"reading a HEIC ({source}) needs pi-heif: pip install 'vehanchor[heic]', or "
+                "convert it to JPEG"
             ) from None
     return heif

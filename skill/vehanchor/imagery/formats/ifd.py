@@ -1,7 +1,8 @@
 """Image file directories (IFD) of TIFF files and EXIF blocks.
 
-Decoders read damaged directories differently: if a tag occurs twice, one uses the first, another the last. The checked
-size must be the decoded size, so this reader refuses every ambiguous directory.
+Decoders read damaged directories differently: if a tag occurs twice, one uses the first, another
+the last. The checked size must be the decoded size, so this reader refuses every ambiguous
+directory.
 """
 
 from __future__ import annotations
@@ -19,7 +20,24 @@ ReadAt = Callable[[int, int], bytes]
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # classic and BigTIFF, either byte order
 TAG_ORIENTATION = 274
 _INTEGER_TYPES = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
-_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
+_TYPE_BYTES = {
+    1: 1,
+    2: 1,
+    3: 2,
+    4: 4,
+    5: 8,
+    6: 1,
+    7: 1,
+    8: 2,
+    9: 4,
+    10: 8,
+    11: 4,
+    12: 8,
+    13: 4,
+    16: 8,
+    17: 8,
+    18: 8,
+}
 _MAX_DIRECTORIES = 1000
 _MAX_ENTRIES = 4096  # a real directory has some dozens
 MAX_VALUES = 64
@@ -57,8 +75,8 @@ def read_ifd(
         Up to 64 values for each of these tags that is present.
 
     Raises:
-        ImageDecodeError: a tag occurs twice, a wanted tag holds no integers, or all values together, which decoders
-            read, are longer than the file.
+        ImageDecodeError: a tag occurs twice, a wanted tag holds no integers, or all values
+            together, which decoders read, are longer than the file.
         struct.error: the file ends within the directory or a value.
     """
     form = _form(read_at)
@@ -73,17 +91,22 @@ def read_ifd(
     for start in range(0, n_entries * entry_bytes, entry_bytes):
         tag, kind, count = struct.unpack_from(entry_format, table, start)
         if tag in seen:
-            raise ImageDecodeError(f"the TIFF directory holds tag {tag} twice, and decoders disagree on it: damaged")
+            raise ImageDecodeError(
+                f"the TIFF directory holds tag {tag} twice, and decoders disagree on it: damaged"
+            )
         seen.add(tag)
         n_bytes = count * _TYPE_BYTES.get(kind, 0)
         outside += n_bytes if n_bytes > value_bytes else 0
         if tag in bare:
             tags[tag] = ()
         elif tag in wanted:
-            tags[tag] = _values(read_at, table, start + value_at, order, (tag, kind, count), value_bytes)
+            tags[tag] = _values(
+                read_at, table, start + value_at, order, (tag, kind, count), value_bytes
+            )
     if whole and outside and not read_at(outside - 1, 1):
         raise ImageDecodeError(
-            f"the TIFF directory declares values of {outside} bytes, more than the file has: damaged"
+            f"the TIFF directory declares values of {outside} bytes, more than the file has: "
+            "damaged"
         )
     return tags
 
@@ -106,7 +129,9 @@ def later_directories(read_at: ReadAt) -> Iterator[int]:
             if at == 0 or at in seen:
                 return
             if len(seen) > _MAX_DIRECTORIES:
-                raise ImageDecodeError(f"the TIFF has more than {_MAX_DIRECTORIES} directories; save only the first")
+                raise ImageDecodeError(
+                    f"the TIFF has more than {_MAX_DIRECTORIES} directories; save only the first"
+                )
             seen.add(at)
             yield at
 
@@ -134,11 +159,18 @@ def _table(read_at: ReadAt, form: _Form, offset: int) -> tuple[int, int]:
 
 
 def _values(
-    read_at: ReadAt, table: bytes, at: int, order: str, entry: tuple[int, int, int], value_bytes: int
+    read_at: ReadAt,
+    table: bytes,
+    at: int,
+    order: str,
+    entry: tuple[int, int, int],
+    value_bytes: int,
 ) -> tuple[int, ...]:
     tag, kind, count = entry
     if kind not in _INTEGER_TYPES or count == 0:
-        raise ImageDecodeError(f"the TIFF's tag {tag} has {count} values of type {kind}, not whole numbers: damaged")
+        raise ImageDecodeError(
+            f"the TIFF's tag {tag} has {count} values of type {kind}, not whole numbers: damaged"
+        )
     values = f"{order}{min(count, MAX_VALUES)}{_INTEGER_TYPES[kind]}"
     if count * struct.calcsize(order + _INTEGER_TYPES[kind]) <= value_bytes:
         return struct.unpack_from(values, table, at)

@@ -1,6 +1,7 @@
 """Markers of a JPEG, read in one pass in time proportional to its size.
 
-A marker costs an attacker two bytes, a scan over the whole image four. The reader counts both and refuses too many.
+A marker costs an attacker two bytes, a scan over the whole image four. The reader counts both and
+refuses too many.
 """
 
 from __future__ import annotations
@@ -21,10 +22,12 @@ MAX_SEGMENTS = 10_000
 
 EXIF_PREFIX = b"Exif\0\0"
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # DHT, JPG and DAC share the range
-_SOF_ONE_PASS = frozenset({0xC0, 0xC1, 0xC3, 0xC9, 0xCB})  # sequential and lossless; all others refine earlier scans
+# sequential and lossless; all others refine earlier scans
+_SOF_ONE_PASS = frozenset({0xC0, 0xC1, 0xC3, 0xC9, 0xCB})
 _STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})  # TEM and RSTn carry no length
 _SOS, _EOI, _APP1, _STUFFING = 0xDA, 0xD9, 0xE1, 0x00
-# In entropy-coded data, 0 (stuffing), a restart marker or a fill byte follows 0xFF; anything else is a marker.
+# In entropy-coded data, 0 (stuffing), a restart marker or a fill byte follows 0xFF; anything else
+# is a marker.
 _MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _AFTER_FILL = re.compile(rb"\xff[^\xff]")
 
@@ -52,12 +55,15 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
             found = _AFTER_FILL.search(data, position)
             position = found.start() if found else len(data)
             continue
-        if marker in (_EOI, _STUFFING):  # some decoders skip stuffing byte by byte, others read it as a segment
+        # some decoders skip stuffing byte by byte, others read it as a segment
+        if marker in (_EOI, _STUFFING):
             complete = marker == _EOI
             break
         n_segments += 1
         if n_segments > MAX_SEGMENTS:
-            raise ImageTooLargeError(f"the JPEG has more than {MAX_SEGMENTS} segments; save it again without metadata")
+            raise ImageTooLargeError(
+                f"the JPEG has more than {MAX_SEGMENTS} segments; save it again without metadata"
+            )
         position += 2
         if marker in _STANDALONE:
             continue
@@ -78,7 +84,8 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
             n_scans += 1
             if n_scans > MAX_SCANS:
                 raise ImageTooLargeError(
-                    f"the JPEG has more than {MAX_SCANS} scans, each covering the whole image; save it again as a "
+                    f"the JPEG has more than {MAX_SCANS} scans, each covering the whole image; "
+                    "save it again as a "
                     "baseline JPEG"
                 )
             found = _MARKER_IN_SCAN.search(data, position)
@@ -97,7 +104,8 @@ def _header(
 ) -> ImageHeader:
     """Predict the memory of a JPEG with this frame: its marker, height, width and number of components."""
     kind, height, width, components = frame
-    held = kind not in _SOF_ONE_PASS or n_scans > 1  # the decoder holds the 16-bit coefficients of the whole image
+    # the decoder holds the 16-bit coefficients of the whole image
+    held = kind not in _SOF_ONE_PASS or n_scans > 1
     shown = 1 if components == 1 else 3
     return ImageHeader(
         "JPEG",
@@ -105,6 +113,8 @@ def _header(
         height,
         orientation=orientation,
         complete=complete,
-        decoding_bytes=width * height * max(COPIES * shown, shown + (2 * components if held else 0)),
+        decoding_bytes=width
+        * height
+        * max(COPIES * shown, shown + (2 * components if held else 0)),
         metadata=tuple(metadata),
     )

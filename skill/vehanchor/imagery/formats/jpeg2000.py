@@ -26,9 +26,15 @@ def read_jpeg2000(read_at: ReadAt) -> ImageHeader:
         ImageTooLargeError: the file has more boxes than a real one.
     """
     at = _codestream_at(read_at)
-    right, bottom, left, top, tile_width, tile_height, _, _, bands = struct.unpack(">8IH", read_at(at + 8, 34))
+    right, bottom, left, top, tile_width, tile_height, _, _, bands = struct.unpack(
+        ">8IH", read_at(at + 8, 34)
+    )
     width, height = right - left, bottom - top
-    if read_at(at, 4) != _CODESTREAM or min(width, height, tile_width, tile_height) < 1 or not 1 <= bands <= _MAX_BANDS:
+    if (
+        read_at(at, 4) != _CODESTREAM
+        or min(width, height, tile_width, tile_height) < 1
+        or not 1 <= bands <= _MAX_BANDS
+    ):
         raise ImageDecodeError("the JPEG 2000 declares an invalid size: damaged")
     tile_px = min(tile_width, width) * min(tile_height, height)
     return ImageHeader("JPEG 2000", width, height, tile_px=tile_px, bands=bands)

@@ -22,17 +22,19 @@ MAX_XMP_BYTES = 1 << 18
 _MAX_BLOCK_BYTES = 1 << 20
 _MAX_BLOCKS = 512  # real files have a dozen
 _XMP_PREFIX = b"http://ns.adobe.com/xap/1.0/\0"
-_FURTHER_XMP_PREFIX = b"http://ns.adobe.com/xmp/extension/\0"  # then the packet's digest, its size and an offset in it
+# then the packet's digest, its size and an offset in it
+_FURTHER_XMP_PREFIX = b"http://ns.adobe.com/xmp/extension/\0"
 _DIGEST_BYTES, _FURTHER_HEAD_BYTES = 32, 40
-_PNG_XMP = b"XML:com.adobe.xmp\0"  # then two bytes on compression, a language and a translation, which end with 0
+# then two bytes on compression, a language and a translation, which end with 0
+_PNG_XMP = b"XML:com.adobe.xmp\0"
 
 
 def metadata_blocks(read_at: ReadAt, header: ImageHeader) -> tuple[list[ReadAt], list[bytes]]:
     """Read the metadata blocks of a file, in its order.
 
     Returns:
-        Readers of the EXIF blocks, which are TIFF structures, with offsets from their first bytes, and the XMP packets.
-        The EXIF of a TIFF is the file itself, with the XMP as one of its tags.
+        Readers of the EXIF blocks, which are TIFF structures, with offsets from their first bytes,
+        and the XMP packets. The EXIF of a TIFF is the file itself, with the XMP as one of its tags.
     """
     exif = [read_at] if header.tiff else []
     xmp: list[bytes] = []

@@ -1,9 +1,9 @@
 """Camera metadata of an image file: height, focal length, orientation, original size.
 
 Drones write the camera's height and orientation into XMP, under names that differ between makers
-(``vehanchor.imagery.metadata.makers``). Focal length and sensor are in EXIF, which all makers share. This module
-converts units and signs of angles, and refuses what it does not understand; ``vehanchor.rulers.camera`` measures with
-the numbers.
+(``vehanchor.imagery.metadata.makers``). Focal length and sensor are in EXIF, which all makers
+share. This module converts units and signs of angles, and refuses what it does not understand;
+``vehanchor.rulers.camera`` measures with the numbers.
 """
 
 from __future__ import annotations
@@ -29,11 +29,17 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.makers import Maker
     from vehanchor.imagery.metadata.xmp import Properties
 
-_MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # FocalPlaneResolutionUnit: inch, cm; TIFF/EP's mm, micrometre
-_SENSOR_WIDTHS_MM = (4.0, 60.0)  # a choice: from phones to medium format; a resized copy has a narrower one
+# FocalPlaneResolutionUnit: inch, cm; TIFF/EP's mm, micrometre
+_MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+# a choice: from phones to medium format; a resized copy has a narrower one
+_SENSOR_WIDTHS_MM = (4.0, 60.0)
 _SENSOR_TOLERANCE = 1.25  # a choice: pictures of another shape leave a fifth of the columns out
 _OF_MAKERS = dict.fromkeys(name for each in MAKERS for name in each.names)
-_NAMES = (*IN_XMP, *_OF_MAKERS, *{name.replace("/", ""): None for name in _OF_MAKERS if "/" in name})
+_NAMES = (
+    *IN_XMP,
+    *_OF_MAKERS,
+    *{name.replace("/", ""): None for name in _OF_MAKERS if "/" in name},
+)
 """Properties to find in XMP; some programs flatten structures."""
 
 
@@ -44,7 +50,8 @@ class CameraMetadata:
     Attributes:
         make: of the camera, from EXIF; empty if unknown.
         model: of the camera, from EXIF; empty if unknown.
-        height_m: metres above take-off, or above ground if the maker knows it; never above sea level.
+        height_m: metres above take-off, or above ground if the maker knows it; never above sea
+            level.
         height_tag: maker and property of the height, for example ``DJI RelativeAltitude``.
         focal_mm: focal length, millimetres.
         focal_35mm: focal length of a 35 mm camera with the same view, millimetres.
@@ -58,7 +65,8 @@ class CameraMetadata:
         digital_zoom: digital zoom factor; 1 for none.
         latitude_deg: latitude, positive to the north.
         longitude_deg: longitude, positive to the east.
-        taken_at: local time of the photograph, as EXIF writes it (2025:10:05 16:40:31); empty if unknown.
+        taken_at: local time of the photograph, as EXIF writes it (2025:10:05 16:40:31); empty if
+            unknown.
         refused: what was not used and why, as clauses with semicolons; empty if all was read.
     """
 
@@ -93,7 +101,9 @@ def read_camera(read_at: ReadAt, header: ImageHeader) -> CameraMetadata | None:
     tags = [read_exif(each) for each in exif]
     xmp += [notes for each in tags if isinstance(notes := each.get("ApplicationNotes"), bytes)]
     starts = accumulate(map(len, xmp), initial=0)
-    packets = [packet[: max(0, MAX_XMP_BYTES - start)] for start, packet in zip(starts, xmp, strict=False)]
+    packets = [
+        packet[: max(0, MAX_XMP_BYTES - start)] for start, packet in zip(starts, xmp, strict=False)
+    ]
     read = [read_xmp(each, _NAMES) for each in packets if each]
     without = DAMAGED if any(found for found, _ in read) else ""  # of others: one had what there is
     refused = [reason for _, reason in read if reason not in ("", without)]
@@ -101,7 +111,9 @@ def read_camera(read_at: ReadAt, header: ImageHeader) -> CameraMetadata | None:
     return None if camera == CameraMetadata() else camera
 
 
-def _combine(tags: Sequence[ExifTags], packets: Sequence[Properties], refused: Sequence[str]) -> CameraMetadata:
+def _combine(
+    tags: Sequence[ExifTags], packets: Sequence[Properties], refused: Sequence[str]
+) -> CameraMetadata:
     stated = Statements(tags, packets, refused)
     make, model = stated.text("Make"), stated.text("Model")
     makers = makers_of(make)
@@ -112,7 +124,9 @@ def _combine(tags: Sequence[ExifTags], packets: Sequence[Properties], refused: S
     for each in makers:
         value, unit = stated.focal(each) if each.focal else (None, "")
         if value is not None:
-            focal_px, focal_mm = (focal_px or value, focal_mm) if unit == "px" else (focal_px, value)
+            focal_px, focal_mm = (
+                (focal_px or value, focal_mm) if unit == "px" else (focal_px, value)
+            )
             break
     width, rows = stated.whole("PixelXDimension"), stated.whole("PixelYDimension")
     off_nadir, roll = _attitude(stated, makers)
@@ -159,11 +173,13 @@ def _attitude(stated: Statements, makers: Sequence[Maker]) -> tuple[float | None
         level = pitch < each.level_below_deg
         if level and pitch == roll == 0:
             stated.refused.append(
-                f"{each.name} {each.pitch} and {each.roll} are 0, as some drones write unknown angles"
+                f"{each.name} {each.pitch} and {each.roll} are 0, as some drones write unknown "
+                "angles"
             )
             continue
         from_down = math.radians(pitch + 90 if level else pitch)
-        if each.level_below_deg == math.inf:  # a gimbal's roll turns the image about the optical axis
+        # a gimbal's roll turns the image about the optical axis
+        if each.level_below_deg == math.inf:
             return math.degrees(math.acos(math.cos(from_down))), roll or None
         tilt = math.cos(from_down) * (1.0 if level else math.cos(math.radians(roll)))
         return math.degrees(math.acos(max(-1.0, min(1.0, tilt)))), None
@@ -185,7 +201,10 @@ def _position(tags: ExifTags) -> dict[str, float]:
 
 def _pixel_mm(stated: Statements, width_px: int | None, make: str, model: str) -> float | None:
     """Compute the pixel pitch from the focal plane's resolution; None if the sensor that it makes is impossible."""
-    per_unit, unit = stated.lens_number("FocalPlaneXResolution"), stated.whole("FocalPlaneResolutionUnit") or 2
+    per_unit, unit = (
+        stated.lens_number("FocalPlaneXResolution"),
+        stated.whole("FocalPlaneResolutionUnit") or 2,
+    )
     if not per_unit or per_unit < 0 or unit not in _MM_PER_UNIT:
         return None
     pixel_mm = _MM_PER_UNIT[unit] / per_unit
@@ -197,7 +216,8 @@ def _pixel_mm(stated: Statements, width_px: int | None, make: str, model: str) -
     )
     if width_px and not least <= wide <= most:
         stated.refused.append(
-            f"FocalPlaneXResolution makes the sensor {wide:.2g} mm wide, as in a copy of another size"
+            f"FocalPlaneXResolution makes the sensor {wide:.2g} mm wide, as in a copy of "
+            "another size"
         )
         return None
     return pixel_mm

@@ -1,7 +1,7 @@
 """EXIF tags of the camera's geometry, read within bounds from untrusted bytes.
 
-The reader visits three directories: the first, the camera's and the position's. It follows no other pointers, so it
-cannot loop. It reads only known tags and a bounded number of values for each.
+The reader visits three directories: the first, the camera's and the position's. It follows no other
+pointers, so it cannot loop. It reads only known tags and a bounded number of values for each.
 """
 
 from __future__ import annotations
@@ -55,7 +55,8 @@ def read_exif(read_at: ReadAt) -> ExifTags:
     """Read the known tags; damaged ones are absent.
 
     Args:
-        read_at: reads the TIFF structure, with offsets from its first byte; classic TIFF only, as in EXIF.
+        read_at: reads the TIFF structure, with offsets from its first byte; classic TIFF only, as
+            in EXIF.
     """
     head = read_at(0, 8)
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(head[:4])

@@ -1,6 +1,7 @@
 """Ground sampling distance (GSD) of a georeferenced raster.
 
-Estimates never use it. Records report it next to the estimate, and the evaluation uses it as ground truth.
+Estimates never use it. Records report it next to the estimate, and the evaluation uses it as ground
+truth.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ _IDENTITY: AffineCoefficients = (1, 0, 0, 0, 1, 0)  # GDAL's value for a file wi
 
 _MAX_COORDINATE = 1e9  # off the Earth in any unit; PROJ loops for hours on coordinates such as 1e20
 
-# Mercator and Web Mercator (EPSG:3857) in WKT 1 and WKT 2; Transverse and Oblique Mercator are other methods.
+# Mercator and Web Mercator (EPSG:3857) in WKT 1 and WKT 2; Transverse and Oblique Mercator are
+# other methods.
 _MERCATOR_WKT = re.compile(r'(?:PROJECTION|METHOD)\["(?:Mercator|Popular Visualisation)')
 
 
@@ -61,10 +63,10 @@ def geographic_gsd_m_per_px(transform: AffineCoefficients, latitude_deg: float) 
 def dataset_gsd_m_per_px(dataset: Any) -> float | None:
     """Compute the GSD at the centre of an open rasterio dataset, in metres per pixel.
 
-    In projected systems it is the pixel's side times the linear unit in metres. Mercator (EPSG:3857, 3395) stretches
-    metres by 1/cos(latitude), so its pixels are converted to degrees first. The grid scale of other projections is
-    ignored; it is within 0.1 % in UTM and most national grids. Geographic systems: see
-    :func:`geographic_gsd_m_per_px`.
+    In projected systems it is the pixel's side times the linear unit in metres. Mercator
+    (EPSG:3857, 3395) stretches metres by 1/cos(latitude), so its pixels are converted to degrees
+    first. The grid scale of other projections is ignored; it is within 0.1 % in UTM and most
+    national grids. Geographic systems: see :func:`geographic_gsd_m_per_px`.
 
     Args:
         dataset: a ``rasterio.DatasetReader``.
@@ -81,7 +83,8 @@ def dataset_gsd_m_per_px(dataset: Any) -> float | None:
         if not crs or transform == _IDENTITY or not all(map(math.isfinite, transform)):
             return None
         gsd = _gsd_in_crs(transform, crs, dataset.width / 2, dataset.height / 2)
-    except (RasterioError, ValueError, ArithmeticError):  # PROJ cannot use the system; CRSError is a ValueError
+    # PROJ cannot use the system; CRSError is a ValueError
+    except (RasterioError, ValueError, ArithmeticError):
         return None
     return gsd if math.isfinite(gsd) and gsd > 0 else None
 
@@ -101,8 +104,16 @@ def _gsd_in_crs(transform: AffineCoefficients, crs: Any, column: float, row: flo
         return degrees * geographic_gsd_m_per_px(transform, y * degrees)
     if not crs.is_projected:
         return math.nan
-    if _MERCATOR_WKT.search(crs.to_wkt()):  # scale depends on the latitude and on the latitude of true scale
+    # scale depends on the latitude and on the latitude of true scale
+    if _MERCATOR_WKT.search(crs.to_wkt()):
         east, north = reproject(crs, "EPSG:4326", [x, x + a, x + b], [y, y + d, y + e])
-        in_degrees = (east[1] - east[0], east[2] - east[0], 0.0, north[1] - north[0], north[2] - north[0], 0.0)
+        in_degrees = (
+            east[1] - east[0],
+            east[2] - east[0],
+            0.0,
+            north[1] - north[0],
+            north[2] - north[0],
+            0.0,
+        )
         return geographic_gsd_m_per_px(in_degrees, north[0])
     return gsd_units_per_px(transform) * float(crs.linear_units_factor[1])

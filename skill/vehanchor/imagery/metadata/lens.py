@@ -1,6 +1,7 @@
 """The field of view of a camera, from its metadata or a 35 mm equivalent focal length.
 
-Metadata describe the picture as it was taken. For a resized copy the focal length is scaled; a crop has none.
+Metadata describe the picture as it was taken. For a resized copy the focal length is scaled; a crop
+has none.
 """
 
 from __future__ import annotations
@@ -15,9 +16,12 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.camera import CameraMetadata
 
 _FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)
-_EQUIVALENT_LOG_SD = 0.04  # some makers mean the diagonal (CIPA DCG-001), some the width: 4 % apart at 4:3; whole mm
-_WIDEST_SENSOR = 1.55  # length of a sensor's long side over its short one; wider pictures leave rows out
-_DIAGONAL_PER_WIDTH = 1.226  # of a sensor of 4:3 (1.25) or 3:2 (1.202) whose full width a wider picture takes
+# some makers mean the diagonal (CIPA DCG-001), some the width: 4 % apart at 4:3; whole mm
+_EQUIVALENT_LOG_SD = 0.04
+# length of a sensor's long side over its short one; wider pictures leave rows out
+_WIDEST_SENSOR = 1.55
+# of a sensor of 4:3 (1.25) or 3:2 (1.202) whose full width a wider picture takes
+_DIAGONAL_PER_WIDTH = 1.226
 _WIDE_LOG_SD = 0.02
 _CALIBRATED_LOG_SD, _SENSOR_LOG_SD = 0.02, 0.03
 _TABLE_LOG_SD = 0.02  # root mean square of sixteen such sensors against OpenAthena's calibrations
@@ -57,13 +61,16 @@ def taken_ratio(image: ImageFacts, camera: CameraMetadata) -> float | None:
     return taken_long / long if abs(short - fitting) <= slack else None
 
 
-def lens(image: ImageFacts, camera: CameraMetadata | None, given_35mm: float | None = None) -> Lens | None:
+def lens(
+    image: ImageFacts, camera: CameraMetadata | None, given_35mm: float | None = None
+) -> Lens | None:
     """Read the focal length from the most exact of the metadata; its spread grows if they contradict each other.
 
     Args:
         image: its size.
         camera: its metadata.
-        given_35mm: the caller's 35 mm equivalent focal length, millimetres, in place of the metadata.
+        given_35mm: the caller's 35 mm equivalent focal length, millimetres, in place of the
+            metadata.
 
     Returns:
         None without a focal length, or for a crop.
@@ -82,7 +89,9 @@ def lens(image: ImageFacts, camera: CameraMetadata | None, given_35mm: float | N
     focal_mm = None if sensor is None else sensor.focal_mm(camera.focal_mm)
     if sensor is not None and focal_mm is not None:
         pixels = focal_mm / sensor.pixel_mm(image.width_px, image.height_px)
-        source = f"{focal_mm:g} mm over the {sensor.width_mm:g} mm wide sensor of the {camera.model}"
+        source = (
+            f"{focal_mm:g} mm over the {sensor.width_mm:g} mm wide sensor of the {camera.model}"
+        )
         known.append(Lens(pixels, _TABLE_LOG_SD, source))
     if camera.focal_mm and camera.focal_mm > 0 and camera.pixel_mm and sized:
         source = f"{camera.focal_mm:g} mm on pixels of {1000 * camera.pixel_mm:.3g} um"
@@ -107,12 +116,16 @@ def equivalent_lens(width_px: int, height_px: int, focal_35mm: float) -> Lens:
     wide = long / short > _WIDEST_SENSOR
     diagonal = long * _DIAGONAL_PER_WIDTH if wide else math.hypot(long, short)
     spread = math.hypot(_EQUIVALENT_LOG_SD, _WIDE_LOG_SD if wide else 0.0)
-    return Lens(focal_35mm * diagonal / _FILM_DIAGONAL_MM, spread, f"{focal_35mm:g} mm (35 mm equivalent)")
+    return Lens(
+        focal_35mm * diagonal / _FILM_DIAGONAL_MM, spread, f"{focal_35mm:g} mm (35 mm equivalent)"
+    )
 
 
 def _centred(image: ImageFacts, camera: CameraMetadata) -> bool:
     """Whether a calibrated optical centre lies in the middle of the stated size: then both mean the same picture."""
     if camera.centre_x_px is None:
         return camera.taken_width_px is not None
-    widths = (camera.taken_width_px,) if camera.taken_width_px else (image.width_px, image.height_px)
+    widths = (
+        (camera.taken_width_px,) if camera.taken_width_px else (image.width_px, image.height_px)
+    )
     return any(abs(2 * camera.centre_x_px / width - 1) <= _CENTRE_TOLERANCE for width in widths)

@@ -14,17 +14,20 @@ class Maker(NamedTuple):
 
     Attributes:
         name: the maker.
-        namespace: of its properties, without a final slash; a word without a colon is one that it contains.
+        namespace: of its properties, without a final slash; a word without a colon is one that it
+            contains.
         source: of the names.
         height: metres above take-off or above ground.
         pitch: degrees.
         roll: degrees.
-        level_below_deg: pitches below it are counted from the horizon (-90 is down), others from nadir (0 is down).
+        level_below_deg: pitches below it are counted from the horizon (-90 is down), others from
+            nadir (0 is down).
         focal_px: focal length, pixels of the full image.
         centre_px: column of the optical centre in the same pixels.
         focal: focal length in the unit of the property of the same name and ``Units``.
         focal_unit: unit of ``focal`` without that property.
-        makes: first words of EXIF's Make, in lower case, to which the row is limited; empty for all.
+        makes: first words of EXIF's Make, in lower case, to which the row is limited; empty for
+            all.
     """
 
     name: str
@@ -94,9 +97,24 @@ MAKERS: tuple[Maker, ...] = (
         focal_unit="px",
         makes=("micasense",),
     ),
-    Maker("Autel, older", PIX4D, _TRIED, *_PIX4D_NAMES, 0.0, focal=_PIX4D_FOCAL, makes=("autel", "camera")),
-    Maker(  # senseFly, Parrot; below -59.5 degrees the camera would look backwards: the writer counts from the horizon
-        "Pix4D", PIX4D, "Pix4D, specification of xmp.camera tags", *_PIX4D_NAMES, -59.5, focal=_PIX4D_FOCAL
+    Maker(
+        "Autel, older",
+        PIX4D,
+        _TRIED,
+        *_PIX4D_NAMES,
+        0.0,
+        focal=_PIX4D_FOCAL,
+        makes=("autel", "camera"),
+    ),
+    # senseFly, Parrot; below -59.5 degrees the camera would look backwards: the writer counts from
+    # the horizon
+    Maker(
+        "Pix4D",
+        PIX4D,
+        "Pix4D, specification of xmp.camera tags",
+        *_PIX4D_NAMES,
+        -59.5,
+        focal=_PIX4D_FOCAL,
     ),
 )
 """In order of precedence: the first maker with a value is used."""
@@ -106,6 +124,8 @@ def makers_of(make: str) -> tuple[Maker, ...]:
     """Rows that hold for a camera by EXIF's Make, the first one of each namespace."""
     rows: dict[str, Maker] = {}
     for each in MAKERS:
-        if not each.makes or make.casefold().split(maxsplit=1)[:1] in [[word] for word in each.makes]:
+        if not each.makes or make.casefold().split(maxsplit=1)[:1] in [
+            [word] for word in each.makes
+        ]:
             rows.setdefault(each.namespace, each)
     return tuple(rows.values())

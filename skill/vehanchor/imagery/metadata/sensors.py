@@ -39,10 +39,15 @@ class Sensor(NamedTuple):
             stated_mm: of the metadata; None if they have none.
 
         Returns:
-            The stated focal length; without one, that of a fixed lens. None for another lens than the sensor's.
+            The stated focal length; without one, that of a fixed lens. None for another lens than
+            the sensor's.
         """
         if stated_mm is not None:
-            fits = self.focal_from_mm - _FOCAL_ROUNDING_MM <= stated_mm <= self.focal_to_mm + _FOCAL_ROUNDING_MM
+            fits = (
+                self.focal_from_mm - _FOCAL_ROUNDING_MM
+                <= stated_mm
+                <= self.focal_to_mm + _FOCAL_ROUNDING_MM
+            )
             return stated_mm if fits else None
         fixed = self.focal_to_mm <= 1.03 * self.focal_from_mm
         return (self.focal_from_mm + self.focal_to_mm) / 2 if fixed else None
@@ -50,7 +55,8 @@ class Sensor(NamedTuple):
     def pixel_mm(self, width_px: int, height_px: int) -> float:
         """Compute the pixel pitch of a picture that is as large as the sensor's shape allows.
 
-        A picture of 16:9 has the full width of a sensor of 4:3; a picture of 4:3 has the full height of one of 3:2.
+        A picture of 16:9 has the full width of a sensor of 4:3; a picture of 4:3 has the full
+        height of one of 3:2.
 
         Args:
             width_px: of the picture, as taken or as a resized copy.

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.makers import Maker
     from vehanchor.imagery.metadata.xmp import Properties
 
-_NUMBER = re.compile(r"([+-]?)(\d+(?:[.,]\d*)?|[.,]\d+)([eE][+-]?\d{1,3})?(?:\s*/\s*(\d+(?:\.\d*)?))?\s*(\D*)")
+_NUMBER = re.compile(
+    r"([+-]?)(\d+(?:[.,]\d*)?|[.,]\d+)([eE][+-]?\d{1,3})?(?:\s*/\s*(\d+(?:\.\d*)?))?\s*(\D*)"
+)
 _THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}")  # in some countries a fraction, in others thousands
 _EQUAL = 0.02  # relative: EXIF's focal length often has one decimal
 _EQUAL_TEXTS = 1e-3  # relative: texts of one number, rounded
@@ -54,19 +56,25 @@ class Statements:
         refused: what was not used, and why.
     """
 
-    def __init__(self, tags: Sequence[ExifTags], packets: Sequence[Properties], refused: Sequence[str]) -> None:
+    def __init__(
+        self, tags: Sequence[ExifTags], packets: Sequence[Properties], refused: Sequence[str]
+    ) -> None:
         self.refused = list(refused)
         self._tags = tags
         self._texts: dict[tuple[str, str], list[str]] = {}
         for packet in packets:
             for (space, name), texts in packet.items():
-                self._texts.setdefault((space, name.replace("/", "")), []).extend(texts)  # some programs flatten names
+                # some programs flatten names
+                self._texts.setdefault((space, name.replace("/", "")), []).extend(texts)
 
     def text(self, name: str) -> str:
         """Read a tag's text from the first EXIF block that has it, or from XMP."""
         texts = [value for each in self._tags if isinstance(value := each.get(name), str)]
         texts += self._texts.get((IN_XMP.get(name, ""), name), [])
-        return next((clean for each in texts if (clean := "".join(filter(str.isprintable, each)).strip())), "")
+        return next(
+            (clean for each in texts if (clean := "".join(filter(str.isprintable, each)).strip())),
+            "",
+        )
 
     def whole(self, name: str) -> int | None:
         """Read a tag's whole number from the first block that has a positive one."""
@@ -92,7 +100,10 @@ class Statements:
         """Read a maker's focal length with its unit, ``mm`` or ``px``."""
         named = "".join(self._of(maker, f"{maker.focal}Units")[:1]).casefold()
         if named and named not in {**PIXELS, **_MILLIMETRES}:
-            self.refused.append(f"{maker.name} {maker.focal}Units is {named[:_SHOWN_CHARS]!r}, which is not understood")
+            self.refused.append(
+                f"{maker.name} {maker.focal}Units is {named[:_SHOWN_CHARS]!r}, which is not "
+                "understood"
+            )
             return None, ""
         unit = "px" if named in PIXELS or (not named and maker.focal_unit == "px") else "mm"
         return self.quantity(maker, maker.focal, PIXELS if unit == "px" else _MILLIMETRES), unit
@@ -102,13 +113,19 @@ class Statements:
         flat = name.replace("/", "")
         if ":" in maker.namespace:
             return self._texts.get((maker.namespace, flat), [])
-        texts = (each for (space, own), each in self._texts.items() if own == flat and maker.namespace in space.lower())
+        texts = (
+            each
+            for (space, own), each in self._texts.items()
+            if own == flat and maker.namespace in space.lower()
+        )
         return [text for each in texts for text in each]
 
     def _numbers(self, name: str) -> list[float]:
         values = [value for each in self._tags if isinstance(value := each.get(name), float)]
         texts = self._texts.get((IN_XMP.get(name, ""), name), [])
-        return values + [value for text in texts if (value := _number(text, _MILLIMETRES)) is not None]
+        return values + [
+            value for text in texts if (value := _number(text, _MILLIMETRES)) is not None
+        ]
 
     def _agreed(self, label: str, values: Sequence[float], equal: float) -> float | None:
         if not values:

@@ -1,7 +1,8 @@
 """Properties of known names in an XMP packet, read from untrusted bytes.
 
-Regular expressions with bounded repetitions find them, whether the packet is XML or damaged. Depth is ignored but for
-the structures among the names. Nothing is expanded: a document type or an entity refuses the packet.
+Regular expressions with bounded repetitions find them, whether the packet is XML or damaged. Depth
+is ignored but for the structures among the names. Nothing is expanded: a document type or an entity
+refuses the packet.
 """
 
 from __future__ import annotations
@@ -19,7 +20,12 @@ Properties: TypeAlias = dict[tuple[str, str], list[str]]
 ``Structure/Field``."""
 
 _PREFIX = re.compile(r"xmlns:([\w.-]{1,32})\s{0,8}=\s{0,8}[\"']([^\"'<>]{1,256})[\"']")
-_WIDE = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be", b"<\0": "utf-16-le", b"\0<": "utf-16-be"}
+_WIDE = {
+    b"\xff\xfe": "utf-16-le",
+    b"\xfe\xff": "utf-16-be",
+    b"<\0": "utf-16-le",
+    b"\0<": "utf-16-be",
+}
 _DECLARATION = re.compile(r"<!(?:DOCTYPE|ENTITY)")
 
 
@@ -27,7 +33,8 @@ def read_xmp(packet: bytes, names: tuple[str, ...]) -> tuple[Properties, str]:
     """Read a packet's properties.
 
     Args:
-        packet: bytes from ``<?xpacket`` or ``<x:xmpmeta`` on; those after ``MAX_XMP_BYTES`` are left out.
+        packet: bytes from ``<?xpacket`` or ``<x:xmpmeta`` on; those after ``MAX_XMP_BYTES`` are
+            left out.
         names: of the properties to find.
 
     Returns:
@@ -43,7 +50,9 @@ def read_xmp(packet: bytes, names: tuple[str, ...]) -> tuple[Properties, str]:
     found: Properties = {}
     for outer, part in parts:
         for each in statement.finditer(part):
-            value = html.unescape(each["element"] if each["attribute"] is None else each["attribute"]).strip()
+            value = html.unescape(
+                each["element"] if each["attribute"] is None else each["attribute"]
+            ).strip()
             if value and outer + each["name"] in names and each["prefix"] in spaces:
                 found.setdefault((spaces[each["prefix"]], outer + each["name"]), []).append(value)
     return found, "" if found or _is_xml(text) else DAMAGED
@@ -64,7 +73,10 @@ def _is_xml(text: str) -> bool:
 @cache
 def _patterns(names: tuple[str, ...]) -> tuple[re.Pattern[str], re.Pattern[str]]:
     """Patterns of the structures among these names, and of a property as an attribute or an element."""
-    outer = "|".join(sorted({re.escape(name.partition("/")[0]) for name in names if "/" in name})) or "(?!)"
+    outer = (
+        "|".join(sorted({re.escape(name.partition("/")[0]) for name in names if "/" in name}))
+        or "(?!)"
+    )
     inner = "|".join(sorted({re.escape(name.rpartition("/")[2]) for name in names})) or "(?!)"
     structure = rf"<[\w.-]{{1,32}}:(?P<outer>{outer})\b(?:[^<>]{{0,512}}/>|.{{0,1024}}?</[\w.-]{{1,32}}:(?P=outer)>)"
     statement = (

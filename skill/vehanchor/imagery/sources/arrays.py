@@ -29,7 +29,8 @@ class ArrayRaster(Raster):
         bands: bands to use as red, green and blue.
         bgr: whether the first three bands are blue, green and red.
         orientation: EXIF orientation to apply.
-        alpha: whether the last of two or four bands is alpha. If this is unknown, its values decide.
+        alpha: whether the last of two or four bands is alpha. If this is unknown, its values
+            decide.
 
     Raises:
         InvalidParameterError: ``bands`` names a missing band.
@@ -66,22 +67,28 @@ class ArrayRaster(Raster):
         unused = n_bands in (2, 4) and n_bands - 1 not in self._channels
         self._alpha = -1 if unused and (alpha or is_alpha(sample[..., -1])) else None
         if self._alpha is not None and not pixels[..., -1].any():
-            raise ImageFormatError("all pixels are transparent: save the image without its alpha band")
+            raise ImageFormatError(
+                "all pixels are transparent: save the image without its alpha band"
+            )
         if pixels.dtype != np.uint8:
             for channel in sorted(set(self._channels)):
                 check_finite(pixels[:, :, channel])
-            seen = sample.reshape(-1, n_bands) if self._alpha is None else sample[sample[..., -1] != 0]
+            seen = (
+                sample.reshape(-1, n_bands) if self._alpha is None else sample[sample[..., -1] != 0]
+            )
             self._choose_stretch(seen[:, list(self._channels)])
 
     def _read_stored(self, window: Window) -> StoredPixels:
         part = self._pixels[
-            window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px
+            window.y_px : window.y_px + window.height_px,
+            window.x_px : window.x_px + window.width_px,
         ].view()
         part.flags.writeable = False
         if self._channels == (0, 1, 2) and part.shape[2] == 3:
             return StoredPixels(part, None)
         if self._channels == (2, 1, 0) and part.shape[2] == 3 and part.dtype != np.float64:
-            return StoredPixels(cv2.cvtColor(part, cv2.COLOR_BGR2RGB), None)  # one pass, for most files
+            # one pass, for most files
+            return StoredPixels(cv2.cvtColor(part, cv2.COLOR_BGR2RGB), None)
         valid = None if self._alpha is None else part[..., self._alpha] != 0
         return StoredPixels(merge_bands([part[:, :, channel] for channel in self._channels]), valid)
 
@@ -92,7 +99,9 @@ def _check_array(pixels: NDArray[Any]) -> NDArray[Any]:
     if pixels.ndim == 2:
         pixels = pixels[:, :, np.newaxis]
     if pixels.ndim != 3 or pixels.shape[2] == 0:
-        raise ImageFormatError(f"an image array must have the shape [h, w] or [h, w, bands], got {list(pixels.shape)}")
+        raise ImageFormatError(
+            f"an image array must have the shape [h, w] or [h, w, bands], got {list(pixels.shape)}"
+        )
     hint = "; an array's bands come last" if pixels.shape[0] in (1, 3, 4) else ""
     check_side(pixels.shape[1], pixels.shape[0], hint)
     dtype = np.dtype(np.float32) if pixels.dtype == np.float16 else pixels.dtype.newbyteorder("=")

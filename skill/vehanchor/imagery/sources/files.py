@@ -20,7 +20,9 @@ _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset(chain.from_iterable(IMAGE_FORMATS.values()))
 """Suffixes of the images in directories."""
 
-_SYSTEM_FOLDER = re.compile(r"__macosx|\$recycle\.bin|[#@](?:recycle|snapshot|eadir|tmp|__thumb)|thumb(?:nail)?s", re.I)
+_SYSTEM_FOLDER = re.compile(
+    r"__macosx|\$recycle\.bin|[#@](?:recycle|snapshot|eadir|tmp|__thumb)|thumb(?:nail)?s", re.I
+)
 """Folders of systems, network storage and viewers."""
 
 
@@ -28,28 +30,33 @@ def find_images(inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]
     """List every image once, in an order that depends on the names alone.
 
     Args:
-        inputs: one or several: directories (searched by suffix, recursively, also behind links, but not hidden files
-            and the folders of systems and viewers), patterns (``photos/*``, also ``**``; by suffix, too), and files. A
-            missing file with an image suffix stays in the list if other images exist: it becomes a row with an error.
+        inputs: one or several: directories (searched by suffix, recursively, also behind links, but
+            not hidden files and the folders of systems and viewers), patterns (``photos/*``, also
+            ``**``; by suffix, too), and files. A missing file with an image suffix stays in the
+            list if other images exist: it becomes a row with an error.
 
     Returns:
         Paths as the caller named them: inputs in their order, files of each input sorted.
 
     Raises:
-        ImageNotFoundError: a directory or pattern has no image, a directory does not exist, no image exists, or no
-            input is given.
+        ImageNotFoundError: a directory or pattern has no image, a directory does not exist, no
+            image exists, or no input is given.
     """
     found: dict[str, None] = {}
     named = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
     for name in [os.fspath(each) for each in named]:
         images = _images(name)
         if not images:
-            raise ImageNotFoundError(f"no image in {name!r}: use the suffixes {', '.join(sorted(SUFFIXES))}")
+            raise ImageNotFoundError(
+                f"no image in {name!r}: use the suffixes {', '.join(sorted(SUFFIXES))}"
+            )
         found.update(dict.fromkeys(images))
     if not found:
         raise ImageNotFoundError("no image given: name files, directories or patterns")
     if not any(Path(image).exists() for image in found):
-        raise ImageNotFoundError(f"there is no file {next(iter(found))!r}, nor any other of the {len(found)} named")
+        raise ImageNotFoundError(
+            f"there is no file {next(iter(found))!r}, nor any other of the {len(found)} named"
+        )
     return list(found)
 
 
@@ -94,7 +101,9 @@ def _files(folder: Path) -> Iterator[Path]:
                     continue
                 known.add((state.st_dev, state.st_ino))
                 folders[:] = filter(holds_photographs, folders)
-                links += [path for each in sorted(folders) if (path := Path(here, each)).is_symlink()]
+                links += [
+                    path for each in sorted(folders) if (path := Path(here, each)).is_symlink()
+                ]
                 yield from (Path(here, each) for each in files if holds_photographs(each))
         waiting = links
 
@@ -112,7 +121,9 @@ def _images(name: str) -> list[str]:
         matches = glob.glob(name, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
         fixed = len(list(takewhile(lambda part: not glob.has_magic(part), path.parts)))
         return sorted(
-            file for file in matches if _is_image(Path(file)) and all(map(holds_photographs, Path(file).parts[fixed:]))
+            file
+            for file in matches
+            if _is_image(Path(file)) and all(map(holds_photographs, Path(file).parts[fixed:]))
         )
     if not path.exists() and (name.endswith(_SEPARATORS) or path.suffix.lower() not in SUFFIXES):
         raise ImageNotFoundError(f"there is no file or directory {name!r}")

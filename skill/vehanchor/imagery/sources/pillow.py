@@ -31,7 +31,10 @@ class PillowImage(Protocol):
 
 def is_pillow(image: Any) -> TypeGuard[PillowImage]:
     """Test whether an object is a Pillow image, without importing Pillow."""
-    return any(kind.__module__.startswith("PIL.") and kind.__name__ == "Image" for kind in type(image).__mro__)
+    return any(
+        kind.__module__.startswith("PIL.") and kind.__name__ == "Image"
+        for kind in type(image).__mro__
+    )
 
 
 def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
@@ -55,11 +58,14 @@ def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
         )
     plain = "RGBA" if getattr(image, "has_transparency_data", False) else "RGB"
     held, shown = _HELD_BYTES.get(image.mode, 4), _ARRAY_MODES.get(image.mode, len(plain))
-    taken = width * height * (held + 2 * shown)  # Pillow copies its pixels in pieces and then joins them
+    # Pillow copies its pixels in pieces and then joins them
+    taken = width * height * (held + 2 * shown)
     if taken > limits.max_decoded_bytes:
         raise ImageTooLargeError(
-            f"decoding the Pillow image of {width} x {height} px ({image.mode}) takes {taken} bytes, the limit is "
-            f"{limits.max_decoded_bytes} (ImageLimits.max_decoded_bytes); convert it to RGB, or raise the limit"
+            f"decoding the Pillow image of {width} x {height} px ({image.mode}) takes {taken} "
+            "bytes, the limit is "
+            f"{limits.max_decoded_bytes} (ImageLimits.max_decoded_bytes); convert it to RGB, or "
+            "raise the limit"
         )
     try:
         upright = image
@@ -70,6 +76,8 @@ def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
         return np.asarray(upright)
     except MemoryError as error:
         size = f"{width} x {height} px"
-        raise OutOfMemoryError(f"not enough memory for the Pillow image of {size}: try again later") from error
+        raise OutOfMemoryError(
+            f"not enough memory for the Pillow image of {size}: try again later"
+        ) from error
     except (OSError, ValueError, SyntaxError) as error:
         raise ImageDecodeError(f"the Pillow image cannot be decoded: {error}") from error

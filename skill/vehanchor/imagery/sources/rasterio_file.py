@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from vehanchor.imagery.formats.image_header import ImageHeader
     from vehanchor.options import ImageLimits
 
-_CACHE_BYTES = 192 << 20  # of decoded blocks of all files: the overlap of two rows of tiles in a wide image
+# of decoded blocks of all files: the overlap of two rows of tiles in a wide image
+_CACHE_BYTES = 192 << 20
 _SAMPLE_GRID = 8  # windows per side: 64 windows of 128 px make SAMPLE_PX
 _SUPPORTED_PHOTOMETRIC = (1, 2, 3, 6)  # grey from black, RGB, palette, YCbCr
 _DRIVERS = {"TIFF": "GTiff", "JPEG 2000": "JP2OpenJPEG"}
@@ -51,7 +52,8 @@ class Dataset(Protocol):
 
 def is_dataset(image: object) -> TypeGuard[Dataset]:
     """Test whether an object is a rasterio dataset, without importing rasterio."""
-    rasterio_base = sys.modules.get("rasterio._base")  # the common base of its datasets has no public name
+    # the common base of its datasets has no public name
+    rasterio_base = sys.modules.get("rasterio._base")
     return rasterio_base is not None and isinstance(image, rasterio_base.DatasetBase)
 
 
@@ -67,12 +69,16 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
     """
     if dataset.closed or dataset.mode not in ("r", "r+"):
         state = "closed" if dataset.closed else f"open in mode {dataset.mode!r}"
-        raise InvalidParameterError(f"the rasterio dataset {dataset.name!r} is {state}: open it for reading")
+        raise InvalidParameterError(
+            f"the rasterio dataset {dataset.name!r} is {state}: open it for reading"
+        )
     check_windowed_size("dataset", dataset.width, dataset.height, limits)
     _check_block(dataset, "dataset", limits)
     inks = _INKS.intersection(each.name for each in dataset.colorinterp)
     if inks:
-        raise ImageFormatError(f"the dataset's bands are {', '.join(sorted(inks))}: convert it to RGB")
+        raise ImageFormatError(
+            f"the dataset's bands are {', '.join(sorted(inks))}: convert it to RGB"
+        )
     return DatasetRaster(dataset, "dataset", bands)
 
 
@@ -98,12 +104,14 @@ def open_file(
     layout = header.tiff
     if layout is not None and layout.photometric not in _SUPPORTED_PHOTOMETRIC:
         raise ImageFormatError(
-            f"the TIFF ({source}) has photometric interpretation {layout.photometric}, which is neither"
+            f"the TIFF ({source}) has photometric interpretation {layout.photometric}, which is "
+            "neither"
             " grey (black is zero), RGB, palette nor YCbCr; convert it to RGB"
         )
     check_block("JPEG 2000", header.tile_px, header.bands, _OPENJPEG_SAMPLE_BYTES, limits)
     rasterio = _import_rasterio(source, header)
-    # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could name any other file.
+    # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could name
+    # any other file.
     own = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
     with ExitStack() as stack:
         with gdal_environment(source, **own), warnings.catch_warnings():
@@ -111,14 +119,19 @@ def open_file(
             if isinstance(file, bytes):
                 file = stack.enter_context(rasterio.MemoryFile(file)).name
             dataset = stack.enter_context(
-                rasterio.open(file, driver=_DRIVERS[header.format], sharing=False, GEOREF_SOURCES="INTERNAL")
+                rasterio.open(
+                    file, driver=_DRIVERS[header.format], sharing=False, GEOREF_SOURCES="INTERNAL"
+                )
             )
             if (dataset.width, dataset.height) != (header.width_px, header.height_px):
-                raise ImageDecodeError(f"the {header.format} ({source}) declares two different sizes: damaged")
+                raise ImageDecodeError(
+                    f"the {header.format} ({source}) declares two different sizes: damaged"
+                )
             _check_block(dataset, header.format, limits)
         if layout is not None:
             check_block("TIFF's mask", layout.mask_block_px, 1, 1, limits)
-        # A geotransform refers to the stored frame, so georeferenced files keep their stored orientation.
+        # A geotransform refers to the stored frame, so georeferenced files keep their stored
+        # orientation.
         orientation = 1 if layout is not None and layout.georeferenced else header.orientation
         with gdal_environment(source):
             raster = DatasetRaster(dataset, source, bands, orientation=orientation)
@@ -140,7 +153,8 @@ def _import_rasterio(source: str, header: ImageHeader) -> Any:
         unsafe = "has a format that OpenCV does not decode safely"
         why = "is georeferenced, too large or unsupported by OpenCV" if header.tiff else unsafe
         raise MissingExtraError(
-            f"the {header.format} ({source}) {why}; reading it needs rasterio: pip install 'vehanchor[geo]'"
+            f"the {header.format} ({source}) {why}; reading it needs rasterio: pip install "
+            "'vehanchor[geo]'"
         ) from error
     return rasterio
 
@@ -159,17 +173,35 @@ def gdal_environment(source: str, **options: str) -> Iterator[None]:
     except VehAnchorError:
         raise
     except (MemoryError, CPLE_OutOfMemoryError) as error:
-        raise OutOfMemoryError(f"not enough memory for the image ({source}): try again later") from error
-    # RasterioIOError is an OSError and CRSError a ValueError; a damaged palette gives a LookupError.
-    except (RasterioError, CPLE_BaseError, OSError, ValueError, LookupError, ArithmeticError) as error:
+        raise OutOfMemoryError(
+            f"not enough memory for the image ({source}): try again later"
+        ) from error
+    # RasterioIOError is an OSError and CRSError a ValueError; a damaged palette gives a
+    # LookupError.
+    except (
+        RasterioError,
+        CPLE_BaseError,
+        OSError,
+        ValueError,
+        LookupError,
+        ArithmeticError,
+    ) as error:
         cause = error.__cause__ or error
-        raise ImageDecodeError(f"the image ({source}) cannot be decoded by GDAL: {cause}") from error
+        raise ImageDecodeError(
+            f"the image ({source}) cannot be decoded by GDAL: {cause}"
+        ) from error
 
 
 def _check_block(dataset: Any, name: str, limits: ImageLimits) -> None:
     together = dataset.count if dataset.profile.get("interleave") == "pixel" else 1
     sample_bytes = max(_dtype(name).itemsize for name in dataset.dtypes)
-    check_block(name, max(height * width for height, width in dataset.block_shapes), together, sample_bytes, limits)
+    check_block(
+        name,
+        max(height * width for height, width in dataset.block_shapes),
+        together,
+        sample_bytes,
+        limits,
+    )
 
 
 def _dtype(name: str) -> np.dtype[Any]:
@@ -196,7 +228,9 @@ class DatasetRaster(Raster):
         ImageFormatError: the image cannot be measured.
     """
 
-    def __init__(self, dataset: Any, source: str, bands: BandChoice, *, orientation: int = 1) -> None:
+    def __init__(
+        self, dataset: Any, source: str, bands: BandChoice, *, orientation: int = 1
+    ) -> None:
         self._palette = _palette(dataset)
         if self._palette is not None:
             channels, notes = choose_bands(3, bands)
@@ -220,7 +254,9 @@ class DatasetRaster(Raster):
         self._dataset = dataset
         self._unique = sorted(set(self._indexes))
         with gdal_environment(source):
-            flags = [{flag.name for flag in dataset.mask_flag_enums[index - 1]} for index in self._unique]
+            flags = [
+                {flag.name for flag in dataset.mask_flag_enums[index - 1]} for index in self._unique
+            ]
         self._masked = any("all_valid" not in names for names in flags)
         self.closing = ExitStack()
         self._alpha = self._alpha_band()
@@ -238,22 +274,48 @@ class DatasetRaster(Raster):
         step = next((each for each in (factor, factor // 2) if each > 1 and each in kept), None)
         if self._palette is not None or step is None:
             return None
-        full = Window(*(factor * each for each in (window.x_px, window.y_px, window.width_px, window.height_px)))
+        full = Window(
+            *(
+                factor * each
+                for each in (window.x_px, window.y_px, window.width_px, window.height_px)
+            )
+        )
         stored = stored_window(full, self.width_px, self.height_px, self._orientation)
-        overview = self._to_rgb(self._read_stored(stored, (stored.height_px // step, stored.width_px // step)))
+        overview = self._to_rgb(
+            self._read_stored(stored, (stored.height_px // step, stored.width_px // step))
+        )
         if step != factor:
             size = window.width_px, window.height_px
-            overview = np.asarray(cv2.resize(overview, size, interpolation=cv2.INTER_AREA), np.uint8)
+            overview = np.asarray(
+                cv2.resize(overview, size, interpolation=cv2.INTER_AREA), np.uint8
+            )
         return overview
 
     def _read_stored(self, window: Window, shape: tuple[int, int] | None = None) -> StoredPixels:
         bounds = _bounds(window)
-        more, of_one = ({} if shape is None else {"out_shape": (n, *shape)} for n in (len(self._unique), 1))
+        more, of_one = (
+            {} if shape is None else {"out_shape": (n, *shape)} for n in (len(self._unique), 1)
+        )
         with gdal_environment(self.source):
-            planes = dict(zip(self._unique, self._dataset.read(self._unique, window=bounds, **more), strict=True))
-            masks = self._dataset.read_masks(self._unique, window=bounds, **more) if self._masked else None
-            opaque = None if self._alpha is None else self._dataset.read([self._alpha], window=bounds, **of_one)[0] != 0
-        # With "nodata = 0" a dark band counts as empty; a pixel has no data only if all bands are empty.
+            planes = dict(
+                zip(
+                    self._unique,
+                    self._dataset.read(self._unique, window=bounds, **more),
+                    strict=True,
+                )
+            )
+            masks = (
+                self._dataset.read_masks(self._unique, window=bounds, **more)
+                if self._masked
+                else None
+            )
+            opaque = (
+                None
+                if self._alpha is None
+                else self._dataset.read([self._alpha], window=bounds, **of_one)[0] != 0
+            )
+        # With "nodata = 0" a dark band counts as empty; a pixel has no data only if all bands are
+        # empty.
         valid: NDArray[np.bool_] | None = None if masks is None else masks.any(axis=0)
         if opaque is not None:
             valid = opaque if valid is None else valid & opaque
@@ -286,14 +348,17 @@ class DatasetRaster(Raster):
         """Sample valid values ``[n, 3]``."""
         parts = [self._read_stored(*place) for place in self._sample_places()]
         return np.concatenate(
-            [part.rgb.reshape(-1, 3) if part.valid is None else part.rgb[part.valid] for part in parts]
+            [
+                part.rgb.reshape(-1, 3) if part.valid is None else part.rgb[part.valid]
+                for part in parts
+            ]
         )
 
     def _sample_places(self) -> list[tuple[Window, tuple[int, int] | None]]:
         """Lay out the sample, as windows with the rows and columns to read them at; None for their own.
 
-        All of a small raster, a grid of windows of a large one; a raster of large blocks once, so that no block is
-        decoded again for each window.
+        All of a small raster, a grid of windows of a large one; a raster of large blocks once, so
+        that no block is decoded again for each window.
         """
         width, height = self._dataset.width, self._dataset.height
         if width * height <= SAMPLE_PX:
@@ -304,12 +369,19 @@ class DatasetRaster(Raster):
         side = math.isqrt(SAMPLE_PX) // _SAMPLE_GRID
         spots = np.linspace(0, 1, _SAMPLE_GRID)
         w, h = min(side, width), min(side, height)
-        return [(Window(int(x * (width - w)), int(y * (height - h)), w, h), None) for y in spots for x in spots]
+        return [
+            (Window(int(x * (width - w)), int(y * (height - h)), w, h), None)
+            for y in spots
+            for x in spots
+        ]
 
 
 def _bounds(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
     """Rows and columns of a window, as rasterio takes them."""
-    return (window.y_px, window.y_px + window.height_px), (window.x_px, window.x_px + window.width_px)
+    return (window.y_px, window.y_px + window.height_px), (
+        window.x_px,
+        window.x_px + window.width_px,
+    )
 
 
 def _palette(dataset: Any) -> NDArray[np.uint8] | None:

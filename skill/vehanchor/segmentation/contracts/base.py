@@ -33,7 +33,8 @@ DTYPES: dict[str, type[np.generic]] = {
 }
 _MASK_PER_EMBEDDING = 4  # SAM's mask prompt is four times finer than its embedding
 _TOP_LEFT, _BOTTOM_RIGHT = 2, 3  # labels; 1 is a point on the object, 0 one outside it
-_SINGLE_AND_MULTI = 4  # number of masks from a decoder with a single-mask output and three for ambiguous prompts
+# number of masks from a decoder with a single-mask output and three for ambiguous prompts
+_SINGLE_AND_MULTI = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,8 @@ class MaskLogits:
     Attributes:
         logits: ``[gh, gw]`` float32, the object where > 0.
         score: IoU predicted by the model, 0..1.
-        cells_per_px: columns and rows of the grid per pixel of the crop, from the common top left corner.
+        cells_per_px: columns and rows of the grid per pixel of the crop, from the common top left
+            corner.
         window: the crop, pixels of the image.
     """
 
@@ -56,8 +58,8 @@ class MaskLogits:
 class SamContract(LoadedModel, ABC):
     """Contract of an encoder and a decoder; subclasses define inputs and outputs.
 
-    A pair of files fulfils a contract if the encoder has exactly the listed inputs, and both files have at least the
-    other listed names.
+    A pair of files fulfils a contract if the encoder has exactly the listed inputs, and both files
+    have at least the other listed names.
 
     Attributes:
         name: short name, for the model card.
@@ -108,8 +110,10 @@ class SamContract(LoadedModel, ABC):
         if embedding is None and prior is not None:
             return prior * SAM_STRIDE_PX // _MASK_PER_EMBEDDING
         raise ModelContractError(
-            f"the encoder's input {self._image.name!r} has shape {shape}, its embedding side {embedding} and the mask "
-            f"prompt side {prior}: the input size is unknown. Export with fixed shapes, or write the metadata "
+            f"the encoder's input {self._image.name!r} has shape {shape}, its embedding side "
+            f"{embedding} and the mask "
+            f"prompt side {prior}: the input size is unknown. Export with fixed shapes, or "
+            "write the metadata "
             "vehanchor.input_size_px"
         )
 
@@ -124,10 +128,13 @@ class SamContract(LoadedModel, ABC):
         shape = self._image.shape
         fixed = [side for side in shape[-2:] if isinstance(side, int)]
         if len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
-            raise ModelContractError(f"the encoder's input {self._image.name!r} has shape {shape}: not [b, 3, h, w]")
+            raise ModelContractError(
+                f"the encoder's input {self._image.name!r} has shape {shape}: not [b, 3, h, w]"
+            )
         if any(side != self.input_px for side in fixed):
             raise ModelContractError(
-                f"the encoder's input {self._image.name!r} has shape {shape}, but the input size is {self.input_px} "
+                f"the encoder's input {self._image.name!r} has shape {shape}, but the input "
+                f"size is {self.input_px} "
                 "px: only square inputs can be used"
             )
 
@@ -139,7 +146,9 @@ class SamContract(LoadedModel, ABC):
     def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Convert the resized crop to the encoder's input."""
         mean, sd = self.mean_sd
-        normal: NDArray[np.float32] = ((image.astype(np.float32) - mean) / sd).transpose(2, 0, 1)[None]
+        normal: NDArray[np.float32] = ((image.astype(np.float32) - mean) / sd).transpose(2, 0, 1)[
+            None
+        ]
         return normal
 
     def predict(self, image: NDArray[np.uint8], window: Window, prompt: Prompt) -> MaskLogits:
@@ -157,8 +166,14 @@ class SamContract(LoadedModel, ABC):
         features = self._run(self._encoder, {self._image.name: self._prepared(image)})
         size = image.shape[1], image.shape[0]
         across, down = size[0] / window.width_px, size[1] / window.height_px
-        seen = prompt.mapped(lambda x, y: ((x - window.x_px) * across - 0.5, (y - window.y_px) * down - 0.5))
-        feeds = {**features, **self._no_mask_prompt(), "orig_im_size": np.array(size[::-1], np.float32)}
+        seen = prompt.mapped(
+            lambda x, y: ((x - window.x_px) * across - 0.5, (y - window.y_px) * down - 0.5)
+        )
+        feeds = {
+            **features,
+            **self._no_mask_prompt(),
+            "orig_im_size": np.array(size[::-1], np.float32),
+        }
         outputs = self._run(self._decoder, {**feeds, **self._feeds(seen)})
         masks, (width, height) = self._masks(outputs, size)
         grid, score = self._chosen(masks, outputs[self.decoder_outputs[1]], prompt)
@@ -177,29 +192,38 @@ class SamContract(LoadedModel, ABC):
 
     def _run(self, session: Session, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Run a session on its inputs, converted to its types; return the outputs by name."""
-        inputs = {item.name: feeds[item.name].astype(DTYPES[item.type]) for item in session.get_inputs()}
+        inputs = {
+            item.name: feeds[item.name].astype(DTYPES[item.type]) for item in session.get_inputs()
+        }
         names = [output.name for output in session.get_outputs()]
         shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in inputs.items())
-        results = run_session(session, names, inputs, self.runtime, f"the {self.name} segmenter fails on {shapes}")
+        results = run_session(
+            session, names, inputs, self.runtime, f"the {self.name} segmenter fails on {shapes}"
+        )
         return dict(zip(names, (np.asarray(result) for result in results), strict=True))
 
     def _no_mask_prompt(self) -> dict[str, NDArray[Any]]:
         """Build the inputs that mean "no mask prompt"."""
         shapes = {item.name: item.shape for item in self._decoder.get_inputs()}
         fallback = self.input_px * _MASK_PER_EMBEDDING // SAM_STRIDE_PX
-        sides = [side if isinstance(side, int) else fallback for side in shapes.get("mask_input", [])[2:]]
+        sides = [
+            side if isinstance(side, int) else fallback for side in shapes.get("mask_input", [])[2:]
+        ]
         return {
             "mask_input": np.zeros((1, 1, *(sides or [fallback] * 2)), np.float32),
             "has_mask_input": np.zeros(1, np.float32),
         }
 
-    def _chosen(self, masks: NDArray[Any], scores: NDArray[Any], prompt: Prompt) -> tuple[NDArray[np.float32], float]:
+    def _chosen(
+        self, masks: NDArray[Any], scores: NDArray[Any], prompt: Prompt
+    ) -> tuple[NDArray[np.float32], float]:
         """Choose one of the masks ``[m, gh, gw]`` by the package's rule; return it with its score."""
         grids = masks.reshape(-1, *masks.shape[-2:])
         flat = np.nan_to_num(scores.reshape(-1).astype(np.float64), nan=0.0)
         if len(grids) != len(flat) or len(grids) == 0 or min(grids.shape[1:]) < 1:
             raise ModelContractError(
-                f"the decoder put out masks of shape {list(masks.shape)} and scores of shape {list(scores.shape)}: "
+                f"the decoder put out masks of shape {list(masks.shape)} and scores of shape "
+                f"{list(scores.shape)}: "
                 "expected one score a mask"
             )
         index = int(np.argmax(flat))

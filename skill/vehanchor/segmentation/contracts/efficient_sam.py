@@ -1,8 +1,8 @@
 """Contract of EfficientSAM's own export.
 
 * Encoder: ``batched_images`` ``[b, 3, h, w]`` 0..1, which its graph resizes to a square.
-* Decoder: ``image_embeddings, batched_point_coords, batched_point_labels, orig_im_size`` -> ``output_masks,
-  iou_predictions``.
+* Decoder: ``image_embeddings, batched_point_coords, batched_point_labels, orig_im_size`` ->
+  ``output_masks, iou_predictions``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ class EfficientSam(SamContract):
     described = "EfficientSAM"
     encoder_inputs = frozenset({"batched_images"})
     encoder_outputs = frozenset({"image_embeddings"})
-    decoder_inputs = frozenset({"image_embeddings", "batched_point_coords", "batched_point_labels", "orig_im_size"})
+    decoder_inputs = frozenset(
+        {"image_embeddings", "batched_point_coords", "batched_point_labels", "orig_im_size"}
+    )
     decoder_outputs = "output_masks", "iou_predictions"
     mean_sd = np.zeros(3, np.float32), np.full(3, 255, np.float32)
 
@@ -41,9 +43,14 @@ class EfficientSam(SamContract):
     def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
         """Build inputs for up to six points on the object, or a box."""
         if not all(include for _, _, include in prompt.points):
-            raise PromptError("EfficientSAM reads no points outside the object: leave them out, or use another model")
+            raise PromptError(
+                "EfficientSAM reads no points outside the object: leave them out, or use "
+                "another model"
+            )
         if len(prompt.points) > _MAX_POINTS:
-            raise PromptError(f"EfficientSAM reads at most {_MAX_POINTS} points, got {len(prompt.points)}")
+            raise PromptError(
+                f"EfficientSAM reads at most {_MAX_POINTS} points, got {len(prompt.points)}"
+            )
         coords, labels = corner_prompt(prompt)
         return {
             "batched_point_coords": np.array(coords, np.float32).reshape(1, 1, -1, 2),

@@ -1,9 +1,9 @@
 """Contract of SAM, MobileSAM and the bundled model: Meta's export of the decoder, samexporter's of the encoder.
 
-* Encoder: ``input_image`` ``[h, w, 3]`` RGB 0..255, or ``[1, 3, s, s]`` normalised; long side s, padded right and
-  below.
-* Decoder: ``image_embeddings, point_coords, point_labels, mask_input, has_mask_input, orig_im_size`` -> ``masks,
-  iou_predictions, low_res_masks``.
+* Encoder: ``input_image`` ``[h, w, 3]`` RGB 0..255, or ``[1, 3, s, s]`` normalised; long side s,
+  padded right and below.
+* Decoder: ``image_embeddings, point_coords, point_labels, mask_input, has_mask_input,
+  orig_im_size`` -> ``masks, iou_predictions, low_res_masks``.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ class Sam(SamContract):
         self, outputs: Mapping[str, NDArray[Any]], size: tuple[int, int]
     ) -> tuple[NDArray[Any], tuple[int, int]]:
         coarse = outputs.get("low_res_masks")
-        if coarse is not None and coarse.ndim == 4:  # exports with extra metrics use the name for other outputs
+        # exports with extra metrics use the name for other outputs
+        if coarse is not None and coarse.ndim == 4:
             # Exact and small; some traced exports freeze a landscape shape into "masks".
             return coarse, (self.input_px, self.input_px)
         return super()._masks(outputs, size)
@@ -68,7 +69,10 @@ class Sam(SamContract):
         below, right = self.input_px - height, self.input_px - width
         if len(self._image.shape) == 3:
             sides = self._image.shape[:2]
-            pads = [extra if isinstance(side, int) else 0 for side, extra in zip(sides, (below, right), strict=True)]
+            pads = [
+                extra if isinstance(side, int) else 0
+                for side, extra in zip(sides, (below, right), strict=True)
+            ]
             padded = np.empty((height + pads[0], width + pads[1], 3), np.float32)
             padded[:] = MEAN_RGB
             padded[:height, :width] = pixels

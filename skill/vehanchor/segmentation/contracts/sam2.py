@@ -1,7 +1,8 @@
 """Contract of SAM 2 and 2.1 in samexporter's layout.
 
 * Encoder: ``image`` ``[1, 3, s, s]``, normalised, stretched to the square.
-* Decoder: ``image_embed, high_res_feats_0, high_res_feats_1`` and SAM's other inputs -> ``masks, iou_predictions``.
+* Decoder: ``image_embed, high_res_feats_0, high_res_feats_1`` and SAM's other inputs -> ``masks,
+  iou_predictions``.
 """
 
 from __future__ import annotations

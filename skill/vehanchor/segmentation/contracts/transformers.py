@@ -1,8 +1,9 @@
 """Contract of SAM 2 and the SAM 3 tracker in the layout of transformers.js (onnx-community).
 
-* Encoder: ``pixel_values`` ``[b, 3, s, s]``, normalised, stretched to the square; SAM 3 (stride 14) with mean and sd
-  0.5.
-* Decoder: ``image_embeddings.0 .1 .2, input_points, input_labels, input_boxes`` -> ``pred_masks, iou_scores``.
+* Encoder: ``pixel_values`` ``[b, 3, s, s]``, normalised, stretched to the square; SAM 3 (stride 14)
+  with mean and sd 0.5.
+* Decoder: ``image_embeddings.0 .1 .2, input_points, input_labels, input_boxes`` -> ``pred_masks,
+  iou_scores``.
 """
 
 from __future__ import annotations

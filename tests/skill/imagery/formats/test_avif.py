@@ -66,15 +66,21 @@ def test_a_huge_declared_size_is_refused_before_decoding(
         read(declaring(encoded(), *size))
 
 
-def test_a_large_picture_behind_a_small_declaration_is_refused_before_decoding(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_picture_behind_a_small_declaration_is_refused_before_decoding(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     hidden = declaring(encoded(1000, 1000), 64, 64)
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
-    with pytest.raises(ImageTooLargeError, match="decoding the AVIF of 64 x 64 px takes 19000000 bytes"):
+    with pytest.raises(
+        ImageTooLargeError, match="decoding the AVIF of 64 x 64 px takes 19000000 bytes"
+    ):
         read(hidden, ImageLimits(max_decoded_bytes=18_000_000))
 
 
 def test_ten_bits_are_read_and_counted() -> None:
-    _, data = cv2.imencode(".avif", np.full((HEIGHT, WIDTH, 3), 700, np.uint16), [cv2.IMWRITE_AVIF_DEPTH, 10])
+    _, data = cv2.imencode(
+        ".avif", np.full((HEIGHT, WIDTH, 3), 700, np.uint16), [cv2.IMWRITE_AVIF_DEPTH, 10]
+    )
     header = read_header(lambda offset, count: data.tobytes()[offset : offset + count])
     assert header.decoding_bytes == 25 * HEIGHT * WIDTH
     assert read(data.tobytes()).shape == (HEIGHT, WIDTH, 3)

@@ -75,7 +75,9 @@ def test_an_end_mark_is_found_behind_the_scan() -> None:
     ],
     ids=lambda data: repr(data[:16]),
 )
-def test_what_is_no_image_is_undecodable(data: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_image_is_undecodable(
+    data: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "a.png"
     path.write_bytes(data)
     for image in (path, data, io.BytesIO(data)):
@@ -85,13 +87,29 @@ def test_what_is_no_image_is_undecodable(data: bytes, tmp_path: Path, capfd: pyt
     assert capfd.readouterr().err == ""
 
 
-def _raw(first: tuple[int, int], further: tuple[int, int], *, reduced: bool = False, chained: bool = False) -> bytes:
+def _raw(
+    first: tuple[int, int],
+    further: tuple[int, int],
+    *,
+    reduced: bool = False,
+    chained: bool = False,
+) -> bytes:
     """A TIFF with a picture in its first directory, and another in a directory within or after it."""
-    entries = [(254, 4, 1, int(reduced)), (256, 4, 1, first[0]), (257, 4, 1, first[1]), (258, 3, 1, 8), (262, 3, 1, 1)]
+    entries = [
+        (254, 4, 1, int(reduced)),
+        (256, 4, 1, first[0]),
+        (257, 4, 1, first[1]),
+        (258, 3, 1, 8),
+        (262, 3, 1, 1),
+    ]
     at = 8 + 2 + 12 * (len(entries) + 1) + 4
     entries.append((315, 4, 1, 0) if chained else (330, 13, 1, at))
     data = bombs.tiff_of_directory(entries)
-    inner = struct.pack("<H", 2) + struct.pack("<HHIIHHII", 256, 4, 1, further[0], 257, 4, 1, further[1]) + bytes(4)
+    inner = (
+        struct.pack("<H", 2)
+        + struct.pack("<HHIIHHII", 256, 4, 1, further[0], 257, 4, 1, further[1])
+        + bytes(4)
+    )
     return data[:-4] + struct.pack("<I", at if chained else 0) + inner
 
 
@@ -100,13 +118,18 @@ def _raw(first: tuple[int, int], further: tuple[int, int], *, reduced: bool = Fa
     [
         _raw((64, 64), (640, 480)),
         _raw((64, 64), (640, 480), reduced=True, chained=True),
-        bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), (262, 3, 1, 2), (50706, 1, 4, 1025)]),
+        bombs.tiff_of_directory(
+            [(256, 3, 1, 64), (257, 3, 1, 64), (262, 3, 1, 2), (50706, 1, 4, 1025)]
+        ),
         bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), (262, 3, 1, 32803)]),
-        b"II*\0\x10\0\0\0CR\2\0\0\0\0\0" + bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64)])[8:],
+        b"II*\0\x10\0\0\0CR\2\0\0\0\0\0"
+        + bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64)])[8:],
     ],
 )
 def test_a_raw_file_is_refused_with_what_to_export(data: bytes) -> None:
-    with pytest.raises(ImageFormatError, match="export the photograph as JPEG or TIFF in full size"):
+    with pytest.raises(
+        ImageFormatError, match="export the photograph as JPEG or TIFF in full size"
+    ):
         read_header(lambda offset, count: data[offset : offset + count])
 
 
@@ -198,7 +221,9 @@ def test_files_of_floats_and_sixteen_bit_alpha_are_read_in_rgb_order(tmp_path: P
 
 @pytest.mark.parametrize("share", [0.001, 0.02, 0.2, 0.5, 0.9, 0.99])
 @pytest.mark.parametrize("name", TRUNCATABLE)
-def test_a_truncated_file_is_not_measured(name: str, share: float, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_truncated_file_is_not_measured(
+    name: str, share: float, capfd: pytest.CaptureFixture[str]
+) -> None:
     data = TRUNCATABLE[name]
     with pytest.raises(ImageDecodeError) as caught:
         open_raster(data[: int(len(data) * share)])

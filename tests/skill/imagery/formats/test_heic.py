@@ -1,8 +1,8 @@
 """HEIC is read through libheif: upright, whole or not at all, refused by its declared size before decoding.
 
-No encoder of HEVC is free of the GPL, so that the picture is here as it was encoded once, by pillow-heif: 64 x 48 px,
-the upper left quarter white, the lower half green, the upper right quarter black, and turned to the right by its
-container.
+No encoder of HEVC is free of the GPL, so that the picture is here as it was encoded once, by
+pillow-heif: 64 x 48 px, the upper left quarter white, the lower half green, the upper right quarter
+black, and turned to the right by its container.
 """
 
 from __future__ import annotations
@@ -44,13 +44,20 @@ def test_it_is_turned_upright(tmp_path: Path) -> None:
         with open_raster(source) as raster:
             pixels = raster.read().astype(int)
             assert (raster.width_px, raster.height_px) == (48, 64)
-        for (y, x), colour in {(5, 5): GREEN, (60, 5): GREEN, (5, 40): WHITE, (60, 40): BLACK}.items():
+        for (y, x), colour in {
+            (5, 5): GREEN,
+            (60, 5): GREEN,
+            (5, 40): WHITE,
+            (60, 40): BLACK,
+        }.items():
             assert np.abs(pixels[y, x] - colour).max() <= 3
     assert vehanchor.find_images(tmp_path) == [str(tmp_path / "photo.heic")]
 
 
 def test_its_size_is_held_against_the_limits_before_it_is_decoded() -> None:
-    with pytest.raises(ImageTooLargeError, match="the HEIC declares 48 x 64 px, the limit is 3000 pixels"):
+    with pytest.raises(
+        ImageTooLargeError, match="the HEIC declares 48 x 64 px, the limit is 3000 pixels"
+    ):
         open_raster(HEIC, Reading(limits=ImageLimits(max_pixels=3000)))
     with pytest.raises(ImageTooLargeError, match="decoding the HEIC"):
         open_raster(HEIC, Reading(limits=ImageLimits(max_decoded_bytes=10_000)))

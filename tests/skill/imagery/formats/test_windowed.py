@@ -65,7 +65,9 @@ def test_a_bare_codestream_is_the_same_picture(jp2: bytes) -> None:
 
 def test_one_of_16_bits_and_of_a_known_place_is_stretched_and_lies_there() -> None:
     pixels = NOISE.astype(np.uint16) * 40
-    data = encoded(pixels, crs="EPSG:32633", transform=Affine(0.25, 0, 500_000, 0, -0.25, 5_000_000))
+    data = encoded(
+        pixels, crs="EPSG:32633", transform=Affine(0.25, 0, 500_000, 0, -0.25, 5_000_000)
+    )
     with open_raster(data) as raster:
         assert raster.georeference_gsd_m_per_px == pytest.approx(0.25)
         assert raster.ground is not None
@@ -75,7 +77,12 @@ def test_one_of_16_bits_and_of_a_known_place_is_stretched_and_lies_there() -> No
 
 def test_sizes_are_those_that_the_decoder_allocates_by(jp2: bytes) -> None:
     header = read_header(lambda at, count: jp2[at : at + count])
-    assert (header.format, header.width_px, header.height_px, header.bands) == ("JPEG 2000", 130, 90, 3)
+    assert (header.format, header.width_px, header.height_px, header.bands) == (
+        "JPEG 2000",
+        130,
+        90,
+        3,
+    )
     huge = declaring(jp2, right=1 << 20, bottom=1 << 20)
     with pytest.raises(ImageTooLargeError, match="1048576 x 1048576 px"):
         open_raster(huge)
@@ -125,7 +132,9 @@ def test_boxes_without_end_are_refused(jp2: bytes) -> None:
         open_raster(start + struct.pack(">I", 0) + b"free" + bytes(100))
 
 
-def test_without_rasterio_it_is_said_what_to_install(jp2: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_rasterio_it_is_said_what_to_install(
+    jp2: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(__import__("sys").modules, "rasterio", None)
     with pytest.raises(MissingExtraError, match=r"vehanchor\[geo\]"):
         open_raster(jp2)

@@ -30,7 +30,10 @@ from vehanchor.imagery.metadata.xmp import read_xmp
 DJI = {"drone-dji": "http://www.dji.com/drone-dji/1.0/"}
 PIX4D = {"Camera": "http://pix4d.com/camera/1.0"}
 SKYDIO = {"drone-skydio": "https://www.skydio.com/drone-skydio/1.0/"}
-SAID = 'drone-dji:RelativeAltitude="+98.90" drone-dji:GimbalPitchDegree="-89.90" drone-dji:GimbalRollDegree="+0.00"'
+SAID = (
+    'drone-dji:RelativeAltitude="+98.90" drone-dji:GimbalPitchDegree="-89.90" '
+    'drone-dji:GimbalRollDegree="+0.00"'
+)
 PACKET = xmp(DJI, SAID)
 LENS = exif({"Make": "DJI", "FocalLength": 4.5, "FocalLengthIn35mmFilm": 24})
 
@@ -41,7 +44,9 @@ def _camera(data: bytes) -> CameraMetadata:
     return camera
 
 
-def _of(properties: str, namespaces: dict[str, str] = DJI, make: str = "DJI", **tags: object) -> CameraMetadata:
+def _of(
+    properties: str, namespaces: dict[str, str] = DJI, make: str = "DJI", **tags: object
+) -> CameraMetadata:
     return _camera(jpeg(exif=exif({"Make": make, **tags}), xmp=xmp(namespaces, properties)))
 
 
@@ -78,7 +83,8 @@ def test_structures_and_elements_of_damaged_xmp_are_read() -> None:
     inner = "<drone-skydio:X>3000.5</drone-skydio:X><drone-skydio:Y>1</drone-skydio:Y>"
     said = (
         f"<drone-skydio:Pitch>7</drone-skydio:Pitch> & "
-        f'<drone-skydio:CalibratedFocalLength rdf:parseType="Resource">{inner}</drone-skydio:CalibratedFocalLength>'
+        "<drone-skydio:CalibratedFocalLength "
+        f'rdf:parseType="Resource">{inner}</drone-skydio:CalibratedFocalLength>'
         '<drone-skydio:CameraOrientationNED drone-skydio:Roll="1" drone-skydio:Pitch="-80" />'
     )
     camera = _of(said, SKYDIO, "Skydio")
@@ -88,12 +94,16 @@ def test_structures_and_elements_of_damaged_xmp_are_read() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "filling", [b"<", b"a:", b'drone-dji:RelativeAltitude="', b"x:CameraOrientationNED ", b" ", b"&"]
+    "filling",
+    [b"<", b"a:", b'drone-dji:RelativeAltitude="', b"x:CameraOrientationNED ", b" ", b"&"],
 )
 def test_hostile_xmp_is_read_in_time(filling: bytes) -> None:
     packet = b"<x:xmpmeta><" + filling * (MAX_XMP_BYTES // len(filling))
     data = jpeg(
-        exif=LENS, more=b"".join(segment(XMP_PREFIX + packet[at : at + 60_000]) for at in range(0, 10**6, 60_000))
+        exif=LENS,
+        more=b"".join(
+            segment(XMP_PREFIX + packet[at : at + 60_000]) for at in range(0, 10**6, 60_000)
+        ),
     )
     started = time.process_time()
     read_metadata(data)
@@ -125,19 +135,40 @@ def test_every_packet_is_read() -> None:
 def _png_with_compressed_xmp() -> bytes:
     body = b"iTXt" + b"XML:com.adobe.xmp\0\1\0\0\0" + zlib.compress(PACKET)
     plain = encoded(".png", smooth_rgb(80, 60))
-    return plain[:33] + struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body)) + plain[33:]
+    return (
+        plain[:33]
+        + struct.pack(">I", len(body) - 4)
+        + body
+        + struct.pack(">I", zlib.crc32(body))
+        + plain[33:]
+    )
 
 
 def test_every_exif_block_is_read_and_its_pointers_may_be_directories() -> None:
-    data = jpeg(exif=exif({"Make": "DJI"}), more=segment(b"Exif\0\0" + exif({"FocalLength": 4.5}, pointer_kind=13)))
+    data = jpeg(
+        exif=exif({"Make": "DJI"}),
+        more=segment(b"Exif\0\0" + exif({"FocalLength": 4.5}, pointer_kind=13)),
+    )
     assert (_camera(data).make, _camera(data).focal_mm) == ("DJI", 4.5)
 
 
 def test_a_lens_that_only_xmp_states_is_read() -> None:
     spaces = {"exif": "http://ns.adobe.com/exif/1.0/", "tiff": "http://ns.adobe.com/tiff/1.0/"}
-    said = 'tiff:Make="DJI" tiff:Model="FC6310" exif:FocalLength="8800/1000" exif:FocalLengthIn35mmFilm="24"'
-    camera = _camera(png_with_xmp(xmp(spaces, said + ' exif:PixelXDimension="5472" exif:PixelYDimension="3648"'), b""))
-    assert (camera.make, camera.model, camera.focal_mm, camera.focal_35mm) == ("DJI", "FC6310", 8.8, 24)
+    said = (
+        'tiff:Make="DJI" tiff:Model="FC6310" exif:FocalLength="8800/1000" '
+        'exif:FocalLengthIn35mmFilm="24"'
+    )
+    camera = _camera(
+        png_with_xmp(
+            xmp(spaces, said + ' exif:PixelXDimension="5472" exif:PixelYDimension="3648"'), b""
+        )
+    )
+    assert (camera.make, camera.model, camera.focal_mm, camera.focal_35mm) == (
+        "DJI",
+        "FC6310",
+        8.8,
+        24,
+    )
     assert (camera.taken_width_px, camera.taken_height_px) == (5472, 3648)
 
 
@@ -162,7 +193,9 @@ def test_a_lens_that_only_xmp_states_is_read() -> None:
         ("about 100", None),
     ],
 )
-def test_a_height_is_a_number_of_metres_or_feet_or_is_not_used(text: str, height_m: float | None) -> None:
+def test_a_height_is_a_number_of_metres_or_feet_or_is_not_used(
+    text: str, height_m: float | None
+) -> None:
     camera = _of(f'drone-dji:RelativeAltitude="{text}"')
     assert camera.height_m == (None if height_m is None else pytest.approx(height_m, rel=1e-5))
     assert (text[:32] in camera.refused) == (height_m is None)
@@ -184,23 +217,40 @@ def test_of_two_statements_that_differ_neither_is_used() -> None:
 
 
 def test_the_same_number_in_other_words_is_one_statement() -> None:
-    camera = _camera(jpeg(xmp=PACKET, more=segment(XMP_PREFIX + PACKET.replace(b"+98.90", b"98.9 m"))))
+    camera = _camera(
+        jpeg(xmp=PACKET, more=segment(XMP_PREFIX + PACKET.replace(b"+98.90", b"98.9 m")))
+    )
     assert (camera.height_m, camera.refused) == (98.9, "")
 
 
 @pytest.mark.parametrize(
     ("make", "properties", "focal_mm", "focal_px"),
     [
-        ("MicaSense", 'Camera:PerspectiveFocalLength="1459.7272592972727"', 5.5, 1459.7272592972727),
+        (
+            "MicaSense",
+            'Camera:PerspectiveFocalLength="1459.7272592972727"',
+            5.5,
+            1459.7272592972727,
+        ),
         (
             "MicaSense",
             'Camera:PerspectiveFocalLength="1459.7" Camera:PerspectiveFocalLengthUnits="pixels"',
             5.5,
             1459.7,
         ),
-        ("MicaSense", 'Camera:PerspectiveFocalLength="5.44" Camera:PerspectiveFocalLengthUnits="mm"', 5.44, None),
+        (
+            "MicaSense",
+            'Camera:PerspectiveFocalLength="5.44" Camera:PerspectiveFocalLengthUnits="mm"',
+            5.44,
+            None,
+        ),
         ("senseFly", 'Camera:PerspectiveFocalLength="10.6"', 10.6, None),
-        ("senseFly", 'Camera:PerspectiveFocalLength="10.6" Camera:PerspectiveFocalLengthUnits="inch"', 5.5, None),
+        (
+            "senseFly",
+            'Camera:PerspectiveFocalLength="10.6" Camera:PerspectiveFocalLengthUnits="inch"',
+            5.5,
+            None,
+        ),
     ],
 )
 def test_a_focal_length_has_the_unit_of_its_maker(
@@ -229,7 +279,10 @@ def test_a_pitch_has_the_zero_of_its_maker(make: str, pitch: float, off_nadir_de
 
 @pytest.mark.parametrize("yaw", ["+0.00", "-93.40"])
 def test_a_gimbal_of_zeros_is_unknown(yaw: str) -> None:
-    said = f'drone-dji:GimbalPitchDegree="+0.00" drone-dji:GimbalRollDegree="+0.00" drone-dji:GimbalYawDegree="{yaw}"'
+    said = (
+        'drone-dji:GimbalPitchDegree="+0.00" drone-dji:GimbalRollDegree="+0.00" '
+        f'drone-dji:GimbalYawDegree="{yaw}"'
+    )
     camera = _of(said)
     assert camera.off_nadir_deg is None
     assert "unknown angles" in camera.refused
@@ -246,9 +299,21 @@ def test_a_gimbal_of_zeros_is_unknown(yaw: str) -> None:
         ("FC330", 3316, True),
     ],
 )
-def test_a_focal_plane_of_another_size_is_not_used(model: str, width_px: int, sensor_is_possible: bool) -> None:
-    plane = {"FocalPlaneXResolution": (4_000_000, 293), "FocalPlaneResolutionUnit": 2, "PixelXDimension": width_px}
-    camera = _camera(jpeg(exif=exif({"Make": "DJI", "Model": model, **plane, "PixelYDimension": width_px * 3 // 4})))
+def test_a_focal_plane_of_another_size_is_not_used(
+    model: str, width_px: int, sensor_is_possible: bool
+) -> None:
+    plane = {
+        "FocalPlaneXResolution": (4_000_000, 293),
+        "FocalPlaneResolutionUnit": 2,
+        "PixelXDimension": width_px,
+    }
+    camera = _camera(
+        jpeg(
+            exif=exif(
+                {"Make": "DJI", "Model": model, **plane, "PixelYDimension": width_px * 3 // 4}
+            )
+        )
+    )
     assert (camera.pixel_mm is not None) == sensor_is_possible
     assert ("mm wide" in camera.refused) != sensor_is_possible
 
@@ -256,20 +321,25 @@ def test_a_focal_plane_of_another_size_is_not_used(model: str, width_px: int, se
 def test_the_documentation_has_every_row_of_the_makers() -> None:
     text = (Path(__file__).parents[4] / "docs/reading.md").read_text(encoding="utf-8")
     rows = {
-        line.split("|")[1].split(";")[0].split(":")[0].strip(): line for line in text.splitlines() if "is down" in line
+        line.split("|")[1].split(";")[0].split(":")[0].strip(): line
+        for line in text.splitlines()
+        if "is down" in line
     }
     assert set(rows) == {maker.name for maker in MAKERS}
     for maker in MAKERS:
         assert maker.namespace in rows[maker.name]
         assert all(
-            f"`{name}`" in rows[maker.name] for name in (maker.height, maker.pitch, maker.focal_px, maker.focal) if name
+            f"`{name}`" in rows[maker.name]
+            for name in (maker.height, maker.pitch, maker.focal_px, maker.focal)
+            if name
         )
 
 
 @pytest.mark.parametrize(
     "said",
     [
-        '<drone-skydio:CalibratedFocalLength rdf:parseType="Resource"><drone-skydio:X>3000</drone-skydio:X>'
+        "<drone-skydio:CalibratedFocalLength "
+        'rdf:parseType="Resource"><drone-skydio:X>3000</drone-skydio:X>'
         "</drone-skydio:CalibratedFocalLength>",
         '<drone-skydio:CalibratedFocalLength drone-skydio:X="3000" drone-skydio:Y="2"/>',
         'drone-skydio:CalibratedFocalLengthX="3000"',

@@ -37,12 +37,16 @@ def test_a_degree_is_as_long_as_proj_says(latitude_deg: float) -> None:
         [0.0, step_deg],
         [latitude_deg + step_deg, latitude_deg],
     )
-    assert metres_per_degree(latitude_deg) == pytest.approx((north[0] / step_deg, east[1] / step_deg), rel=1e-5)
+    assert metres_per_degree(latitude_deg) == pytest.approx(
+        (north[0] / step_deg, east[1] / step_deg), rel=1e-5
+    )
 
 
 def test_a_turned_raster_keeps_its_gsd() -> None:
     turned = Affine.translation(5e5, 5e6) @ Affine.rotation(30) @ Affine.scale(0.2, -0.2)
-    assert gsd_units_per_px((turned.a, turned.b, turned.c, turned.d, turned.e, turned.f)) == pytest.approx(0.2)
+    assert gsd_units_per_px(
+        (turned.a, turned.b, turned.c, turned.d, turned.e, turned.f)
+    ) == pytest.approx(0.2)
 
 
 def test_a_pixel_that_is_no_square_counts_by_its_area() -> None:
@@ -63,7 +67,8 @@ def write(path: Path, crs: Any, transform: Affine | None) -> Path:
 
 DEGREE_PX = 0.25 / math.sqrt(math.prod(metres_per_degree(43.55)))
 RADIUS_M = 6_378_137.0
-COS_LATITUDE = 1 / math.cosh(5_396_000 / RADIUS_M)  # Web Mercator: y = R atanh(sin(latitude)), x = R longitude
+# Web Mercator: y = R atanh(sin(latitude)), x = R longitude
+COS_LATITUDE = 1 / math.cosh(5_396_000 / RADIUS_M)
 WEB_PX = (
     0.25
     / RADIUS_M
@@ -84,7 +89,11 @@ TRUE_AT_42 = "+proj=merc +lat_ts=42 +lon_0=0 +ellps=WGS84 +units=m"
         ("EPSG:3857", Affine(0.25, 0, 780_000, 0, -0.25, -5_395_987.5), WEB_PX),
         (TRUE_AT_42, Affine(0.25, 0, 580_000, 0, -0.25, NORTH_42 + 12.5), 0.25),
         ("EPSG:4326", Affine(DEGREE_PX, 0, 7.0, 0, -DEGREE_PX, 43.55 + 50 * DEGREE_PX), 0.25),
-        ("EPSG:4807", Affine(DEGREE_PX / 0.9, 0, 5.0, 0, -DEGREE_PX / 0.9, (43.55 + 50 * DEGREE_PX) / 0.9), 0.25),
+        (
+            "EPSG:4807",
+            Affine(DEGREE_PX / 0.9, 0, 5.0, 0, -DEGREE_PX / 0.9, (43.55 + 50 * DEGREE_PX) / 0.9),
+            0.25,
+        ),
     ],
 )
 def test_the_gsd_of_a_file_is_in_metres_on_the_ground(
@@ -114,7 +123,8 @@ def test_without_a_usable_georeference_there_is_no_gsd(
 
 
 @pytest.mark.parametrize(
-    "error", [CRSError("bad"), ValueError("NULL color table"), KeyError(7), OverflowError(), OSError()]
+    "error",
+    [CRSError("bad"), ValueError("NULL color table"), KeyError(7), OverflowError(), OSError()],
 )
 def test_whatever_rasterio_raises_is_an_image_that_cannot_be_decoded(error: Exception) -> None:
     with pytest.raises(ImageDecodeError), gdal_environment("a.tif"):
@@ -135,7 +145,9 @@ def test_want_of_memory_is_not_the_images_fault(monkeypatch: pytest.MonkeyPatch)
         open_raster(encoded(".png"))
 
 
-def test_a_geotiff_with_any_byte_of_its_keys_changed_gives_pixels_or_an_error_of_ours(tmp_path: Path) -> None:
+def test_a_geotiff_with_any_byte_of_its_keys_changed_gives_pixels_or_an_error_of_ours(
+    tmp_path: Path,
+) -> None:
     data = geotiff(tmp_path / "a.tif", NOISE).read_bytes()
     random = np.random.default_rng(47)
     n_read = 0

@@ -150,7 +150,9 @@ ARRAYS: list[tuple[str, NDArray[Any], NDArray[Any]]] = [
 ]
 
 
-@pytest.mark.parametrize(("array", "expected"), [case[1:] for case in ARRAYS], ids=[case[0] for case in ARRAYS])
+@pytest.mark.parametrize(
+    ("array", "expected"), [case[1:] for case in ARRAYS], ids=[case[0] for case in ARRAYS]
+)
 def test_arrays_are_read_and_left_as_they_are(array: NDArray[Any], expected: NDArray[Any]) -> None:
     before = array.copy()
     np.testing.assert_array_equal(read_all(array), expected)
@@ -185,7 +187,9 @@ BAD_ARRAYS: list[tuple[str, NDArray[Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("array", "message"), [case[1:] for case in BAD_ARRAYS], ids=[case[0] for case in BAD_ARRAYS])
+@pytest.mark.parametrize(
+    ("array", "message"), [case[1:] for case in BAD_ARRAYS], ids=[case[0] for case in BAD_ARRAYS]
+)
 def test_arrays_that_cannot_be_measured(array: NDArray[Any], message: str) -> None:
     with pytest.raises(ImageFormatError, match=message) as caught:
         open_raster(array)
@@ -275,7 +279,9 @@ def test_a_truncated_one_and_one_that_is_too_large_are_refused_by_their_codes() 
         open_raster(Image.fromarray(PIXELS), Reading(limits=ImageLimits(max_pixels=2000)))
 
 
-def test_the_memory_that_it_takes_is_limited_by_its_mode_and_told_by_its_code(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_memory_that_it_takes_is_limited_by_its_mode_and_told_by_its_code(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for mode, n_bytes in (("L", 3), ("RGB", 10), ("RGBA", 12), ("F", 12), ("CMYK", 10)):
         image = Image.fromarray(PIXELS).convert(mode)
         open_raster(image, Reading(limits=ImageLimits(max_decoded_bytes=2400 * n_bytes)))

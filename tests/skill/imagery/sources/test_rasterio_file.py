@@ -46,7 +46,9 @@ def test_a_geotiff_is_read_from_a_path_or_from_bytes(tmp_path: Path) -> None:
 
 def test_a_cog_with_jpeg_colours_is_read(tmp_path: Path) -> None:
     large = smooth_rgb(512, 256)
-    path = geotiff(tmp_path / "a.tif", large, driver="COG", compress="jpeg", quality=95, blocksize=256)
+    path = geotiff(
+        tmp_path / "a.tif", large, driver="COG", compress="jpeg", quality=95, blocksize=256
+    )
     assert np.abs(read_all(path).astype(int) - large).max() <= 8
 
 
@@ -57,7 +59,9 @@ def test_nodata_masks_and_alpha_are_black(tmp_path: Path) -> None:
     mask = np.full(RGB.shape[:2], 255, np.uint8)
     mask[hole] = 0
     with_mask = geotiff(tmp_path / "mask.tif", RGB, mask)
-    with_alpha = geotiff(tmp_path / "alpha.tif", np.dstack([RGB, mask]), photometric="RGB", alpha="YES")
+    with_alpha = geotiff(
+        tmp_path / "alpha.tif", np.dstack([RGB, mask]), photometric="RGB", alpha="YES"
+    )
     marked = RGB.copy()
     marked[hole] = 255
     with_nodata = geotiff(tmp_path / "nodata.tif", marked, nodata=255)
@@ -88,7 +92,10 @@ def test_a_palette_geotiff_shows_its_colours(tmp_path: Path) -> None:
 def test_files_beside_a_tiff_are_not_looked_at(tmp_path: Path) -> None:
     path = geotiff(tmp_path / "a.tif", NOISE[..., [0, 1, 2, 0, 1]], crs=None, transform=None)
     (tmp_path / "a.tfw").write_text("0.5\n0\n0\n-0.5\n100\n200\n")
-    aux = "<PAMDataset><SRS>EPSG:32631</SRS><GeoTransform>0, 0.5, 0, 0, 0, -0.5</GeoTransform></PAMDataset>"
+    aux = (
+        "<PAMDataset><SRS>EPSG:32631</SRS><GeoTransform>0, 0.5, 0, 0, 0, "
+        "-0.5</GeoTransform></PAMDataset>"
+    )
     (tmp_path / "a.tif.aux.xml").write_text(aux)
     geotiff(tmp_path / "a.tif.msk", np.zeros((90, 130, 1), np.uint8), crs=None, transform=None)
     before = sorted(tmp_path.iterdir())
@@ -102,15 +109,21 @@ def test_without_rasterio_a_geotiff_names_the_extra_and_a_plain_tiff_opens(tmp_p
     path = geotiff(tmp_path / "a.tif", RGB)
     with without_rasterio():
         for image in (path, path.read_bytes()):
-            with pytest.raises(MissingExtraError, match=r"pip install 'vehanchor\[geo\]'") as caught:
+            with pytest.raises(
+                MissingExtraError, match=r"pip install 'vehanchor\[geo\]'"
+            ) as caught:
                 open_raster(image)
             assert caught.value.code == "missing_extra"
         np.testing.assert_array_equal(read_all(encoded(".tif")), RGB)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.8])
-def test_a_truncated_geotiff_is_undecodable(share: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    path = geotiff(tmp_path / "a.tif", NOISE, tiled=True, blockxsize=16, blockysize=16, compress="deflate")
+def test_a_truncated_geotiff_is_undecodable(
+    share: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = geotiff(
+        tmp_path / "a.tif", NOISE, tiled=True, blockxsize=16, blockysize=16, compress="deflate"
+    )
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
     for image in (path, path.read_bytes()):
@@ -173,7 +186,13 @@ def test_a_dataset_that_cannot_be_read_is_a_wrong_parameter(tmp_path: Path) -> N
         pass
     with pytest.raises(InvalidParameterError, match="closed"):
         open_raster(dataset)
-    form = {"width": 20, "height": 20, "count": 3, "dtype": "uint8", "transform": Affine(0.25, 0, 0, 0, -0.25, 0)}
+    form = {
+        "width": 20,
+        "height": 20,
+        "count": 3,
+        "dtype": "uint8",
+        "transform": Affine(0.25, 0, 0, 0, -0.25, 0),
+    }
     with (
         rasterio.open(path, "w", driver="GTiff", **form) as writing,
         pytest.raises(InvalidParameterError, match="mode 'w'"),
@@ -184,17 +203,23 @@ def test_a_dataset_that_cannot_be_read_is_a_wrong_parameter(tmp_path: Path) -> N
 def test_the_limits_hold_for_datasets(tmp_path: Path) -> None:
     with rasterio.open(geotiff(tmp_path / "a.tif", NOISE, blockysize=NOISE.shape[0])) as dataset:
         with pytest.raises(ImageTooLargeError, match="dataset declares 130 x 90 px"):
-            open_raster(dataset, Reading(limits=ImageLimits(max_windowed_pixels=NOISE[..., 0].size - 1)))
+            open_raster(
+                dataset, Reading(limits=ImageLimits(max_windowed_pixels=NOISE[..., 0].size - 1))
+            )
         with pytest.raises(ImageTooLargeError, match="store it tiled"):
             open_raster(dataset, Reading(limits=ImageLimits(max_pixels=2000)))
-        np.testing.assert_array_equal(read_all(dataset, limits=ImageLimits(max_pixels=20_000)), NOISE)
+        np.testing.assert_array_equal(
+            read_all(dataset, limits=ImageLimits(max_pixels=20_000)), NOISE
+        )
     low = geotiff(tmp_path / "b.tif", RGB[:15])
     with rasterio.open(low) as dataset, pytest.raises(ImageFormatError, match="60 x 15 px"):
         open_raster(dataset)
 
 
 def test_overviews_show_where_to_look_without_reading_the_whole_file(tmp_path: Path) -> None:
-    path = geotiff(tmp_path / "a.tif", smooth_rgb(1200, 900), tiled=True, blockxsize=256, blockysize=256)
+    path = geotiff(
+        tmp_path / "a.tif", smooth_rgb(1200, 900), tiled=True, blockxsize=256, blockysize=256
+    )
     with open_raster(path) as raster:
         assert raster.read_overview(Window(0, 0, 20, 20), 8) is None
         expected = read_reduced_window(raster, Window(3, 2, 40, 30), 8)
@@ -205,10 +230,17 @@ def test_overviews_show_where_to_look_without_reading_the_whole_file(tmp_path: P
         seen = raster.read_overview(Window(3, 2, 40, 30), 8)
         assert seen is not None
         assert np.abs(seen.astype(int) - expected).max() <= 1
-        np.testing.assert_array_equal(read_reduced_window(raster, Window(3, 2, 40, 30), 8), expected)
+        np.testing.assert_array_equal(
+            read_reduced_window(raster, Window(3, 2, 40, 30), 8), expected
+        )
         next_finer = raster.read_overview(Window(3, 2, 30, 20), 16)
         assert next_finer is not None
-        assert np.abs(next_finer.astype(int) - read_reduced_window(raster, Window(3, 2, 30, 20), 16)).max() <= 1
+        assert (
+            np.abs(
+                next_finer.astype(int) - read_reduced_window(raster, Window(3, 2, 30, 20), 16)
+            ).max()
+            <= 1
+        )
         assert raster.read_overview(Window(0, 0, 20, 10), 32) is None
 
 
@@ -216,6 +248,11 @@ def test_datasets_that_cannot_be_measured(tmp_path: Path) -> None:
     signed = geotiff(tmp_path / "a.tif", RGB.astype(np.int16))
     with rasterio.open(signed) as dataset, pytest.raises(ImageFormatError, match="int16"):
         open_raster(dataset)
-    inks = geotiff(tmp_path / "b.tif", np.dstack([RGB, RGB[..., 0]]).astype(np.uint16), photometric="CMYK")
-    with rasterio.open(inks) as dataset, pytest.raises(ImageFormatError, match="black, cyan, magenta, yellow: convert"):
+    inks = geotiff(
+        tmp_path / "b.tif", np.dstack([RGB, RGB[..., 0]]).astype(np.uint16), photometric="CMYK"
+    )
+    with (
+        rasterio.open(inks) as dataset,
+        pytest.raises(ImageFormatError, match="black, cyan, magenta, yellow: convert"),
+    ):
         open_raster(dataset)
