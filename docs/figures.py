@@ -35,7 +35,9 @@ ICONS = {  # file: side in pixels
 }
 CROP = (slice(250, 510), slice(380, 760))  # rows and columns of the image, pixels
 HIT_IOU = 0.5
-BLUE, ORANGE, INK = "#0072B2", "#D55E00", "#222222"
+BLUE = "#0072B2"
+ORANGE = "#D55E00"
+INK = "#222222"
 
 
 def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
@@ -56,10 +58,8 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
         f"1. Cars as oriented boxes: {estimate.details.n_detections}", loc="left", fontsize=10
     )
 
-    kept, scores = (
-        analysis.detections.boxes[analysis.kept, 2],
-        analysis.detections.scores[analysis.kept],
-    )
+    kept = analysis.detections.boxes[analysis.kept, 2]
+    scores = analysis.detections.scores[analysis.kept]
     grid = np.linspace(kept.min() * 0.9, kept.max() * 1.1, 400)
     lengths.hist(kept, bins=24, density=True, color="#56B4E9", alpha=0.6)
     lengths.plot(grid, modal_density(grid, kept, scores, estimate.details.aggregation), color=BLUE)
@@ -70,7 +70,8 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
         f"2. Their modal length: {estimate.mode_length_px:.1f} px", loc="left", fontsize=10
     )
 
-    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    low = estimate.gsd_ci95_low_m_per_px
+    high = estimate.gsd_ci95_high_m_per_px
     vehicles = next(ruler.gsd_m_per_px for ruler in estimate.rulers if ruler.kind == "vehicles")
     lines = (
         f"{estimate.details.reference_length_m:.2f} m  /  {estimate.mode_length_px:.1f} px",
@@ -168,12 +169,10 @@ def draw_icon(side_px: int) -> np.ndarray:
     """Draw a car above a measured length, ``[side_px, side_px, 4]`` BGRA."""
     large = 1024
     icon = np.zeros((large, large, 4), np.uint8)
-    ground, paint, glass, line = (
-        (0xB2, 0x72, 0x00, 255),
-        (255, 255, 255, 255),
-        (0x66, 0x44, 0x11, 255),
-        (0, 0xD4, 255, 255),
-    )
+    ground = (0xB2, 0x72, 0x00, 255)
+    paint = (255, 255, 255, 255)
+    glass = (0x66, 0x44, 0x11, 255)
+    line = (0, 0xD4, 255, 255)
 
     def block(
         left: int, top: int, right: int, bottom: int, radius: int, colour: tuple[int, ...]

@@ -34,7 +34,9 @@ GSD = 0.12  # of all of them but COARSE, metres per pixel
 LINE = (100, 120, 400, 520)  # 500 px, 60 m
 FOCAL_PX = 700.0  # 84 m above the ground give 0.12 m/px
 FIRST = (120, 260)  # corner of the first pasted vehicle
-YELLOW, GREEN, TRUTH = "#FFD400", "#009E73", "#D55E00"
+YELLOW = "#FFD400"
+GREEN = "#009E73"
+TRUTH = "#D55E00"
 _XMP = (
     '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
     'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
@@ -77,7 +79,8 @@ def examples() -> list[Example]:
 
 def with_height(photograph: Path, height_m: float) -> bytes:
     """Write a drone's height above take-off, looking straight down, into a copy of a JPEG file."""
-    data, pixels = photograph.read_bytes(), cv2.imread(str(photograph))
+    data = photograph.read_bytes()
+    pixels = cv2.imread(str(photograph))
     assert pixels is not None
     height_px, width_px = pixels.shape[:2]
     packet = _XMP.format(height_m=height_m, focal_px=FOCAL_PX, x=width_px / 2, y=height_px / 2)
@@ -100,7 +103,8 @@ def _pasted(factor: float, rows: int, columns: int) -> NDArray[np.uint8]:
         GSD, width_px=800, height_px=600, seed=1, layout="countryside", n_vehicles=0
     ).image.copy()
     height_px, width_px = chip.shape[:2]
-    (left, top), (across, down) = FIRST, (width_px + 8, height_px + 12)
+    (left, top) = FIRST
+    (across, down) = (width_px + 8, height_px + 12)
     if rows > 1:
         yard = image[top - 10 : top + rows * down, left - 10 : left + columns * across]
         yard[:] = yard.mean((0, 1)) * 0.3 + 80
@@ -115,8 +119,10 @@ def _chip(scene: Scene, factor: float) -> NDArray[np.uint8]:
     middle = np.array([scene.image.shape[1], scene.image.shape[0]]) / 2
     cars = [each for each in scene.vehicles if each.kind == "small-vehicle" and not each.difficult]
     car = min(cars, key=lambda each: float(np.hypot(*(middle - (each.x_px, each.y_px)))))
-    width_px, height_px = round(car.length_px * 1.12 * factor), round(car.width_px * 1.25 * factor)
-    cos, sin = math.cos(car.angle_rad) / factor, math.sin(car.angle_rad) / factor
+    width_px = round(car.length_px * 1.12 * factor)
+    height_px = round(car.width_px * 1.25 * factor)
+    cos = math.cos(car.angle_rad) / factor
+    sin = math.sin(car.angle_rad) / factor
     left = car.x_px - (cos * width_px - sin * height_px) / 2
     top = car.y_px - (sin * width_px + cos * height_px) / 2
     turned = np.array([[cos, -sin, left], [sin, cos, top]])
@@ -143,10 +149,8 @@ def sentence(analysis: ScaleAnalysis) -> str:
     assert record.gsd_ci95_low_m_per_px is not None
     assert record.gsd_ci95_high_m_per_px is not None
     status = "ok" if record.reason is None else f"{record.status}, {record.reason}"
-    low, high = (
-        significant(record.gsd_ci95_low_m_per_px),
-        significant(record.gsd_ci95_high_m_per_px),
-    )
+    low = significant(record.gsd_ci95_low_m_per_px)
+    high = significant(record.gsd_ci95_high_m_per_px)
     codes = "".join(sorted({f"; {warning.code}" for warning in record.warnings}))
     value = (
         f"{significant(record.gsd_m_per_px)} m/px ({low} to {high}), chance {record.confidence:.2f}"

@@ -22,7 +22,9 @@ FIELDS = {
     b"VEH_GSD_HI": "gsd_ci95_high_m_per_px",
     b"VEH_CONF": "confidence",
 }
-NAMED_VALUE_FLOAT, SEED = 251, 170  # number and checksum seed of the message, common.xml
+# number and checksum seed of the message, common.xml
+NAMED_VALUE_FLOAT = 251
+SEED = 170
 ONBOARD_COMPUTER = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 
 
@@ -65,7 +67,8 @@ def main() -> None:
             record = json.loads(line)
             if record["gsd_m_per_px"] is None:
                 continue
-            time_ms, datagram = round(1000 * record["at_s"]), b""
+            time_ms = round(1000 * record["at_s"])
+            datagram = b""
             for name, field in FIELDS.items():
                 datagram += packed(number, chosen.system, time_ms, name, record[field])
                 number += 1

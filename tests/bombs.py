@@ -137,7 +137,8 @@ def strip_tiff(side_px: int, dtype: str, bands: int, rows: int, strip: bytes) ->
     at = 8 + 2 + (13 if bands in (2, 4) else 12) * 12 + 4
     bits = struct.pack(f"<{bands}H", *[8 * depth.itemsize] * bands)
     kinds = struct.pack(f"<{bands}H", *[3 if depth.kind == "f" else 1] * bands)
-    bits_at, kinds_at = at, at + len(bits)
+    bits_at = at
+    kinds_at = at + len(bits)
     offsets_at = kinds_at + len(kinds)
     counts_at = offsets_at + 4 * n_strips
     strip_at = counts_at + 4 * n_strips
@@ -173,7 +174,8 @@ def one_strip_tiff(pixels: NDArray[np.uint8]) -> bytes:
 GENEROUS = 3.0
 """Times that a cost may be above proportion, or above the floors, before the check fails."""
 
-FLOOR_S, FLOOR_MIB = 0.1, 64.0
+FLOOR_S = 0.1
+FLOOR_MIB = 64.0
 """Below them nothing is compared: a process has as much of its own."""
 
 MIB = 1 << 20

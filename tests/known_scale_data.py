@@ -56,17 +56,14 @@ def write_dota_split(folder: Path) -> Path:
         found; P0002:
     nothing found; P0003: found 30 % too long, no labelled vehicle.
     """
-    images, labels = (
-        folder / "images" / "part1" / "images",
-        folder / "labelTxt-v1.5" / "DOTA-v1.5_val",
-    )
-    old, upright = (
-        folder / "labelTxt-v1.0" / "labelTxt",
-        folder / "labelTxt-v1.5" / "DOTA-v1.5_val_hbb",
-    )
+    images = folder / "images" / "part1" / "images"
+    labels = folder / "labelTxt-v1.5" / "DOTA-v1.5_val"
+    old = folder / "labelTxt-v1.0" / "labelTxt"
+    upright = folder / "labelTxt-v1.5" / "DOTA-v1.5_val_hbb"
     for path in (labels, old, upright):
         path.mkdir(parents=True)
-    found, truth = REFERENCE_M / 20, REFERENCE_M / 20
+    found = REFERENCE_M / 20
+    truth = REFERENCE_M / 20
     files: dict[str, tuple[NDArray[np.float64], str]] = {
         "P0000": (cars(20), f"imagesource:GoogleEarth\ngsd:{truth}\n{dota_lines(cars(22))}"),
         "P0001": (

@@ -38,7 +38,8 @@ BEACON_PX = 5
 CELL_PX = 4  # one anchor per square of this side
 _MARK = (255, 0, 255)
 _BODY = (150, 158, 170)
-_OPSET, _IR_VERSION = 17, 8
+_OPSET = 17
+_IR_VERSION = 8
 
 
 def blank_image(width_px: int, height_px: int, level: int = 70) -> NDArray[np.uint8]:
@@ -77,7 +78,8 @@ def paint_vehicles(
         cv2.fillPoly(image, [corner], _BODY, shift=4)
     found = rows.copy()
     for i, (row, level, kind) in enumerate(zip(rows, levels, kinds, strict=True)):
-        x, y = int(row[0]), int(row[1])
+        x = int(row[0])
+        y = int(row[1])
         assert 0 <= y < image.shape[0], f"{row} is outside the image"
         assert 0 <= x <= image.shape[1] - BEACON_PX, f"{row} has no room for its beacon"
         length, width = (int(np.rint(side * 256)) for side in row[2:4])
@@ -127,7 +129,8 @@ def car_park(
     scores: Sequence[float] | None = None,
 ) -> NDArray[np.uint8]:
     """RGB with a vehicle of each length, in rows from the upper left corner."""
-    image, columns = blank_image(width_px, height_px), (width_px - 60) // 70
+    image = blank_image(width_px, height_px)
+    columns = (width_px - 60) // 70
     rows = [
         [40 + 70 * (k % columns), 50 + 60 * (k // columns), x, 12, 0.4]
         for k, x in enumerate(np.asarray(lengths))
@@ -300,10 +303,8 @@ def write_chip_network(
         (np.arange(side) + 0.5 - side / 2) / CHIP_LENGTH_PX / 8**2
         for side in (CHIP_ROWS, CHIP_COLUMNS)
     )
-    weight, offset = (
-        np.zeros((3, CHIP_ROWS, CHIP_COLUMNS, sum(sizes.values()))),
-        np.zeros(sum(sizes.values())),
-    )
+    weight = np.zeros((3, CHIP_ROWS, CHIP_COLUMNS, sum(sizes.values())))
+    offset = np.zeros(sum(sizes.values()))
     weight[..., 0] = gain / weight[..., 0].size
     weight[0, :, :, first["edges"] : first["edges"] + 2] = columns[None, :, None]
     weight[0, :, :, first["edges"] + 2 : first["edges"] + 4] = rows[:, None, None]
@@ -448,7 +449,8 @@ def _end_to_end_rows(graph: Graph, flat: str, cap: int) -> str:
     padded = graph.add("Pad", [flat, graph.constant([0, 0, 0, 0, 0, cap], np.int64)])
     start, end, axis = (graph.constant([value], np.int64) for value in (4, 5, 1))
     score = graph.add("Slice", [padded, start, end, axis])
-    values, indices = f"top{len(graph.nodes)}", f"at{len(graph.nodes)}"
+    values = f"top{len(graph.nodes)}"
+    indices = f"at{len(graph.nodes)}"
     graph.nodes.append(
         helper.make_node(
             "TopK",

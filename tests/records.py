@@ -27,7 +27,8 @@ CASES = [
 def records_of(scene: Path) -> dict[str, Any]:
     """The scene's records: its scale, its scale by the paper's rules alone, the area around its middle."""
     estimate = estimate_gsd(scene, threads=2)
-    width, height = estimate.image_width_px, estimate.image_height_px
+    width = estimate.image_width_px
+    height = estimate.image_height_px
     box = (0.3 * width, 0.3 * height, 0.6 * width, 0.62 * height)
     records = {
         "estimate": estimate,

@@ -37,10 +37,12 @@ EMPTY: Content = "empty"
 FULL: Content = "full"
 
 CELL_PX = 4  # of the mask's grid, in pixels of the model's input
-_MEAN, _SD = (123.675, 116.28, 103.53), (58.395, 57.12, 57.375)
+_MEAN = (123.675, 116.28, 103.53)
+_SD = (58.395, 57.12, 57.375)
 _FAR = 1e4
 _ALIKE = 30.0  # of 255, the largest difference of a channel
-_FLOAT, _INT64 = TensorProto.FLOAT, TensorProto.INT64
+_FLOAT = TensorProto.FLOAT
+_INT64 = TensorProto.INT64
 
 
 def write_sam(
@@ -85,7 +87,8 @@ def write_sam(
         )
         shape: list[Any] = [input_px, input_px, 3] if fixed else ["image_height", "image_width", 3]
     else:
-        image, shape = "input_image", [1, 3, input_px, input_px]
+        image = "input_image"
+        shape = [1, 3, input_px, input_px]
     block = embedding_stride // CELL_PX
     _embedded(graph, image, CELL_PX, block, "image_embeddings")
     side = input_px // embedding_stride
@@ -396,7 +399,8 @@ def _logits(graph: Graph, colours: str, coords: str, labels: str, cell_px: int) 
     def less(first: str, second: str) -> str:
         return graph.add("Sub", [first, second])
 
-    first, last = labelled(2), labelled(3)
+    first = labelled(2)
+    last = labelled(3)
     x1, y1 = (summed(graph.add("Mul", [at, first]), 0) for at in (x, y))
     x2, y2 = (summed(graph.add("Mul", [at, last]), 0) for at in (x, y))
     has_box = summed(first, 0)

@@ -66,7 +66,8 @@ class Tiles:
 @contextmanager
 def watched_tiles() -> Iterator[Tiles]:
     """Watch and hold the tiles of every detector of this process."""
-    tiles, original = Tiles(), Detector.detect_tile
+    tiles = Tiles()
+    original = Detector.detect_tile
 
     def watched(self: Detector, *args: object, **kwargs: object) -> object:
         tiles.begin()

@@ -41,7 +41,8 @@ _PAINTS: tuple[Rgb, ...] = (
 
 
 def _outline(yard: Yard, frame: Frame, length: float, width: float) -> NDArray[np.float64]:
-    half, side = length / 2, width / 2
+    half = length / 2
+    side = width / 2
     if yard == "boats":  # a pointed bow
         bow = [(half, 0.0), (0.55 * half, 0.75 * side), (0.15 * half, side)]
         return frame.points(
@@ -74,7 +75,8 @@ def paint_yard(
     world = World(surfaces=[Surface(around, rgb, material)])
     turn = float(rng.uniform(0.1, 0.5))
     fleet = Fleet(4.6, rng)
-    pitch_x, pitch_y = width * 1.45, length * 1.35
+    pitch_x = width * 1.45
+    pitch_y = length * 1.35
     reach = extent / math.sqrt(2) + length
     for x in np.arange(-reach, reach, pitch_x):
         for y in np.arange(-reach, reach, pitch_y):

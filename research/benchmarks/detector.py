@@ -57,7 +57,8 @@ def _row(name: str, trials: list[ScaleTrial]) -> str:
 
 def _with_region(trial: ScaleTrial, card: DetectorCard, options: ScaleOptions) -> ScaleTrial:
     """The same detections, with the reference length of the image's region where the model has one."""
-    before, estimate = trial.analysis, trial.analysis.estimate
+    before = trial.analysis
+    estimate = trial.analysis.estimate
     facts = ImageFacts(estimate.image_width_px, estimate.image_height_px)
     regional = _in_region(options, trial.image, card)
     return ScaleTrial(

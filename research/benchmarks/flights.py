@@ -43,7 +43,8 @@ _REGIONS = {
     "ucm": "north_america",
     "saopaulo": "south_america",
 }
-_FLIGHTS, _PHOTOGRAPHS = 4, 24
+_FLIGHTS = 4
+_PHOTOGRAPHS = 24
 
 
 def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
@@ -178,7 +179,8 @@ def cut_flight(
     world: NDArray[np.uint8], rng: np.random.Generator, n: int
 ) -> tuple[list[NDArray[np.uint8]], NDArray[np.float64]]:
     """Photographs of 480 x 360 px at random places, turns and scales of 0.6 to 1.7, and their scales."""
-    width, height = 480, 360
+    width = 480
+    height = 360
     photographs: list[NDArray[np.uint8]] = []
     scales: list[float] = []
     while len(photographs) < n:
@@ -188,10 +190,8 @@ def cut_flight(
         reach_y = scale * (abs(width * np.sin(turn)) + abs(height * np.cos(turn))) / 2
         if 2 * reach_x >= world.shape[1] or 2 * reach_y >= world.shape[0]:
             continue
-        x, y = (
-            rng.uniform(reach_x, world.shape[1] - reach_x),
-            rng.uniform(reach_y, world.shape[0] - reach_y),
-        )
+        x = rng.uniform(reach_x, world.shape[1] - reach_x)
+        y = rng.uniform(reach_y, world.shape[0] - reach_y)
         move = cv2.getRotationMatrix2D((x, y), float(np.degrees(turn)), 1 / scale)
         move[:, 2] += np.array([width / 2 - x, height / 2 - y])
         seen = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world
@@ -221,7 +221,8 @@ def matched(data: Path, flights: int) -> None:
             for place, each in enumerate(photographs)
         ]
         record = conclude(photographs, detector.card, same_scale=False)
-        errors, held = [], 0
+        errors = []
+        held = 0
         for each in record.photographs:
             if (
                 each.gsd_m_per_px is None
@@ -233,7 +234,8 @@ def matched(data: Path, flights: int) -> None:
             errors.append(abs(each.gsd_m_per_px / truth - 1))
             held += each.gsd_ci95_low_m_per_px <= truth <= each.gsd_ci95_high_m_per_px
         every += errors
-        inside, total = inside + held, total + len(errors)
+        inside = inside + held
+        total = total + len(errors)
         sizes = ", ".join(str(component.n_photographs) for component in record.components)
         dropped = sum(link.dropped is not None for link in record.links)
         print(

@@ -79,7 +79,8 @@ def _cell(pictures: list[NDArray[Any]], rng: np.random.Generator) -> NDArray[Any
 def make(data: Path, out: Path, side: int, share: float, town: str, seed: int) -> None:
     """Write a mosaic as a tiled TIFF, row of cells by row of cells."""
     rng = np.random.default_rng(seed)
-    towns, fields = pictures(data, town, SETS[town]), pictures(data, "empty", "table.csv")
+    towns = pictures(data, town, SETS[town])
+    fields = pictures(data, "empty", "table.csv")
     where = layout(side // CELL_PX, share, rng)
     profile = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "tiled": True,
                "blockxsize": 512, "blockysize": 512, "compress": "jpeg", "photometric": "ycbcr", "jpeg_quality": 92,
@@ -99,10 +100,12 @@ def search(image: Path, effort: str, threads: int | None) -> str:
     """One line of a table for one image and effort."""
     detector = load_detector(resolve_model(), Runtime(threads=threads))
     options = ScaleOptions.of({"effort": effort})
-    started, cpu = time.perf_counter(), time.process_time()
+    started = time.perf_counter()
+    cpu = time.process_time()
     with open_raster(image, options.reading) as raster:
         found = analyse_raster(detector, raster, options).estimate
-    seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
+    seconds = time.perf_counter() - started
+    cpu = time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     details = found.details
     return (

@@ -50,7 +50,8 @@ _PACKAGES = (
 _OURS = "vehanchor"
 _PEERS = ("ultralytics, tile by tile, no merge", "SAHI", "supervision")
 _BARE = "ONNX Runtime alone"
-_SIDE_PX, _TILE_PX = 4096, 1024
+_SIDE_PX = 4096
+_TILE_PX = 1024
 _SCENES = {"200": (0.15, 12), "2,000": (0.1, None), "15,000": (0.3, None)}
 """Images by their number of vehicles: metres a pixel, and the most vehicles in a sixteenth of the image; None: full."""
 
@@ -94,7 +95,9 @@ def write_work(folder: Path) -> tuple[Path, list[Path], Path]:
     Each image is a rendered car park of 1024 x 1024 px, repeated: what matters is the number of
     vehicles.
     """
-    model, tiles, written = folder / "vehicles.onnx", folder / "tiles.json", list[Path]()
+    model = folder / "vehicles.onnx"
+    tiles = folder / "tiles.json"
+    written = list[Path]()
     shutil.copyfile(resolve_model(), model)  # without the networks beside it
     tiles.write_text(
         json.dumps(
@@ -119,7 +122,8 @@ def search_here(model: Path, image: Path) -> Pass:
     pixels = np.ascontiguousarray(read[:, :, ::-1]).astype(np.uint8, copy=False)
     detector = Detector(model)
     detector.detect_tile(detector.prepared(pixels[:_TILE_PX, :_TILE_PX]), 0.5)
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall = time.perf_counter()
+    cpu = time.process_time()
     with open_raster(pixels) as raster:
         found = ImageSearch(raster, detector, Search(search_scales=False, effort="full")).searched()
     spent = time.perf_counter() - wall, time.process_time() - cpu

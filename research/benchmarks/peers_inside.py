@@ -140,7 +140,8 @@ def main() -> None:
     }
     for image in images:
         run = makers[tool](model, cv2.imread(image), json.loads(Path(tiles).read_text()))
-        wall, cpu = time.perf_counter(), time.process_time()
+        wall = time.perf_counter()
+        cpu = time.process_time()
         n_boxes, n_tiles = run()
         spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
         status = Path("/proc/self/status").read_text().splitlines()

@@ -87,8 +87,10 @@ def hit_labels(boxes: NDArray[np.float64], labels: NDArray[np.float64]) -> NDArr
         boxes: ``[n, 5]``, best first.
         labels: ``[m, 4, 2]`` corners.
     """
-    low, high = labels.min(axis=1), labels.max(axis=1)
-    side, middle = high - low, (low + high) / 2
+    low = labels.min(axis=1)
+    high = labels.max(axis=1)
+    side = high - low
+    middle = (low + high) / 2
     free = np.ones(len(labels), bool)
     out = np.full(len(boxes), -1, np.intp)
     for k, box in enumerate(boxes):
@@ -97,7 +99,8 @@ def hit_labels(boxes: NDArray[np.float64], labels: NDArray[np.float64]) -> NDArr
         chosen = np.flatnonzero(inside & fits & free)
         if len(chosen):
             nearest = chosen[np.linalg.norm(middle[chosen] - box[:2], axis=1).argmin()]
-            out[k], free[nearest] = nearest, False
+            out[k] = nearest
+            free[nearest] = False
     return out
 
 
@@ -307,14 +310,14 @@ def main() -> None:
     print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`\n")
     for part in options.part or _PARTS:
         if part == "people":
-            key, lines = (
-                "places",
-                people_report(people_sets(DATA, detector, options.held_out), thresholds),
-            )
+            key = "places"
+            lines = people_report(people_sets(DATA, detector, options.held_out), thresholds)
         elif part == "clutter":
-            key, lines = "clutter", clutter_report(DATA, detector, thresholds)
+            key = "clutter"
+            lines = clutter_report(DATA, detector, thresholds)
         else:
-            key, lines = "mistakes", mistakes_report(DATA, detector)
+            key = "mistakes"
+            lines = mistakes_report(DATA, detector)
         with recording(
             "detection", [key], options.record, model={detector.card.name: detector.card.sha256}
         ):

@@ -97,9 +97,11 @@ def _seen(witnesses: Sequence[Witness], true_gsd: float, usable: bool) -> Seen:
 
 def drawn(rng: np.random.Generator, seen: Seen, case: Case) -> tuple[list[Witness], float]:
     """Draw the witnesses of a case's rulers, and the true scale; another one if the vehicles are wrong."""
-    truth, ground = seen.true_gsd, seen.ground
+    truth = seen.true_gsd
+    ground = seen.ground
     if case.liar == "vehicles":
-        truth, ground = _lie(rng, truth), ()
+        truth = _lie(rng, truth)
+        ground = ()
     told: list[Witness] = [*ground]
     for kind in case.kinds:
         if kind == "vehicles":
@@ -138,7 +140,10 @@ CASES = (
 def row(case: Case, seen: Sequence[Seen]) -> str:
     """One row of the table."""
     rng = np.random.default_rng(_SEED)
-    errors, held, flagged, chances = [], [], [], []
+    errors = []
+    held = []
+    flagged = []
+    chances = []
     for image in (each for each in seen if case.only(each)):
         for _ in range(DRAWS):
             told, truth = drawn(rng, image, case)

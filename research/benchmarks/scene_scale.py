@@ -86,7 +86,8 @@ def upright_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
 
 def level_lengths(corners: NDArray[np.float64], ends: NDArray[np.int_]) -> NDArray[np.float64]:
     """The longer sides of upright boxes ``[n, 4, 2]`` that are clearly longer one way and whole in the image."""
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    low = corners.min(axis=1)
+    high = corners.max(axis=1)
     sides = np.sort(high - low, axis=1)
     whole = (low > _BORDER_PX).all(axis=1) & (high < ends - _BORDER_PX).all(axis=1)
     return np.asarray(sides[whole & (sides[:, 1] > _LEVEL_RATIO * sides[:, 0]), 1])
@@ -116,10 +117,8 @@ def main() -> None:
             gsd = _CAR_M[name] / length_px
             with open_raster(path) as raster:
                 density = ground.predict(raster).density
-            middle, (low, high) = (
-                credible_interval(density, probability=0.0).low,
-                credible_interval(density),
-            )
+            middle = credible_interval(density, probability=0.0).low
+            (low, high) = credible_interval(density)
             told = Told(gsd, abs(float(np.log(middle / gsd))), low < gsd < high, high / low)
             by_set.setdefault(name, []).append(told)
     every = [each for told in by_set.values() for each in told]

@@ -84,7 +84,9 @@ def search(environment: Path, rounds: int) -> list[Row]:
 def photographs(folder: Path) -> list[Row]:
     """Adaptive search of photographs of 12 megapixels beside the full one, and two workers beside one."""
     engine = Engine(runtime=Runtime(threads=1))
-    ratios, changes, same = [], [], 0
+    ratios = []
+    changes = []
+    same = 0
     for number, (layout, gsd) in enumerate(_SCENES):
         path = folder / f"{layout}-{gsd}.jpg"
         width, height = _SIZE_PX
@@ -125,7 +127,8 @@ def photographs(folder: Path) -> list[Row]:
 
 def car_park() -> list[Row]:
     """All networks on a car park from edge to edge, adaptively, beside the bare detector on all tiles; one thread."""
-    image, engine = large_scene(), Engine(runtime=Runtime(threads=1))
+    image = large_scene()
+    engine = Engine(runtime=Runtime(threads=1))
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(

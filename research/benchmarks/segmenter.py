@@ -64,8 +64,10 @@ def grabcut(target: Target) -> tuple[NDArray[np.bool_], float]:
     height, width = target.mask.shape
     x1, y1, x2, y2 = _pixels(target.box)
     reach = max(x2 - x1, y2 - y1)
-    left, top = max(0, (x1 + x2) // 2 - reach), max(0, (y1 + y2) // 2 - reach)
-    right, bottom = min(width, (x1 + x2) // 2 + reach), min(height, (y1 + y2) // 2 + reach)
+    left = max(0, (x1 + x2) // 2 - reach)
+    top = max(0, (y1 + y2) // 2 - reach)
+    right = min(width, (x1 + x2) // 2 + reach)
+    bottom = min(height, (y1 + y2) // 2 + reach)
     crop = np.ascontiguousarray(target.image[top:bottom, left:right])
     labels = np.full(crop.shape[:2], cv2.GC_BGD, np.uint8)
     labels[y1 - top : y2 - top, x1 - left : x2 - left] = cv2.GC_PR_FGD

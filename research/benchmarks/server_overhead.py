@@ -30,7 +30,8 @@ from vehanchor.records import AreaMeasurement, GsdEstimate
 
 async def overhead(n_calls: int, threads: int) -> None:
     """Library and server in turns, so that both meet the same machine; both remember what they found in the image."""
-    engine, memory = Engine(runtime=Runtime(threads=threads)), AnalysisMemory()
+    engine = Engine(runtime=Runtime(threads=threads))
+    memory = AnalysisMemory()
     with tempfile.TemporaryDirectory() as directory:
         image = write_images(Path(directory).resolve())[0]
         box = middle_box(image)
@@ -56,7 +57,8 @@ async def overhead(n_calls: int, threads: int) -> None:
         async with Client(server, read_timeout_seconds=120) as client:
             for tool, (ask_library, arguments) in questions.items():
                 measured = "area_m2" if tool == "measure_area" else "gsd_m_per_px"
-                library, called = [], []
+                library = []
+                called = []
                 for i in range(n_calls + 3):
                     started = time.perf_counter()
                     expected = ask_library()

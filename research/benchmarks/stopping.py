@@ -75,7 +75,8 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
         image = np.ascontiguousarray(image[:CELL_PX, :CELL_PX, ::-1])
         with open_raster(image) as raster:
             found = ImageSearch(raster, detector, Search(search_scales=False)).searched()
-        n, looks = len(found.boxes), Looks(*(np.zeros(0) for _ in Looks._fields))
+        n = len(found.boxes)
+        looks = Looks(*(np.zeros(0) for _ in Looks._fields))
         if n and found.looks is not None:
             # beyond the first, those of others in the cell
             looks = found.looks.take(np.arange(n) % len(found.looks))
@@ -150,7 +151,8 @@ class Outcome(NamedTuple):
 
 def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcome:
     """Search a mosaic by the real order and rule."""
-    card, side = detector.card, mosaic.side
+    card = detector.card
+    side = mosaic.side
     levels = search_levels(side, side, card.length_range_px, search_scales=True)
     places = [
         (level.factor, tile)
@@ -168,16 +170,16 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
     view = partial(
         View, ImageFacts(side, side), card=card, options=options, resolved_share=lambda *_: 1.0
     )
-    found, visited, due, checks = (
-        np.zeros(len(mosaic.boxes), bool),
-        0,
-        first_pause(options.search, n_pixels),
-        [],
-    )
-    most, done = most_tiles(options.search, n_pixels, len(places)), False
+    found = np.zeros(len(mosaic.boxes), bool)
+    visited = 0
+    due = first_pause(options.search, n_pixels)
+    checks = []
+    most = most_tiles(options.search, n_pixels, len(places))
+    done = False
     while visited < most and not done:
         for k in order.next_tiles(min(4, most - visited)):
-            (factor, tile), n_new = places[k], 0
+            (factor, tile) = places[k]
+            n_new = 0
             if factor == 1:
                 inside = (
                     np.abs(mosaic.boxes[:, :2] - [tile.x_px + 512, tile.y_px + 512]).max(axis=1)

@@ -37,7 +37,8 @@ _SYSTEM = (
     "guessing."
 )
 _MAX_TURNS = 10
-_MAX_SIDE_PX, _JPEG_QUALITY = 1568, 90
+_MAX_SIDE_PX = 1568
+_JPEG_QUALITY = 90
 _LAST_LINES: dict[TaskKind, str] = {
     "distance": "ANSWER=<low> to <high>, the 95 % interval in metres",
     "fit": "ANSWER=yes or ANSWER=no",
@@ -106,7 +107,8 @@ def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCall
                 tools,
                 max_turns=_MAX_TURNS,
             )
-            calls, tokens = calls + len(told.called), tokens + told.tokens
+            calls = calls + len(told.called)
+            tokens = tokens + told.tokens
             answers.append(_answered(task, image, told.text))
     except (ApiRefusedError, BudgetSpentError, RequestFailedError) as error:
         return AgentRun(answers, calls, tokens, str(error))
@@ -162,7 +164,8 @@ def read_answer(reply: str) -> tuple[float, float] | bool | None:
 def _words(task: Task, image: Path) -> str:
     size = image_size(image)
     (x1, y1), (x2, y2) = task.ends
-    first, second = f"({x1:.4g}, {y1:.4g})", f"({x2:.4g}, {y2:.4g})"
+    first = f"({x1:.4g}, {y1:.4g})"
+    second = f"({x2:.4g}, {y2:.4g})"
     asked = {
         "distance": f"How far is it on the ground from {first} to {second}?",
         "fit": f"Does a thing {task.needed_m(*size):.1f} m long fit between {first} and {second}?",

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
     from vehanchor_evaluation.known_scale import KnownScaleSet
 
-ID_SUFFIX, COLOUR_SUFFIX = "_instance_id_RGB.png", "_instance_color_RGB.png"
+ID_SUFFIX = "_instance_id_RGB.png"
+COLOUR_SUFFIX = "_instance_color_RGB.png"
 UNLABELLED = "unlabelled"
 CATEGORY_RGB = {  # helpers/labels.py of the development kit
     "ship": (0, 0, 63),

@@ -138,7 +138,8 @@ def _rows(
             agent_score(name, kind, [each for each in done if each.task.kind == kind])
             for kind in TASKS
         ]
-    api, stopped = request.model_api(), None
+    api = request.model_api()
+    stopped = None
     if api is not None:
         for kind in TASKS:
             run = ask_agent(asked[kind], api, tools)

@@ -40,7 +40,8 @@ _FIT_ENDS: Ends = ((0.5, 0.2), (0.5, 0.8))
 # of the length between the ends: one fits, one does not, one cannot be decided
 _FIT_SHARES = (0.6, 1.6, 1.0)
 # number of directions from the middle, and the distance as a share of the sides
-_DIRECTIONS, _REACH = 8, 0.35
+_DIRECTIONS = 8
+_REACH = 0.35
 _BEARING_TOLERANCE_DEG = 5.0
 
 
@@ -260,7 +261,8 @@ def _answered(task: Task, record: dict[str, Any]) -> Answered:
     if record.get("status") != "ok":
         return Answered(task, task.deed(None, 1, 1))
     size = record["image_width_px"], record["image_height_px"]
-    low, high = record["distance_ci95_low_m"], record["distance_ci95_high_m"]
+    low = record["distance_ci95_low_m"]
+    high = record["distance_ci95_high_m"]
     reply: Reply = (low, high)
     if task.kind == "direction":
         reply = Direction(task.bearing_deg(*size), (low, high))

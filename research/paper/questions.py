@@ -110,7 +110,8 @@ def questions_of_photographs(images: Sequence[KnownScaleImage], limit: int) -> l
     for number in range(n_needed):
         image = images[number * len(images) // n_needed]
         with open_raster(image.path, DATASET_READING) as raster:
-            width, height = raster.width_px, raster.height_px
+            width = raster.width_px
+            height = raster.height_px
         stretch_m = round((STRETCH[1][0] - STRETCH[0][0]) * width * image.gsd_m_per_px, 1)
         about = _distances(
             image.path, (width, height), image.gsd_m_per_px, both_fits=number % 2 == 1
@@ -225,7 +226,8 @@ def ask_blindly(questions: Iterable[Question]) -> list[Outcome]:
         across, down = (
             (b - a) * side for a, b, side in zip((x1, y1), (x2, y2), question.size_px, strict=True)
         )
-        value, spread = math.hypot(across, down) * USUAL_GSD_M, 1 + USUAL_ERROR
+        value = math.hypot(across, down) * USUAL_GSD_M
+        spread = 1 + USUAL_ERROR
         outcomes.append(
             Outcome(question, _interval_verdict(question, value / spread, value * spread))
         )
@@ -244,7 +246,8 @@ def score(name: str, outcomes: Sequence[Outcome]) -> PlannerScore:
     """Count verdicts, calls and tokens."""
     verdicts = [outcome.verdict for outcome in outcomes]
     right = verdicts.count("right")
-    calls, tokens = sum(each.calls for each in outcomes), sum(each.tokens for each in outcomes)
+    calls = sum(each.calls for each in outcomes)
+    tokens = sum(each.tokens for each in outcomes)
     return PlannerScore(
         name=name,
         questions=len(outcomes),

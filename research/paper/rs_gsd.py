@@ -109,7 +109,8 @@ def build_benchmark(
         raise InvalidParameterError(f"{out} has a benchmark: choose another folder")
     images, issues = _annotated_images(folders)
     found: dict[str, list[_Candidate]] = {category: [] for category in categories}
-    n_small, known = 0, set[str]()
+    n_small = 0
+    known = set[str]()
     for done, image in enumerate(images, start=1):
         reading = _read_candidates(image, categories)
         n_small += reading.n_small

@@ -139,7 +139,8 @@ def draw_question(
     outset = (line + 1) // 2  # the line stays clear of the object
     first = np.floor(corners[:2]).astype(int) - outset
     last = np.ceil(corners[2:]).astype(int) - 1 + outset
-    first, last = np.maximum(first, 0), np.minimum(last, np.array(size) - 1)
+    first = np.maximum(first, 0)
+    last = np.minimum(last, np.array(size) - 1)
     cv2.rectangle(picture, first.tolist(), last.tolist(), _RED_RGB, line)
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(picture[:, :, ::-1]), quality)

@@ -151,9 +151,13 @@ class ModelApi(ABC):
         replies: Journal[dict[str, Any]],
         budget: Budget,
     ) -> None:
-        self.provider, self.model, self.budget = provider, model, budget
+        self.provider = provider
+        self.model = model
+        self.budget = budget
         self.base_url = str(client.base_url)
-        self._client, self._api_error, self._replies = client, api_error, replies
+        self._client = client
+        self._api_error = api_error
+        self._replies = replies
 
     def ask(self, system: str, messages: Messages, tools: ToolCaller | None = None) -> Reply:
         """Ask the model, or read the stored reply.

@@ -93,10 +93,8 @@ def vlm(request: VlmRequest) -> None:
     command resumes. Keys come from the environment and are never written.
     """
     data = read_areas(request.segments)
-    entries, api = (
-        data.entries[: request.limit],
-        request.open_api(request.provider, request.model, request.out),
-    )
+    entries = data.entries[: request.limit]
+    api = request.open_api(request.provider, request.model, request.out)
     query = Query(
         hint=request.hint,
         agent=request.agent,

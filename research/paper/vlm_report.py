@@ -63,10 +63,8 @@ def _replies(trials: Sequence[VlmTrial]) -> list[str]:
     """Describe the model's replies, one sentence each."""
     problems = Counter(trial.problem for trial in trials if trial.problem)
     calls = Counter(call for trial in trials for call in trial.tool_calls.split())
-    read, written = (
-        sum(trial.input_tokens for trial in trials),
-        sum(trial.output_tokens for trial in trials),
-    )
+    read = sum(trial.input_tokens for trial in trials)
+    written = sum(trial.output_tokens for trial in trials)
     return [
         f"without an area: {_counts(problems)}",
         f"tokens of all replies: {read} in, {written} out",

@@ -79,7 +79,8 @@ def names_of(cells: Sequence[Cell]) -> list[str]:
 def tables_of(markdown: str) -> list[Table]:
     """Read the tables of a Markdown text; a column whose cells are all numbers of one unit becomes numbers."""
     lines = [line.strip() for line in markdown.splitlines()]
-    tables, k = [], 0
+    tables = []
+    k = 0
     while k + 1 < len(lines):
         if lines[k].startswith("|") and _RULE.fullmatch(lines[k + 1]):
             end = k + 2
@@ -97,7 +98,8 @@ def _cells(line: str) -> list[str]:
 
 
 def _table(columns: list[str], texts: list[list[str]]) -> Table:
-    units, rows = {}, [list[Cell]() for _ in texts]
+    units = {}
+    rows = [list[Cell]() for _ in texts]
     for k, column in enumerate(columns):
         cells, unit = _values([row[k] if k < len(row) else "" for row in texts])
         if unit:

@@ -19,7 +19,8 @@ Filler = Callable[[Site, float, float], None]
 
 def park(site: Site, width: float, depth: float) -> None:
     """Build a park: lawn, paths, trees, perhaps courts."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     site.rect(
         (0, 0, width, depth),
         jitter(rng, palette.lawn, 6),
@@ -63,8 +64,10 @@ def courts(site: Site, width: float, depth: float) -> float:
         site.kept_free.append((own.frame, (0, 0, broad, long)))
         court_w, court_l = (10.97, 23.77) if tennis else (15.0, 28.0)
         court_l = min(court_l, long - 1)
-        cx0, cy0 = (broad - court_w) / 2, (long - court_l) / 2
-        cx1, cy1 = cx0 + court_w, cy0 + court_l
+        cx0 = (broad - court_w) / 2
+        cy0 = (long - court_l) / 2
+        cx1 = cx0 + court_w
+        cy1 = cy0 + court_l
         own.rect((cx0, cy0, cx1, cy1), inner, Material.COURT)
         for a, b, c, d in (
             (cx0, cy0, cx1, cy0),

@@ -31,12 +31,10 @@ def car_park(site: Site, width: float, depth: float) -> None:
             112,
         )
     for _ in range(int(rng.poisson(width * depth / 900))):
-        x, y, w, d = (
-            rng.uniform(0, width),
-            rng.uniform(0, depth),
-            rng.uniform(3, 18),
-            rng.uniform(2, 8),
-        )
+        x = rng.uniform(0, width)
+        y = rng.uniform(0, depth)
+        w = rng.uniform(3, 18)
+        d = rng.uniform(2, 8)
         site.stain_rect(
             (x, y, min(x + w, width), min(y + d, depth)), int(rng.choice([117, 121, 135, 140]))
         )
@@ -47,14 +45,17 @@ def car_park(site: Site, width: float, depth: float) -> None:
 
 
 def _rows(site: Site, width: float, depth: float) -> None:
-    rng, fleet = site.rng, site.fleet
+    rng = site.rng
+    fleet = site.fleet
     slant = float(rng.choice([0.0, 0.0, 0.0, math.radians(25)]))
-    bay, aisle = fleet.bay_length_m, rng.uniform(5.8, 6.8) * (1 if slant == 0 else 0.75)
+    bay = fleet.bay_length_m
+    aisle = rng.uniform(5.8, 6.8) * (1 if slant == 0 else 0.75)
     row = bay * math.cos(slant) + fleet.bay_width_m * math.sin(slant)
     module = 2 * row + aisle
     filled = float(np.clip(rng.beta(2.2, 1.1), 0.15, 0.98))
     margin = 5.5 if width > 40 else 1.5
-    start, stop = margin, width - margin
+    start = margin
+    stop = width - margin
     planted = rng.random() < 0.55
     yellow = rng.random() < 0.12
     line: Rgb = (214, 186, 96) if yellow else (218, 218, 212)
@@ -112,8 +113,10 @@ def bays(
     site: Site, x0: float, x1: float, head: float, side: int, slant: float, filled: float, line: Rgb
 ) -> None:
     """Build a row of bays whose heads lie on y = head and which open towards ``side``."""
-    rng, fleet = site.rng, site.fleet
-    length, width = fleet.bay_length_m, fleet.bay_width_m
+    rng = site.rng
+    fleet = site.fleet
+    length = fleet.bay_length_m
+    width = fleet.bay_width_m
     pitch = width / math.cos(slant)
     direction = np.array([math.sin(slant), side * math.cos(slant)])  # from the head to the aisle
     heading = math.atan2(-direction[1], -direction[0])

@@ -13,7 +13,8 @@ from research.scenes.world import Material, Rgb
 
 def field(site: Site, width: float, depth: float) -> None:
     """Build arable land with furrows or tramlines."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     kinds: tuple[tuple[Rgb, Material], ...] = (
         (palette.soil, Material.SOIL),
         ((182, 164, 122), Material.CROP),
@@ -39,7 +40,8 @@ def field(site: Site, width: float, depth: float) -> None:
         for offset in (0.0, 1.9):
             own.stain_rect((edge, y + offset, long - edge, y + offset + 0.45), 112)
     for _ in range(int(rng.poisson(width * depth / 4000))):
-        x, y = rng.uniform(edge + 8, width - edge - 8), rng.uniform(edge + 8, depth - edge - 8)
+        x = rng.uniform(edge + 8, width - edge - 8)
+        y = rng.uniform(edge + 8, depth - edge - 8)
         r = min(rng.uniform(3, 15), x - edge, y - edge, width - edge - x, depth - edge - y)
         site.blob(x, y, r * 0.8, r * 0.6, jitter(rng, rgb, 14, 0.05), material)
     if rng.random() < 0.5:
@@ -48,7 +50,8 @@ def field(site: Site, width: float, depth: float) -> None:
 
 def vineyard(site: Site, width: float, depth: float) -> None:
     """Build rows of vines on soil."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     site.rect((0, 0, width, depth), palette.meadow, Material.MEADOW)
     edge = rng.uniform(2, 4)
     plot = (edge, edge, width - edge, depth - edge)
@@ -77,7 +80,8 @@ def vineyard(site: Site, width: float, depth: float) -> None:
 
 def orchard(site: Site, width: float, depth: float) -> None:
     """Build an orchard: trees on a lattice."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     site.rect((0, 0, width, depth), palette.meadow, Material.MEADOW)
     plot = (1.5, 1.5, width - 1.5, depth - 1.5)
     soil = rng.random() < 0.5
@@ -103,11 +107,13 @@ def orchard(site: Site, width: float, depth: float) -> None:
 
 def meadow(site: Site, width: float, depth: float) -> None:
     """Build rough grass with bushes and trodden ground."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     site.rect((0, 0, width, depth), jitter(rng, palette.meadow, 8), Material.MEADOW)
     for _ in range(int(rng.poisson(width * depth / 500))):
         blot = [palette.soil, palette.lawn, palette.meadow][int(rng.integers(3))]
-        x, y = rng.uniform(3, width - 3), rng.uniform(3, depth - 3)
+        x = rng.uniform(3, width - 3)
+        y = rng.uniform(3, depth - 3)
         size = min(rng.uniform(1.5, 9), x, y, width - x, depth - y) * 0.8
         site.blob(
             x, y, size, size * rng.uniform(0.5, 1), jitter(rng, blot, 8, 0.06), Material.MEADOW, 0.3
@@ -120,7 +126,8 @@ def meadow(site: Site, width: float, depth: float) -> None:
 
 def wood(site: Site, width: float, depth: float) -> None:
     """Build a wood: dense trees."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     site.rect((0, 0, width, depth), jitter(rng, palette.meadow, 6), Material.MEADOW)
     site.grove((2.5, 2.5, width - 2.5, depth - 2.5), rng.uniform(0.02, 0.05))
 
@@ -147,12 +154,14 @@ def _tree_line(site: Site, width: float) -> None:
 
 def farm(site: Site, width: float, depth: float) -> None:
     """Build a farmyard with house, barns, machines, cars and perhaps a pool."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     meadow(site, width, depth)
     if min(width, depth) < 55:
         garden(site.at(width * 0.2, 0), min(width * 0.6, 30), min(depth, 45))
         return
-    yard_w, yard_d = 34.0, 26.0
+    yard_w = 34.0
+    yard_d = 26.0
     x0 = rng.uniform(8, width - yard_w - 10)
     own = site.at(x0, 4)
     own.rect((yard_w / 2 - 2, -4.5, yard_w / 2 + 2, 2), palette.gravel, Material.GRAVEL)

@@ -79,7 +79,8 @@ class Fleet:
     def __init__(
         self, mean_length_m: float, rng: np.random.Generator, kind: FleetKind = "passenger"
     ) -> None:
-        self.mean_length_m, self.kind = mean_length_m, kind
+        self.mean_length_m = mean_length_m
+        self.kind = kind
         self._classes = _FLEETS[kind]
         shares = np.array([entry[2] for entry in self._classes])
         self._cumulative = np.cumsum(shares) / shares.sum()
@@ -128,7 +129,8 @@ class Fleet:
         rng = self._rng
         choices = [entry for entry in _LARGE if not bodies or entry[0] in bodies]
         body, (shortest, longest), (narrowest, widest) = choices[rng.integers(len(choices))]
-        length, width = rng.uniform(shortest, longest), rng.uniform(narrowest, widest)
+        length = rng.uniform(shortest, longest)
+        width = rng.uniform(narrowest, widest)
         return VehicleModel("large-vehicle", body, float(length), float(width), self._paint(body))
 
     def _paint(self, body: str) -> tuple[int, int, int]:
@@ -140,7 +142,8 @@ class Fleet:
             index = 0
         if body == "bus" and rng.random() < 0.6:
             index = int(rng.choice([0, 4, 5, 6]))
-        gain, tint = rng.normal(1, 0.08), rng.normal(0, 3, 3).tolist()
+        gain = rng.normal(1, 0.08)
+        tint = rng.normal(0, 3, 3).tolist()
         red, green, blue = (
             int(min(max(c * gain + t, 14), 246))
             for c, t in zip(_PAINTS[index][1], tint, strict=True)

@@ -30,7 +30,8 @@ def _lots(site: Site, width: float, depth: float) -> None:
 
 def garden(site: Site, width: float, depth: float) -> None:
     """Build a house, its drive with cars, and its garden; the street is at y = 0."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     _garden_ground(site, width, depth)
     drive = rng.uniform(3.0, 5.6) if width > 13 else 2.8
     setback = rng.uniform(4.5, 8)
@@ -71,7 +72,8 @@ def garden(site: Site, width: float, depth: float) -> None:
 
 def _garden_ground(site: Site, width: float, depth: float) -> None:
     """Cover a garden with lawn, meadow or bare soil, and patches of another."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     ground = rng.random()
     if ground < 0.45:
         site.rect(
@@ -85,7 +87,8 @@ def _garden_ground(site: Site, width: float, depth: float) -> None:
         site.rect((0, 0, width, depth), jitter(rng, palette.lawn, 8, 0.06), Material.LAWN)
     for _ in range(int(rng.poisson(1.5))):
         blot = jitter(rng, palette.soil if rng.random() < 0.5 else palette.meadow, 8)
-        x, y = rng.uniform(2, width - 2), rng.uniform(2, depth - 2)
+        x = rng.uniform(2, width - 2)
+        y = rng.uniform(2, depth - 2)
         site.blob(
             x,
             y,
@@ -98,7 +101,8 @@ def _garden_ground(site: Site, width: float, depth: float) -> None:
 
 def _garden_plants(site: Site, width: float, depth: float, back: float, *, left: bool) -> None:
     """Plant trees and bushes along the borders, away from the drive; ``back`` is the rear of the house."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     for _ in range(int(rng.poisson(width * depth / 75 * palette.greenery))):
         if rng.random() < 0.75:
             site.tree(rng.uniform(1, width - 1), rng.uniform(back + 1.5, depth - 0.5))
@@ -119,11 +123,13 @@ def _garden_plants(site: Site, width: float, depth: float, back: float, *, left:
 
 def house(site: Site, width: float, depth: float) -> None:
     """Build a small house, straight or L-shaped."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     turned = site.at(width / 2, depth / 2, rng.normal(0, 0.02)).at(-width / 2, -depth / 2)
     rgb = jitter(rng, palette.roofs[int(rng.integers(len(palette.roofs)))], 10, 0.07)
     if rng.random() > palette.pitched:
-        style, rgb = "flat", flat_roof_rgb(site.rng)
+        style = "flat"
+        rgb = flat_roof_rgb(site.rng)
     else:
         style = "hip" if rng.random() < 0.45 else "gable"
     parts: tuple[Rect, ...] = ((0, 0, width, depth),)
@@ -137,7 +143,8 @@ def house(site: Site, width: float, depth: float) -> None:
 
 
 def _drive_cars(site: Site, x: float, width: float, end: float) -> None:
-    rng, fleet = site.rng, site.fleet
+    rng = site.rng
+    fleet = site.fleet
     slots = 2 if width > 5 else 1
     for slot in range(slots):
         if rng.random() > 0.55:
@@ -154,7 +161,8 @@ def _drive_cars(site: Site, x: float, width: float, end: float) -> None:
 
 def _garden_things(site: Site, width: float, depth: float, behind: float) -> None:
     """Add a pool, shed, parasols, trampoline, table and beds, some as large as a car."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     space = depth - behind
     if space > 8.5 and width > 13 and rng.random() < palette.pools:
         site.pool(
@@ -163,7 +171,8 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
             rng.normal(0, 0.06),
         )
         for _ in range(int(rng.integers(0, 4))):  # loungers
-            x, y = rng.uniform(2, width - 3), behind + rng.uniform(0.8, 1.6)
+            x = rng.uniform(2, width - 3)
+            y = behind + rng.uniform(0.8, 1.6)
             site.box((x, y, x + 0.65, y + 1.9), 0.4, (226, 226, 220))
     elif space > 6 and rng.random() < 0.3:
         for row in range(int(rng.integers(2, 6))):
@@ -175,7 +184,8 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
                     Material.CROP,
                 )
     if space > 5 and rng.random() < 0.55:
-        sx, sy = rng.uniform(1.8, 4.6), rng.uniform(1.6, 2.6)
+        sx = rng.uniform(1.8, 4.6)
+        sy = rng.uniform(1.6, 2.6)
         x = float(rng.choice([1.0, width - sx - 1.0]))
         grey = jitter(
             rng,
@@ -186,15 +196,14 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
         )
         site.box((x, depth - sy - 0.8, x + sx, depth - 0.8), rng.uniform(2.0, 2.8), grey)
     if rng.random() < 0.2 and space > 6:
-        x, y, radius = (
-            rng.uniform(3, width - 3),
-            rng.uniform(behind + 3, depth - 2.5),
-            rng.uniform(1.4, 2.0),
-        )
+        x = rng.uniform(3, width - 3)
+        y = rng.uniform(behind + 3, depth - 2.5)
+        radius = rng.uniform(1.4, 2.0)
         site.disc(x, y, radius, 0.7, (62, 92, 128) if rng.random() < 0.5 else (70, 96, 70))
         site.disc(x, y, radius * 0.83, 0.7, (44, 46, 48))
     if rng.random() < 0.4:
-        x, y = rng.uniform(2, width - 2), behind + rng.uniform(0.8, 2.2)
+        x = rng.uniform(2, width - 2)
+        y = behind + rng.uniform(0.8, 2.2)
         site.disc(
             x,
             y,
@@ -203,14 +212,16 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
             jitter(rng, [(222, 216, 200), (170, 60, 50), (90, 110, 90)][int(rng.integers(3))], 8),
         )
     if rng.random() < 0.12 and space > 6 and width > 11:
-        x, y = rng.uniform(2, width - 6), behind + rng.uniform(1.5, max(space - 4.5, 1.6))
+        x = rng.uniform(2, width - 6)
+        y = behind + rng.uniform(1.5, max(space - 4.5, 1.6))
         for beam in np.arange(0, 3.6, 0.6):  # pergola
             site.box((x, y + beam, x + 4, y + beam + 0.15), 2.3, (168, 142, 112))
 
 
 def flats(site: Site, width: float, depth: float) -> None:
     """Build blocks of flats in lawns, with parking."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     site.rect((0, 0, width, depth), palette.lawn, Material.LAWN)
     parking = site.fleet.bay_length_m + 6.5
     if depth < parking + 22:
@@ -262,7 +273,8 @@ def flats(site: Site, width: float, depth: float) -> None:
 
 def town(site: Site, width: float, depth: float) -> None:
     """Build a closed perimeter of town houses around courtyards."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     site.rect((0, 0, width, depth), jitter(rng, palette.paving, 6, 0.08), Material.PAVING)
     deep = min(rng.uniform(10, 13), depth / 2 - 3)
     if deep < 7:
@@ -288,18 +300,14 @@ def town(site: Site, width: float, depth: float) -> None:
             x += long
     yard = (1.0, deep + 3.0, width - 1.0, depth - deep - 3.0)
     for _ in range(int(rng.poisson(max(width * (depth - 2 * deep) / 260, 0)))):
-        x, y = (
-            rng.uniform(yard[0], yard[2] - 5),
-            rng.uniform(yard[1], max(yard[3] - 4, yard[1] + 0.1)),
-        )
+        x = rng.uniform(yard[0], yard[2] - 5)
+        y = rng.uniform(yard[1], max(yard[3] - 4, yard[1] + 0.1))
         if y + 3 < yard[3]:
             site.blob(x, y, rng.uniform(2, 6), rng.uniform(1.5, 3), palette.lawn, Material.LAWN)
             site.tree(x, y)
     for _ in range(int(rng.poisson(2))):
-        x, y = (
-            rng.uniform(yard[0], yard[2] - 6),
-            rng.uniform(yard[1], max(yard[3] - 4, yard[1] + 0.1)),
-        )
+        x = rng.uniform(yard[0], yard[2] - 6)
+        y = rng.uniform(yard[1], max(yard[3] - 4, yard[1] + 0.1))
         if y + 3.5 < yard[3]:
             site.box(
                 (x, y, x + rng.uniform(3, 6), y + rng.uniform(2.5, 3.4)),

@@ -95,7 +95,8 @@ def _in_reach(frame: Frame, block: Block, width: float, height: float) -> bool:
 def _fill(site: Site, block: Block, name: str) -> None:
     """Build a block in a frame whose line y = 0 is its longest side on a street."""
     x0, y0, x1, y1 = block.rect
-    width, height = x1 - x0, y1 - y0
+    width = x1 - x0
+    height = y1 - y0
     left, top, right, bottom = block.streets
     sides = [
         (width, top, site.at(x0, y0), width, height),

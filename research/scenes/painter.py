@@ -126,7 +126,8 @@ class Painter:
 
     def _near(self, name: str, tile: Tile) -> list[int]:
         low_x, low_y, high_x, high_y = self._boxes[name]
-        right, bottom = tile.x + tile.width * tile.step, tile.y + tile.height * tile.step
+        right = tile.x + tile.width * tile.step
+        bottom = tile.y + tile.height * tile.step
         hits = (high_x > tile.x) & (low_x < right) & (high_y > tile.y) & (low_y < bottom)
         return [int(index) for index in np.flatnonzero(hits)]
 
@@ -217,7 +218,8 @@ class Painter:
         if window is None:
             return
         x0, y0, x1, y1 = window
-        cos, sin = math.cos(vehicle.angle), math.sin(vehicle.angle)
+        cos = math.cos(vehicle.angle)
+        sin = math.sin(vehicle.angle)
         # Canvas pixel -> metres along and across from the vehicle's centre -> sprite pixel.
         per_length = (
             columns
@@ -233,10 +235,8 @@ class Painter:
             / model.width_m
             * tile.step
         )
-        cx, cy = (
-            (vehicle.x - tile.x) / tile.step - x0 - 0.5,
-            (vehicle.y - tile.y) / tile.step - y0 - 0.5,
-        )
+        cx = (vehicle.x - tile.x) / tile.step - x0 - 0.5
+        cy = (vehicle.y - tile.y) / tile.step - y0 - 0.5
         matrix = np.array(
             [
                 [
@@ -281,7 +281,8 @@ class Painter:
         self, tile: Tile, tree: Tree, x: float, y: float
     ) -> tuple[tuple[int, int, int, int], _F] | None:
         radius = tree.radius / tile.step * CROWN_SPAN
-        cx, cy = (x - tile.x) / tile.step, (y - tile.y) / tile.step
+        cx = (x - tile.x) / tile.step
+        cy = (y - tile.y) / tile.step
         window = tile.window(
             np.array([cx - radius, cy - radius]), np.array([cx + radius, cy + radius])
         )
@@ -308,7 +309,8 @@ class Painter:
         if patch is None:
             return
         (x0, y0, x1, y1), sprite = patch
-        cover, light = sprite[:, :, 0], sprite[:, :, 1]
+        cover = sprite[:, :, 0]
+        light = sprite[:, :, 1]
         if self.px_per_m > 25:
             light = light * (
                 1 + 0.12 * tile.noise[0][y0:y1, x0:x1] + 0.08 * tile.noise[1][y0:y1, x0:x1]

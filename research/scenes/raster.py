@@ -14,7 +14,8 @@ _SMOOTH_BELOW = 0.34
 
 def polygon_area(points: NDArray[np.float64]) -> float:
     """Compute the area of a simple polygon [N,2] by the shoelace formula, in the square of the points' unit."""
-    x, y = points[:, 0], points[:, 1]
+    x = points[:, 0]
+    y = points[:, 1]
     return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2)
 
 
@@ -115,19 +116,24 @@ def sample_noise(
             "NDArray[np.float32]",
             cv2.resize(texture, (size // factor,) * 2, interpolation=cv2.INTER_AREA),
         )
-        texel, size = texel * factor, size // factor
+        texel = texel * factor
+        size = size // factor
     scale = step / texel
     if scale * max(width, height) > 30_000:
         return np.zeros((height, width), dtype=np.float32)
-    left, top = (x / texel + scale / 2 - 0.5) % size, (y / texel + scale / 2 - 0.5) % size
-    flags, border = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_WRAP
+    left = (x / texel + scale / 2 - 0.5) % size
+    top = (y / texel + scale / 2 - 0.5) % size
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    border = cv2.BORDER_WRAP
     # many pixels per texel: cubic interpolation, which OpenCV does not wrap
     if scale < _SMOOTH_BELOW:
         columns = np.arange(-2, math.ceil(left % 1 + scale * width) + 3) + math.floor(left)
         rows = np.arange(-2, math.ceil(top % 1 + scale * height) + 3) + math.floor(top)
         texture = np.ascontiguousarray(texture[np.ix_(rows % size, columns % size)])
-        left, top = left % 1 + 2, top % 1 + 2
-        flags, border = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE
+        left = left % 1 + 2
+        top = top % 1 + 2
+        flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        border = cv2.BORDER_REPLICATE
     matrix = np.array([[scale, 0, left], [0, scale, top]])
     sampled = cv2.warpAffine(texture, matrix, (width, height), flags=flags, borderMode=border)
     return cast("NDArray[np.float32]", sampled)

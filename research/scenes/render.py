@@ -28,8 +28,10 @@ from research.scenes.world import PlacedCourt, PlacedVehicle, Target, World
 from vehanchor.errors import InvalidParameterError
 
 _TILE_PX = 1024
-_MIN_SIZE_PX, _MAX_SIZE_PX = 16, 16384
-_MIN_GSD, _MAX_GSD = 0.005, 2.0
+_MIN_SIZE_PX = 16
+_MAX_SIZE_PX = 16384
+_MIN_GSD = 0.005
+_MAX_GSD = 2.0
 _HIDDEN_SHARE = 0.4
 _SMALL_VIEW_M = 60.0
 
@@ -85,7 +87,8 @@ def render_scene(
     chosen = cast("Layout", get_args(Layout)[int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))])
     sun = Sun(float(place_rng.uniform(0, 2 * math.pi)), math.radians(place_rng.uniform(33, 64)))
     fleet = Fleet(mean_vehicle_length_m, place_rng, fleet_kind)
-    width_m, height_m = width_px * gsd_m_per_px, height_px * gsd_m_per_px
+    width_m = width_px * gsd_m_per_px
+    height_m = height_px * gsd_m_per_px
     world = lay_out(place_rng, layout or chosen, width_m, height_m, fleet)
     x0, y0 = _view_corner(world, width_m, height_m, thin_rng)
     _thin(world, (x0, y0, x0 + width_m, y0 + height_m), n_vehicles, thin_rng)
@@ -174,7 +177,8 @@ def _paint(
     tile_px = _TILE_PX * 2 // over if over > 1 else _TILE_PX
     for top in range(0, height_px, tile_px):
         for left in range(0, width_px, tile_px):
-            rows, columns = min(tile_px, height_px - top), min(tile_px, width_px - left)
+            rows = min(tile_px, height_px - top)
+            columns = min(tile_px, width_px - left)
             tile = painter.paint(
                 x0 + left * gsd_m_per_px, y0 + top * gsd_m_per_px, columns * over, rows * over
             )
@@ -243,10 +247,13 @@ def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
         soft = cv2.GaussianBlur(image, (0, 0), 1.2, borderType=cv2.BORDER_REFLECT)
         amount = float(rng.uniform(0.3, 0.9))
         image = cast("NDArray[np.uint8]", cv2.addWeighted(image, 1 + amount, soft, -amount, 0))
-    gamma, gain, haze = rng.uniform(0.88, 1.12), rng.uniform(0.9, 1.12), rng.uniform(0, 16)
+    gamma = rng.uniform(0.88, 1.12)
+    gain = rng.uniform(0.9, 1.12)
+    haze = rng.uniform(0, 16)
     cast_rgb = 1 + np.clip(rng.normal(0, 0.018, 3), -0.04, 0.04)
     saturation = float(rng.uniform(0.75, 1.1))
-    noise_sd, colour_sd = float(rng.uniform(0.8, 3.6)), float(rng.uniform(0.2, 1.2))
+    noise_sd = float(rng.uniform(0.8, 3.6))
+    colour_sd = float(rng.uniform(0.2, 1.2))
     levels = np.arange(256) / 255
     tables = [
         haze + (levels**gamma) * 255 * gain * factor * (1 - haze / 300) for factor in cast_rgb
@@ -280,7 +287,8 @@ def _masks(
     full: dict[Category, list[float]] = {category: [] for category in CATEGORIES}
     for target in targets:
         outlines = [(polygon - (x0, y0)) / gsd for polygon in target.polygons]
-        mask, number = masks[target.category], len(full[target.category]) + 1
+        mask = masks[target.category]
+        number = len(full[target.category]) + 1
         drawn = False
         for outline in outlines:
             low = np.maximum(np.floor(outline.min(axis=0)), 0).astype(int)
@@ -308,7 +316,8 @@ def _record(
     placed: PlacedVehicle, x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]
 ) -> SceneVehicle | None:
     height, width = hidden.shape
-    x, y = (placed.x - x0) / gsd, (placed.y - y0) / gsd
+    x = (placed.x - x0) / gsd
+    y = (placed.y - y0) / gsd
     if not (0 <= x < width and 0 <= y < height):
         return None
     angle = math.remainder(placed.angle, 2 * math.pi)

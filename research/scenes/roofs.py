@@ -25,14 +25,16 @@ def paint_roof(tile: Tile, roof: Roof, sun: Sun) -> None:
         return
     x0, y0, x1, y1 = window
     step = tile.step
-    cos, sin = math.cos(roof.frame.angle), math.sin(roof.frame.angle)
+    cos = math.cos(roof.frame.angle)
+    sin = math.sin(roof.frame.angle)
     px = (np.arange(x0, x1, dtype=np.float32) + 0.5)[None, :] * step + np.float32(
         tile.x - roof.frame.x
     )
     py = (np.arange(y0, y1, dtype=np.float32) + 0.5)[:, None] * step + np.float32(
         tile.y - roof.frame.y
     )
-    u, v = px * np.float32(cos) + py * np.float32(sin), py * np.float32(cos) - px * np.float32(sin)
+    u = px * np.float32(cos) + py * np.float32(sin)
+    v = py * np.float32(cos) - px * np.float32(sin)
     light = sun.light(roof.frame.angle)
     noise = tuple(field[y0:y1, x0:x1] for field in tile.noise)
     cover = np.zeros(u.shape, dtype=np.float32)
@@ -132,11 +134,13 @@ def _raised(
     """Draw a block on the roof, with its shadow."""
     x, y, w, h = box
     dx, dy = sun.shadow(height)
-    cos, sin = math.cos(roof.frame.angle), math.sin(roof.frame.angle)
+    cos = math.cos(roof.frame.angle)
+    sin = math.sin(roof.frame.angle)
     offset = (dx * cos + dy * sin, dy * cos - dx * sin)
     shadow = np.zeros(u.shape, dtype=np.float32)
     for share in (0.25, 0.5, 0.75, 1.0):
-        cx, cy = x + share * offset[0], y + share * offset[1]
+        cx = x + share * offset[0]
+        cy = y + share * offset[1]
         inset = np.minimum(w / 2 - np.abs(u - np.float32(cx)), h / 2 - np.abs(v - np.float32(cy)))
         shadow = np.maximum(shadow, np.clip(inset / step + 0.5, 0, 1))
     picture *= 1 - 0.52 * shadow[:, :, None] * min(1.0, w / step, h / step)
@@ -155,13 +159,15 @@ def _pitched_fittings(
     picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, rng: np.random.Generator, step: float
 ) -> None:
     x0, y0, x1, y1 = roof.parts[0]
-    w, h = x1 - x0, y1 - y0
+    w = x1 - x0
+    h = y1 - y0
     along_x = w >= h
     side = float(rng.choice([-1, 1]))
 
     def place(along: float, across: float) -> tuple[float, float]:
         """Convert shares of the half extents along and across the ridge to a position."""
-        cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
+        cx = (x0 + x1) / 2
+        cy = (y0 + y1) / 2
         return (
             (cx + along * w / 2, cy + across * h / 2)
             if along_x
@@ -185,16 +191,15 @@ def _pitched_fittings(
                 step,
             )
     if rng.random() < 0.3:
-        columns, rows = int(rng.integers(2, 6)), int(rng.integers(1, 3))
+        columns = int(rng.integers(2, 6))
+        rows = int(rng.integers(1, 3))
         panel = (1.0, 1.65 * 0.9)
         along = rng.uniform(-0.25, 0.25)
         for column in range(columns):
             for row in range(rows):
                 x, y = place(along, side * 0.5)
-                du, dv = (
-                    (column - columns / 2 + 0.5) * (panel[0] + 0.04),
-                    (row - rows / 2 + 0.5) * (panel[1] + 0.04),
-                )
+                du = (column - columns / 2 + 0.5) * (panel[0] + 0.04)
+                dv = (row - rows / 2 + 0.5) * (panel[1] + 0.04)
                 if not along_x:
                     du, dv = dv, du
                 size = panel if along_x else panel[::-1]
@@ -217,7 +222,8 @@ def _spot(part: Rect, rng: np.random.Generator, size: tuple[float, float]) -> Re
     """Draw a position on a flat roof, away from its edge: centre and size."""
     x0, y0, x1, y1 = part
     margin = 1.6
-    sx, sy = min(size[0], x1 - x0 - 2 * margin - 0.2), min(size[1], y1 - y0 - 2 * margin - 0.2)
+    sx = min(size[0], x1 - x0 - 2 * margin - 0.2)
+    sy = min(size[1], y1 - y0 - 2 * margin - 0.2)
     x = rng.uniform(x0 + margin + sx / 2, x1 - margin - sx / 2)
     y = rng.uniform(y0 + margin + sy / 2, y1 - margin - sy / 2)
     return float(x), float(y), sx, sy
@@ -234,7 +240,8 @@ def _flat_fittings(
     step: float,
 ) -> None:
     x0, y0, x1, y1 = part
-    w, h = x1 - x0, y1 - y0
+    w = x1 - x0
+    h = y1 - y0
     area = w * h
     if min(w, h) < 5:
         return
@@ -256,7 +263,8 @@ def _flat_fittings(
         lines = np.clip(1 - np.abs(phase - np.round(phase)) * seam / max(step, 0.05), 0, 1)
         picture *= 1 - 0.05 * fade * lines[:, :, None]
     if area > 700 and rng.random() < 0.6:  # rows of roof lights, as large as cars
-        count_x, count_y = max(int(w // 11), 1), max(int(h // 9), 1)
+        count_x = max(int(w // 11), 1)
+        count_y = max(int(h // 9), 1)
         size = (4.2, 1.7) if rng.random() < 0.5 else (1.6, 1.6)
         for i in range(count_x):
             for j in range(count_y):

@@ -51,7 +51,8 @@ def tree_reach(tree: Tree, reach: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def vehicle_corners(vehicle: PlacedVehicle, grow: float = 1.0) -> NDArray[np.float64]:
     """Compute a vehicle's corners [4,2]; length and width grow by ``grow - 1`` times the length."""
-    cos, sin = math.cos(vehicle.angle), math.sin(vehicle.angle)
+    cos = math.cos(vehicle.angle)
+    sin = math.sin(vehicle.angle)
     margin = (grow - 1) * vehicle.model.length_m
     along = np.array([cos, sin]) * (vehicle.model.length_m + margin) / 2
     across = np.array([-sin, cos]) * (vehicle.model.width_m + margin) / 2
@@ -74,7 +75,9 @@ def vehicle_outline(vehicle: PlacedVehicle) -> NDArray[np.float64]:
     corners = vehicle_corners(vehicle)
     inner = []
     for index in range(4):
-        corner, before, after = corners[index], corners[index - 1], corners[(index + 1) % 4]
+        corner = corners[index]
+        before = corners[index - 1]
+        after = corners[(index + 1) % 4]
         for other in (before, after):
             span = other - corner
             inner.append(corner + span * (0.28 / float(np.hypot(*span))))

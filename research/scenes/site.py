@@ -33,7 +33,9 @@ WHITE: Rgb = (222, 222, 216)
 def jitter(rng: np.random.Generator, rgb: Rgb, spread: float = 6.0, gain: float = 0.05) -> Rgb:
     """Vary a colour at random."""
     brightness, red, green, blue = rng.standard_normal(4).tolist()
-    scale, shift, hue = 1 + brightness * gain, brightness * spread / 3, spread / 6
+    scale = 1 + brightness * gain
+    shift = brightness * spread / 3
+    hue = spread / 6
     values = (
         c * scale + shift + hue * tint for c, tint in zip(rgb, (red, green, blue), strict=True)
     )
@@ -157,7 +159,8 @@ class Site:
     ) -> None:
         """Add a painted line."""
         length = math.hypot(x1 - x0, y1 - y0)
-        nx, ny = -(y1 - y0) / length * width / 2, (x1 - x0) / length * width / 2
+        nx = -(y1 - y0) / length * width / 2
+        ny = (x1 - x0) / length * width / 2
         self.polygon(
             [(x0 + nx, y0 + ny), (x1 + nx, y1 + ny), (x1 - nx, y1 - ny), (x0 - nx, y0 - ny)],
             rgb,
@@ -208,12 +211,14 @@ class Site:
 
     def wall(self, x0: float, y0: float, x1: float, y1: float, *, hedge: bool = False) -> None:
         """Add a garden wall or hedge between two points."""
-        length, angle = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
+        length = math.hypot(x1 - x0, y1 - y0)
+        angle = math.atan2(y1 - y0, x1 - x0)
         if length < 0.5:
             return
         site = self.at(x0, y0, angle)
         if hedge:
-            half, height = self.rng.uniform(0.4, 0.7), self.rng.uniform(1.4, 2.4)
+            half = self.rng.uniform(0.4, 0.7)
+            height = self.rng.uniform(1.4, 2.4)
             count = max(int(length / 0.8), 3)
             along = np.linspace(0, length, count)
             upper = np.stack([along, half + self.rng.normal(0, 0.12, count)], axis=1)
@@ -281,7 +286,8 @@ class Site:
         """Add a swimming pool with its rim."""
         rng = self.rng
         site = self.at(x, y, angle)
-        length, width = rng.uniform(6, 12), rng.uniform(3, 5)
+        length = rng.uniform(6, 12)
+        width = rng.uniform(3, 5)
         water = jitter(rng, (96, 182, 206) if rng.random() < 0.8 else (74, 150, 190), 10, 0.06)
         rim = jitter(rng, (212, 200, 182), 8, 0.05)
         terrace = rng.uniform(0.8, 2.5)
@@ -333,9 +339,12 @@ class Site:
 
 
 def _within(place: NDArray[np.float64], frame: Frame, rect: Rect) -> bool:
-    dx, dy = float(place[0]) - frame.x, float(place[1]) - frame.y
-    cos, sin = math.cos(frame.angle), math.sin(frame.angle)
-    x, y = dx * cos + dy * sin, dy * cos - dx * sin
+    dx = float(place[0]) - frame.x
+    dy = float(place[1]) - frame.y
+    cos = math.cos(frame.angle)
+    sin = math.sin(frame.angle)
+    x = dx * cos + dy * sin
+    y = dy * cos - dx * sin
     return rect[0] < x < rect[2] and rect[1] < y < rect[3]
 
 

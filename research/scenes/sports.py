@@ -14,7 +14,8 @@ from research.scenes.truth import CourtKind
 from research.scenes.world import Material, PlacedCourt, Rgb
 
 _TENNIS_M = (23.77, 10.97)  # ITF, outside the lines
-_SINGLES_HALF_M, _SERVICE_M = 8.23 / 2, 6.40
+_SINGLES_HALF_M = 8.23 / 2
+_SERVICE_M = 6.40
 _SURFACES: tuple[Rgb, ...] = (
     (72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128), (112, 114, 116), (150, 108, 84), (92, 136, 104),
 )  # fmt: skip
@@ -39,14 +40,18 @@ _BASKETBALL: dict[CourtKind, _Basketball] = {
 }
 _KINDS: tuple[CourtKind, ...] = ("tennis", *_BASKETBALL)
 _KIND_SHARES = (0.6, 0.2, 0.12, 0.08)
-_BASKET_FROM_END_M, _RING_M = 1.575, 1.8
+_BASKET_FROM_END_M = 1.575
+_RING_M = 1.8
 
 
 class Paint:
     """Painter of the lines of one game on one court."""
 
     def __init__(self, site: Site, rgb: Rgb, width: float, wear: float) -> None:
-        self.site, self.rgb, self.width, self.wear = site, rgb, width, wear
+        self.site = site
+        self.rgb = rgb
+        self.width = width
+        self.wear = wear
 
     def line(self, x0: float, y0: float, x1: float, y1: float, width: float | None = None) -> None:
         """Paint a line whose centre connects two points; worn lines consist of pieces."""
@@ -60,7 +65,8 @@ class Paint:
             ends[:-1], ends[1:], self.site.rng.random(pieces) < self.wear, strict=True
         ):
             if not gone:
-                dx, dy = x1 - x0, y1 - y0
+                dx = x1 - x0
+                dy = y1 - y0
                 self.site.line(x0 + a * dx, y0 + a * dy, x0 + b * dx, y0 + b * dy, width, self.rgb)
 
     def path(self, points: NDArray[np.float64]) -> None:
@@ -70,14 +76,16 @@ class Paint:
 
     def outline(self, length: float, width: float) -> None:
         """Paint a rectangle of this size to the outside of its lines."""
-        x, y = (length - self.width) / 2, (width - self.width) / 2
+        x = (length - self.width) / 2
+        y = (width - self.width) / 2
         for a, b, c, d in ((-x, -y, x, -y), (-x, y, x, y), (-x, -y, -x, y), (x, -y, x, y)):
             self.line(a, b, c, d)
 
 
 def sports_ground(site: Site, width: float, depth: float) -> None:
     """Lay out courts in rows on one or more slabs, with grass, trees and benches around."""
-    rng, palette = site.rng, site.palette
+    rng = site.rng
+    palette = site.palette
     site.rect((0, 0, width, depth), jitter(rng, palette.lawn, 6), Material.LAWN)
     y = rng.uniform(3, 8)
     while y + 36 < depth:
@@ -104,7 +112,8 @@ def sports_ground(site: Site, width: float, depth: float) -> None:
 def _slab(site: Site, broad: float, surface: Rgb) -> None:
     """Add the surfaced enclosure, 35 m long, with its fence."""
     rng = site.rng
-    half_x, half_y = 17.5, broad / 2
+    half_x = 17.5
+    half_y = broad / 2
     site.rect((-half_x, -half_y, half_x, half_y), surface, Material.COURT)
     site.target(
         "sports-court", [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
@@ -154,7 +163,8 @@ def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
     else:
         _basketball(paint, _BASKETBALL[kind])
     for _ in range(int(rng.poisson(1.2))):
-        x, y = rng.uniform(-length / 2, length / 2), rng.uniform(-width / 2, width / 2)
+        x = rng.uniform(-length / 2, length / 2)
+        y = rng.uniform(-width / 2, width / 2)
         site.disc(float(x), float(y), 0.28, 1.7, jitter(rng, (150, 120, 110), 40))
     corners = site.frame.points(
         [
@@ -169,7 +179,8 @@ def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
 
 def _tennis(paint: Paint) -> None:
     length, width = _TENNIS_M
-    half, line = length / 2, paint.width
+    half = length / 2
+    line = paint.width
     paint.outline(length, width)
     inside = _SINGLES_HALF_M - line / 2
     service = _SERVICE_M - line / 2
@@ -185,12 +196,14 @@ def _tennis(paint: Paint) -> None:
 def _basketball(paint: Paint, court: _Basketball) -> None:
     line = paint.width
     paint.outline(court.length, court.width)
-    half, side = court.length / 2, court.width / 2
+    half = court.length / 2
+    side = court.width / 2
     paint.line(0, -side, 0, side)
     around = np.linspace(0, 2 * np.pi, _RING_STEPS + 1)
     ring = np.stack([np.cos(around), np.sin(around)], axis=1)
     paint.path(ring * (_RING_M - line / 2))
-    key_y, free_throw = court.key_width / 2 - line / 2, half - court.key_length + line / 2
+    key_y = court.key_width / 2 - line / 2
+    free_throw = half - court.key_length + line / 2
     reach = court.arc - line / 2
     straight_y = side - court.arc_from_side - line / 2
     for end in (-1.0, 1.0):

@@ -39,7 +39,8 @@ class Sun:
 
     def light(self, turn: float = 0.0) -> tuple[float, float, float]:
         """Compute the unit vector towards the sun in a frame rotated by ``turn``."""
-        flat, angle = -np.cos(self.elevation), self.azimuth - turn
+        flat = -np.cos(self.elevation)
+        angle = self.azimuth - turn
         return (
             float(flat * np.cos(angle)),
             float(flat * np.sin(angle)),
@@ -133,7 +134,8 @@ def _lit(height: _F, px: float, light: tuple[float, float, float]) -> _F:
     blur = max(0.05 / px, 0.4)
     height = cast("_F", cv2.GaussianBlur(height, (0, 0), blur, borderType=cv2.BORDER_REPLICATE))
     slope_v, slope_u = np.gradient(height, px)
-    slope_u, slope_v = np.clip(slope_u, -2, 2), np.clip(slope_v, -2, 2)
+    slope_u = np.clip(slope_u, -2, 2)
+    slope_v = np.clip(slope_v, -2, 2)
     lambert = (light[2] - light[0] * slope_u - light[1] * slope_v) / np.sqrt(
         1 + slope_u**2 + slope_v**2
     )
@@ -202,7 +204,8 @@ def _car(
 
 def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, width: float) -> _F:
     """Compute the distance inside the outline in metres; front and rear are rounded and slightly narrower."""
-    half_length, half_width = length / 2, width / 2
+    half_length = length / 2
+    half_width = width / 2
     rounding = 0.10 * width if body == "van" else 0.17 * width
     front = half_length - rounding * np.clip(across, 0, 1.2) ** 3.5
     rear = half_length - 0.5 * rounding * np.clip(across, 0, 1.2) ** 4
@@ -226,7 +229,8 @@ def _car_glass(
     px: float,
 ) -> _F:
     """Compute the share of glass: windscreen, rear window, and side windows between their pillars."""
-    base_half, roof_half = _BASE_HALF_WIDTH, car.roof_half_width
+    base_half = _BASE_HALF_WIDTH
+    roof_half = car.roof_half_width
     in_cabin = _soft(
         (
             np.minimum(
@@ -295,7 +299,8 @@ def _heavy(
     px: float,
     light: tuple[float, float, float],
 ) -> _F:
-    half_length, half_width = length / 2, width / 2
+    half_length = length / 2
+    half_width = width / 2
     rounding = 0.10 if body in ("truck", "semitrailer") else 0.30
     corner_u = np.maximum(np.abs(u) - (half_length - rounding), 0)
     corner_v = np.maximum(np.abs(v) - (half_width - rounding), 0)
@@ -360,15 +365,14 @@ def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool
     lobes = 1 + 0.10 * rng.standard_normal(4)
     phases = rng.uniform(0, 2 * np.pi, 4)
     for _ in range(count):
-        distance, angle = np.sqrt(rng.uniform(0, 1)), rng.uniform(0, 2 * np.pi)
+        distance = np.sqrt(rng.uniform(0, 1))
+        angle = rng.uniform(0, 2 * np.pi)
         reach = 0.90 * (
             1 + sum(0.09 * lobes[n] * np.cos((n + 2) * angle + phases[n]) for n in range(4))
         )
         radius = rng.uniform(0.10, 0.24) * (0.7 if conical else 1.0)
-        x, y = (
-            reach * (1 - radius * 0.6) * distance * np.cos(angle),
-            reach * (1 - radius * 0.6) * distance * np.sin(angle),
-        )
+        x = reach * (1 - radius * 0.6) * distance * np.cos(angle)
+        y = reach * (1 - radius * 0.6) * distance * np.sin(angle)
         level = (
             1.6 * (1 - distance) if conical else 0.85 * np.sqrt(max(0.0, 1 - 0.85 * distance**2))
         )
@@ -389,7 +393,8 @@ def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool
     step = float(axis[1] - axis[0])
     light = sun.light()
     slope_y, slope_x = np.gradient(cv2.GaussianBlur(surface, (0, 0), max(0.5, size / 110)), step)
-    slope_x, slope_y = np.clip(slope_x, -2.5, 2.5), np.clip(slope_y, -2.5, 2.5)
+    slope_x = np.clip(slope_x, -2.5, 2.5)
+    slope_y = np.clip(slope_y, -2.5, 2.5)
     lambert = (light[2] - light[0] * slope_x - light[1] * slope_y) / np.sqrt(
         1 + slope_x**2 + slope_y**2
     )
@@ -397,10 +402,8 @@ def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool
     lit = np.ones_like(surface)
     rise = np.tan(sun.elevation)
     for distance in (0.06, 0.12, 0.2, 0.3, 0.42):
-        dx, dy = (
-            light[0] / np.cos(sun.elevation) * distance,
-            light[1] / np.cos(sun.elevation) * distance,
-        )
+        dx = light[0] / np.cos(sun.elevation) * distance
+        dy = light[1] / np.cos(sun.elevation) * distance
         blocker = np.roll(surface, (-round(dy / step), -round(dx / step)), axis=(0, 1))
         lit = np.minimum(lit, np.clip(1 - (blocker - surface - distance * rise) / 0.10, 0, 1))
     depth = np.clip((surface + 0.1) / 0.9, 0, 1)

@@ -66,7 +66,8 @@ def divide(
     """Split a rectangle into blocks with streets between them."""
     rng = site.rng
     x0, y0, x1, y1 = rect
-    width, height = x1 - x0, y1 - y0
+    width = x1 - x0
+    height = y1 - y0
     limit = rng.uniform(*plan.block_size)
     left, top, right, bottom = sides
     if max(width, height) < limit or min(width, height) < 30:
@@ -95,7 +96,8 @@ def divide(
             side = (1 if beyond else -1) * (-1 if other.vertical else 1)
             other.junctions.append((along, street.half, side))
     half = street.half
-    streets, blocks = [street], []
+    streets = [street]
+    blocks = []
     halves: tuple[tuple[Rect, tuple[Street | None, ...]], ...]
     if vertical:
         halves = (
@@ -117,7 +119,8 @@ def divide(
 def build_street(site: Site, street: Street, plan: StreetPlan, layer: str) -> None:
     """Draw one layer of a street; drawing all streets' ``base``, then ``carriage``, then ``marks`` joins junctions."""
     own = site.at(street.x, street.y, math.pi / 2 if street.vertical else 0.0)
-    half, length = street.carriage / 2, street.length
+    half = street.carriage / 2
+    length = street.length
     if layer == "base":
         if street.pavement > 0:
             own.rect((0, -street.half, length, street.half), site.palette.paving, Material.PAVING)
@@ -144,7 +147,8 @@ def build_street(site: Site, street: Street, plan: StreetPlan, layer: str) -> No
 
 
 def _carriageway(own: Site, street: Street) -> None:
-    half, length = street.carriage / 2, street.length
+    half = street.carriage / 2
+    length = street.length
     reach = street.pavement + 0.6
     rgb = jitter(own.rng, own.palette.asphalt, 3, 0.07)
     own.rect((-reach, -half, length + reach, half), rgb, Material.ASPHALT)
@@ -168,7 +172,8 @@ def _free(
     street: Street, start: float, stop: float, margin: float, side: int | None = None
 ) -> list[tuple[float, float]]:
     """Compute the stretches between start and stop without a junction on that side, or on any."""
-    stretches, position = [], start
+    stretches = []
+    position = start
     for along, half, where in sorted(street.junctions):
         if side is not None and where != side:
             continue
@@ -182,7 +187,8 @@ def _free(
 
 def _markings(own: Site, street: Street, plan: StreetPlan) -> None:
     rng = own.rng
-    half, length = street.carriage / 2, street.length
+    half = street.carriage / 2
+    length = street.length
     if not plan.marked and street.depth > 0:
         return
     if street.carriage < 5.5 or length < 25:
@@ -220,14 +226,16 @@ def _markings(own: Site, street: Street, plan: StreetPlan) -> None:
 def _wear(own: Site, street: Street) -> None:
     """Add wheel tracks, patches, cracks and manhole covers."""
     rng = own.rng
-    half, length = street.carriage / 2, street.length
+    half = street.carriage / 2
+    length = street.length
     lane = min(half - (_lane(own) if street.parking else 0), 3.4)
     for side in (-1, 1):
         for track in (0.28, 0.72):
             y = side * lane * track
             own.stain_rect((0, y - 0.3, length, y + 0.3), int(rng.integers(119, 127)))
     for _ in range(int(rng.poisson(length / 35))):
-        x, y = rng.uniform(0, length), rng.uniform(-half, half - 1)
+        x = rng.uniform(0, length)
+        y = rng.uniform(-half, half - 1)
         size = (rng.uniform(1, 14), rng.uniform(0.6, 2.6))
         own.stain_rect(
             (x, y, x + size[0], min(y + size[1], half)), int(rng.choice([108, 114, 119, 136, 141]))
@@ -243,7 +251,8 @@ def _wear(own: Site, street: Street) -> None:
             int(rng.integers(96, 116)),
         )
     for _ in range(int(rng.poisson(length / 30))):
-        x, y = rng.uniform(0, length), rng.uniform(-half + 0.5, half - 0.5)
+        x = rng.uniform(0, length)
+        y = rng.uniform(-half + 0.5, half - 0.5)
         angles = np.linspace(0, 2 * np.pi, 10, endpoint=False)
         own.stain(np.stack([x + 0.33 * np.cos(angles), y + 0.33 * np.sin(angles)], axis=1), 84)
 
@@ -274,8 +283,10 @@ def _lane(own: Site) -> float:
 
 
 def _traffic(own: Site, street: Street, plan: StreetPlan) -> None:
-    rng, fleet = own.rng, own.fleet
-    half, length = street.carriage / 2, street.length
+    rng = own.rng
+    fleet = own.fleet
+    half = street.carriage / 2
+    length = street.length
     slot = fleet.max_length_m
     if street.parking:
         filled = rng.uniform(0.35, 0.97)

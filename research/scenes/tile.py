@@ -42,8 +42,10 @@ class Tile:
         self, low: NDArray[np.float64], high: NDArray[np.float64]
     ) -> tuple[int, int, int, int] | None:
         """Compute the pixels x0, y0, x1, y1 that a box (in pixel coordinates) touches; None for none."""
-        x0, y0 = max(math.floor(low[0]), 0), max(math.floor(low[1]), 0)
-        x1, y1 = min(math.ceil(high[0]), self.width), min(math.ceil(high[1]), self.height)
+        x0 = max(math.floor(low[0]), 0)
+        y0 = max(math.floor(low[1]), 0)
+        x1 = min(math.ceil(high[0]), self.width)
+        y1 = min(math.ceil(high[1]), self.height)
         return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
     def fixed(self, points: NDArray[np.float64]) -> NDArray[np.int32] | None:

@@ -44,7 +44,8 @@ class Frame:
     def points(self, local: ArrayLike) -> NDArray[np.float64]:
         """Convert local coordinates [N,2] to the frame of the image."""
         xy = np.asarray(local, dtype=np.float64).reshape(-1, 2)
-        cos, sin = math.cos(self.angle), math.sin(self.angle)
+        cos = math.cos(self.angle)
+        sin = math.sin(self.angle)
         placed = np.empty_like(xy)
         placed[:, 0] = self.x + cos * xy[:, 0] - sin * xy[:, 1]
         placed[:, 1] = self.y + sin * xy[:, 0] + cos * xy[:, 1]

@@ -108,7 +108,8 @@ def train(
     network.to(device)
     averaged = copy.deepcopy(network).eval()
     optimizer = _optimizer(network, recipe.weight_decay)
-    first, steps = 0, recipe.schedule.steps
+    first = 0
+    steps = recipe.schedule.steps
     if run and (run / _CHECKPOINT).exists():
         state = torch.load(run / _CHECKPOINT, map_location=device, weights_only=True)
         network.load_state_dict(state["network"])

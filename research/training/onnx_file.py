@@ -56,6 +56,8 @@ def write_metadata(path: Path, metadata: Mapping[str, str]) -> None:
     model = onnx.load(path)
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, dict(metadata))
-    model.producer_name, model.producer_version, model.doc_string = "vehanchor", "", ""
+    model.producer_name = "vehanchor"
+    model.producer_version = ""
+    model.doc_string = ""
     with whole_file(path) as partial:
         onnx.save(model, partial)

@@ -41,7 +41,8 @@ _CHOICES = {
 
 def rendered(kind: str, seed: int) -> Scene:
     """Render a scene of a kind."""
-    choice, rng = _CHOICES[kind], np.random.default_rng(seed)
+    choice = _CHOICES[kind]
+    rng = np.random.default_rng(seed)
     gsd = float(np.exp(rng.uniform(*np.log(choice.gsd_m_per_px))))
     if choice.length_m is None:
         return render_scene(

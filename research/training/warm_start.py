@@ -67,7 +67,8 @@ def load_exported(network: nn.Module, path: Path, *inputs: object) -> None:
     def undo(norm: nn.BatchNorm2d, bias: Tensor) -> None:
         def measure(_module: nn.Module, inputs: tuple[Tensor, ...]) -> None:
             (raw,) = inputs
-            mean, variance = raw.mean(dim=(0, 2, 3)), raw.var(dim=(0, 2, 3), unbiased=False)
+            mean = raw.mean(dim=(0, 2, 3))
+            variance = raw.var(dim=(0, 2, 3), unbiased=False)
             assert norm.running_mean is not None
             assert norm.running_var is not None
             norm.running_mean.copy_(mean)

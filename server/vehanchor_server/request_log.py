@@ -27,7 +27,8 @@ def log_call(tool: str, status: str, seconds: float, record: Mapping[str, Any] |
     fields: dict[str, Any] = {"tool": tool, "status": status, "ms": round(1000 * seconds, 1)}
     if record is not None:
         fields["status"] = record.get("status", status)
-        width, height = record.get("image_width_px"), record.get("image_height_px")
+        width = record.get("image_width_px")
+        height = record.get("image_height_px")
         if width and height:
             fields["megapixels"] = round(width * height / 1e6, 3)
     _logger.info("call", extra={"fields": fields})
@@ -61,7 +62,8 @@ class RepeatLimit(logging.Filter):
                     **getattr(record, "fields", {}),
                     "not_shown_before": n - self._n_lines,
                 }
-            began, n = record.created, 0
+            began = record.created
+            n = 0
         self._seen[place] = began, n + 1  # bounded by the number of logging calls in the code
         return n < self._n_lines
 

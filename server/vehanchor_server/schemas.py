@@ -80,7 +80,8 @@ def _strict(node: Any) -> Any:
         return {"type": "string", "description": "A JSON object."}
     result = {key: _strict(value) for key, value in node.items() if key not in _NOT_IN_STRICT_MODE}
     if "properties" in node:
-        required, fields = node.get("required", ()), node["properties"]
+        required = node.get("required", ())
+        fields = node["properties"]
         whole = {name: _strict(field) for name, field in fields.items()}
         result["properties"] = {
             name: field if name in required else {"anyOf": [field, {"type": "null"}]}

@@ -48,7 +48,8 @@ class Services(Parts):
         timer = threading.Timer(
             delay_s, self.models.load_all if self.workers is None else self.workers.start
         )
-        timer.name, timer.daemon = "vehanchor-preload", True
+        timer.name = "vehanchor-preload"
+        timer.daemon = True
         timer.start()
         return timer
 

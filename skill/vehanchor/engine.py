@@ -89,7 +89,8 @@ class Engine:
         options: ScaleOptions | None = None,
         runtime: Runtime | None = None,
     ) -> None:
-        self.options, self.runtime = options or ScaleOptions(), runtime or Runtime()
+        self.options = options or ScaleOptions()
+        self.runtime = runtime or Runtime()
         self._sources = detector, segmenter, classes
         self._detector = _once(partial(open_detector, detector, classes, self.runtime.idle))
         self._segmenter = _once(partial(open_segmenter, segmenter, self.runtime.idle))
@@ -141,7 +142,8 @@ class Engine:
                 shared.
         """
         ours, our_segmenter, classes = self._sources
-        chosen, under = options or self.options, runtime or self.runtime
+        chosen = options or self.options
+        under = runtime or self.runtime
         other = Engine(
             detector or ours,
             segmenter or our_segmenter,
@@ -253,7 +255,8 @@ class Engine:
             VehAnchorError: as ``estimate``.
         """
         engine, chosen = self.for_call(options, keywords)
-        prompt, segmenter = read_prompt(box, points), engine.segmenter
+        prompt = read_prompt(box, points)
+        segmenter = engine.segmenter
         known = engine._scale_input(gsd_m_per_px, scale, chosen)
         with open_raster(image, chosen.reading) as raster:
             (found,) = analyse_objects(
@@ -303,7 +306,8 @@ class Engine:
             VehAnchorError: as ``estimate``.
         """
         engine, chosen = self.for_call(options, keywords)
-        places, known = read_path(path), engine._scale_input(gsd_m_per_px, scale, chosen)
+        places = read_path(path)
+        known = engine._scale_input(gsd_m_per_px, scale, chosen)
         with open_raster(image, chosen.reading) as raster:
             (found,) = analyse_paths(
                 raster, [places], known, chosen, object_height_m=object_height_m
@@ -349,7 +353,8 @@ class Engine:
 
 def _once(load: Callable[[], T]) -> Callable[[], T]:
     """Give a function that loads a model on its first call, in one thread, and returns it on each."""
-    lock, loaded = threading.Lock(), cache(load)
+    lock = threading.Lock()
+    loaded = cache(load)
 
     def get() -> T:
         with lock:

@@ -141,7 +141,8 @@ def _segment_image(
     segmenter: Segmenter, entries: Sequence[AreaEntry]
 ) -> tuple[list[MaskTrial], list[FileIssue]]:
     """Segment all entries of one image."""
-    trials, issues = [], []
+    trials = []
+    issues = []
     image = entries[0].image
     try:
         with open_raster(image, DATASET_READING) as raster:
@@ -170,10 +171,14 @@ def _mask_trial(entry: AreaEntry, found: Segmentation) -> MaskTrial:
 
 def _overlap(entry: AreaEntry, found: Segmentation) -> float:
     """Compute intersection over union; the model's window and the entry's box can each extend beyond the other."""
-    window, left, top = found.window, entry.left_px, entry.top_px
+    window = found.window
+    left = entry.left_px
+    top = entry.top_px
     height, width = entry.mask.shape
-    x1, x2 = max(left, window.x_px), min(left + width, window.x_px + window.width_px)
-    y1, y2 = max(top, window.y_px), min(top + height, window.y_px + window.height_px)
+    x1 = max(left, window.x_px)
+    x2 = min(left + width, window.x_px + window.width_px)
+    y1 = max(top, window.y_px)
+    y2 = min(top + height, window.y_px + window.height_px)
     if x2 <= x1 or y2 <= y1:
         return 0.0
     seen = found.mask[y1 - window.y_px : y2 - window.y_px, x1 - window.x_px : x2 - window.x_px]
@@ -202,7 +207,8 @@ def area_trials(
 
 
 def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTrial:
-    gsd, n_px = scale.gsd_m_per_px, mask.mask_area_px
+    gsd = scale.gsd_m_per_px
+    n_px = mask.mask_area_px
     return AreaTrial(
         **mask.model_dump(),
         image=str(entry.image),

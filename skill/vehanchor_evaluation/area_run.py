@@ -74,7 +74,8 @@ def measure_areas(
         OutputError: a log cannot be written.
     """
     entries = data.entries[:limit]
-    n_workers, step = workers or default_workers(), progress or (lambda _: None)
+    n_workers = workers or default_workers()
+    step = progress or (lambda _: None)
     masks, issues = segment_entries(
         entries,
         segmenter,

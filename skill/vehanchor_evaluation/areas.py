@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MIN_SIDE_PX = 15  # of an object's box; smaller objects are too coarse for a mask
-INDEX, COLUMNS = "index.csv", ("image", "mask", "category", "gsd_m_per_px")
+INDEX = "index.csv"
+COLUMNS = ("image", "mask", "category", "gsd_m_per_px")
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,9 @@ def _rows(folder: Path, split: str | None) -> tuple[list[_Row], list[FileIssue]]
         raise InvalidParameterError(
             f"{index} has no rows of split {split!r}: it has {', '.join(known) or 'no rows'}"
         )
-    rows, issues, seen = [], [], set()
+    rows = []
+    issues = []
+    seen = set()
     for line, cells in chosen:
         row = _row(folder, cells)
         if row is None:

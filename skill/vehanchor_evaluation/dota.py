@@ -75,7 +75,8 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
                 gsd = _header_gsd(value)
                 continue
             fields = stripped.split()
-            points, name = [float(field) for field in fields[:8]], fields[8]
+            points = [float(field) for field in fields[:8]]
+            name = fields[8]
             if not np.isfinite(points).all():
                 raise ValueError
         except (ValueError, IndexError):
@@ -153,7 +154,8 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
         raise InvalidParameterError(f"no label folder at {str(label_folder)!r}")
     files = sorted(label_folder.rglob("*.txt"))
     texts = {path.stem: path for path in files if not _is_axis_aligned(path, label_folder)}
-    images, issues = [], []
+    images = []
+    issues = []
     seen: dict[str, Path] = {}
     for path in image_files(folder / "images"):
         if path.stem in seen:

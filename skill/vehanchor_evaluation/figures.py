@@ -29,8 +29,13 @@ if TYPE_CHECKING:
     from vehanchor.scale.calibration import Calibration, SurveyedImage
     from vehanchor_evaluation.gsd import ScaleTrial
 
-_BLUE, _ORANGE, _GREEN, _RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"  # Okabe and Ito
-_INK, _GREY = "#222222", "0.6"
+# Okabe and Ito
+_BLUE = "#0072B2"
+_ORANGE = "#E69F00"
+_GREEN = "#009E73"
+_RED = "#D55E00"
+_INK = "#222222"
+_GREY = "0.6"
 _DPI = 150
 _BAND = 0.10  # paper: +-10 %
 _MAX_ERROR = 1.0
@@ -59,7 +64,8 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
     estimate = np.array([trial.analysis.estimate.gsd_m_per_px or np.nan for trial in known])
     guard = _guard_gsd(known)
     ends = np.concatenate([truth, estimate, missed, [guard]])
-    low, high = float(ends.min()) / 1.25, float(ends.max()) * 1.25
+    low = float(ends.min()) / 1.25
+    high = float(ends.max()) * 1.25
     line = np.array([low, high])
     axes.fill_between(
         line,
@@ -273,7 +279,8 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     metres, weights, smoothing = weighted_lengths_m(images)
     mode = calibration.reference_length_m
     low, high = np.percentile(metres, [0.5, 99.5])
-    low, high = max(0.0, min(low, 0.6 * mode)), max(min(high, 2.5 * mode), 1.4 * mode)
+    low = max(0.0, min(low, 0.6 * mode))
+    high = max(min(high, 2.5 * mode), 1.4 * mode)
     shown = metres[(metres >= low) & (metres <= high)]
     edges = np.linspace(low, high, int(np.clip(np.sqrt(len(shown)) * 2, 12, 80)) + 1)
     axes.hist(
@@ -409,7 +416,8 @@ def _cell(cell: SheetCell) -> NDArray[np.uint8]:
     size = max(1, round(width * factor)), max(1, round(height * factor))
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
     square = np.full((_CELL_PX, _CELL_PX, 3), 235, np.uint8)
-    top, left = (_CELL_PX - size[1]) // 2, (_CELL_PX - size[0]) // 2
+    top = (_CELL_PX - size[1]) // 2
+    left = (_CELL_PX - size[0]) // 2
     square[top : top + size[1], left : left + size[0]] = cv2.resize(
         cell.picture, size, interpolation=method
     )

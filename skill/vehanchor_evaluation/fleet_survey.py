@@ -73,10 +73,8 @@ def found_vehicles(
             continue
         with naming(image.path):
             analysis = found.analysis(card, options)
-        boxes, scores = (
-            analysis.detections.boxes[analysis.kept],
-            analysis.detections.scores[analysis.kept],
-        )
+        boxes = analysis.detections.boxes[analysis.kept]
+        scores = analysis.detections.scores[analysis.kept]
         survey.images.append(
             SurveyedImage(boxes, image.gsd_m_per_px, scores if weighted else None, image.gsd_log_sd)
         )

@@ -35,7 +35,8 @@ def survey_geotiffs(paths: Sequence[Path]) -> KnownScaleSet:
     Raises:
         InvalidParameterError: a path does not exist.
     """
-    images, issues = [], []
+    images = []
+    issues = []
     for file in files_of(paths):
         try:
             with open_raster(file, DATASET_READING) as raster:

@@ -212,7 +212,8 @@ def benchmark_scale(
     """
     label_options_of = label_options_of or options_of
     issues = list(data.issues)
-    trials, baseline = [], []
+    trials = []
+    baseline = []
     for image in data.images:
         found = searched[image.path]
         if isinstance(found, FileIssue):
@@ -362,7 +363,8 @@ def report_scale(benchmark: ScaleBenchmark) -> ScaleReport:
 
 
 def _rows(benchmark: ScaleBenchmark) -> Iterator[ErrorRow]:
-    trials, baseline = benchmark.trials, benchmark.baseline
+    trials = benchmark.trials
+    baseline = benchmark.baseline
     yield ErrorRow.of("detector", trials)
     if baseline:
         both = {t.image.path for t in trials if t.estimated} & {

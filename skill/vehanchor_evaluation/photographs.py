@@ -65,7 +65,8 @@ def survey_photographs(
         rulers=replace(options.rulers, rulers=rulers),
         reading=replace(options.reading, limits=DATASET_READING.limits),
     )
-    images, issues = [], []
+    images = []
+    issues = []
     files = files_of(paths)
     lines = known_lengths(files) if known_lengths else {}
     for file in files:
@@ -77,11 +78,9 @@ def survey_photographs(
         except VehAnchorError as error:
             issues.append(FileIssue(file, error.code, str(error)))
             continue
-        gsd, low, high = (
-            record.gsd_m_per_px,
-            record.gsd_ci95_low_m_per_px,
-            record.gsd_ci95_high_m_per_px,
-        )
+        gsd = record.gsd_m_per_px
+        low = record.gsd_ci95_low_m_per_px
+        high = record.gsd_ci95_high_m_per_px
         if gsd is None or low is None or high is None:
             why = (
                 " ".join(notice.message for notice in record.warnings)

@@ -30,7 +30,8 @@ def finished(
     Yields:
         Each item with its finished future, in order of completion.
     """
-    waiting, pool = iter(items), ThreadPoolExecutor(workers)
+    waiting = iter(items)
+    pool = ThreadPoolExecutor(workers)
 
     def begun(n: int) -> dict[Future[Result], Item]:
         return {pool.submit(work, item): item for item in islice(waiting, n)}

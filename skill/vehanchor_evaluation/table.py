@@ -28,7 +28,9 @@ def survey_table(path: Path) -> KnownScaleSet:
     Raises:
         InvalidParameterError: the table cannot be read, or lacks the columns.
     """
-    images, issues, n_rows = [], [], 0
+    images = []
+    issues = []
+    n_rows = 0
     try:
         for number, row in _rows(path):
             n_rows += 1

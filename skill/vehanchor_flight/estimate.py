@@ -92,7 +92,8 @@ def search_flight(
     Raises:
         ImageError: no photograph is given, or none can be used.
     """
-    tell, silent = detector.runtime.tell, detector.under(replace(detector.runtime, progress=None))
+    tell = detector.runtime.tell
+    silent = detector.under(replace(detector.runtime, progress=None))
     found: list[Photograph | Failure] = []
     total = len(taken) if isinstance(taken, Sized) else 0
     for done, each in enumerate(taken):
@@ -172,7 +173,8 @@ def without_copies(found: Sequence[Photograph | Failure]) -> list[Photograph | F
 
 
 def _is_copy(small: Photograph, large: Photograph) -> bool:
-    one, other = small.view.image, large.view.image
+    one = small.view.image
+    other = large.view.image
     shape = one.width_px * other.height_px / (one.height_px * other.width_px)
     if (
         one.width_px == other.width_px

@@ -52,7 +52,8 @@ def find_features(raster: Raster, long_side_px: int = _LONG_SIDE_PX) -> Features
         At most 1,200.
     """
     factor = max(1, math.ceil(max(raster.width_px, raster.height_px) / long_side_px))
-    width, height = raster.width_px // factor, raster.height_px // factor
+    width = raster.width_px // factor
+    height = raster.height_px // factor
     grey = np.empty((height, width), np.uint8)
     for top in range(0, height, _ROWS_A_READ):
         rows = min(_ROWS_A_READ, height - top)

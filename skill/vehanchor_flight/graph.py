@@ -28,13 +28,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _REACH = 3.0  # standard deviations, scale of the robust loss
-_DROP_SDS, _DROP_LOG = 4.0, 0.12  # a link that is off by more than both is dropped
-_ANNEAL, _STEPS = 1.4, 40
+# a link that is off by more than both is dropped
+_DROP_SDS = 4.0
+_DROP_LOG = 0.12
+_ANNEAL = 1.4
+_STEPS = 40
 _MOST_INFLATION = 8.0
 _GRADIENT_SD = 0.05  # log of scale from the centre to the edge: a tilt of two to five degrees
 _LOOSE_SD = 3.0  # of a photograph without evidence: keeps the problem regular
 _MAD_PER_SD = 0.6745
-_LEAST_TILT_PHOTOGRAPHS, _LEAST_TILT_SHARE = 4, 0.5
+_LEAST_TILT_PHOTOGRAPHS = 4
+_LEAST_TILT_SHARE = 0.5
 # half of the longer side over the focal length, times the tangent of 10 to 52 degrees
 _TILT_GRADIENTS = 0.12, 0.9
 # of a point to the camera's foot, over the centre's: keeps away from the horizon
@@ -150,7 +154,8 @@ class _Problem:
     """Robust sparse least-squares problem; unknowns are ``[n]`` log scales, then ``[n, 2]`` gradients."""
 
     def __init__(self, n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> None:
-        self._n, self._n_links = n, len(links)
+        self._n = n
+        self._n_links = len(links)
         known = [(place, unary) for place, unary in enumerate(unaries) if unary is not None]
         self._matrix = _equations(n, links, [place for place, _ in known])
         said = [unary.log_scale for _, unary in known]
@@ -210,7 +215,9 @@ class _Problem:
 
 def _equations(n: int, links: Sequence[Link], known: Sequence[int]) -> Any:
     """Make the sparse design matrix ``[links + known, 3 n]`` of links and own evidence."""
-    rows, columns, values = [], [], []
+    rows = []
+    columns = []
+    values = []
     for row, link in enumerate(links):
         for sign, place, at in (
             (1.0, link.first, link.first_at),

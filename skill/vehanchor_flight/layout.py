@@ -60,13 +60,15 @@ def lay_out(
     first, second = np.array([(each.first, each.second) for each in overlaps]).T
     weight = np.array([each.match.n for each in overlaps], dtype=np.float64)
     turns = np.array([each.match.turn[0] + 1j * each.match.turn[1] for each in overlaps])
-    factor, shift = turns[:, 0], turns[:, 2]
+    factor = turns[:, 0]
+    shift = turns[:, 2]
     # a_first = a_second * turn, rotations only: the graph of scales gives better lengths
     unit = factor / np.abs(factor)
     own = feet[:, 0] + 1j * feet[:, 1]
     across = diagonals * np.exp(offsets)
     reach = (across[first] + across[second]) / 2
-    ones, trust = np.ones(len(overlaps)), weight
+    ones = np.ones(len(overlaps))
+    trust = weight
     for _ in range(_STEPS):
         headings = _tied(m, first, second, unit, 0 * ones, trust, reference, 1.0)
         headings /= np.maximum(np.abs(headings), 1e-9)

@@ -166,7 +166,8 @@ def _from_centre(photograph: Photograph, at: NDArray[np.float64]) -> tuple[float
 def _unary(photograph: Photograph) -> Unary | None:
     """Compute a photograph's own evidence, without errors common to the flight."""
     estimate = photograph.analysis.estimate
-    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    low = estimate.gsd_ci95_low_m_per_px
+    high = estimate.gsd_ci95_high_m_per_px
     if estimate.gsd_m_per_px is None or not low or not high:
         return None
     return Unary(

@@ -13,10 +13,12 @@ if TYPE_CHECKING:
 
     from vehanchor_flight.features import Features
 
-_LEAST_INLIERS, _LEAST_INLIER_SHARE = 14, 0.12
+_LEAST_INLIERS = 14
+_LEAST_INLIER_SHARE = 0.12
 _SECOND_BEST = 0.9  # highest ratio of the distances to the best and the second-best match
 _TOLERANCE_PX = 4.0  # of the reduced copies: displacement by relief and lens
-_CONFIDENCE, _TRIALS = 0.999, 2000
+_CONFIDENCE = 0.999
+_TRIALS = 2000
 _WIDEST_RATIO = 6.0
 _LOG_SD = 0.01  # relief, lens, slight tilt
 _DIGITS = 9  # of the fit; the digits behind them depend on threads and memory layout
@@ -64,7 +66,8 @@ def match(first: Features, second: Features) -> Match | None:
     pairs = _nearest(first.descriptors, second.descriptors)
     if len(pairs) < _LEAST_INLIERS:
         return None
-    here, there = first.points[pairs[:, 0]], second.points[pairs[:, 1]]
+    here = first.points[pairs[:, 0]]
+    there = second.points[pairs[:, 1]]
     tolerance = _TOLERANCE_PX * second.pixel
     found, inside = cv2.estimateAffinePartial2D(
         here,
@@ -84,7 +87,8 @@ def match(first: Features, second: Features) -> Match | None:
     scale = math.hypot(turn[0, 0], turn[1, 0])
     if not 1 / _WIDEST_RATIO <= scale <= _WIDEST_RATIO:
         return None
-    here, there = here[inlier], there[inlier]
+    here = here[inlier]
+    there = there[inlier]
     log_sd = round(_spread(here, there, turn), _DIGITS)
     return Match(math.log(scale), log_sd, n, turn, here.mean(axis=0), there.mean(axis=0))
 
@@ -93,11 +97,14 @@ def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.
     """Find ``[m, 2]`` pairs of mutual best matches that pass the ratio test."""
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), np.intp)
-    here, there = first.astype(np.float32), second.astype(np.float32)
+    here = first.astype(np.float32)
+    there = second.astype(np.float32)
     closeness = here @ there.T  # RootSIFT descriptors have unit length
-    best, rows = closeness.argmax(axis=1), np.arange(len(here))
+    best = closeness.argmax(axis=1)
+    rows = np.arange(len(here))
     mutual = closeness.argmax(axis=0)[best] == rows
-    length, nearest = 255.0**2, closeness[rows, best]
+    length = 255.0**2
+    nearest = closeness[rows, best]
     closeness[rows, best] = -math.inf
     near = np.maximum(2 * (length - nearest), 0.0)
     next_near = np.maximum(2 * (length - closeness.max(axis=1)), 1e-6)

@@ -19,9 +19,13 @@ if TYPE_CHECKING:
     from vehanchor_flight.features import Features
 
 _VOTERS = 200  # voting features per photograph
-_DIMENSIONS, _BITS, _TABLES = 24, 18, 6
+_DIMENSIONS = 24
+_BITS = 18
+_TABLES = 6
 _MOST_IN_CELL = 24  # a fuller cell tells nothing: grass, gravel
-_BY_LOOK, _BY_PLACE, _BY_ORDER = 8, 6, 2
+_BY_LOOK = 8
+_BY_PLACE = 6
+_BY_ORDER = 2
 _LEAST_VOTES = 3
 _SEED = 20261121
 
@@ -85,14 +89,17 @@ def _by_appearance(features: Sequence[Features]) -> set[tuple[int, int]]:
 def _sharing(cells: NDArray[np.int64], owners: NDArray[np.intp], n: int) -> NDArray[np.int64]:
     """List keys ``first * n + second`` of pairs of photographs, one for each cell that they share."""
     order = np.lexsort((owners, cells))
-    cells, owners = cells[order], owners[order]
+    cells = cells[order]
+    owners = owners[order]
     # each photograph once per cell
     fresh = np.r_[True, (cells[1:] != cells[:-1]) | (owners[1:] != owners[:-1])]
-    cells, owners = cells[fresh], owners[fresh]
+    cells = cells[fresh]
+    owners = owners[fresh]
     starts = np.flatnonzero(np.r_[True, cells[1:] != cells[:-1]])
     sizes = np.diff(np.r_[starts, len(cells)])
     size_of = np.repeat(sizes, sizes)
-    cells, owners = cells[size_of <= _MOST_IN_CELL], owners[size_of <= _MOST_IN_CELL]
+    cells = cells[size_of <= _MOST_IN_CELL]
+    owners = owners[size_of <= _MOST_IN_CELL]
     keys = [np.zeros(0, np.int64)]
     for step in range(1, min(_MOST_IN_CELL, len(cells))):
         same = cells[step:] == cells[:-step]

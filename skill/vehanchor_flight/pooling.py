@@ -60,7 +60,8 @@ def pool(
         return members[0].analysis
     logs = np.asarray(log_scales, dtype=np.float64)
     offsets = logs - logs[reference]
-    chief, resolved = members[reference].view, _resolved(members)
+    chief = members[reference].view
+    resolved = _resolved(members)
     others = (*_pooled_others(members, offsets), *added)
     view = View(  # no tilt: the boxes are rectified
         _facts(members, reference),

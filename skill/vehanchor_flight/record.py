@@ -156,7 +156,8 @@ def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
         kind = ("", "") if camera is None else (camera.make, camera.model)
         places.append((kind, _taken_at(image) or datetime.min, place))
     places.sort()
-    found, sortie = {places[0][2]: 0} if places else {}, 0
+    found = {places[0][2]: 0} if places else {}
+    sortie = 0
     for (kind_before, before, _), (kind, taken, place) in pairwise(places):
         sortie += kind != kind_before or (before > datetime.min and taken - before > _PAUSE)
         found[place] = sortie
@@ -205,23 +206,24 @@ def _photograph(
     rulers: tuple[FlightRuler, ...],
 ) -> FlightPhotograph:
     """Convert the scale of a component to one of its photographs."""
-    pooled, advice = record.pooled, record.advice
+    pooled = record.pooled
+    advice = record.advice
     reason: Reason | None = pooled.reason
     gsd = low = high = None
-    status, confidence = pooled.status, pooled.confidence
+    status = pooled.status
+    confidence = pooled.confidence
     if pooled.gsd_m_per_px is not None:
         gsd = pooled.gsd_m_per_px * math.exp(component.offsets[place])
         carried = Z95 * float(component.log_sds[place])
         if pooled.gsd_ci95_low_m_per_px and pooled.gsd_ci95_high_m_per_px:
             down = math.log(pooled.gsd_m_per_px / pooled.gsd_ci95_low_m_per_px)
             up = math.log(pooled.gsd_ci95_high_m_per_px / pooled.gsd_m_per_px)
-            low, high = (
-                gsd * math.exp(-math.hypot(down, carried)),
-                gsd * math.exp(math.hypot(up, carried)),
-            )
+            low = gsd * math.exp(-math.hypot(down, carried))
+            high = gsd * math.exp(math.hypot(up, carried))
             confidence = _carried_chance(confidence, math.log(high / low), up + down)
         if status == "ok" and confidence < USABLE_CHANCE:
-            status, reason = "low_confidence", "imprecise"
+            status = "low_confidence"
+            reason = "imprecise"
             advice = _carried_advice(maybe_tilted=component.maybe_tilted)
     return FlightPhotograph(
         photograph=photograph.name,

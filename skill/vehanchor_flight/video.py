@@ -140,10 +140,8 @@ def _demuxer(path: Path) -> str | None:
 
 
 def _check_frame(film: cv2.VideoCapture, limits: ImageLimits) -> None:
-    width, height = (
-        int(film.get(cv2.CAP_PROP_FRAME_WIDTH)),
-        int(film.get(cv2.CAP_PROP_FRAME_HEIGHT)),
-    )
+    width = int(film.get(cv2.CAP_PROP_FRAME_WIDTH))
+    height = int(film.get(cv2.CAP_PROP_FRAME_HEIGHT))
     if width * height > limits.max_pixels:
         raise ImageTooLargeError(
             f"the video declares frames of {width} x {height} px, the limit is "

@@ -98,10 +98,8 @@ def test_how_much_longer_cars_are_in_north_america_is_said_once_and_as_the_model
     card = Engine().detector.card
     assert card.bodies is not None
     lengths = card.bodies.region_lengths_m
-    america, elsewhere = (
-        lengths["north_america"],
-        math.sqrt(lengths["europe"] * lengths["south_america"]),
-    )
+    america = lengths["north_america"]
+    elsewhere = math.sqrt(lengths["europe"] * lengths["south_america"])
     page = (ROOT / "docs/concepts.md").read_text(encoding="utf-8")
     assert (
         f"North American cars come out {america / elsewhere - 1:.0%} longer".replace("%", " %")

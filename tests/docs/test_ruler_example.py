@@ -33,9 +33,11 @@ from vehanchor.rulers.active import ruler_class
 from vehanchor.rulers.ruler import View
 from vehanchor_flight.verbs import estimate_flight
 
-LENGTH_PX, GSD = 800.0, 176.91 / 800.0
+LENGTH_PX = 800.0
+GSD = 176.91 / 800.0
 WIDTH_PX = LENGTH_PX * 92.52 / 176.91
-CENTRE, ANGLE = np.array([500.0, 400.0]), 0.3
+CENTRE = np.array([500.0, 400.0])
+ANGLE = 0.3
 TILTED = CameraMetadata(
     focal_px=900.0, taken_width_px=1000, taken_height_px=800, off_nadir_deg=40.0
 )

@@ -35,7 +35,8 @@ SIZE = 480, 640
 def pool_mask(index: int) -> np.ndarray:
     """An L, so that the object is not its box."""
     mask = np.zeros(SIZE, bool)
-    top, left = 200, 120 + 240 * index
+    top = 200
+    left = 120 + 240 * index
     mask[top : top + 96, left : left + 64] = True
     mask[top + 32 : top + 96, left : left + 96] = True
     return mask

@@ -55,7 +55,8 @@ def test_errors_are_over_the_images_with_an_estimate_as_the_paper_counts(
     # the errors of the fleet move each by up to 0.3 %
     # found: 0 %, -10 %, nothing, -23.1 %; labelled: -9.1 %, -10 %, 0 %, none
     assert list(rows) == ["detector", "labels", "detector, intersection", "labels, intersection"]
-    found, labelled = rows["detector"], rows["labels"]
+    found = rows["detector"]
+    labelled = rows["labels"]
     assert (found["images"], found["of_images"], found["coverage"]) == (3, 4, 0.75)
     assert (found["median"], found["mean"]) == pytest.approx(
         (0.1, (0.1 + 1 - 20 / 26) / 3), abs=3e-3

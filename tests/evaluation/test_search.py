@@ -65,7 +65,8 @@ def test_an_interrupted_search_goes_on_where_it_stopped(
     assert counted == []
     assert list(cached) == list(again) == files
     for file in files:
-        found, fresh = cached[file], analyse_scale(file, detector=model)
+        found = cached[file]
+        fresh = analyse_scale(file, detector=model)
         assert not isinstance(found, FileIssue)
         assert found.analysis(model.card, ScaleOptions()).estimate == fresh.estimate
         assert (found.detections.boxes == fresh.detections.boxes).all()
@@ -74,9 +75,12 @@ def test_an_interrupted_search_goes_on_where_it_stopped(
 def test_a_search_is_repeated_for_other_settings_and_for_changed_files(
     tmp_path: Path, detector: Path, counted: list[str]
 ) -> None:
-    file, log, model = tmp_path / "a.png", tmp_path / "log.sqlite", Detector(detector)
+    file = tmp_path / "a.png"
+    log = tmp_path / "log.sqlite"
+    model = Detector(detector)
     paint(file, cars(20))
-    plain, strict = ScaleOptions(), ScaleOptions(search=Search(min_score=0.95))
+    plain = ScaleOptions()
+    strict = ScaleOptions(search=Search(min_score=0.95))
     other_half = ScaleOptions(lengths=Lengths("mean", None), reference=Reference(4.0))
     for options, n_searches in (
         (plain, 1),
@@ -100,10 +104,12 @@ def test_a_search_is_repeated_for_other_settings_and_for_changed_files(
 
 
 def test_an_unreadable_image_is_an_issue_and_is_tried_again(tmp_path: Path, detector: Path) -> None:
-    good, bad = tmp_path / "good.png", tmp_path / "bad.png"
+    good = tmp_path / "good.png"
+    bad = tmp_path / "bad.png"
     paint(good, cars(20))
     bad.write_bytes(b"no image")
-    model, log = Detector(detector), tmp_path / "log.sqlite"
+    model = Detector(detector)
+    log = tmp_path / "log.sqlite"
     found = dict(
         search_images(
             [bad, good, tmp_path / "none.png"], model, ScaleOptions(), log=_log(log, model)
@@ -120,9 +126,12 @@ def test_an_unreadable_image_is_an_issue_and_is_tried_again(tmp_path: Path, dete
 def test_an_alpha_that_no_search_has_looked_at_is_looked_at(
     tmp_path: Path, detector: Path, counted: list[str]
 ) -> None:
-    file, log, model = tmp_path / "a.png", tmp_path / "log.sqlite", Detector(detector)
+    file = tmp_path / "a.png"
+    log = tmp_path / "log.sqlite"
+    model = Detector(detector)
     paint(file, cars(20))
-    plain, wide = ScaleOptions(), ScaleOptions(lengths=Lengths(alpha=2.5))
+    plain = ScaleOptions()
+    wide = ScaleOptions(lengths=Lengths(alpha=2.5))
     data = KnownScaleSet("", (KnownScaleImage(file, 0.2),))
     (found,) = search_known_scale(data, model, plain, cache=log).values()
     assert not isinstance(found, FileIssue)

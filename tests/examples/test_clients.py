@@ -94,7 +94,8 @@ def test_every_version_is_the_packages() -> None:
 
 def test_the_registrys_file_asks_for_a_host_a_secret_token_and_a_folder() -> None:
     server = _read(CLIENTS / "server.json")
-    (package,), (remote,) = server["packages"], server["remotes"]
+    (package,) = server["packages"]
+    (remote,) = server["remotes"]
     assert (package["registryType"], package["identifier"], package["transport"]["type"]) == (
         "pypi",
         "vehanchor",

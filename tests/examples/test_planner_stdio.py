@@ -71,7 +71,8 @@ def test_on_a_scale_that_is_not_ok_it_holds_whatever_the_size_and_says_what_help
 async def test_the_planner_uses_listed_arguments_alone(
     example: Callable[[str], Any], gsd_m_per_px: float | None
 ) -> None:
-    planner, asked = example("planner_stdio"), []
+    planner = example("planner_stdio")
+    asked = []
 
     class Recorder:
         async def call_tool(self, name: str, arguments: dict[str, Any]) -> CallToolResult:
@@ -80,7 +81,8 @@ async def test_the_planner_uses_listed_arguments_alone(
                 content=[], structured_content={"status": "no_scale", "reason": "too_few"}
             )
 
-    ruler, craft = planner.Ruler("a ruler", gsd_m_per_px), planner.Craft(4.0, 2.0)
+    ruler = planner.Ruler("a ruler", gsd_m_per_px)
+    craft = planner.Craft(4.0, 2.0)
     await planner.decide(
         Recorder(), Path("a.jpg"), [planner.Zone(1, 2, 30, 40)], [ruler], craft, "europe"
     )
@@ -132,7 +134,8 @@ def test_the_readme_has_all_four_cases() -> None:
 
 @pytest.mark.slow
 def test_it_tries_the_next_zone_and_then_the_next_ruler() -> None:
-    small, roof = "48 1 168 30", "255 160 535 470"
+    small = "48 1 168 30"
+    roof = "255 160 535 470"
     decision, _ = _planned("safe.jpg", "--zone", *small.split(), "--zone", *roof.split())
     assert (decision["action"], decision["zone"]["x_min"]) == ("land", 255)
     roof_there = "318 48 406 100"

@@ -30,7 +30,8 @@ def _python_of_qgis() -> str:
 
 
 def test_the_algorithms_give_the_commands_scale_and_layers_that_qgis_reads(tmp_path: Path) -> None:
-    photograph, empty = ROOT / "examples/scenes/safe.jpg", ROOT / "examples/scenes/no_cars.jpg"
+    photograph = ROOT / "examples/scenes/safe.jpg"
+    empty = ROOT / "examples/scenes/no_cars.jpg"
     command = Path(sys.executable).with_name("vehanchor")
     done = subprocess.run(
         [

@@ -16,7 +16,8 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_flight.features import Features, find_features
 
-_LATITUDE, _METRES_A_DEGREE = 46.0, 111_195.0
+_LATITUDE = 46.0
+_METRES_A_DEGREE = 111_195.0
 
 
 def ground(side_px: int = 1600, seed: int = 5) -> NDArray[np.uint8]:

@@ -22,7 +22,8 @@ from vehanchor_flight.pairs import candidate_pairs
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.record import Failure, conclude_flight
 
-WORLD, OTHER = ground(seed=5), ground(seed=6)
+WORLD = ground(seed=5)
+OTHER = ground(seed=6)
 GROUND_M_PER_PX = 0.1
 # pixels of the ground: a modal length of 5 m
 FLEET = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)
@@ -202,7 +203,9 @@ def test_photographs_of_one_height_and_tilt_have_one_scale() -> None:
 
 def test_positions_of_tilted_photographs_are_below_their_cameras() -> None:
     plane = TILT.plane(ImageFacts(500, 500))
-    flight, seen, stood = [], [], []
+    flight = []
+    seen = []
+    stood = []
     for number, heading_deg in enumerate((0.0, 50.0, 100.0)):
         heading = np.radians(heading_deg)
         turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
@@ -221,7 +224,8 @@ def test_ratios_of_an_unknown_tilt_are_doubted_and_those_of_two_heights_are_not(
     tilt_deg: float, doubted: bool
 ) -> None:
     plane = CameraTilt(tilt_deg, 0.0, 500.0, "metadata").plane(ImageFacts(500, 500))
-    flight, seen = [], []
+    flight = []
+    seen = []
     for number in range(6):
         scale = 1.0 if doubted or number % 2 else 0.75
         seen.append(
@@ -308,7 +312,8 @@ def test_ratios_that_differ_by_more_than_they_say_widen_the_rest() -> None:
 
 def test_a_camera_that_looks_aside_does_not_bend_the_scales() -> None:
     rng = np.random.default_rng(5)
-    columns, n = 6, 36
+    columns = 6
+    n = 36
     aside = rng.normal(0, 0.06, (n, 2))
     links = []
     for first in range(n):
@@ -341,7 +346,9 @@ def _reduced(name: str, step: int, scene: np.ndarray = SCENE) -> Photograph:
 
 
 def test_two_sizes_of_a_photograph_are_one() -> None:
-    small, whole, other = _reduced("s", 2), _reduced("w", 1), _reduced("o", 2, SCENE[::-1])
+    small = _reduced("s", 2)
+    whole = _reduced("w", 1)
+    other = _reduced("o", 2, SCENE[::-1])
     kept = without_copies([small, whole, other])
     assert kept[1:] == [whole, other]
     assert isinstance(kept[0], Failure)

@@ -95,7 +95,9 @@ class Film:
     """A camera of a few frames, which then fails."""
 
     def __init__(self, levels: list[int], pause_s: float) -> None:
-        self.levels, self.pause_s, self.released = levels, pause_s, False
+        self.levels = levels
+        self.pause_s = pause_s
+        self.released = False
 
     def read(self) -> tuple[bool, NDArray[np.uint8]]:
         time.sleep(self.pause_s)
@@ -123,7 +125,8 @@ def test_the_newest_frame_of_a_camera_wins() -> None:
 def test_a_lost_camera_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vehanchor_flight.live.frames._RETRY_S", 0.05)
     cameras = [Film([1], 0.02), None, None, Film([2], 0.02)]
-    kept, told = list(cameras), list[str]()
+    kept = list(cameras)
+    told = list[str]()
     frames = camera_frames(
         lambda: cameras.pop(0) if cameras else None, "camera 0", idle_s=0.4, tell=told.append
     )
@@ -253,7 +256,8 @@ def test_hovering_over_the_same_cars_does_not_narrow_the_interval() -> None:
 
 
 def test_more_cars_over_the_same_ground_narrow_it_as_if_seen_at_once() -> None:
-    few, many = SURE._replace(log_sd=0.2), SURE._replace(log_sd=0.03)
+    few = SURE._replace(log_sd=0.2)
+    many = SURE._replace(log_sd=0.03)
     state = corrected(started(few), many)
     assert math.sqrt(state.variance) == pytest.approx(0.03, rel=0.05)
 
@@ -275,7 +279,8 @@ def test_without_any_link_the_scale_ends_in_seconds() -> None:
     state: FilterState | None = started(SURE)
     seconds = 0.0
     while state is not None:
-        state, seconds = predicted(state, 0.5, None), seconds + 0.5
+        state = predicted(state, 0.5, None)
+        seconds = seconds + 0.5
         assert state is None or seconds < 0.5 or not state.usable
     assert 1 < seconds < 30
 

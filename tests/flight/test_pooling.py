@@ -46,7 +46,8 @@ def test_the_boxes_of_all_photographs_make_one_mode() -> None:
 
 
 def test_photographs_of_known_ratio_are_measured_in_the_pixels_of_one() -> None:
-    near, far = _photograph(2 * _FLEET), _photograph(_FLEET)
+    near = _photograph(2 * _FLEET)
+    far = _photograph(_FLEET)
     alone = _photograph(np.concatenate([_FLEET, _FLEET])).analysis.estimate
     together = pool([near, far], np.log([0.08, 0.16]), 1).estimate
     # votes lie on a grid
@@ -202,10 +203,8 @@ def test_one_scale_for_two_sorties_is_warned_of() -> None:
 
 
 def test_tiles_and_skipped_candidates_add_up() -> None:
-    first, second = (
-        Detections(np.zeros((0, 5)), np.zeros(0), 3, 1, n_tiles_total=20, n_skipped=5),
-        Detections(np.zeros((0, 5)), np.zeros(0), 4, 0, n_tiles_total=30, n_skipped=2),
-    )
+    first = Detections(np.zeros((0, 5)), np.zeros(0), 3, 1, n_tiles_total=20, n_skipped=5)
+    second = Detections(np.zeros((0, 5)), np.zeros(0), 4, 0, n_tiles_total=30, n_skipped=2)
     pooled = pooled_detections([first, second], np.zeros(2))
     assert (pooled.n_tiles, pooled.n_capped_tiles, pooled.n_tiles_total, pooled.n_skipped) == (
         7,

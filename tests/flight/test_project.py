@@ -92,7 +92,8 @@ def test_photographs_and_components_that_nothing_links_have_advice_of_their_own(
 def test_a_flight_that_looked_aside_tells_its_tilt_at_its_own_scale() -> None:
     members = [_photograph("one", FACTS, _cars(LOOKED)), _photograph("bare", FACTS, NOTHING)]
     flight = _flight(*members)
-    pooled, bare = flight.components[0].pooled, estimate_in_flight(flight, flight.photographs[1])
+    pooled = flight.components[0].pooled
+    bare = estimate_in_flight(flight, flight.photographs[1])
     for record in (pooled, bare):
         assert record.tilt is not None
         assert record.tilt.tilt_deg == pytest.approx(35.0, abs=2)  # the cars are heard, too

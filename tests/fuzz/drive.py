@@ -48,14 +48,16 @@ class Checked:
     """
 
     def __init__(self, target: Callable[[bytes], None], findings: Path) -> None:
-        self._target, self._findings = target, findings
+        self._target = target
+        self._findings = findings
         self.n_inputs = self.n_failures = 0
         self.slowest_s = 0.0
         signal.signal(signal.SIGALRM, _stop)
 
     def __call__(self, data: bytes) -> None:
         self.n_inputs += 1
-        started, held_mib = time.process_time(), _peak_mib()
+        started = time.process_time()
+        held_mib = _peak_mib()
         # Python's loops only: what hangs in C is left to the caller
         signal.setitimer(signal.ITIMER_REAL, 10 * HANG_S)
         try:

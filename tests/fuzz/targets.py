@@ -467,7 +467,8 @@ def _graphs() -> list[bytes]:
     weight = helper.make_tensor("w", TensorProto.FLOAT, [1], [1.0])
     external = onnx.TensorProto(name="e", data_type=1, dims=[1], data_location="EXTERNAL")
     entry = external.external_data.add()
-    entry.key, entry.value = "location", "weights.bin"
+    entry.key = "location"
+    entry.value = "weights.bin"
     node = helper.make_node("Add", ["x", "w"], ["y"])
     made = helper.make_model(
         helper.make_graph(

@@ -14,7 +14,8 @@ from tests.fuzz.targets import CORPUS, TARGETS
 def test_the_corpus_and_its_mutations_give_an_answer_or_an_error_of_ours(
     name: str, tmp_path: Path
 ) -> None:
-    corpus, random = CORPUS[name](), np.random.default_rng(16)
+    corpus = CORPUS[name]()
+    random = np.random.default_rng(16)
     checked = Checked(TARGETS[name], tmp_path)
     for data in corpus:
         checked(data)

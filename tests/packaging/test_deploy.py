@@ -68,7 +68,8 @@ def test_what_selects_the_pods_finds_them() -> None:
 
 
 def test_only_the_namespace_reaches_the_server_and_the_server_reaches_nothing() -> None:
-    policy, pod = of_kind("NetworkPolicy")["spec"], of_kind("Deployment")["spec"]["template"]
+    policy = of_kind("NetworkPolicy")["spec"]
+    pod = of_kind("Deployment")["spec"]["template"]
     assert policy["podSelector"]["matchLabels"] == pod["metadata"]["labels"]
     assert set(policy["policyTypes"]) == {"Ingress", "Egress"}
     assert policy["egress"] == []

@@ -35,7 +35,8 @@ pytestmark = pytest.mark.timeout(900)  # installing 500 MB takes what the disk t
 
 TOKEN = "a-token-that-only-this-test-knows-of"
 STAGES = read_dockerfile(ROOT / "Dockerfile")
-BUILD, SERVER = STAGES[1], STAGES[-1]
+BUILD = STAGES[1]
+SERVER = STAGES[-1]
 
 
 def test_one_base_is_pinned_by_version_and_digest() -> None:

@@ -32,10 +32,14 @@ from vehanchor import estimate_gsd
 
 pytestmark = [pytest.mark.nginx, pytest.mark.timeout(900)]
 
-N_CALLS, N_CLIENTS = 96, 6
+N_CALLS = 96
+N_CLIENTS = 6
 LONGEST_S = 400
-N_HONEST, N_IDLE = 40, 512  # calls at a time; connections of each kind
-IDLE_FOR_S, LONGEST_WAIT_S = 30.0, 1.0
+# calls at a time; connections of each kind
+N_HONEST = 40
+N_IDLE = 512
+IDLE_FOR_S = 30.0
+LONGEST_WAIT_S = 1.0
 Call = tuple[dict[str, Any], float | None]  # the image argument, and the scale that must come back
 
 

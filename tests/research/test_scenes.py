@@ -137,7 +137,8 @@ def _coverage(
     body: str, length: float, width: float, gsd: float, turn: float
 ) -> NDArray[np.float64]:
     """How far each pixel is covered by a vehicle at (4, 4) m: drawn on bright and on black ground, and compared."""
-    over, pixels = 2, math.ceil(8 / gsd)
+    over = 2
+    pixels = math.ceil(8 / gsd)
     placed = PlacedVehicle(
         VehicleModel("small-vehicle", body, length, width, (90, 90, 90)), 4.0, 4.0, turn
     )
@@ -161,7 +162,8 @@ def _coverage(
 def _edges(profile: NDArray[np.float64]) -> tuple[float, float]:
     """Where a covered stretch starts and ends: what the outermost pixels are covered by counts as their share."""
     covered = np.flatnonzero(profile > 0.97)
-    first, last = int(covered[0]), int(covered[-1]) + 1
+    first = int(covered[0])
+    last = int(covered[-1]) + 1
     return first - float(profile[:first].sum()), last + float(profile[last:].sum())
 
 

@@ -79,7 +79,10 @@ async def test_a_hostile_name_reaches_a_model_on_one_line(
 
 CHARACTERS_A_TOKEN = 4
 LISTED = 2450
-ESTIMATE, AREA, DISTANCE = (80, 160), (130, 220), (130, 220)  # of text and structured content
+# of text and structured content
+ESTIMATE = (80, 160)
+AREA = (130, 220)
+DISTANCE = (130, 220)
 FRAME = {"width_px": 320, "height_px": 256}
 SMALL_BOX = {name: value / 2 for name, value in POOL_BOX.items()}
 LINES = [{"points": [{"x": 10, "y": 20}, {"x": 300, "y": 120}]}]
@@ -153,7 +156,10 @@ async def test_a_short_answer_never_rounds_a_confidence_over_the_limit() -> None
 
 TEXT = files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8")
 # agentskills.io/specification
-NAME_CHARS, DESCRIPTION_CHARS, COMPATIBILITY_CHARS, MOST_LINES = 64, 1024, 500, 500
+NAME_CHARS = 64
+DESCRIPTION_CHARS = 1024
+COMPATIBILITY_CHARS = 500
+MOST_LINES = 500
 FIELDS = {"name", "description", "license", "compatibility", "metadata", "allowed-tools"}
 
 
@@ -202,7 +208,8 @@ async def test_its_worked_calls_work(tmp_path: Path) -> None:
 
 def calls(images: Path) -> list[tuple[str, dict[str, Any]]]:
     """Each tool, with pictures and as many targets as it takes."""
-    cars, pool = by_path(images / "cars.png"), by_path(images / "pool.png")
+    cars = by_path(images / "cars.png")
+    pool = by_path(images / "pool.png")
     boxes = [
         {"box": {"x_min": 20.0 * i, "y_min": 300, "x_max": 20.0 * i + 90, "y_max": 432}}
         for i in range(16)

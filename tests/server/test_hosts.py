@@ -61,7 +61,8 @@ async def test_text_and_structured_content_say_the_same(
     async with Client(server) as client:
         result = await client.call_tool(tool, arguments)
         full = await client.call_tool(tool, {**arguments, "detail": "full"})
-    record, text = result.structured_content, text_of(result)
+    record = result.structured_content
+    text = text_of(result)
     assert record is not None
     assert full.structured_content is not None
     assert VERDICTS[record["status"]].casefold() in text.casefold()

@@ -68,7 +68,8 @@ def test_a_log_line_is_one_line_of_json_with_its_traceback() -> None:
 
 def test_logs_go_to_stderr_only(capsys: pytest.CaptureFixture[str]) -> None:
     root = logging.getLogger()
-    before, level = root.handlers[:], root.level
+    before = root.handlers[:]
+    level = root.level
     try:
         configure_logging()
         logging.getLogger("vehanchor_server.test").info("hello")

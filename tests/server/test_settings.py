@@ -74,7 +74,8 @@ def test_options_without_meaning_are_refused(options: dict[str, Any], words: str
 
 
 def test_the_memory_of_decoding_and_of_workers_follows_the_pixels() -> None:
-    small, large = Settings(max_megapixels=25), Settings(max_megapixels=500)
+    small = Settings(max_megapixels=25)
+    large = Settings(max_megapixels=500)
     assert (
         large.image_limits.max_decoded_bytes
         == 20 * small.image_limits.max_decoded_bytes

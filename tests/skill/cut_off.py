@@ -65,7 +65,8 @@ _RESULTS = 3
 
 def _whole_or_old(name: str, folder: Path, ends: Counter[str]) -> Iterable[str]:
     """Cut a file off that replaces another."""
-    write, path = _WRITERS[name], folder / name
+    write = _WRITERS[name]
+    path = folder / name
     assert limited(lambda: write(path), None, killed=False) == WRITTEN
     new = path.read_bytes()
     for killed in (False, True):
@@ -104,7 +105,8 @@ def _kept(folder: Path, ends: Counter[str]) -> Iterable[str]:
             end = limited(add, n_bytes, killed=killed)
             ends[_named(end)] += 1
             with _journal(path) as journal:
-                found, added = len(journal), journal.get(("new",))
+                found = len(journal)
+                added = journal.get(("new",))
                 journal.add(("next",), "z")
             if end == WRITTEN or found != _RESULTS or added is not None:
                 yield (
@@ -117,7 +119,8 @@ def _named(end: int) -> str:
     return {WRITTEN: "written", REFUSED: "refused", -signal.SIGXFSZ: "killed"}.get(end, str(end))
 
 
-WRITTEN, REFUSED = 0, 1
+WRITTEN = 0
+REFUSED = 1
 
 
 def limited(work: Callable[[], object], n_bytes: int | None, *, killed: bool) -> int:

@@ -118,7 +118,9 @@ class _Masks:
             (1,),
             (1,),
         )
-        self.xyxy, self.mask, self.data = xyxy, mask, data
+        self.xyxy = xyxy
+        self.mask = mask
+        self.data = data
 
     @classmethod
     def empty(cls) -> str:
@@ -166,7 +168,8 @@ def test_an_area_is_drawn_as_by_the_command_and_shown_in_notebooks(
 def test_an_area_is_a_feature_a_mask_and_an_object_of_supervision(
     roof: AreaAnalysis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    feature, mask = roof.__geo_interface__, roof.full_mask()
+    feature = roof.__geo_interface__
+    mask = roof.full_mask()
     assert feature["type"] == "Feature"
     assert feature["properties"]["area_m2"] == roof.measurement.area_m2
     assert mask.shape == (200, 300)
@@ -186,7 +189,8 @@ def test_an_area_is_a_feature_a_mask_and_an_object_of_supervision(
 def test_a_distance_is_drawn_where_it_lies_as_by_the_command(
     cars: np.ndarray, detector: Detector, tmp_path: Path
 ) -> None:
-    photograph, out = tmp_path / "cars.png", tmp_path / "o.png"
+    photograph = tmp_path / "cars.png"
+    out = tmp_path / "o.png"
     cv2.imwrite(str(photograph), cars[:, :, ::-1])
     line = analyse_distance(photograph, [(100, 300), (220, 300), (220, 340)], gsd_m_per_px=0.1)
     words = ["distance", photograph, "--gsd", 0.1, "--overlay", out]

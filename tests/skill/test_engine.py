@@ -112,7 +112,8 @@ def test_many_threads_share_one_engine(tmp_path: Path, opened: list[type]) -> No
 
 
 def test_a_cancellation_ends_the_call_that_it_belongs_to_and_no_other(engine: Engine) -> None:
-    cancellation, image = Cancellation(), _place()
+    cancellation = Cancellation()
+    image = _place()
 
     def cancel(done: int, _total: int) -> None:
         if done == 2:
@@ -131,7 +132,8 @@ def test_a_cancellation_ends_the_call_that_it_belongs_to_and_no_other(engine: En
 def test_a_verb_gives_what_its_method_gives(
     engine: Engine, files: Path, segmenter: tuple[Path, Path]
 ) -> None:
-    image, detector = _place(), files / "m.onnx"
+    image = _place()
+    detector = files / "m.onnx"
     estimate = engine.estimate(image)
     assert estimate == vehanchor.estimate_gsd(image, detector=detector, threads=1, **ALONE)
     assert [estimate, estimate] == vehanchor.estimate_gsd(
@@ -154,7 +156,8 @@ def test_a_verb_gives_what_its_method_gives(
 def test_a_bad_image_of_a_list_is_named_and_the_others_are_kept(
     engine: Engine, tmp_path: Path
 ) -> None:
-    image, bad = _place(), tmp_path / "bad.jpg"
+    image = _place()
+    bad = tmp_path / "bad.jpg"
     bad.write_bytes(b"no image")
     with pytest.raises(ImageListError) as caught:
         engine.estimate([image, bad, image, image[:8]])
@@ -197,7 +200,8 @@ def test_a_segmenter_is_two_paths_or_one_that_is_loaded(
 def test_load_leaves_no_model_for_the_first_estimate_to_open(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    real, opened = onnxruntime.InferenceSession, []
+    real = onnxruntime.InferenceSession
+    opened = []
 
     def noted(*args: Any, **keywords: Any) -> Any:
         opened.append(args)

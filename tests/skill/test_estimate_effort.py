@@ -90,7 +90,8 @@ def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
 ) -> None:
     for name in _LARGE_PIXELS:
         monkeypatch.setattr(f"vehanchor.{name}", 100_000_000)
-    image, full = _town(), searched["full"].estimate
+    image = _town()
+    full = searched["full"].estimate
     auto = estimate_gsd(image, detector=detector, **_TILES)
     assert (full.details.stopped_because, auto.details.stopped_because) == (
         "all_searched",

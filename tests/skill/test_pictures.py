@@ -294,7 +294,8 @@ def test_the_densities_of_all_rulers_and_of_all_together_share_one_axis(
     together = next(
         line for line in axes.lines if str(line.get_label()).startswith("together 0.168")
     )
-    at, curve = np.asarray(together.get_xdata()), np.asarray(together.get_ydata())
+    at = np.asarray(together.get_xdata())
+    curve = np.asarray(together.get_ydata())
     assert at[curve.argmax()] == pytest.approx(estimate.gsd_m_per_px, rel=0.01)
     assert write_plot(tmp_path / "plot.png", figure).stat().st_size > 10_000
 

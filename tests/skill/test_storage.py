@@ -49,7 +49,8 @@ def _journal(
 
 def test_several_settings_share_a_file_and_do_not_see_each_other(tmp_path: Path) -> None:
     path = tmp_path / "j.journal"
-    first, second = _journal(path, {"alpha": 1.5}), _journal(path, {"alpha": None})
+    first = _journal(path, {"alpha": 1.5})
+    second = _journal(path, {"alpha": None})
     first.add(("a",), "first")
     second.add(("a",), "second")
     first.add(("b",), "first")
@@ -210,7 +211,8 @@ def test_a_journal_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:
 @pytest.mark.parametrize("sole", [True, False])
 @pytest.mark.parametrize("exists", [True, False])
 def test_a_link_is_not_followed(tmp_path: Path, sole: bool, exists: bool) -> None:
-    victim, path = tmp_path / "victim", tmp_path / "j.journal"
+    victim = tmp_path / "victim"
+    path = tmp_path / "j.journal"
     if exists:
         victim.write_bytes(b"")
     path.symlink_to(victim)

@@ -29,7 +29,9 @@ POLL_S = 0.2  # interval of checks for cancellation
 class _Command(QgsProcessingAlgorithm):
     """An algorithm that runs the command."""
 
-    IMAGE, REGION, HEIGHT = "IMAGE", "REGION", "HEIGHT"
+    IMAGE = "IMAGE"
+    REGION = "REGION"
+    HEIGHT = "HEIGHT"
 
     def createInstance(self):  # noqa: N802 - QGIS's name
         """Create another instance."""

@@ -64,10 +64,8 @@ def main() -> None:
         chips, rows = read_store(folder)
         known = np.isfinite(rows.log_length_m) & np.isfinite(rows.box[:, 2]) & (rows.car == 1)
         chosen = np.flatnonzero(known & ~np.isin(rows.sets, _RENDERED))
-        logs, weight = (
-            np.full((len(known), 2), np.nan, np.float32),
-            np.zeros((len(known), 2), np.float32),
-        )
+        logs = np.full((len(known), 2), np.nan, np.float32)
+        weight = np.zeros((len(known), 2), np.float32)
         for start in range(0, len(chosen), 512):
             some = chosen[start : start + 512]
             said = network.answers(
@@ -78,10 +76,8 @@ def main() -> None:
         save(Bodies(logs, weight), folder / "bodies.npz")
         for name in np.unique(rows.sets[chosen]):
             here = chosen[rows.sets[chosen] == name]
-            boxes, sizes = (
-                np.exp(np.median(rows.log_length_m[here])),
-                np.exp(np.median(logs[here], axis=0)),
-            )
+            boxes = np.exp(np.median(rows.log_length_m[here]))
+            sizes = np.exp(np.median(logs[here], axis=0))
             bodies_text = f"bodies {sizes[0]:.2f} by {sizes[1]:.2f} m"
             print(
                 f"{folder.name} {name}: {len(here)} cars, boxes {boxes:.2f} m, {bodies_text}",

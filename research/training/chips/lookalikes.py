@@ -60,7 +60,8 @@ def draw_box(
     """A shed, crate or container: plain, ridged, ribbed or framed."""
     length = float(rng.uniform(1.2, 7.0))
     width = length * float(rng.uniform(0.3, 0.95))
-    points, colour = _corners(canvas, px_per_m, length, width), colour_of(rng)
+    points = _corners(canvas, px_per_m, length, width)
+    colour = colour_of(rng)
     shade(
         canvas, points, px_per_m * float(rng.uniform(0.4, 2.8)), sun, float(rng.uniform(0.5, 1.0))
     )
@@ -97,7 +98,8 @@ def draw_air_conditioner(
     """A grey box with dark fans."""
     length = float(rng.uniform(1.5, 6.5))
     width = length * float(rng.uniform(0.35, 0.8))
-    points, colour = _corners(canvas, px_per_m, length, width), np.full(3, rng.uniform(110, 235))
+    points = _corners(canvas, px_per_m, length, width)
+    colour = np.full(3, rng.uniform(110, 235))
     shade(
         canvas, points, px_per_m * float(rng.uniform(0.6, 2.0)), sun, float(rng.uniform(0.6, 1.0))
     )
@@ -118,9 +120,12 @@ def draw_row(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
     """One of a row of equal things: graves, bee hives, solar panels, benches, bays."""
-    length, width = float(rng.uniform(1.6, 5.5)), float(rng.uniform(0.7, 2.3))
-    pitch, colour = width * float(rng.uniform(1.15, 1.8)), colour_of(rng)
-    inner, height = colour_of(rng), px_per_m * float(rng.uniform(0.2, 1.0))
+    length = float(rng.uniform(1.6, 5.5))
+    width = float(rng.uniform(0.7, 2.3))
+    pitch = width * float(rng.uniform(1.15, 1.8))
+    colour = colour_of(rng)
+    inner = colour_of(rng)
+    height = px_per_m * float(rng.uniform(0.2, 1.0))
     for k in range(-6, 7):
         if k and rng.random() < 0.15:
             continue
@@ -135,8 +140,11 @@ def draw_bench(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
     """A slatted bench with its back, two that face each other, or a table between two benches."""
-    length, seat = float(rng.uniform(1.3, 2.6)), float(rng.uniform(0.3, 0.55))
-    kind, colour, height = rng.integers(3), colour_of(rng), px_per_m * float(rng.uniform(0.4, 0.9))
+    length = float(rng.uniform(1.3, 2.6))
+    seat = float(rng.uniform(0.3, 0.55))
+    kind = rng.integers(3)
+    colour = colour_of(rng)
+    height = px_per_m * float(rng.uniform(0.4, 0.9))
     table = float(rng.uniform(0.6, 1.0))
     gap = seat + (0.0 if kind == 0 else float(rng.uniform(0.1, 0.9)) if kind == 1 else table + 0.1)
     places = [(0.0, seat)] if kind == 0 else [(-gap / 2, seat), (gap / 2, seat)]
@@ -248,7 +256,8 @@ def draw_bush(
     sprite = crown_sprite(rng, 64, sun)
     size = (max(6, round(1.25 * length * px_per_m)), max(6, round(1.25 * width * px_per_m)))
     leaf = np.asarray(cv2.resize(sprite, size, interpolation=cv2.INTER_AREA), np.float32)
-    x, y = (canvas.shape[1] - size[0]) // 2, (canvas.shape[0] - size[1]) // 2
+    x = (canvas.shape[1] - size[0]) // 2
+    y = (canvas.shape[0] - size[1]) // 2
     shade(
         canvas,
         _corners(canvas, px_per_m, 0.8 * length, 0.8 * width),
@@ -301,8 +310,10 @@ def draw_marking(
 ) -> tuple[float, float]:
     """An empty bay, a zebra crossing or a worn patch of the road."""
     del sun
-    length, width = float(rng.uniform(3.5, 6.0)), float(rng.uniform(1.8, 2.8))
-    kind, white = rng.integers(3), np.full(3, rng.uniform(170, 245))
+    length = float(rng.uniform(3.5, 6.0))
+    width = float(rng.uniform(1.8, 2.8))
+    kind = rng.integers(3)
+    white = np.full(3, rng.uniform(170, 245))
     if kind == 0:
         for side in (-1, 1):
             fill(canvas, _corners(canvas, px_per_m, length, 0.12, 0, side * width / 2), white)

@@ -73,7 +73,8 @@ def kind_report(read: Read, said: ChipAnswers) -> Iterator[str]:
         [said.kinds[:, k == GROUP_OF_KIND].sum(axis=1) for k in range(_N_GROUPS)], axis=1
     ).argmax(axis=1)
     truth = GROUP_OF_KIND[read.kind[cars]]
-    same, most = np.mean(groups[cars] == truth), np.bincount(truth).max() / len(truth)
+    same = np.mean(groups[cars] == truth)
+    most = np.bincount(truth).max() / len(truth)
     yield f"kinds: n {len(truth)}, group {same:.2f}, commonest {most:.2f}"
     table = np.zeros((_N_GROUPS, _N_GROUPS), int)
     np.add.at(table, (truth, groups[cars]), 1)

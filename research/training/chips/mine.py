@@ -43,8 +43,12 @@ _LEAST_SEARCHED = 0.1  # of the verifier
 _CROP_PX = 640  # side of the part of an image that is searched as the library does
 _MOST_FALSE = 50  # of an image at one size: half the surest, half at random
 _SEEN = "seen"  # set of candidates that an eye has judged: they are few, and each counts more
-_SEEN_GAP, _SEEN_LOG_LENGTH = 0.15, 0.2  # of a candidate that is a car seen without a label
-_FITS, _MISSES = 0.5, 0.25  # IoU with a label from which a box fits, and below which it does not
+# of a candidate that is a car seen without a label
+_SEEN_GAP = 0.15
+_SEEN_LOG_LENGTH = 0.2
+# IoU with a label from which a box fits, and below which it does not
+_FITS = 0.5
+_MISSES = 0.25
 GSD_M_PER_PX = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "empty": 0.3048}
 _MOVED_SHARE = 0.35  # of the labelled cars give a box that does not fit
 _LEAST_LENGTH_PX = 8.0
@@ -56,7 +60,8 @@ _TYPE_OF_BODY = {
             "cab": "pickup", "flatbed": "pickup", "truck": "lorry", "bus": "lorry",
     "semitrailer": "lorry", "caravan": "trailer",
 }  # fmt: skip
-_OTHER, _LORRY = KINDS.index("other"), KINDS.index("lorry")
+_OTHER = KINDS.index("other")
+_LORRY = KINDS.index("lorry")
 
 
 class Seen(NamedTuple):
@@ -99,7 +104,8 @@ def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[
         boxes: ``[n, 5]`` candidates.
         truth: ``[n, 5]`` the true box of each.
     """
-    cos, sin = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
+    cos = np.cos(boxes[:, 4])
+    sin = np.sin(boxes[:, 4])
     dx, dy = (truth[:, :2] - boxes[:, :2]).T / boxes[:, 2]
     turn = (truth[:, 4] - boxes[:, 4] + np.pi / 2) % np.pi - np.pi / 2
     sizes = np.log(truth[:, 2:4] / boxes[:, 2:3])
@@ -166,7 +172,9 @@ def rows_of(
     cars, others = (
         (iou < _FITS) & _fits_seen(boxes, each) for each in (image.seen.cars, image.seen.others)
     )
-    car[cars], kind[cars], known[cars] = 1, UNKNOWN, True
+    car[cars] = 1
+    kind[cars] = UNKNOWN
+    known[cars] = True
     rows = Rows.unlabelled(boxes[:, 2], sample.set, image.file)
     rows = rows._replace(car=car, type=kind, box=box, log_length_m=length_m)
     rows = rows._replace(sets=np.where(cars | others, _SEEN, rows.sets))
@@ -180,7 +188,9 @@ def found(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Boxes in image pixels, the detector's scores, and those of the verifier, searched at one or two sizes."""
     native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 18.0
-    boxes, scores, combined = [np.zeros((0, 5))], [np.zeros(0)], [np.zeros(0)]
+    boxes = [np.zeros((0, 5))]
+    scores = [np.zeros(0)]
+    combined = [np.zeros(0)]
     sizes = [28.0, float(rng.choice((15.0, 55.0)))] if max(sample.image.shape) <= 1300 else [28.0]
     for target in sizes:
         factor = target / native
@@ -238,7 +248,8 @@ def moved(rng: np.random.Generator, labels: NDArray[np.float64]) -> NDArray[np.f
     for box in out:
         how = rng.integers(3)
         if how == 0:
-            angle, reach = rng.uniform(0, 2 * np.pi), rng.uniform(0.4, 1.0) * box[2]
+            angle = rng.uniform(0, 2 * np.pi)
+            reach = rng.uniform(0.4, 1.0) * box[2]
             box[:2] += reach * np.array([np.cos(angle), np.sin(angle)])
         elif how == 1:
             box[2:4] *= np.exp(rng.choice((-1, 1)) * rng.uniform(0.4, 0.9))
@@ -281,7 +292,9 @@ def mined(
     scores, combined = (np.concatenate([each, np.zeros(len(extra))]) for each in (scores, combined))
     inside = (boxes[:, :2] > 0).all(axis=1) & (boxes[:, 0] < width) & (boxes[:, 1] < height)
     inside &= boxes[:, 2] >= _LEAST_LENGTH_PX
-    boxes, scores, combined = boxes[inside], scores[inside], combined[inside]
+    boxes = boxes[inside]
+    scores = scores[inside]
+    combined = combined[inside]
     if not len(boxes):
         return
     rows, known = rows_of(image, boxes, scores, combined)
@@ -402,7 +415,8 @@ def main() -> None:
     detector = Detector(resolve_model(), runtime=Runtime(threads=1))
     detector.chips = None  # its candidates are wanted
     for name, images in parts.items():
-        store, rng = ChipStore(), np.random.default_rng(0)
+        store = ChipStore()
+        rng = np.random.default_rng(0)
         for number, image in enumerate(images):
             mined(image, detector, rng, store, native=options.native)
             if number % 50 == 0:

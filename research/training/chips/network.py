@@ -50,7 +50,8 @@ class ChipNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         detector = VehicleNet()
-        self.stem, self.stages = detector.stem, detector.stages[: len(_KEPT)]
+        self.stem = detector.stem
+        self.stages = detector.stages[: len(_KEPT)]
         widths = [
             next(m for m in stage.modules() if isinstance(m, nn.Conv2d)).out_channels
             for stage in self.stages
@@ -77,7 +78,8 @@ class ChipNet(nn.Module):
 
     def forward(self, chips: Tensor) -> Answers:
         """Answers for chips ``[b, 3, 64, 96]``."""
-        x, parts = self.stem(chips), []
+        x = self.stem(chips)
+        parts = []
         for k, stage in enumerate(self.stages):
             x = stage(x)
             _, left, right, top, bottom = _KEPT[k]
@@ -85,7 +87,8 @@ class ChipNet(nn.Module):
             if k:
                 parts.append(x.mean(dim=(2, 3)))
         joined = torch.cat(parts, dim=1)
-        what, where = self.what(self.seen[0](joined)), self.where(self.seen[1](joined))
+        what = self.what(self.seen[0](joined))
+        where = self.where(self.seen[1](joined))
         n = 1 + len(KINDS)
         edges = 0.1 * where[:, :4] + where.new_tensor(_MIDDLE_EDGES)
         return Answers(

@@ -30,11 +30,14 @@ from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.chips import KINDS
 
 _CANVAS_PX = 2 * STORED_PX  # drawn twice as fine
-_CAR_SHARE, _LORRY_SHARE = 0.55, 0.12
+_CAR_SHARE = 0.55
+_LORRY_SHARE = 0.12
 _COMPANY_SHARE = 0.3  # vehicles with others parked beside them
 _WRONG_SHARE = 0.15  # vehicles whose candidate does not fit
 _PARKED_PITCH_M = (2.3, 2.9)
-_SHARP_M_PER_PX, _SHARP_WEIGHT = 0.06, 4.0  # such grounds are few, and small things need them
+# such grounds are few, and small things need them
+_SHARP_M_PER_PX = 0.06
+_SHARP_WEIGHT = 4.0
 
 
 class Ground(NamedTuple):
@@ -52,7 +55,8 @@ def free_place(
     height, width = sample.image.shape[:2]
     for _ in range(6):
         if len(sample.boxes) and rng.random() < 0.75:
-            angle, far = rng.uniform(0, 2 * np.pi), rng.uniform(3, 14) / gsd
+            angle = rng.uniform(0, 2 * np.pi)
+            far = rng.uniform(3, 14) / gsd
             place = sample.boxes[rng.integers(len(sample.boxes)), :2] + far * np.array(
                 [np.cos(angle), np.sin(angle)]
             )
@@ -79,8 +83,10 @@ def ground_canvas(
         part = source[y0 : int(place[1] + reach), x0 : int(place[0] + reach)]
         size = (max(2, round(part.shape[1] / step)), max(2, round(part.shape[0] / step)))
         source = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.uint8)
-        place, step = (place - (x0, y0)) / step, 1.0
-    cos, sin = step * math.cos(turn), step * math.sin(turn)
+        place = (place - (x0, y0)) / step
+        step = 1.0
+    cos = step * math.cos(turn)
+    sin = step * math.sin(turn)
     matrix = np.array([[cos, -sin, 0.0], [sin, cos, 0.0]])
     matrix[:, 2] = place - matrix[:, :2] @ (_CANVAS_PX / 2, _CANVAS_PX / 2)
     matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
@@ -101,7 +107,8 @@ def draw_vehicle(
 ) -> None:
     """Draw a vehicle and its shadow; ``box`` is ``(x, y, length, width, angle)`` in pixels of the canvas."""
     x, y, length, width, angle = box
-    cos, sin = math.cos(angle), math.sin(angle)
+    cos = math.cos(angle)
+    sin = math.sin(angle)
     turn = np.array([[cos, -sin], [sin, cos]])
     outline = np.array(
         [
@@ -128,7 +135,8 @@ def draw_vehicle(
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     patch = cv2.warpAffine(sprite, full, canvas.shape[1::-1], flags=flags, borderValue=(0, 0, 0, 0))
     cover, paint, grey, red = (patch[:, :, channel, None] for channel in range(4))
-    glass, lamp = np.array((0.95, 1.0, 1.09), np.float32), np.array((1.0, 0.22, 0.2), np.float32)
+    glass = np.array((0.95, 1.0, 1.09), np.float32)
+    lamp = np.array((1.0, 0.22, 0.2), np.float32)
     canvas[:] = (
         canvas * (1 - cover) + paint * np.array(model.paint, np.float32) + grey * glass + red * lamp
     )
@@ -168,7 +176,8 @@ class Pasted(NamedTuple):
 def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | None:
     """A vehicle or a look-alike on real ground; None where there is no free place."""
     draw = rng.random()
-    vehicle, lorry = draw < _CAR_SHARE, _CAR_SHARE <= draw < _CAR_SHARE + _LORRY_SHARE
+    vehicle = draw < _CAR_SHARE
+    lorry = _CAR_SHARE <= draw < _CAR_SHARE + _LORRY_SHARE
     place = free_place(rng, ground, 5.0)
     if place is None:
         return None
@@ -212,7 +221,10 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
             np.float32,
         )
         px_per_m *= factor
-        car, kind, answer, length_m = 0, KINDS.index("other"), None, math.nan
+        car = 0
+        kind = KINDS.index("other")
+        answer = None
+        length_m = math.nan
     coarse = px_per_m * ground.gsd_m_per_px
     chip = photographed(rng, canvas, coarse)
     return Pasted(
@@ -229,7 +241,8 @@ def _candidate(
     rng: np.random.Generator, model: VehicleModel, *, wrong: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A candidate box in metres around the origin, its angle 0, and the true box beside it."""
-    turn, shift = rng.normal(0, 0.05), rng.normal(0, 0.04 * model.length_m, 2)
+    turn = rng.normal(0, 0.05)
+    shift = rng.normal(0, 0.04 * model.length_m, 2)
     size = float(np.exp(rng.normal(0, 0.06)))
     if wrong:
         how = rng.integers(3)

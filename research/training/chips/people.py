@@ -31,7 +31,8 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor_evaluation.dota import read_labels
 
-_FITS, _MISSES = 0.5, 0.15
+_FITS = 0.5
+_MISSES = 0.15
 _LEAST_SCORE = 0.15  # of the detector
 _EDGE = 0.6  # of a candidate's length
 _NEAR = 0.5
@@ -65,7 +66,9 @@ def _looked_at() -> dict[str, list[tuple[str, NDArray[np.float64]]]]:
     out: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
     with LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):
-            x, y, half = float(row["x"]), float(row["y"]), 0.35 * float(row["length"])
+            x = float(row["x"])
+            y = float(row["y"])
+            half = 0.35 * float(row["length"])
             out.setdefault(row["file"], []).append(
                 (row["kind"], np.array([x - half, y - half, x + half, y + half]))
             )
@@ -118,7 +121,8 @@ def judged(boxes: NDArray[np.float64], drawn: Drawn, size: tuple[int, int]) -> N
         near = gap < _NEAR * length
         truth = np.where(fits.any(axis=1), 1, np.where(near.any(axis=1), -1, 0)).astype(np.int8)
     for left, top, right, bottom in drawn.doubtful:
-        x, y = boxes[:, 0], boxes[:, 1]
+        x = boxes[:, 0]
+        y = boxes[:, 1]
         truth[(x > left) & (x < right) & (y > top) & (y < bottom) & (truth == 0)] = -1
     gap = np.minimum(boxes[:, :2], np.array(size) - boxes[:, :2]).min(axis=1)
     truth[(gap < _EDGE * boxes[:, 2]) & (truth == 0)] = -1
@@ -133,7 +137,9 @@ def main() -> None:
     options = parser.parse_args()
     cv2.setNumThreads(1)
     detector = Detector(resolve_model(), runtime=Runtime(threads=1))
-    verifier, detector.verifier, detector.chips = detector.verifier, None, None
+    verifier = detector.verifier
+    detector.verifier = None
+    detector.chips = None
     assert verifier is not None
     store = ChipStore()
     for drawn in photographs(options.data):
@@ -143,7 +149,8 @@ def main() -> None:
         pixels = np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8)
         with open_raster(pixels) as raster:
             seen = ImageSearch(raster, detector, Search(min_score=_LEAST_SCORE)).searched()
-        boxes, scores = seen.boxes, seen.scores
+        boxes = seen.boxes
+        scores = seen.scores
         if not len(boxes):
             continue
         combined = verifier.scored(
@@ -151,12 +158,10 @@ def main() -> None:
         ).scores
         truth = judged(boxes, drawn, (pixels.shape[1], pixels.shape[0]))
         counted = truth >= 0
-        boxes, scores, combined, truth = (
-            boxes[counted],
-            scores[counted],
-            combined[counted],
-            truth[counted],
-        )
+        boxes = boxes[counted]
+        scores = scores[counted]
+        combined = combined[counted]
+        truth = truth[counted]
         rows = Rows.unlabelled(boxes[:, 2], drawn.set, drawn.path.name)._replace(
             car=truth, score=scores.astype(np.float32), combined=combined.astype(np.float32)
         )

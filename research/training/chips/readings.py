@@ -20,7 +20,8 @@ from research.training.chips.mine import GSD_M_PER_PX
 from vehanchor.detection.verifier import surroundings
 from vehanchor.storage.atomic import whole_file
 
-READ_PX, READ_LENGTH_PX = 200, 60.0
+READ_PX = 200
+READ_LENGTH_PX = 60.0
 _TABLES = Path(__file__).parents[1] / "readings"
 _EDGES = ("end1_px", "end2_px", "side1_px", "side2_px")
 _GSD_OF_SET = {**GSD_M_PER_PX, "estonia": 0.20, "garfield": 0.047}

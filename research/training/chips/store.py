@@ -15,7 +15,8 @@ from vehanchor.storage.atomic import whole_file
 STORED_PX = 144
 STORED_LENGTH_PX = 36.0  # the candidate's length on a stored chip: four lengths of context
 UNKNOWN = -1
-_CHIPS, _TABLE = "chips.npy", "table.npz"
+_CHIPS = "chips.npy"
+_TABLE = "table.npz"
 
 
 class Rows(NamedTuple):
@@ -52,7 +53,8 @@ class Rows(NamedTuple):
     @classmethod
     def unlabelled(cls, lengths_px: NDArray[np.floating], set_name: str, file: str) -> Rows:
         """Candidates of these lengths in an image: no cars, of unknown type, found by nobody."""
-        count, nothing = len(lengths_px), np.zeros(len(lengths_px), np.float32)
+        count = len(lengths_px)
+        nothing = np.zeros(len(lengths_px), np.float32)
         return cls(
             np.zeros(count, np.int8), np.full(count, UNKNOWN, np.int8), np.full((count, 5), np.nan, np.float32),
             np.full(count, np.nan, np.float32), lengths_px.astype(np.float32), nothing, nothing,

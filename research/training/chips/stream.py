@@ -20,9 +20,13 @@ from research.training.detector.shade import shaded
 from research.training.logistic import weight_of_sets
 from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS, KINDS
 
-_SHIFT, _SCALE, _TURN = 0.06, 0.08, 0.07  # standard deviations: lengths, log, radians
+# standard deviations: lengths, log, radians
+_SHIFT = 0.06
+_SCALE = 0.08
+_TURN = 0.07
 _MOST = 2.2  # standard deviations; a car's box still fits there
-_COARSE_SHARE, _COARSEST_PX = 0.45, 10.0
+_COARSE_SHARE = 0.45
+_COARSEST_PX = 10.0
 _CANDIDATE = np.array(
     [[CHIP_COLUMNS / 2, CHIP_ROWS / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]]
 )
@@ -77,7 +81,8 @@ class Move(NamedTuple):
     @property
     def matrix(self) -> NDArray[np.float64]:
         """``[2, 2]`` from the chip to the stored chip."""
-        cos, sin = np.cos(self.turn), np.sin(self.turn)
+        cos = np.cos(self.turn)
+        sin = np.sin(self.turn)
         return np.asarray(self.scale * np.array([[cos, -sin], [sin, cos]]) * self.flip[None])
 
 
@@ -130,8 +135,10 @@ def moved_edges(
 def edges_of_box(box: NDArray[np.floating]) -> NDArray[np.float64]:
     """Ends and sides of an exact box relative to its candidate (``Rows.box``)."""
     x, y, log_length, log_width, turn = (float(value) for value in box)
-    along, across = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
-    half_length, half_width = np.exp(log_length) / 2, np.exp(log_width) / 2
+    along = np.cos(turn) * x + np.sin(turn) * y
+    across = np.cos(turn) * y - np.sin(turn) * x
+    half_length = np.exp(log_length) / 2
+    half_width = np.exp(log_width) / 2
     return np.array(
         [along - half_length, along + half_length, across - half_width, across + half_width]
     )
@@ -192,11 +199,16 @@ def target_of_row(rows: Rows, bodies: Bodies, k: int) -> Target:
     kind = int(rows.type[k])
     if rows.car[k] == 0 and KINDS[kind] not in ("lorry", "trailer"):
         kind = NOT_A_CAR if kind == KINDS.index("other") else UNKNOWN
-    edges, turn, weight = np.full(4, np.nan), 0.0, 0.0
-    metres, metres_weight = (np.nan, np.nan), (0.0, 0.0)
+    edges = np.full(4, np.nan)
+    turn = 0.0
+    weight = 0.0
+    metres = (np.nan, np.nan)
+    metres_weight = (0.0, 0.0)
     length = float(rows.log_length_m[k])
     if rendered and np.isfinite(rows.box[k]).all():
-        edges, turn, weight = edges_of_box(rows.box[k]), float(rows.box[k][4]), _RENDERED_WEIGHT
+        edges = edges_of_box(rows.box[k])
+        turn = float(rows.box[k][4])
+        weight = _RENDERED_WEIGHT
         metres = (length, length + float(rows.box[k][3] - rows.box[k][2]))
         metres_weight = (_RENDERED_WEIGHT / 3, _RENDERED_WEIGHT / 3)
     elif bodies.weight[k].any():
@@ -204,7 +216,8 @@ def target_of_row(rows: Rows, bodies: Bodies, k: int) -> Target:
         by_length, by_width = (_MEASURED_WEIGHT * float(weight) for weight in bodies.weight[k])
         metres_weight = (by_length, by_width)
     elif np.isfinite(length):
-        metres, metres_weight = (length, np.nan), (_BOX_WEIGHT, 0.0)
+        metres = (length, np.nan)
+        metres_weight = (_BOX_WEIGHT, 0.0)
     kind_weight = _RENDERED_WEIGHT if rendered else 1.0
     return Target(float(rows.car[k]), kind, kind_weight, edges, turn, weight, metres, metres_weight)
 
@@ -218,7 +231,9 @@ def sized_kinds(read: Read, bodies: Bodies) -> NDArray[np.int64]:
 
 def target_of_reading(read: Read, bodies: Bodies, k: int) -> Target:
     """Targets of a car that was read by eye; one whose kind an eye could not tell may be no car."""
-    kind, edges, gsd = int(read.kind[k]), read.edges[k].astype(np.float64), float(read.gsd[k])
+    kind = int(read.kind[k])
+    edges = read.edges[k].astype(np.float64)
+    gsd = float(read.gsd[k])
     car = (
         np.nan
         if kind == UNKNOWN and np.isnan(edges).all()
@@ -251,11 +266,9 @@ class ChipStream:
     """
 
     def __init__(self, stores: Sequence[Path], read: Read, bodies: Bodies, seed: int) -> None:
-        self._seed, self._read, self._read_bodies = (
-            seed,
-            read._replace(kind=sized_kinds(read, bodies)),
-            bodies,
-        )
+        self._seed = seed
+        self._read = read._replace(kind=sized_kinds(read, bodies))
+        self._read_bodies = bodies
         read = self._read
         parts = [read_store(folder) for folder in stores]
         self._chips = [chips for chips, _ in parts]
@@ -297,13 +310,15 @@ class ChipStream:
         k = int(pick[min(int(np.searchsorted(odds, rng.random())), len(odds) - 1)])
         move = draw_move(rng)
         if source == 0:
-            target, name = target_of_row(self._rows, self._bodies, k), str(self._rows.sets[k])
+            target = target_of_row(self._rows, self._bodies, k)
+            name = str(self._rows.sets[k])
             length_px = self._rows.length_px[k]
             chip = cut(
                 np.asarray(self._chips[self._store[k]][self._index[k]]), STORED_LENGTH_PX, move
             )
         else:
-            target, name = target_of_reading(self._read, self._read_bodies, k), "read"
+            target = target_of_reading(self._read, self._read_bodies, k)
+            name = "read"
             length_px = self._read.length_px[k]
             chip = cut(self._read.chips[k], READ_LENGTH_PX, move)
         if name not in _RENDERED:

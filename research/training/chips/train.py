@@ -29,11 +29,19 @@ from research.training.loop import Recipe, Schedule, load_average, train
 from research.training.warm_start import load_exported
 from vehanchor.models.zoo import auxiliary_model, resolve_model
 
-_RATE, _BATCH = 1.2e-3, 64
+_RATE = 1.2e-3
+_BATCH = 64
 _SMOOTHING = 0.02  # labels are wrong now and then
-_KIND_WEIGHT, _EDGE_WEIGHT, _SIZE_WEIGHT, _SPREAD_WEIGHT, _METRES_WEIGHT = 0.4, 0.6, 0.6, 0.05, 0.25
+_KIND_WEIGHT = 0.4
+_EDGE_WEIGHT = 0.6
+_SIZE_WEIGHT = 0.6
+_SPREAD_WEIGHT = 0.05
+_METRES_WEIGHT = 0.25
 # errors of this size count one
-_EDGE_SCALE, _SIZE_SCALE, _TURN_SCALE, _METRES_SCALE = 0.03, 0.06, 0.05, 0.06
+_EDGE_SCALE = 0.03
+_SIZE_SCALE = 0.06
+_TURN_SCALE = 0.05
+_METRES_SCALE = 0.06
 
 
 def losses(network: nn.Module, batch: Batch, device: torch.device) -> Mapping[str, Tensor]:

@@ -22,8 +22,11 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SIDE_PX = 96
-FINEST_M, COARSEST_M = 0.38, 0.88  # metres per pixel of the crops
-TENNIS_M, BASKETBALL_M = 23.77, 28.3
+# metres per pixel of the crops
+FINEST_M = 0.38
+COARSEST_M = 0.88
+TENNIS_M = 23.77
+BASKETBALL_M = 28.3
 _LABELS = Path(__file__).with_name("tennis.csv")
 _SHARES = (0.45, 0.25, 0.30)  # real courts, rendered scenes, places without
 _MOST_EMPTY = 300
@@ -88,7 +91,8 @@ def load_rendered(folder: Path) -> list[Picture]:
         courts = []
         for court in told["courts"]:
             corners = np.array(court["corners"])
-            (x, y), (dx, dy) = corners.mean(axis=0), corners[1] - corners[0]
+            (x, y) = corners.mean(axis=0)
+            (dx, dy) = corners[1] - corners[0]
             courts.append(Court(x, y, math.atan2(dy, dx), 0 if court["kind"] == "tennis" else 1))
         out.append(Picture(_read(facts.with_suffix(".png")), told["gsd"], tuple(courts), True))
     return out
@@ -118,7 +122,8 @@ class CropStream:
     """
 
     def __init__(self, groups: Sequence[Sequence[Picture]], seed: int) -> None:
-        self.groups, self.seed = groups, seed
+        self.groups = groups
+        self.seed = seed
 
     def __getitem__(self, index: int) -> tuple[Tensor, Tensor, Tensor]:
         """Pixels ``[3, 96, 96]`` in 0..1, targets ``[5, 12, 12]``, weights of the two heats ``[2, 12, 12]``."""
@@ -149,7 +154,8 @@ def _crop(
         court = picture.courts[int(rng.integers(len(picture.courts)))]
         centre = np.array([court.x, court.y]) * factor + rng.uniform(-32, 32, 2)
     mirror = -1.0 if rng.random() < 0.5 else 1.0
-    cos, sin = math.cos(turn), math.sin(turn)
+    cos = math.cos(turn)
+    sin = math.sin(turn)
     linear = np.array([[cos, -sin], [sin, cos]]) @ np.diag([mirror, 1.0])
     shift = SIDE_PX / 2 - linear @ centre
     matrix = np.column_stack([linear, shift])
@@ -171,7 +177,8 @@ def _targets(
     rows, columns = np.mgrid[:cells, :cells]
     best = np.zeros((cells, cells))
     for x, y, angle, which in courts:
-        u, v = x / CELL_PX - 0.5, y / CELL_PX - 0.5
+        u = x / CELL_PX - 0.5
+        v = y / CELL_PX - 0.5
         heat = np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2 * _SPREAD_CELLS**2))
         targets[which] = np.maximum(targets[which], heat)
         length = (BASKETBALL_M if which else TENNIS_M) / gsd

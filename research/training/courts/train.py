@@ -29,7 +29,8 @@ def losses(
     """Focal loss of the heats (Zhou et al., Objects as Points, 2019), absolute error of the poses at their peaks."""
     pixels, targets, weights = (part.to(device) for part in batch)
     seen = network(pixels)
-    heat, wanted = seen[:, :2], targets[:, :2]
+    heat = seen[:, :2]
+    wanted = targets[:, :2]
     share = torch.sigmoid(heat)
     peaks = wanted > 0.8
     hit = functional.logsigmoid(heat) * (1 - share) ** 2

@@ -91,7 +91,8 @@ def mean_error(found: list[Found], min_score: float) -> float:
         if image.set not in REGION_OF_SET or not image.labelled_vehicles:
             continue
         wanted = detections.scores >= min_score
-        length, score = detections.boxes[wanted, 2], detections.scores[wanted]
+        length = detections.boxes[wanted, 2]
+        score = detections.scores[wanted]
         if not len(length):
             n_without += 1
             continue
@@ -224,7 +225,8 @@ def main() -> None:
         file = Path(folder) / "vehicles.onnx"
         export(options.run, file, calibration)
         detector = Detector(file)
-        found, search = [], Search(min_score=_SEARCH_SCORE, search_scales=False)
+        found = []
+        search = Search(min_score=_SEARCH_SCORE, search_scales=False)
         for image in images:
             if is_dev(image.path.name, image.set):
                 with open_raster(image.path) as raster:

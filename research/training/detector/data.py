@@ -233,8 +233,10 @@ def _reduced(
         return image, np.array([[1.0, 0, 0], [0, 1.0, 0]])
     half = CROP_PX / scale  # beyond any corner of the rotated crop
     x0, y0 = (int(max(0, f - half)) for f in focus)
-    x1, y1 = int(min(width, focus[0] + half)), int(min(height, focus[1] + half))
-    x0, y0 = min(x0, width - 8), min(y0, height - 8)
+    x1 = int(min(width, focus[0] + half))
+    y1 = int(min(height, focus[1] + half))
+    x0 = min(x0, width - 8)
+    y0 = min(y0, height - 8)
     part = image[y0 : max(y1, y0 + 8), x0 : max(x1, x0 + 8)]
     size = (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce)))
     small = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
@@ -251,7 +253,8 @@ def _judged(boxes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
     """The boxes that a crop shows whole and at a length to learn, and the corners of those to ignore."""
     corners = box_corners(boxes)
     near = np.any(np.all((corners > -4) & (corners < CROP_PX + 4), axis=2), axis=1)
-    boxes, corners = boxes[near], corners[near]
+    boxes = boxes[near]
+    corners = corners[near]
     inside = ((boxes[:, :2] > 1) & (boxes[:, :2] < CROP_PX - 1)).all(axis=1)
     border = 0.15 * boxes[:, 2, None, None]
     whole = ((corners > -border) & (corners < CROP_PX + border)).all(axis=(1, 2))
@@ -359,11 +362,15 @@ def dense_target(boxes: NDArray[np.float64], ignore: NDArray[np.float64]) -> Tar
     weight = np.zeros((side, side), np.float32)
     rows, cols = np.mgrid[0:side, 0:side].astype(np.float32) + 0.5
     for x, y, length, width, angle in boxes:
-        u, v = x / STRIDE_PX, y / STRIDE_PX
+        u = x / STRIDE_PX
+        v = y / STRIDE_PX
         reach = int(np.ceil(max(3.0, 0.4 * length / STRIDE_PX)))
-        r0, r1 = max(0, int(v) - reach), min(side, int(v) + reach + 1)
-        c0, c1 = max(0, int(u) - reach), min(side, int(u) + reach + 1)
-        dx, dy = cols[r0:r1, c0:c1] - u, rows[r0:r1, c0:c1] - v
+        r0 = max(0, int(v) - reach)
+        r1 = min(side, int(v) + reach + 1)
+        c0 = max(0, int(u) - reach)
+        c1 = min(side, int(u) + reach + 1)
+        dx = cols[r0:r1, c0:c1] - u
+        dy = rows[r0:r1, c0:c1] - v
         along = dx * np.cos(angle) + dy * np.sin(angle)
         across = -dx * np.sin(angle) + dy * np.cos(angle)
         sigma_l = max(0.55, 0.11 * length / STRIDE_PX)
@@ -377,7 +384,8 @@ def dense_target(boxes: NDArray[np.float64], ignore: NDArray[np.float64]) -> Tar
         shape[1, r0:r1, c0:c1][closer] = -dy[closer]
         for channel, number in enumerate(numbers, start=2):
             shape[channel, r0:r1, c0:c1][closer] = number
-        row, col = min(int(v), side - 1), min(int(u), side - 1)
+        row = min(int(v), side - 1)
+        col = min(int(u), side - 1)
         heat[row, col] = 1.0
         care[row, col] = 1
     return Target(

@@ -152,10 +152,8 @@ def _crowns(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     height, width = opacity.shape
     radius = float(np.exp(rng.uniform(np.log(2.5), np.log(14))))
     pitch = radius * rng.uniform(2.1, 4.5, 2)
-    paint, sun = (
-        np.array([rng.uniform(30, 90), rng.uniform(60, 130), rng.uniform(25, 80)]),
-        rng.uniform(0, 2 * np.pi),
-    )
+    paint = np.array([rng.uniform(30, 90), rng.uniform(60, 130), rng.uniform(25, 80)])
+    sun = rng.uniform(0, 2 * np.pi)
     for y in np.arange(0, height, pitch[1]):
         for x in np.arange(0, width, pitch[0]):
             r = radius * rng.uniform(0.7, 1.15)

@@ -22,7 +22,8 @@ def detection_loss(prediction: Prediction, target: Target) -> tuple[torch.Tensor
         The two scalar losses, to be added.
     """
     logits = prediction.heat.float()
-    log_p, log_not_p = functional.logsigmoid(logits), functional.logsigmoid(-logits)
+    log_p = functional.logsigmoid(logits)
+    log_not_p = functional.logsigmoid(-logits)
     p = logits.sigmoid()
     centre = (target.heat > 0.999).float()
     positive = centre * (1 - p) ** 2 * log_p

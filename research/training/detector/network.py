@@ -61,7 +61,8 @@ class VehicleNet(nn.Module):
         )
         self.heat_head = nn.Sequential(conv_block(narrow, 32), nn.Conv2d(32, 1, 1))
         self.shape_head = nn.Sequential(conv_block(narrow, 32), nn.Conv2d(32, 6, 1))
-        heat_out, shape_out = self.heat_head[-1], self.shape_head[-1]
+        heat_out = self.heat_head[-1]
+        shape_out = self.shape_head[-1]
         assert isinstance(heat_out, nn.Conv2d)
         assert isinstance(shape_out, nn.Conv2d)
         assert heat_out.bias is not None

@@ -23,7 +23,8 @@ CAR_M = 4.5
 
 def load_scenery(data: Path, table: Path = SCENERY, *, held_out: bool = False) -> list[TrainImage]:
     """Load the places that train, with what ``scenery.csv`` says; lorries drawn by people are ignored."""
-    known, out = read_corrections(table), []
+    known = read_corrections(table)
+    out = []
     for place in places(data):
         if is_held_out(place) != held_out:
             continue

@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _CAR_PX = 24.0  # length of a car in a crop that has none
-_DARK_SHARE, _BRANCH_SHARE, _SHADOW_SHARE = 0.15, 0.12, 0.2  # of the crops
+# of the crops
+_DARK_SHARE = 0.15
+_BRANCH_SHARE = 0.12
+_SHADOW_SHARE = 0.2
 _DARK_CARS = 0.4  # of the cars of such a crop
 _AT_CAR = 0.6  # of the shadows and crowns
 _SHIFT = 4  # fractional bits of OpenCV's coordinates

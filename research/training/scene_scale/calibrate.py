@@ -34,7 +34,8 @@ _CHOICES: dict[str, Sequence[float]] = {
     "finer": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5),
 }
 _ROUNDS = 2
-_LEAST_COVER, _COVER_WEIGHT = 0.9, 2.0
+_LEAST_COVER = 0.9
+_COVER_WEIGHT = 2.0
 _LEAST_CASES = 15  # of a set whose cover counts
 _WITHIN = 1.5
 
@@ -98,7 +99,8 @@ def report(cases: Sequence[Case], calibration: SceneCalibration) -> list[str]:
                 continue
             rows = np.array([_row(case, calibration) for case in chosen])
             error, low, high = rows.T
-            held, right = np.mean((low < 0) & (high > 0)), np.mean(np.abs(error) < np.log(_WITHIN))
+            held = np.mean((low < 0) & (high > 0))
+            right = np.mean(np.abs(error) < np.log(_WITHIN))
             lines.append(
                 f"{name:12s} {'reduced' if reduced else 'as it is':8s} {len(chosen):6d}"
                 f"  {np.median(np.abs(error)):18.3f}  {right:10.0%}  {held:14.0%}"

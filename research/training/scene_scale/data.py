@@ -28,10 +28,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TILE_PX = 160
-FINEST_M_PER_PX, COARSEST_M_PER_PX = 0.0135, 1.1
+FINEST_M_PER_PX = 0.0135
+COARSEST_M_PER_PX = 1.1
 _CAR_M = 4.6  # median length of Munich's and Minsk's cars
 _LEAST_CARS = 2  # of an image whose scale they give
-_CAR_SPREAD, _FLIGHT_SPREAD = 0.07, 0.12  # log standard deviation of these two kinds of label
+# log standard deviation of these two kinds of label
+_CAR_SPREAD = 0.07
+_FLIGHT_SPREAD = 0.12
 _HEIGHT_SPREAD = 0.03  # likewise, of a height above take-off
 # the latter are the photographs of tilt/, most of them oblique
 _CHECK_ONLY = re.compile(r"harlem|DJI_\d+$")
@@ -53,7 +56,8 @@ _SET_WEIGHT = {
 _TURNED_SHARE = 0.25
 # of the crops as the detector's, which blurs and sharpens; the others are retouched only
 _PHOTOMETRIC_SHARE = 0.5
-_BLURRED_SHARE, _NOISE_SHARE = 0.08, 0.05
+_BLURRED_SHARE = 0.08
+_NOISE_SHARE = 0.05
 _BLUR_PX = (2.0, 9.0)  # standard deviations; from the upper one on a crop says nothing
 SETS = tuple(name for name in _SET_WEIGHT if name != "scene")
 
@@ -253,9 +257,11 @@ def draw_crop(
     angle = float(rng.uniform(0, 45)) if rng.random() < _TURNED_SHARE else 0.0
     around = math.cos(math.radians(angle)) + math.sin(math.radians(angle))
     if side * around > min(height, width):
-        angle, around = 0.0, 1.0
+        angle = 0.0
+        around = 1.0
     reach = max(2, min(round(side * around), height, width))
-    top, left = int(rng.integers(height - reach + 1)), int(rng.integers(width - reach + 1))
+    top = int(rng.integers(height - reach + 1))
+    left = int(rng.integers(width - reach + 1))
     part = image.pixels[top : top + reach, left : left + reach]
     outer = round(TILE_PX * around)
     how = cv2.INTER_AREA if reach >= outer else cv2.INTER_CUBIC
@@ -333,10 +339,12 @@ class CropStream:
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self.seed, index])
         if rng.random() < _NOISE_SHARE:
-            crop, target = featureless(rng), soft_target(1.0, lost=1.0)
+            crop = featureless(rng)
+            target = soft_target(1.0, lost=1.0)
         else:
             image, gsd = self._draw(rng)
-            crop, lost = draw_crop(rng, image, gsd), 0.0
+            crop = draw_crop(rng, image, gsd)
+            lost = 0.0
             if rng.random() < _BLURRED_SHARE:
                 blur = float(rng.uniform(*_BLUR_PX))
                 crop = np.asarray(cv2.GaussianBlur(crop, (0, 0), blur), np.uint8)

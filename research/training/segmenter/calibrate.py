@@ -96,7 +96,8 @@ def finished(
         logits = smoothed(torch.from_numpy(view.logits)[None, None], smoothing)[
             0, 0
         ].numpy() + np.float32(offset)
-        window, whole = view.window, np.zeros(target.mask.shape, bool)
+        window = view.window
+        whole = np.zeros(target.mask.shape, bool)
         placed = place_mask(replace(view, logits=logits))
         whole[
             window.y_px : window.y_px + window.height_px,

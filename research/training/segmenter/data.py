@@ -163,8 +163,10 @@ def cut(
     """A turned, flipped, rescaled crop centred at ``focus`` of the image, with the mask of one object (or none)."""
     height, width = sample.image.shape[:2]
     reach = 0.75 * side / scale + 2
-    x0, y0 = int(max(0, focus[0] - reach)), int(max(0, focus[1] - reach))
-    x1, y1 = int(min(width, focus[0] + reach)) + 1, int(min(height, focus[1] + reach)) + 1
+    x0 = int(max(0, focus[0] - reach))
+    y0 = int(max(0, focus[1] - reach))
+    x1 = int(min(width, focus[0] + reach)) + 1
+    y1 = int(min(height, focus[1] + reach)) + 1
     part = sample.image[y0:y1, x0:x1]
     ids = sample.mask[y0:y1, x0:x1]
     chosen = (
@@ -176,10 +178,12 @@ def cut(
     sx = sy = 1.0
     if reduce < 0.9:  # average first, so that the warp does not alias
         size = (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce)))
-        sx, sy = size[0] / part.shape[1], size[1] / part.shape[0]
+        sx = size[0] / part.shape[1]
+        sy = size[1] / part.shape[0]
         part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         chosen = np.asarray(cv2.resize(chosen, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    turn, flip = _turn(rng), -1.0 if rng.random() < 0.5 else 1.0
+    turn = _turn(rng)
+    flip = -1.0 if rng.random() < 0.5 else 1.0
     rotation = (
         np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]])
         * scale
@@ -244,7 +248,8 @@ def draw_prompt(
             row, col = place[rng.integers(len(place))]
             if slot == 2 and rng.random() < 0.5:
                 row, col = np.unravel_index(int(depth.argmax()), depth.shape)
-            points[slot], labels[slot] = (col + 0.5, row + 0.5), label
+            points[slot] = (col + 0.5, row + 0.5)
+            labels[slot] = label
             slot += 1
     return points, labels
 
@@ -308,7 +313,11 @@ class BatchStream:
         names = [name for name in _SOURCE_WEIGHT if name == "shape" or name in self._objects]
         weight = np.array([_SOURCE_WEIGHT[name] for name in names])
         images: list[NDArray[np.uint8]] = []
-        targets, points, labels, priors, has_prior = [], [], [], [], []
+        targets = []
+        points = []
+        labels = []
+        priors = []
+        has_prior = []
         while len(images) < size.batch:
             example = self._draw(rng, names[rng.choice(len(names), p=weight / weight.sum())], size)
             box = box_of(example.mask)

@@ -58,7 +58,8 @@ class DecoderGraph(nn.Module):
         super().__init__()
         self.decoder = network.decoder
         self.side_px = side_px
-        self.mask_offset, self.mask_smoothing = mask_offset, mask_smoothing
+        self.mask_offset = mask_offset
+        self.mask_smoothing = mask_smoothing
 
     def forward(
         self,
@@ -95,7 +96,8 @@ def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Pat
     """
     network = Segmenter()
     load_average(network, run)
-    encoder, decoder = folder / "segmenter-encoder.onnx", folder / "segmenter-decoder.onnx"
+    encoder = folder / "segmenter-encoder.onnx"
+    decoder = folder / "segmenter-decoder.onnx"
     cells = INPUT_PX // STRIDE_PX
     write_onnx(
         EncoderGraph(network),

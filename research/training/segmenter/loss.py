@@ -26,7 +26,8 @@ class SegmentationLoss(NamedTuple):
 
 def overlap_of(logits: Tensor, target: Tensor) -> Tensor:
     """IoU ``[b]`` of the masks at their thresholds (logit 0, coverage one half)."""
-    ours, true = logits > 0, target > 0.5
+    ours = logits > 0
+    true = target > 0.5
     return (ours & true).sum(dim=(1, 2, 3)) / (ours | true).sum(dim=(1, 2, 3)).clamp(min=1)
 
 
@@ -40,7 +41,8 @@ def segmentation_loss(prediction: Segmentation, target: Tensor) -> SegmentationL
     entropy = functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
     entropy = ((entropy * weight).sum(dim=(1, 2, 3)) / weight.sum(dim=(1, 2, 3))).mean()
     chance = logits.sigmoid()
-    both, either = (chance * target).sum(dim=(1, 2, 3)), (chance + target).sum(dim=(1, 2, 3))
+    both = (chance * target).sum(dim=(1, 2, 3))
+    either = (chance + target).sum(dim=(1, 2, 3))
     dice = (1 - (2 * both + 1) / (either + 1)).mean()
     with torch.no_grad():
         overlap = overlap_of(logits, target)

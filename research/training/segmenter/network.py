@@ -28,7 +28,12 @@ _NEAR_PX = 16.0  # distances to the box's sides saturate here
 _EDGE_PX = 4.0
 _POINT_PX = (4.0, 24.0)  # Gaussian radii of a point's two maps
 
-POSITIVE, NEGATIVE, TOP_LEFT, BOTTOM_RIGHT, PADDING = 1.0, 0.0, 2.0, 3.0, -1.0  # SAM's labels
+# SAM's labels
+POSITIVE = 1.0
+NEGATIVE = 0.0
+TOP_LEFT = 2.0
+BOTTOM_RIGHT = 3.0
+PADDING = -1.0
 
 
 class Prompt(NamedTuple):
@@ -99,7 +104,8 @@ def prompt_maps(prompt: Prompt, height: int, width: int) -> Tensor:
     A box's corner maps are zero without a box, a point's without points, so one network reads every
     combination.
     """
-    points, labels = prompt.points, prompt.labels
+    points = prompt.points
+    labels = prompt.labels
     rows = (
         torch.arange(height, dtype=torch.float32, device=points.device).view(1, 1, -1, 1) + 0.5
     ) * STRIDE_PX
@@ -114,15 +120,17 @@ def prompt_maps(prompt: Prompt, height: int, width: int) -> Tensor:
 
     has_box = (labels == TOP_LEFT).to(points.dtype).sum(dim=1).clamp(max=1.0).view(-1, 1, 1, 1)
     # the other way round in a mirrored image
-    (xa, ya), (xb, yb) = corner(TOP_LEFT), corner(BOTTOM_RIGHT)
-    (x0, y0), (x1, y1) = (
-        (torch.minimum(xa, xb), torch.minimum(ya, yb)),
-        (torch.maximum(xa, xb), torch.maximum(ya, yb)),
-    )
-    wide, high = (x1 - x0).clamp(min=2.0), (y1 - y0).clamp(min=2.0)
+    (xa, ya) = corner(TOP_LEFT)
+    (xb, yb) = corner(BOTTOM_RIGHT)
+    (x0, y0) = (torch.minimum(xa, xb), torch.minimum(ya, yb))
+    (x1, y1) = (torch.maximum(xa, xb), torch.maximum(ya, yb))
+    wide = (x1 - x0).clamp(min=2.0)
+    high = (y1 - y0).clamp(min=2.0)
     # -1 to 1 inside the box
-    across, down = (2 * cols - x0 - x1) / wide, (2 * rows - y0 - y1) / high
-    inside_x, inside_y = torch.minimum(cols - x0, x1 - cols), torch.minimum(rows - y0, y1 - rows)
+    across = (2 * cols - x0 - x1) / wide
+    down = (2 * rows - y0 - y1) / high
+    inside_x = torch.minimum(cols - x0, x1 - cols)
+    inside_y = torch.minimum(rows - y0, y1 - rows)
     inside = torch.minimum(inside_x, inside_y)
     plane = has_box * torch.ones_like(inside)
     boxed = [
@@ -134,10 +142,8 @@ def prompt_maps(prompt: Prompt, height: int, width: int) -> Tensor:
         plane,
     ]
 
-    dx, dy = (
-        cols - points[:, :, 0].unsqueeze(2).unsqueeze(3),
-        rows - points[:, :, 1].unsqueeze(2).unsqueeze(3),
-    )
+    dx = cols - points[:, :, 0].unsqueeze(2).unsqueeze(3)
+    dy = rows - points[:, :, 1].unsqueeze(2).unsqueeze(3)
     squared = dx * dx + dy * dy
     dotted = []
     for label in (POSITIVE, NEGATIVE):

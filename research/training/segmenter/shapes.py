@@ -24,7 +24,8 @@ _LEAST_CONTRAST = 14.0  # grey levels between the shape and what surrounds it
 
 def _turned(points: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     angle = rng.uniform(0, 2 * np.pi)
-    cos, sin = np.cos(angle), np.sin(angle)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
     out: NDArray[np.float64] = points @ np.array([[cos, -sin], [sin, cos]])
     return out
 
@@ -35,7 +36,8 @@ def _rectangle(wide: float, high: float) -> NDArray[np.float64]:
 
 def _ellipse(wide: float, high: float, power: float = 2.0) -> NDArray[np.float64]:
     t = np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    cos, sin = np.cos(t), np.sin(t)
+    cos = np.cos(t)
+    sin = np.sin(t)
     return np.column_stack(
         [
             wide * np.sign(cos) * np.abs(cos) ** (2 / power),

@@ -121,7 +121,8 @@ def report(by_method: dict[str, list[Trial]]) -> list[str]:
     lines += [_row(method, "all", trials) for method, trials in by_method.items()]
     mine = by_method[ours]
     seconds = np.array([t.seconds for t in mine])
-    score, iou = np.array([t.score for t in mine]), np.array([t.iou for t in mine])
+    score = np.array([t.score for t in mine])
+    iou = np.array([t.iou for t in mine])
     values = {
         "one prompt, encoder and decoder: median, s": np.median(seconds),
         "one prompt, encoder and decoder: 95 % below, s": np.percentile(seconds, 95),

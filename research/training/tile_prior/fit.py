@@ -31,7 +31,8 @@ _RIDGE = 1e-3  # of the slope for a standard deviation of the log gradient
 
 def read_images(data: Path, split: str) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Read the log gradients ``[n]`` of a split, and which of them have cars."""
-    logs, cars = [], []
+    logs = []
+    cars = []
     for table in _TABLES:
         with (data / "gsd" / table).open() as lines:
             for row in csv.DictReader(lines):
@@ -52,7 +53,8 @@ def read_images(data: Path, split: str) -> tuple[NDArray[np.float64], NDArray[np
 
 def fit(logs: NDArray[np.float64], cars: NDArray[np.bool_]) -> tuple[float, float]:
     """Fit intercept and slope of the log odds."""
-    mean, spread = logs.mean(), logs.std()
+    mean = logs.mean()
+    spread = logs.std()
     design = np.column_stack([(logs - mean) / spread, np.ones(len(logs))])
     slope, constant = logistic(design, cars, np.full(len(logs), 1 / len(logs)), _RIDGE)
     return float(constant - slope * mean / spread), float(slope / spread)
@@ -63,7 +65,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
-    train, val = read_images(data, "train"), read_images(data, "val")
+    train = read_images(data, "train")
+    val = read_images(data, "val")
     at_one, per_log = fit(*train)
     print(f"_ODDS_AT_ONE, _ODDS_PER_LOG = {at_one:.2f}, {per_log:.3f}")
     areas = [area(logs[cars], logs[~cars]) for logs, cars in (train, val)]

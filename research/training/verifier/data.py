@@ -31,7 +31,9 @@ _CAR_PX = (
 _MAX_ENLARGEMENT = {15.0: 2.2, 28.0: 2.2, 55.0: 1.1, 110.0: 1.0}
 _LEAST_SCORE = 0.15
 _MOST_FALSE = 40  # of an image at one size, at random: a harbour has hundreds
-_NEAR, _AT = 0.6, 0.25  # of a label's length: beyond one, within the other
+# of a label's length: beyond one, within the other
+_NEAR = 0.6
+_AT = 0.25
 _LENGTH_RATIO = 1.35
 _PART_RATIO = 0.55  # of a car's length: what is shorter and stands on it is a part of it, no car
 _JITTER = 0.06  # of a length, of place and size
@@ -89,7 +91,10 @@ def truth_of(
 def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
     """Search images at several sizes and cut what is found."""
     rng = np.random.default_rng(0)
-    chips, car, scores, sets = [], [], [], []
+    chips = []
+    car = []
+    scores = []
+    sets = []
     for sample in images:
         native = (
             float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 15.0
@@ -104,7 +109,8 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
             )
             found = detector.detect_tile(detector.prepared(scaled), _LEAST_SCORE).vehicles
             kept = oriented_nms(found.boxes, found.scores)
-            boxes, score = found.boxes[kept], found.scores[kept]
+            boxes = found.boxes[kept]
+            score = found.scores[kept]
             truth = truth_of(
                 boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor
             )
@@ -150,7 +156,8 @@ class ChipStream:
         """Weigh the candidates."""
         self._weight = []
         for car in (False, True):
-            chosen, weight = self.candidates.car == car, np.zeros(len(self.candidates.car))
+            chosen = self.candidates.car == car
+            weight = np.zeros(len(self.candidates.car))
             weight[chosen] = weight_of_sets(self.candidates.sets[chosen])
             self._weight.append(np.cumsum(weight))
 

@@ -29,5 +29,6 @@ class VerifierNet(nn.Module):
     def forward(self, chips: Tensor) -> Tensor:
         """Logits ``[b]``."""
         seen = self.body(chips)  # [b, c, 6, 6]
-        middle, whole = seen[:, :, 2:4, 1:5].mean(dim=(2, 3)), seen.mean(dim=(2, 3))
+        middle = seen[:, :, 2:4, 1:5].mean(dim=(2, 3))
+        whole = seen.mean(dim=(2, 3))
         return cast("Tensor", self.head(torch.cat([middle, whole], dim=1))).squeeze(1)

@@ -18,7 +18,8 @@ from research.training.verifier.data import load, middle
 if TYPE_CHECKING:
     import onnx
 
-_CHIPS, _BATCH = 1024, 64
+_CHIPS = 1024
+_BATCH = 64
 
 
 def quantised_nodes(model: onnx.ModelProto) -> list[str]:

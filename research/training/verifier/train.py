@@ -63,7 +63,8 @@ def report(
     lines = []
     for name in (*np.unique(sets), "all"):
         chosen = np.ones(len(sets), bool) if name == "all" else sets == name
-        hits, false = scores[chosen & car], scores[chosen & ~car]
+        hits = scores[chosen & car]
+        false = scores[chosen & ~car]
         if len(hits) > 5 and len(false):
             left = np.mean(false > np.percentile(hits, 5))
             counts = f"{name:13s} {len(hits):5d} hits {len(false):5d} false"

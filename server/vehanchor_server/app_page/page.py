@@ -72,7 +72,8 @@ def page_html() -> str:
 @cache
 def view_html() -> str:
     """Return the page of ``vehanchor view``: the shared parts and a list of photographs."""
-    styles, places = ("panel.css", "view.css"), ("img-src data:", "connect-src 'self'")
+    styles = ("panel.css", "view.css")
+    places = ("img-src data:", "connect-src 'self'")
     return _assembled(styles, _VIEW_PARTS, *places, before=_part("list.html"))
 
 
@@ -83,7 +84,8 @@ def _options(names: Iterable[str]) -> str:
 def _assembled(
     styles: tuple[str, ...], scripts: tuple[str, ...], *allowed: str, before: str = ""
 ) -> str:
-    style, script = "\n".join(map(_part, styles)), _in_one_function(scripts)
+    style = "\n".join(map(_part, styles))
+    script = _in_one_function(scripts)
     policy = "; ".join(
         [
             "default-src 'none'",

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 PANEL_KEY = "vehanchor/panel"
 
-MAX_VEHICLES, MAX_LINES = 2000, 500  # limits of what is drawn
+# limits of what is drawn
+MAX_VEHICLES = 2000
+MAX_LINES = 500
 
 
 class DrawnLine(FrozenModel):
@@ -85,7 +87,8 @@ def _sentence_for_people(record: BaseModel) -> str | None:
             return "The outline is doubtful: look at it, or draw a tight box around the object."
         advice = advice_for(estimate)
     elif isinstance(record, GsdEstimate):
-        estimate, advice = record, advice_for(record, "drop the boxes that are no cars")
+        estimate = record
+        advice = advice_for(record, "drop the boxes that are no cars")
     else:
         return None
     if estimate is None:

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
     from vehanchor_server.calls.capacity import Stop
 
-PERCENT_READ, PERCENT_SEARCHED, PERCENT_DONE = 10, 95, 100
+PERCENT_READ = 10
+PERCENT_SEARCHED = 95
+PERCENT_DONE = 100
 
 
 class Job:

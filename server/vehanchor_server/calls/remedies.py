@@ -41,7 +41,8 @@ def advice_on(record: BaseModel) -> str:
 
 
 def _remedies(estimate: GsdEstimate) -> list[str]:
-    codes, n = {notice.code for notice in estimate.warnings}, estimate.n_vehicles or 0
+    codes = {notice.code for notice in estimate.warnings}
+    n = estimate.n_vehicles or 0
     if estimate.reason == "too_coarse" or ("stretched" in codes and estimate.reason == "disagree"):
         return ["image", "line"]
     if estimate.reason in ("not_cars", "disagree"):

@@ -42,7 +42,9 @@ if TYPE_CHECKING:
 
 # idle time before freed memory is returned; a call after that maps it again, for some 25 ms
 _IDLE_S = 5.0
-_M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3  # of malloc.h
+# of malloc.h
+_M_ARENA_MAX = -8
+_M_MMAP_THRESHOLD = -3
 # one heap; freed large blocks leave the process
 _MEMORY_OPTIONS = ((_M_ARENA_MAX, 1), (_M_MMAP_THRESHOLD, 8 << 20))
 # OpenCV's, C++'s, ONNX's

@@ -127,7 +127,8 @@ class Fetcher:
         """Return the URL's parts if its form and host are allowed."""
         try:
             parts = urlsplit(url)
-            host, port = (parts.hostname or "").lower(), parts.port or _HTTPS_PORT
+            host = (parts.hostname or "").lower()
+            port = parts.port or _HTTPS_PORT
         except ValueError:
             raise CallError(
                 "url_not_allowed", "the URL is malformed. Give https://host/path."

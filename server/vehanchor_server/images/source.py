@@ -48,7 +48,8 @@ class ImageSources:
             CallError: an image cannot be fetched, or the total is too large.
         """
         found: list[tuple[AnyImage, bytes | None]] = []
-        n_bytes, most = 0, self.fetcher.max_bytes
+        n_bytes = 0
+        most = self.fetcher.max_bytes
         for image in images:
             fetched = await self.fetcher.fetch(image.url) if isinstance(image, UrlImage) else None
             n_bytes += len(fetched or b"")

@@ -62,7 +62,9 @@ def confine(readable: Iterable[Path]) -> Confinement:
     _drop_capabilities(libc)
     if libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0):
         return Confinement(lacks=f"no_new_privs: {last_error()}")
-    landlock, seccomp, lacks = 0, False, []
+    landlock = 0
+    seccomp = False
+    lacks = []
     try:
         landlock = _restrict_files(libc, [*_needed_files(), *readable])
     except OSError as error:
@@ -84,12 +86,16 @@ def _drop_capabilities(libc: ctypes.CDLL) -> None:
     """Drop all capabilities; without any, do nothing."""
     for capability in range(_MOST_CAPABILITIES):
         libc.prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)
-    header, none = struct.pack("=Ii", _CAPABILITIES_VERSION, 0), bytes(24)
+    header = struct.pack("=Ii", _CAPABILITIES_VERSION, 0)
+    none = bytes(24)
     libc.capset(header, none)
 
 
-_PR_SET_NO_NEW_PRIVS, _PR_CAPBSET_DROP = 38, 24
-_MOST_CAPABILITIES, _CAPABILITIES_VERSION = 64, 0x20080522  # linux/capability.h, version 3
+_PR_SET_NO_NEW_PRIVS = 38
+_PR_CAPBSET_DROP = 24
+# linux/capability.h, version 3
+_MOST_CAPABILITIES = 64
+_CAPABILITIES_VERSION = 0x20080522
 _SYSTEM_FILES = (
     *("/usr", "/lib", "/lib64", "/nix/store", "/gnu/store", "/etc/ld.so.cache", "/etc/localtime"),
     *("/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/vm"),
@@ -120,7 +126,8 @@ def _needed_files() -> Iterator[Path]:
         with suppress(ModuleNotFoundError):  # each but the first and the last may be missing
             found = find_spec(package)
             yield from map(Path, (found and found.submodule_search_locations) or ())
-    working, home = Path.cwd(), Path.home()
+    working = Path.cwd()
+    home = Path.home()
     for entry in map(Path, filter(None, sys.path)):
         # Python may have added them itself
         if not (working.is_relative_to(entry) or home.is_relative_to(entry)):
@@ -128,9 +135,14 @@ def _needed_files() -> Iterator[Path]:
 
 
 # Landlock: linux/landlock.h. The numbers of its system calls are the same on every machine.
-_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
-_VERSION_FLAG, _PATH_BENEATH = 1, 1
-_READ_FILE, _READ_DIR, _WRITE_FILE = 1 << 2, 1 << 3, 1 << 1
+_CREATE_RULESET = 444
+_ADD_RULE = 445
+_RESTRICT_SELF = 446
+_VERSION_FLAG = 1
+_PATH_BENEATH = 1
+_READ_FILE = 1 << 2
+_READ_DIR = 1 << 3
+_WRITE_FILE = 1 << 1
 _FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}  # number of rights since a version
 _BIND_AND_CONNECT = 0b11  # TCP, since version 4
 _SCOPES = 0b11  # abstract sockets and signals, since version 6

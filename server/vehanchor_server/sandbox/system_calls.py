@@ -17,11 +17,21 @@ import sys
 from typing import NamedTuple
 
 # linux/seccomp.h, linux/filter.h, asm/unistd.h
-_SET_MODE_FILTER, _TO_ALL_THREADS = 1, 1
-_ALLOW, _KILL_PROCESS, _REFUSE = 0x7FFF0000, 0x80000000, 0x00050000  # and the error's number
-_LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
+_SET_MODE_FILTER = 1
+_TO_ALL_THREADS = 1
+# and the error's number
+_ALLOW = 0x7FFF0000
+_KILL_PROCESS = 0x80000000
+_REFUSE = 0x00050000
+_LOAD = 0x20
+_EQUAL = 0x15
+_AT_LEAST = 0x35
+_ANY_BIT = 0x45
+_RETURN = 0x06
 # in struct seccomp_data; arguments have eight bytes
-_NUMBER_AT, _MACHINE_AT, _ARGUMENTS_AT = 0, 4, 16
+_NUMBER_AT = 0
+_MACHINE_AT = 4
+_ARGUMENTS_AT = 16
 _OTHER_NUMBERS = 0x40000000  # of x32, a second set on x86_64
 _FIRST_NEW = 424  # later calls have the same number on all architectures; C libraries fall back
 _CLONE_THREAD = 0x10000
@@ -173,10 +183,8 @@ def filter_system_calls(libc: ctypes.CDLL) -> None:
 
 def _instructions(column: int, machine: int, pid: int) -> list[tuple[int, int, int, int]]:
     """Return the filter: code, jump offsets if true and if false, and operand of each instruction."""
-    forbidden, unknown = (
-        (_RETURN, 0, 0, _REFUSE | errno.EPERM),
-        (_RETURN, 0, 0, _REFUSE | errno.ENOSYS),
-    )
+    forbidden = (_RETURN, 0, 0, _REFUSE | errno.EPERM)
+    unknown = (_RETURN, 0, 0, _REFUSE | errno.ENOSYS)
     allowed = (_RETURN, 0, 0, _ALLOW)
     program = [
         (_LOAD, 0, 0, _MACHINE_AT),
@@ -197,7 +205,8 @@ def _instructions(column: int, machine: int, pid: int) -> list[tuple[int, int, i
 
 def _checks(rule: _Rule, pid: int) -> list[tuple[int, int, int, int]]:
     """Return the instructions that check the lower half of an argument."""
-    forbidden, allowed = (_RETURN, 0, 0, _REFUSE | errno.EPERM), (_RETURN, 0, 0, _ALLOW)
+    forbidden = (_RETURN, 0, 0, _REFUSE | errno.EPERM)
+    allowed = (_RETURN, 0, 0, _ALLOW)
     load = (_LOAD, 0, 0, _ARGUMENTS_AT + 8 * rule.argument)
     if rule.bits is not None:
         if_set, if_clear = (allowed, forbidden) if rule.bits else (forbidden, allowed)

@@ -29,7 +29,8 @@ _LINE = re.compile(r"(?P<thread>\d+) +(?:<\.\.\. )?(?P<call>\w+)(?:\(| resumed)(
 
 def confined_calls(lines: Iterable[str]) -> set[str]:
     """Return the system calls of processes, with their threads, after each has installed its filter."""
-    confined, made = set(), set()
+    confined = set()
+    made = set()
     for line in lines:
         found = _LINE.match(line)
         if found is None:

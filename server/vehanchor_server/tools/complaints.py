@@ -115,7 +115,8 @@ def _join_names(
         kind: [shortened(at[-1]) for at, each in wrong.items() if each == kind]
         for kind in (_MISSING, _UNKNOWN)
     }
-    missing, unknown = names[_MISSING], names[_UNKNOWN][:_MAX_COMPLAINTS]
+    missing = names[_MISSING]
+    unknown = names[_UNKNOWN][:_MAX_COMPLAINTS]
     words = (
         [f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"] if missing else []
     )
@@ -149,7 +150,8 @@ def _place(
         elif not (missing and i == len(location) - 1):
             continue
         place.append(str(part))
-        around, node = node, _part(node, part)
+        around = node
+        node = _part(node, part)
     return tuple(place), node, around
 
 
@@ -213,7 +215,8 @@ def _expectation(node: Mapping[str, Any]) -> str:
     if kind == "object":
         return f"an object with {', '.join(node.get('required') or node.get('properties', {}))}"
     if kind == "array":
-        low, high = node.get("minItems", 0), node.get("maxItems")
+        low = node.get("minItems", 0)
+        high = node.get("maxItems")
         return f"a list of {low} to {high} items" if high else "a list"
     if kind in ("number", "integer"):
         noun = "a whole number" if kind == "integer" else "a number"

@@ -148,7 +148,8 @@ def _form(given: Given, estimate: GsdEstimate) -> dict[str, Any]:
 
 def _supports_forms(ctx: Context[Any, Any]) -> bool:
     """Return whether the client's protocol revision and capabilities allow a form."""
-    version, capabilities = ctx.protocol_version, ctx.client_capabilities
+    version = ctx.protocol_version
+    capabilities = ctx.client_capabilities
     asks = capabilities.elicitation if capabilities is not None else None
     if version is None or asks is None or not is_version_at_least(version, _FIRST_REVISION):
         return False

@@ -97,7 +97,8 @@ def _measure(
     prompts = [_prompt(target) for target in asked.subject]
     segmenter = services.models.segmenter(job.runtime)
     options, scale = resolve_source(asked.given, services, job)
-    wanted, height = asked.wanted, asked.given.get("object_height_m")
+    wanted = asked.wanted
+    height = asked.given.get("object_height_m")
     job.stop.check()
     with open_raster(source, options.reading) as raster:
         job.segmenting()

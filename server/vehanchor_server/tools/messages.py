@@ -32,7 +32,8 @@ STATUS_RULES = (
 
 AnyRecord: TypeAlias = GsdEstimate | AreaMeasurement | DistanceMeasurement
 # of a short answer; a token of a model has about four characters
-_ESTIMATE_CHARS, _MEASUREMENT_CHARS = 320, 520
+_ESTIMATE_CHARS = 320
+_MEASUREMENT_CHARS = 520
 _PREFIX = "Warning "
 
 
@@ -86,7 +87,8 @@ def _warnings(records: Sequence[AnyRecord], detail: Detail, most_chars: int) -> 
         for notice, at in found.items()
     ]
     room = most_chars - len(f" {_PREFIX}{', '.join(names)}.")
-    told, rest = [], []
+    told = []
+    rest = []
     for name, notice in zip(names, found, strict=True):
         message = notice.message if detail == "full" else brief(notice.message)
         extra = len(f" {_PREFIX}: {message}")

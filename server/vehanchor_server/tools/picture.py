@@ -102,8 +102,10 @@ def part_window(raster: Raster, wanted: PictureRequest) -> Window:
             f"part {numbers} is not inside the {coordinates.name}{coordinates.other_reading(ends)}"
         )
     (left, top), (right, bottom) = (coordinates.in_image(*end) for end in ends)
-    x, y = int(left), int(top)
-    width, height = round(right) - x, round(bottom) - y
+    x = int(left)
+    y = int(top)
+    width = round(right) - x
+    height = round(bottom) - y
     if min(width, height) < _LEAST_PART_PX:
         raise PromptError(
             f"the part is {width} x {height} px of the full image: give at least "

@@ -228,13 +228,12 @@ def _hints(
         )
     if "gsd_m_per_px" in given and "gsd_tolerance" not in given:
         said.append("The stated scale is taken as +- 10 %.")
-    found, longest = _all_places(places, given), max(record.image_width_px, record.image_height_px)
+    found = _all_places(places, given)
+    longest = max(record.image_width_px, record.image_height_px)
     if not found or "frame" in given or "coordinates" in given:
         return said
-    size, factor = (
-        f"The image has {record.image_width_px} x {record.image_height_px} px",
-        MAX_SIDE_PX / longest,
-    )
+    size = f"The image has {record.image_width_px} x {record.image_height_px} px"
+    factor = MAX_SIDE_PX / longest
     if longest > _LARGE_PX and all(value <= _PER_CENT for place in found for value in place):
         said.append(
             f"{size}, all coordinates lie in 0 to 100. If they are pixels, give coordinates: "

@@ -101,7 +101,8 @@ class StrictTool(Tool):
             CallError: the call failed; the SDK logs the traceback of ``internal_error``.
         """
         started = time.perf_counter()
-        status, result = "cancelled", None
+        status = "cancelled"
+        result = None
         try:
             if _more_values_than(arguments, MAX_VALUES):
                 many = f"more than {MAX_VALUES} values. See the tool's input schema."
@@ -180,7 +181,8 @@ def _with_integers(value: Any) -> Any:
 
 def _more_values_than(arguments: Any, limit: int) -> bool:
     """Return whether a JSON value has more values than the limit; count no further, as pydantic records each fault."""
-    pending, n = [arguments], 0
+    pending = [arguments]
+    n = 0
     while pending:
         value = pending.pop()
         if isinstance(value, dict | list):

@@ -42,7 +42,9 @@ _DESCRIPTION = (
     "masks, "
     "lines. Without both, lists the images."
 )
-_LEAST_SIDE_PX, _USUAL_SIDE_PX, _LONGEST_SIDE_PX = 256, 1024, 1568
+_LEAST_SIDE_PX = 256
+_USUAL_SIDE_PX = 1024
+_LONGEST_SIDE_PX = 1568
 _MAX_ENLARGEMENT = 4.0  # a larger one shows nothing more
 _PART = {"x_min": 200, "y_min": 100, "x_max": 600, "y_max": 400}
 _IMAGES_A_PAGE = 50
@@ -133,10 +135,8 @@ def page_image_tool(services: Services) -> "StrictTool":
         if image is None:
             names, total = await _list_images(services, page)
             more = names and (page - 1) * _IMAGES_A_PAGE + len(names) < total
-            listed, picture = (
-                PageImages(images=tuple(names), next_page=page + 1 if more else None),
-                None,
-            )
+            listed = PageImages(images=tuple(names), next_page=page + 1 if more else None)
+            picture = None
         else:
             seen = await run_call(
                 services,
@@ -145,7 +145,8 @@ def page_image_tool(services: Services) -> "StrictTool":
                 _view,
                 PictureRequest("plain", long_side_px, part.corners if part else None),
             )
-            listed, picture = PageImages(), seen.picture
+            listed = PageImages()
+            picture = seen.picture
         return _with_picture("For the page.", picture, listed.model_dump(mode="json"))
 
     return StrictTool.read_only(
@@ -221,7 +222,8 @@ def _view(
         shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
         assert shown is not None
         height, width = shown.shape[:2]  # small_jpeg may have reduced the picture
-        right, bottom = window.x_px + window.width_px, window.y_px + window.height_px
+        right = window.x_px + window.width_px
+        bottom = window.y_px + window.height_px
         seen = ViewedImage(
             image_width_px=raster.width_px,
             image_height_px=raster.height_px,
@@ -234,7 +236,8 @@ def _view(
 
 
 def _words(seen: ViewedImage, long_side_px: int) -> str:
-    part, size = seen.part, f"{seen.picture_width_px} x {seen.picture_height_px}"
+    part = seen.part
+    size = f"{seen.picture_width_px} x {seen.picture_height_px}"
     factor = (part.x_max - part.x_min) / seen.picture_width_px
     words = (
         f"Image of {seen.image_width_px} x {seen.image_height_px} px. The picture of {size} "

@@ -196,7 +196,9 @@ class OidcVerifier(TokenVerifier):
                 self._max_key_age_s,
             )
             self._keys = {}
-        known, fetch, now = kid in self._keys, self._fetch, time.monotonic()
+        known = kid in self._keys
+        fetch = self._fetch
+        now = time.monotonic()
         if now - self._tried_at > KEYS_RETRY_S and (
             not known or now - self._fetched_at > KEYS_REFRESH_S
         ):

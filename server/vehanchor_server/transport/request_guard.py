@@ -24,7 +24,9 @@ MAX_SEPARATORS = 10_000
 # opening braces and brackets; a call with 32 points has about 40, pydantic's limit is 200
 MAX_NESTED = 150
 _SMALL_BYTES = 64 << 10  # a body that needs no slot; uvicorn buffers as much in any case
-_INVALID_REQUEST, _BUSY = -32600, -32000  # of JSON-RPC
+# of JSON-RPC
+_INVALID_REQUEST = -32600
+_BUSY = -32000
 
 
 @dataclass

@@ -174,7 +174,8 @@ class _OwnPageOnly:
             await self._app(scope, receive, send)
 
     def _is_own(self, scope: Scope) -> bool:
-        headers, origin = Headers(scope=scope), self._address.origin
+        headers = Headers(scope=scope)
+        origin = self._address.origin
         token = scope["path"].lstrip("/").partition("/")[0].encode()
         return (
             # another name suggests DNS rebinding

@@ -35,14 +35,16 @@ class AreaAnalysis(Analysis, AreaEvidence):
         Raises:
             OutputError: the image is too large for a mask in memory.
         """
-        width, height = self.measurement.image_width_px, self.measurement.image_height_px
+        width = self.measurement.image_width_px
+        height = self.measurement.image_height_px
         if width * height > self.reading.limits.max_pixels:
             raise OutputError(
                 f"a mask of {width} x {height} px has more than "
                 f"{self.reading.limits.max_pixels} pixels: take the "
                 "outline from the record"
             )
-        window, full = self.segmentation.window, np.zeros((height, width), dtype=bool)
+        window = self.segmentation.window
+        full = np.zeros((height, width), dtype=bool)
         rows = slice(window.y_px, window.y_px + window.height_px)
         full[rows, window.x_px : window.x_px + window.width_px] = self.segmentation.mask
         return full
@@ -59,7 +61,8 @@ class AreaAnalysis(Analysis, AreaEvidence):
             MissingExtraError: supervision is not installed.
             OutputError: the image is too large for a mask in memory.
         """
-        sv, record = import_supervision(), self.measurement
+        sv = import_supervision()
+        record = self.measurement
         box = record.bounding_box
         if box is None:
             return sv.Detections.empty()

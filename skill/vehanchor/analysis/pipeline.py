@@ -171,7 +171,8 @@ def search_raster(
         for _ in work:
             pass
     detections = work.result(check_stretch=check_stretch)
-    chosen, size_px = options.search, (raster.width_px, raster.height_px)
+    chosen = options.search
+    size_px = (raster.width_px, raster.height_px)
     detections = corrected(detections, options.by_hand, options.frame, size_px, chosen.nms_iou)
     return replace(view, detections=detections)
 
@@ -210,7 +211,8 @@ def conclude(
     witnesses = with_doubts(witnesses, notices)
     vehicles = measured_vehicles(witnesses)
     if view.options.method.preset == "paper":
-        found, decided = None, _by_paper(vehicles)
+        found = None
+        decided = _by_paper(vehicles)
     else:
         found = answer(witnesses)
         decided = _no_scale(witnesses) if found is None else _Decided.of(found, witnesses)
@@ -281,8 +283,10 @@ def _no_scale(witnesses: Sequence[Witness]) -> _Decided:
 def _record(
     view: View, witnesses: Sequence[Witness], decided: _Decided, warnings: tuple[Notice, ...]
 ) -> GsdEstimate:
-    image, vehicles = view.image, measured_vehicles(witnesses)
-    gsd, interval = decided.gsd_m_per_px, decided.interval
+    image = view.image
+    vehicles = measured_vehicles(witnesses)
+    gsd = decided.gsd_m_per_px
+    interval = decided.interval
     return GsdEstimate(
         status="no_scale" if gsd is None else "low_confidence" if decided.reason else "ok",
         **_with_ci95(gsd, interval),
@@ -307,7 +311,8 @@ def _record(
 def _details(
     view: View, vehicles: VehicleWitness | None, witnesses: Sequence[Witness]
 ) -> EstimateDetails:
-    searched, told = view.detections, view.detections.corrections
+    searched = view.detections
+    told = view.detections.corrections
     scene = next((each for each in witnesses if each.kind == SceneScale.kind and each.found), None)
     paper, reference = (None, None) if vehicles is None else (vehicles.paper, vehicles.reference)
     return EstimateDetails(

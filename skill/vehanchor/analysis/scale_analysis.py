@@ -145,7 +145,8 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
     @property
     def __geo_interface__(self) -> dict[str, Any]:
         """Vehicles as a GeoJSON FeatureCollection, for geopandas and shapely; pixels, y down."""
-        boxes, scores = self.detections.boxes, self.detections.scores
+        boxes = self.detections.boxes
+        scores = self.detections.scores
         features = [
             {
                 "type": "Feature",

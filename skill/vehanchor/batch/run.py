@@ -104,11 +104,9 @@ def run_batch(
         used. MissingExtraError: Ray or pyarrow is not installed.
         WorkerDiedError: a worker was killed.
     """
-    table, chosen, told = (
-        _unfinished(Path(output), overwrite),
-        options or ScaleOptions(),
-        runtime or Runtime(),
-    )
+    table = _unfinished(Path(output), overwrite)
+    chosen = options or ScaleOptions()
+    told = runtime or Runtime()
     _check(engine, address, workers, chosen)
     tasks = list(map(Task.of, find_images(inputs)))
     job = _job(detector, classes, chosen, replace(told.idle, threads=1))

@@ -78,7 +78,8 @@ class Worker:
     """
 
     def __init__(self, job: BatchJob) -> None:
-        self._options, self._known_lengths = job.options, job.known_lengths
+        self._options = job.options
+        self._known_lengths = job.known_lengths
         path = resolve_model(job.detector)
         self._detector = checked_detector(
             Detector(path, classes=job.classes, runtime=job.runtime), job.options

@@ -54,15 +54,18 @@ def measure_table(
     (check_geojson_path if as_shapes else check_table_path)(output)
     if output.exists() and not overwrite:
         raise OutputError(f"{str(output)!r} exists: name another file, or pass --overwrite")
-    wanted, images = read_targets(table), find_images(inputs)
+    wanted = read_targets(table)
+    images = find_images(inputs)
     strangers = sorted(set(wanted) - {where_it_is(image) for image in images})
     if strangers:
         raise PromptError(
             f"a target is in {strangers[0]!r}, which is not one of the images: files are named "
             "relative to the table"
         )
-    options, rows = engine.options, []
-    detector, segmenter = checked_detector(engine.detector, options), engine.segmenter
+    options = engine.options
+    rows = []
+    detector = checked_detector(engine.detector, options)
+    segmenter = engine.segmenter
     for number, (image, targets) in enumerate(wanted.items()):
         tell(number, len(wanted))
         rows += measure_targets(image, targets, detector, segmenter, options)

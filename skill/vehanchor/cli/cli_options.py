@@ -140,7 +140,8 @@ class ParsedOptions:
         """
         from vehanchor.engine import Engine
 
-        options, runtime = self.options(), self.runtime(progress)
+        options = self.options()
+        runtime = self.runtime(progress)
         return Engine(
             self.detector, segmenter, classes=self.classes, options=options, runtime=runtime
         )
@@ -227,7 +228,8 @@ def _parameter(name: str, option: Option, bare: Any, default: Any) -> inspect.Pa
     n_values = len(metavar.split())
     kind: Any
     if bare is bool:
-        flag, kind = f"{flag}/--no-{flag}", bool
+        flag = f"{flag}/--no-{flag}"
+        kind = bool
     elif option.repeated:
         kind = list[str]
     else:

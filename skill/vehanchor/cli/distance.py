@@ -56,10 +56,8 @@ def distance(
     """Measure the distance (metres) between two points, or along a line, with the scale from cars in the image."""
 
     def analyse(progress: Callable[[int, int], None]) -> DistanceAnalysis:
-        path, known = (
-            [parse_point("--point", text) for text in point or ()],
-            read_scale(scale, image),
-        )
+        path = [parse_point("--point", text) for text in point or ()]
+        known = read_scale(scale, image)
         return chosen.engine().analyse_distance(
             image,
             path,
@@ -75,7 +73,8 @@ def distance(
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:
     """List the facts of the record without its scale."""
-    low, high = record.distance_ci95_low_m, record.distance_ci95_high_m
+    low = record.distance_ci95_low_m
+    high = record.distance_ci95_high_m
     distance = with_interval(record.distance_m, low, high, "m", "none: there is no scale")
     return [
         ("distance", distance),

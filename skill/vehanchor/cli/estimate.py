@@ -257,7 +257,8 @@ def _print_summary(rows: Sequence[tuple[str, GsdEstimate]]) -> None:
 
 
 def _cells(record: GsdEstimate) -> tuple[str, ...]:
-    low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+    low = record.gsd_ci95_low_m_per_px
+    high = record.gsd_ci95_high_m_per_px
     return (
         "-" if record.gsd_m_per_px is None else significant(record.gsd_m_per_px, 4),
         "-" if low is None or high is None else f"{significant(low, 4)} to {significant(high, 4)}",

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 _NEEDED = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pydantic", "mcp")
 _EXTRAS = {"rasterio": "geo", "matplotlib": "plots", "pyarrow": "parquet", "ray": "ray"}
 # a rendered car park: python -m research.scenes, seed 5
-_PICTURE, GSD_M_PER_PX = "bundled/check.jpg", 0.15
+_PICTURE = "bundled/check.jpg"
+GSD_M_PER_PX = 0.15
 
 
 def installed() -> list[tuple[str, str]]:

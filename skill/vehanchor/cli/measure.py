@@ -79,7 +79,8 @@ def measure(
     """Measure the area (square metres) of the object in a box or at a point, with the scale from cars in the image."""
 
     def analyse(progress: Callable[[int, int], None]) -> AreaAnalysis:
-        engine, known = chosen.engine(segmenter=segmenter), read_scale(scale, image)
+        engine = chosen.engine(segmenter=segmenter)
+        known = read_scale(scale, image)
         return engine.analyse_area(
             image,
             box=box,
@@ -106,19 +107,16 @@ def _points(
 
 def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
     """List the facts of the record without its scale."""
-    none, low, high = (
-        "none: there is no scale, or no mask",
-        record.area_ci95_low_m2,
-        record.area_ci95_high_m2,
-    )
+    none = "none: there is no scale, or no mask"
+    low = record.area_ci95_low_m2
+    high = record.area_ci95_high_m2
     facts = [("area", with_interval(record.area_m2, low, high, "m2", none))]
     if record.area_m2 is not None:
-        length, width, perimeter = (
-            record.length_m or 0,
-            record.width_m or 0,
-            record.perimeter_m or 0,
-        )
-        low, high = record.inscribed_diameter_ci95_low_m, record.inscribed_diameter_ci95_high_m
+        length = record.length_m or 0
+        width = record.width_m or 0
+        perimeter = record.perimeter_m or 0
+        low = record.inscribed_diameter_ci95_low_m
+        high = record.inscribed_diameter_ci95_high_m
         facts += [
             (
                 "size",

@@ -83,7 +83,8 @@ def _check_installation(providers: list[str] | None) -> None:
     record = installation.check_picture(
         Engine(runtime=Runtime(providers=providers or DEFAULT_PROVIDERS))
     )
-    gsd, true = record.gsd_m_per_px or 0.0, installation.GSD_M_PER_PX
+    gsd = record.gsd_m_per_px or 0.0
+    true = installation.GSD_M_PER_PX
     passed = record.status == "ok" and abs(gsd / true - 1) <= _TOLERANCE
     facts = [
         ("check", "passed" if passed else "FAILED: reinstall, or report this"),
@@ -115,7 +116,8 @@ def list_models(
 
 
 def _print_segmenter(engine: Engine, *, as_json: bool) -> None:
-    segmenter, card = engine.segmenter, engine.segmenter.card
+    segmenter = engine.segmenter
+    card = engine.segmenter.card
     files = {"encoder": str(segmenter.encoder_path), "decoder": str(segmenter.decoder_path)}
     if as_json:
         print_json({"kind": "segmenter", **files, **asdict(card)})
@@ -159,19 +161,22 @@ def show_model(
 
 def _print_detector(engine: Engine, title: str, about: dict[str, object], *, as_json: bool) -> None:
     """Print the metadata of a detector's file; ``about`` has further members of the JSON object."""
-    model, card = engine.detector, engine.detector.card
+    model = engine.detector
+    card = engine.detector.card
     if as_json:
         file = {"file": str(model.path), "fixed_size_px": model.fixed_size}
         print_json({**about, **file, **card.model_dump(mode="json")})
         return
-    (shortest, longest), of_lengths = card.length_range_px, card.bodies or card
+    (shortest, longest) = card.length_range_px
+    of_lengths = card.bodies or card
     unbiased = (
         f"; measured without bias from {card.min_length_px:g} px" if card.min_length_px else ""
     )
     regions = (
         f"{name} {length:.4g} m" for name, length in sorted(of_lengths.region_lengths_m.items())
     )
-    mean, sd = of_lengths.reference_length_m, of_lengths.reference_length_sd_m
+    mean = of_lengths.reference_length_m
+    sd = of_lengths.reference_length_sd_m
     facts = [
         ("file", str(model.path)),
         (

@@ -20,7 +20,10 @@ from vehanchor.records.text import by_hand_text
 if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate, Notice
 
-BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
+# exit statuses
+BAD_INPUT = 2
+UNFORESEEN = 1
+INTERRUPTED = 130
 NOT_OK = 3  # with --strict: a result that is not usable
 FAILED = 1  # a self-test, or every image of a batch
 _LINE_EVERY_S = 10.0  # if stderr is not a terminal

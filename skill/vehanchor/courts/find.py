@@ -44,7 +44,9 @@ _FAR: tuple[NDArray[np.float64], NDArray[np.intp]] = (
 )
 _THERE: tuple[NDArray[np.float64], NDArray[np.intp]] = np.arange(-1.0, 2.0) * 0.01, np.arange(-1, 2)
 _MOST_COURTS = 4
-_MOST_PROPOSALS, _MOST_OF_ONE_SIZE = 20, 6  # best proposals to try; fewer if the scale is known
+# best proposals to try; fewer if the scale is known
+_MOST_PROPOSALS = 20
+_MOST_OF_ONE_SIZE = 6
 _MOST_REJECTED = 4  # rejected candidates in a row before the search ends
 # a court is fitted at the coarsest resolution that makes it this long, if there is one
 _FITTED_PX = 220.0
@@ -76,7 +78,9 @@ _BEST_GSD_M_PER_PX = 0.58  # the middle of its training range: research/training
 _FACTORS = (2, 4, 8, 16)  # one octave of scales each: images of 0.02 to 0.44 m/px
 # up to this image size all factors are searched, whatever the scene-scale prior
 _MOST_PIXELS_ALL_FACTORS = 1_500_000
-_TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image; tiles overlap by two courts
+# of the reduced image; tiles overlap by two courts
+_TILE_PX = 1088
+_STRIDE_PX = 960
 _LEAST_SHARE = 0.25
 _MIN_SIDE_PX = 24
 LENGTHS_M = (TENNIS.length_m, BASKETBALL[0].length_m)
@@ -252,8 +256,10 @@ def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch
         math.hypot(template.length_m, template.width_m) / 2 * pose.px_per_m / factor * _MARGIN
         + _FAR[1][-1]
     )
-    x, y = (pose.x + 0.5) / factor, (pose.y + 0.5) / factor
-    width, height = raster.width_px // factor, raster.height_px // factor
+    x = (pose.x + 0.5) / factor
+    y = (pose.y + 0.5) / factor
+    width = raster.width_px // factor
+    height = raster.height_px // factor
     left, top = (
         int(np.clip(value - half, 0, size - 1)) for value, size in ((x, width), (y, height))
     )
@@ -311,7 +317,9 @@ def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[f
         peak = int(left.argmax())
         if found and left[peak] < _SECOND * smooth.max():
             break
-        before, top, after = smooth[peak - 1], smooth[peak], smooth[(peak + 1) % _BINS]
+        before = smooth[peak - 1]
+        top = smooth[peak]
+        after = smooth[(peak + 1) % _BINS]
         bend = before - 2 * top + after
         shift = (before - after) / (2 * bend) if bend < 0 else 0.0
         found.append((peak + 0.5 + shift) * _QUARTER / _BINS)
@@ -398,7 +406,8 @@ class CourtNetwork(LoadedModel):
     """
 
     def __init__(self, path: Path, *, runtime: Runtime | None = None) -> None:
-        self.path, self.runtime = path, runtime or Runtime()
+        self.path = path
+        self.runtime = runtime or Runtime()
         self._session = open_session(path, content=read_model(path).content, runtime=self.runtime)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "courts"]:
@@ -416,7 +425,8 @@ class CourtNetwork(LoadedModel):
         Returns:
             Proposals in no order; a court in the overlap of two tiles can occur twice.
         """
-        width, height = raster.width_px // factor, raster.height_px // factor
+        width = raster.width_px // factor
+        height = raster.height_px // factor
         read = (
             read_reduced_window
             if raster.width_px * raster.height_px < WINDOWED_PIXELS
@@ -425,7 +435,8 @@ class CourtNetwork(LoadedModel):
         found = []
         for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
             pixels = read(raster, window, factor)
-            down, right = -pixels.shape[0] % _CELL_PX, -pixels.shape[1] % _CELL_PX
+            down = -pixels.shape[0] % _CELL_PX
+            right = -pixels.shape[1] % _CELL_PX
             pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)))
             tile = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
             described = f"the court network {self.path} fails on {list(tile.shape)}"

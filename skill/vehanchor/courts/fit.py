@@ -33,7 +33,8 @@ _MOTIONS[3, 1, 0], _MOTIONS[3, 0, 1] = 1, -1
 _MOTIONS[4, 0, 0], _MOTIONS[4, 1, 1] = 1, -1
 _MOTIONS[5, 1, 0] = _MOTIONS[5, 0, 1] = 1
 _NUDGES = np.eye(3) + _EPSILON * _MOTIONS
-SIMILARITY, AFFINE = 4, 6
+SIMILARITY = 4
+AFFINE = 6
 
 
 class Fit(NamedTuple):
@@ -60,7 +61,8 @@ class Fit(NamedTuple):
     def distortion(self) -> float:
         """Deviation from the shape in the rules: the larger of log stretch and shear."""
         local = self.matrix[:2, :2]
-        along, across = np.hypot(*local[:, 0]), np.hypot(*local[:, 1])
+        along = np.hypot(*local[:, 0])
+        across = np.hypot(*local[:, 1])
         return float(
             max(abs(math.log(along / across)), abs(local[:, 0] @ local[:, 1]) / (along * across))
         )
@@ -68,7 +70,8 @@ class Fit(NamedTuple):
 
 def pose_matrix(pose: Pose) -> NDArray[np.float64]:
     """Build the matrix ``[3, 3]`` from metres on a court to pixels."""
-    cos, sin = math.cos(pose.angle) * pose.px_per_m, math.sin(pose.angle) * pose.px_per_m
+    cos = math.cos(pose.angle) * pose.px_per_m
+    sin = math.sin(pose.angle) * pose.px_per_m
     return np.array([[cos, -sin, pose.x], [sin, cos, pose.y], [0.0, 0.0, 1.0]])
 
 
@@ -89,7 +92,9 @@ class _Pieces(NamedTuple):
 
 @cache
 def _cut(template: Template) -> _Pieces:
-    starts, ends, which = [], [], []
+    starts = []
+    ends = []
+    which = []
     for index, line in enumerate(np.concatenate([template.lines, template.arcs])):
         count = max(1, round(np.hypot(line[2] - line[0], line[3] - line[1]) / _PIECE_M))
         at = np.linspace(0, 1, count + 1)[:, None]
@@ -97,7 +102,8 @@ def _cut(template: Template) -> _Pieces:
         starts.append(points[:-1])
         ends.append(points[1:])
         which += [index] * count
-    first, last = np.concatenate(starts), np.concatenate(ends)
+    first = np.concatenate(starts)
+    last = np.concatenate(ends)
     return _Pieces(first, last, (first + last) / 2, np.hypot(*(last - first).T), np.array(which))
 
 
@@ -138,7 +144,8 @@ def _seen(
     grey: NDArray[np.float32], pieces: _Pieces, matrix: NDArray[np.float64], reach_px: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Measure the offset of the visible line from each piece, in pixels along its normal, and its strength, 0..1."""
-    starts, ends = project(matrix, pieces.starts), project(matrix, pieces.ends)
+    starts = project(matrix, pieces.starts)
+    ends = project(matrix, pieces.ends)
     count = int(np.clip(np.hypot(*(ends - starts).T).max(), 2, 64))
     at = (np.arange(count) + 0.5)[:, None, None] / count
     points = (1 - at) * starts + at * ends  # [count, pieces, 2]
@@ -157,10 +164,8 @@ def _seen(
     peak = ridge.argmax(axis=1)
     each = np.arange(len(peak))
     height = ridge[each, peak]
-    left, right = (
-        ridge[each, np.maximum(peak - 1, 0)],
-        ridge[each, np.minimum(peak + 1, ridge.shape[1] - 1)],
-    )
+    left = ridge[each, np.maximum(peak - 1, 0)]
+    right = ridge[each, np.minimum(peak + 1, ridge.shape[1] - 1)]
     bend = np.minimum(left - 2 * height + right, -1e-6)
     shift = np.clip((left - right) / (2 * bend), -0.5, 0.5)
     offsets = across[flank:-flank][peak] + shift * _STEP_PX

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 _HALF_LINE_PX = 2  # a line is brighter than the pixels this far to either side
 _LEAST_CONTRAST = 3.0  # grey levels
 _CONTRAST_PER_TEXTURE = 1.5
-_TEXTURE_PX, _SMOOTH_PX = 15, 5
+_TEXTURE_PX = 15
+_SMOOTH_PX = 5
 _MARGIN_M = 1.5
 _HALF_LINE_M = 0.025  # tennis: 2.5 to 5 cm, base lines up to 10 cm (ITF); basketball: 5 cm (FIBA)
 _ARC_STEPS = 16
@@ -102,12 +103,15 @@ def match(
     ]
     for angle in angles:
         sums = _turned_sums(grey, start, angle, half_x, half_y)
-        cos, sin = np.cos(angle), np.sin(angle)
+        cos = np.cos(angle)
+        sin = np.sin(angle)
         for index, template_ends in enumerate(ends):
             score, size, row, column = template_ends.best(sums)
             if score > best[index][0]:
-                dx, dy = places[column], places[row]
-                x, y = start.x + cos * dx - sin * dy, start.y + sin * dx + cos * dy
+                dx = places[column]
+                dy = places[row]
+                x = start.x + cos * dx - sin * dy
+                y = start.y + sin * dx + cos * dy
                 best[index] = score, Pose(float(x), float(y), angle, float(sizes[index][size]))
     return best
 
@@ -120,8 +124,10 @@ def _turned_sums(
     Rows have ``2 half_x + 2`` values. The first ``2 half_y + 1`` rows hold lines along rows, the
     next ``2 half_y + 2`` lines across, whose last column is empty.
     """
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y = start.x - cos * half_x + sin * half_y, start.y - sin * half_x - cos * half_y
+    cos = np.cos(angle)
+    sin = np.sin(angle)
+    x = start.x - cos * half_x + sin * half_y
+    y = start.y - sin * half_x - cos * half_y
     turned = cv2.warpAffine(
         grey,
         np.array([[cos, -sin, x], [sin, cos, y]]),
@@ -166,7 +172,8 @@ class _Ends(NamedTuple):
         """Compute the indices of a template for every size."""
         lines = np.concatenate([template.lines, template.blank])
         metres = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
-        wanted, along = np.arange(len(lines)) < len(template.lines), lines[:, 1] == lines[:, 3]
+        wanted = np.arange(len(lines)) < len(template.lines)
+        along = lines[:, 1] == lines[:, 3]
         shares = np.where(wanted, metres / metres[wanted].sum(), -metres / metres[~wanted].sum())
         pixels = np.rint(lines[None] * sizes[:, None, None]).astype(np.intp)
         x1, y1, x2, y2 = np.moveaxis(pixels, 2, 0)
@@ -220,8 +227,10 @@ class Template:
 
 
 def _tennis() -> Template:
-    x, y = 23.77 / 2 - _HALF_LINE_M, 10.97 / 2 - _HALF_LINE_M
-    singles, service = 8.23 / 2 - _HALF_LINE_M, 6.40 - _HALF_LINE_M
+    x = 23.77 / 2 - _HALF_LINE_M
+    y = 10.97 / 2 - _HALF_LINE_M
+    singles = 8.23 / 2 - _HALF_LINE_M
+    service = 6.40 - _HALF_LINE_M
     lines = [(-x, side, x, side) for side in (-y, y, -singles, singles)]
     lines += [(end, -y, end, y) for end in (-x, x)]
     lines += [(end, -singles, end, singles) for end in (-service, service)]
@@ -239,8 +248,10 @@ def _basketball(kind: str) -> Template:
         "basketball_nba": (28.65, 15.24, 5.79, 4.88, 7.24, 0.91),
         "basketball_ncaa": (28.65, 15.24, 5.79, 3.66, 6.75, 1.02),
     }[kind]
-    x, y = length / 2 - _HALF_LINE_M, width / 2 - _HALF_LINE_M
-    key, free = key_width / 2 - _HALF_LINE_M, length / 2 - key_length + _HALF_LINE_M
+    x = length / 2 - _HALF_LINE_M
+    y = width / 2 - _HALF_LINE_M
+    key = key_width / 2 - _HALF_LINE_M
+    free = length / 2 - key_length + _HALF_LINE_M
     lines = [(-x, side, x, side) for side in (-y, y)]
     lines += [(end, -y, end, y) for end in (-x, 0.0, x)]
     lines += [(end * free, side, end * x, side) for end in (-1, 1) for side in (-key, key)]
@@ -249,7 +260,8 @@ def _basketball(kind: str) -> Template:
     blank += [(end, -y, end, y) for end in (-x - 1.2, x + 1.2)]
     blank += [(-4.5, side, 4.5, side) for side in (-4.6, 4.6)]
     blank += [(end, -y + 0.8, end, y - 0.8) for end in (-3.2, 3.2)]
-    straight, reach = width / 2 - from_side - _HALF_LINE_M, arc - _HALF_LINE_M
+    straight = width / 2 - from_side - _HALF_LINE_M
+    reach = arc - _HALF_LINE_M
     turn = np.arcsin(straight / reach)
     angles = np.linspace(-turn, turn, _ARC_STEPS)
     basket = length / 2 - 1.575

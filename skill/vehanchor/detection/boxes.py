@@ -99,9 +99,11 @@ def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray
         ``[k]`` float64 in [0, 1].
     """
     turn = second[:, 4] - first[:, 4]
-    cosine, sine = np.cos(turn), np.sin(turn)
+    cosine = np.cos(turn)
+    sine = np.sin(turn)
     shift = _turned((second[:, :2] - first[:, :2]).T, np.cos(first[:, 4]), -np.sin(first[:, 4]))
-    half_a, half_b = first[:, 2:4].T / 2, second[:, 2:4].T / 2
+    half_a = first[:, 2:4].T / 2
+    half_b = second[:, 2:4].T / 2
     # of parallel boxes, in the frames of a
     along_b = np.where(np.abs(cosine) < np.abs(sine), half_b[::-1], half_b)
     sides = np.clip(half_a + along_b - np.abs(shift), 0, 2 * np.minimum(half_a, along_b))
@@ -152,10 +154,8 @@ def _slanted_overlap(
     edges_a = np.roll(corners_a, -1, axis=1) - corners_a
     cross_b = corners_b[0] * edges_b[1] - corners_b[1] * edges_b[0]
     cross_a = 2 * half_a.prod(axis=0)  # of every edge
-    shares_b, shares_a = (
-        _share_inside(corners_b, edges_b, half_a),
-        _share_inside(corners_a, edges_a, half_b),
-    )
+    shares_b = _share_inside(corners_b, edges_b, half_a)
+    shares_a = _share_inside(corners_a, edges_a, half_b)
     area: NDArray[np.float64] = (
         (shares_b * cross_b).sum(axis=0) + shares_a.sum(axis=0) * cross_a
     ) / 2
@@ -167,10 +167,8 @@ def _share_inside(
 ) -> NDArray[np.float64]:
     """Compute the share ``[4, k]`` of each edge ``[2, 4, k]`` from its corner that lies in a box around the origin."""
     sides = half[:, None]
-    enter, leave = (
-        (-np.copysign(sides, edges) - corners) / edges,
-        (np.copysign(sides, edges) - corners) / edges,
-    )
+    enter = (-np.copysign(sides, edges) - corners) / edges
+    leave = (np.copysign(sides, edges) - corners) / edges
     inside: NDArray[np.float64] = np.minimum(leave.min(axis=0), 1) - np.maximum(
         enter.max(axis=0), 0
     )
@@ -187,7 +185,8 @@ def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     Returns:
         ``[n, m]`` float64 in [0, 1].
     """
-    first, second = canonical_boxes(a), canonical_boxes(b)
+    first = canonical_boxes(a)
+    second = canonical_boxes(b)
     out = np.zeros((len(first), len(second)))
     radii_a, radii_b = (np.hypot(rows[:, 2], rows[:, 3]) / 2 for rows in (first, second))
     for column, box, radius in zip(out.T, second, radii_b, strict=True):
@@ -244,7 +243,8 @@ def oriented_nms(
     order = np.lexsort((*rows.T[::-1], -score))
     rows = rows[order]
     better, worse = _overlap_candidates(rows, iou_threshold)
-    kept, open_ = np.zeros(len(rows), bool), np.ones(len(rows), bool)
+    kept = np.zeros(len(rows), bool)
+    open_ = np.ones(len(rows), bool)
     while len(better):  # each round keeps the boxes that no better open box may overlap
         best = open_.copy()
         best[worse] = False
@@ -253,7 +253,8 @@ def oriented_nms(
         open_[_overlapping(rows, better[of_best], worse[of_best], iou_threshold)] = False
         open_ &= ~best
         both = open_[better] & open_[worse]
-        better, worse = better[both], worse[both]
+        better = better[both]
+        worse = worse[both]
     result: NDArray[np.intp] = order[kept | open_]
     return result
 
@@ -283,7 +284,8 @@ def _overlap_candidates(
     rows: NDArray[np.float64], iou_threshold: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """List the pairs, the earlier box first, that may exceed the threshold, by distance and area ratio."""
-    area, radius = rows[:, 2] * rows[:, 3], np.maximum(np.hypot(rows[:, 2], rows[:, 3]) / 2, 1e-6)
+    area = rows[:, 2] * rows[:, 3]
+    radius = np.maximum(np.hypot(rows[:, 2], rows[:, 3]) / 2, 1e-6)
     # of both areas, which the boxes share at least
     share = iou_threshold / (1 + iou_threshold) * (1 - 1e-9)
     # Two boxes share at most 2 r min(r) of their circles, where r is the overlap along the line of

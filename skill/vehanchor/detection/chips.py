@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
 
-CHIP_ROWS, CHIP_COLUMNS = 64, 96
+CHIP_ROWS = 64
+CHIP_COLUMNS = 96
 CHIP_LENGTH_PX = 36.0  # the candidate's length on its chip, along the columns
 KINDS = ("kei", "small", "compact", "saloon", "suv", "pickup", "van", "lorry", "trailer", "other")
 _CUT_ROWS = (CHIP_COLUMNS - CHIP_ROWS) // 2  # of a square chip, above and below
@@ -32,7 +33,8 @@ _LEAST_LENGTH_PX = 1.5 * CHIP_LENGTH_PX  # of a candidate where it is read; more
 _MIRRORS = ((1, 1), (-1, -1), (1, -1), (-1, 1))  # along and across the candidate's axis
 _BATCH = 16  # chips per run: bounds the memory
 # length and width in candidate lengths: the limits of the training
-_LEAST_SIZE, _MOST_SIZE = (0.5, 0.15), (1.6, 0.9)
+_LEAST_SIZE = (0.5, 0.15)
+_MOST_SIZE = (1.6, 0.9)
 _CUT_LOG_SD = 1.0  # of a length or width that the image's border cuts: it tells nothing; a choice
 
 
@@ -82,9 +84,11 @@ def bodies(boxes: NDArray[np.float64], answers: ChipAnswers) -> NDArray[np.float
     Returns:
         ``[n, 5]`` canonical boxes.
     """
-    length, angle = boxes[:, 2], boxes[:, 4] + answers.turn
+    length = boxes[:, 2]
+    angle = boxes[:, 4] + answers.turn
     along, across = ((answers.edges[:, k] + answers.edges[:, k + 1]) / 2 * length for k in (0, 2))
-    cosine, sine = np.cos(angle), np.sin(angle)
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
     centre = boxes[:, :2] + np.stack(
         [cosine * along - sine * across, sine * along + cosine * across], axis=1
     )
@@ -107,7 +111,8 @@ def looked_at(
     Returns:
         The candidates in their order, and the looks of the first ones.
     """
-    boxes, scores = found.boxes.copy(), found.scores.copy()
+    boxes = found.boxes.copy()
+    scores = found.scores.copy()
     seen = boxes[:most]
     answers = network.answers(candidate_chips(raster, seen), views=len(_MIRRORS) if mirrored else 1)
     size_px = raster.width_px, raster.height_px

@@ -111,7 +111,8 @@ class Detector(LoadedModel):
         chips: str | Path | None = None,
         runtime: Runtime | None = None,
     ) -> None:
-        self.path, self.runtime = Path(path), runtime or Runtime()
+        self.path = Path(path)
+        self.runtime = runtime or Runtime()
         file = read_model(self.path)
         self._session = open_session(self.path, content=file.content, runtime=self.runtime)
         verifier_path = verifier if verifier is not None else auxiliary_model(self.path, "verifier")
@@ -293,8 +294,10 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
     Raises:
         ModelError: as ``Detector``.
     """
-    file, chosen = Path(path), runtime or Runtime()
-    verifier, chips = auxiliary_model(file, "verifier"), auxiliary_model(file, "chips")
+    file = Path(path)
+    chosen = runtime or Runtime()
+    verifier = auxiliary_model(file, "verifier")
+    chips = auxiliary_model(file, "chips")
     return _opened(file, verifier=verifier, chips=chips, runtime=chosen.idle).under(chosen)
 
 

@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
 
-_LEAST_VEHICLES, _LEAST_VERIFIED = 5, 2
-_MOST_VEHICLES, _MOST_VERIFIED = 32, 5  # the most certain ones; more do not change the result
+_LEAST_VEHICLES = 5
+_LEAST_VERIFIED = 2
+# the most certain ones; more do not change the result
+_MOST_VEHICLES = 32
+_MOST_VERIFIED = 5
 _FACTOR = 1.4  # an error of 18 % in each direction
 # halves of a chip's diagonal from the centre to the farthest pixel that a stretched chip needs
 _REACH = 1.4
@@ -36,7 +39,8 @@ _SD_OF_PLACES = 0.55  # of the mean preference between images of true proportion
 _LIMIT_SIGMAS = 2.75
 _PARALLEL = 0.75  # least mean resultant length of doubled headings of vehicles that stand alike
 # 1 of 172 images of true proportions has more; 176 of 294 stretched by 1.4
-_LIMIT_PARALLEL, _LIMIT_CROSSED = 0.7, 0.28
+_LIMIT_PARALLEL = 0.7
+_LIMIT_CROSSED = 0.28
 
 
 def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> float | None:
@@ -111,7 +115,8 @@ def _chips(
 
     The detector keeps a stretched car's area and gives its box the usual proportions.
     """
-    chips, reach = [], _REACH * math.sqrt(0.5) * side_px / length_px
+    chips = []
+    reach = _REACH * math.sqrt(0.5) * side_px / length_px
     for box in boxes:
         factor = 2 ** max(0, math.floor(math.log2(box[2] / (2 * length_px))))
         pixels, (x, y, length, breadth, angle) = read_around(raster, box, factor, reach)

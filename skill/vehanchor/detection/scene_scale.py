@@ -44,7 +44,8 @@ _OPEN_LOG_WIDTH = 2.0  # a prior that is flat over this width neither raises nor
 _MOST_SIZE_ODDS = 2.0  # in either direction, because the prior may be wrong
 _BATCH = 8  # tiles per run: 24 take three times the memory and as much time
 # few places below this scale are in the training data
-_SHARP_GSD_M_PER_PX, _SHARP_LOG_WIDTH = 0.15, 0.15
+_SHARP_GSD_M_PER_PX = 0.15
+_SHARP_LOG_WIDTH = 0.15
 _FINER_LOG_REACH = 0.8  # by which a new place is finer at most
 _Share = Annotated[float, Field(ge=0, lt=1)]
 
@@ -126,10 +127,12 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
     """
     levels = []
     for factor in FACTORS:
-        width, height = width_px // factor, height_px // factor
+        width = width_px // factor
+        height = height_px // factor
         if factor > 1 and min(width, height) < TILE_PX:
             break
-        columns, rows = -(-width // TILE_PX), -(-height // TILE_PX)
+        columns = -(-width // TILE_PX)
+        rows = -(-height // TILE_PX)
         if columns * rows > MOST_TILES:
             columns = int(
                 np.clip(round(np.sqrt(MOST_TILES * width / height)), 1, min(columns, MOST_TILES))
@@ -189,7 +192,8 @@ class SceneScaleNetwork(LoadedModel):
     """
 
     def __init__(self, path: Path, *, runtime: Runtime | None = None) -> None:
-        self.path, self.runtime = path, runtime or Runtime()
+        self.path = path
+        self.runtime = runtime or Runtime()
         self._session = open_session(path, content=read_model(path).content, runtime=self.runtime)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "log_probs"]:
@@ -209,7 +213,8 @@ class SceneScaleNetwork(LoadedModel):
         Returns:
             The scene-scale prior.
         """
-        levels, n_tiles = [], 0
+        levels = []
+        n_tiles = 0
         for factor, windows in tile_windows(raster.width_px, raster.height_px):
             tiles = np.stack([read_tile(raster, window, factor) for window in windows])
             described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
@@ -250,7 +255,8 @@ def _with_finer(density: NDArray[np.float64], chance: float) -> NDArray[np.float
 def read_tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
     """Read a tile ``[3, 160, 160]`` of ``tile_windows``; a small image is mirrored beyond its edges."""
     pixels = read_reduced_window(raster, window, factor)
-    down, right = TILE_PX - pixels.shape[0], TILE_PX - pixels.shape[1]
+    down = TILE_PX - pixels.shape[0]
+    right = TILE_PX - pixels.shape[1]
     if down or right:
         pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)), "symmetric")
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))

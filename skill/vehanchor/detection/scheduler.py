@@ -35,8 +35,12 @@ LARGE_PIXELS = 32_000_000
 WINDOWED_PIXELS = 16_000_000
 """Larger images are read ahead and previewed from overviews, because most of them are decoded in windows."""
 
-_FAST_TILES, _FAST_LEAST_TILES = 0.05, 24  # at most, of all tiles; in small images
-_FIRST_PAUSE, _FIRST_PAUSE_LARGE = 4, 16  # tiles
+# at most, of all tiles; in small images
+_FAST_TILES = 0.05
+_FAST_LEAST_TILES = 24
+# tiles
+_FIRST_PAUSE = 4
+_FIRST_PAUSE_LARGE = 16
 # of the number of visited tiles between pauses, so that few checks can end a search by chance
 _GROWTH = 1.25
 _SPREAD_EVERY = 4  # one tile in four comes from the fixed order
@@ -60,7 +64,8 @@ _PREVIEW_FACTOR = 8  # reduction factor of the preview
 _CELL = CELL_PX // _PREVIEW_FACTOR
 _BLOCK = 4 * _CELL  # pixels of the preview that are read at once: 2048 px of the image
 # of a car, over the log gradient: research/training/tile_prior/fit.py
-_ODDS_AT_ONE, _ODDS_PER_LOG = -7.2, 3.08
+_ODDS_AT_ONE = -7.2
+_ODDS_PER_LOG = 3.08
 NOISE_GRADIENT = 0.5
 """Grey levels per pixel, the gradient of noise, added before the log is taken."""
 
@@ -109,7 +114,8 @@ class TileScheduler:
         self._reach = (
             np.array([max(window.width_px, window.height_px) for _, window in tiles]) * _NEAR_TILES
         )
-        self._hits, self._seen = _PRIOR_TILES * priors, np.full(len(tiles), _PRIOR_TILES)
+        self._hits = _PRIOR_TILES * priors
+        self._seen = np.full(len(tiles), _PRIOR_TILES)
         self._shares = dict(shares)
         self._waiting = np.isin(self._factors, list(self._shares))
         self._taken = dict.fromkeys(self._shares, 0)
@@ -321,7 +327,8 @@ def car_prior(coarse: NDArray[np.uint8]) -> NDArray[np.float64]:
         ``[ceil(h / 64), ceil(w / 64)]`` in 0..1.
     """
     change = gradient(coarse)
-    tops, lefts = range(0, change.shape[0], _CELL), range(0, change.shape[1], _CELL)
+    tops = range(0, change.shape[0], _CELL)
+    lefts = range(0, change.shape[1], _CELL)
     means = np.array(
         [[change[y : y + _CELL, x : x + _CELL].mean() for x in lefts] for y in tops],
         dtype=np.float64,
@@ -341,7 +348,8 @@ def tile_prior_map(raster: Raster) -> NDArray[np.float64]:
         ``[rows, columns]`` of cells of 512 px in 0..1; one cell of 0 for an image with a side below
         8 px.
     """
-    width, height = raster.width_px // _PREVIEW_FACTOR, raster.height_px // _PREVIEW_FACTOR
+    width = raster.width_px // _PREVIEW_FACTOR
+    height = raster.height_px // _PREVIEW_FACTOR
     if not width or not height:
         return np.zeros((1, 1))
     rows = []
@@ -363,10 +371,8 @@ def tile_prior_of(cells: NDArray[np.float64], window: Window, factor: int) -> fl
         factor: reduction factor of the tile's level.
     """
     rows, columns = cells.shape
-    top, left = (
-        min(window.y_px * factor // CELL_PX, rows - 1),
-        min(window.x_px * factor // CELL_PX, columns - 1),
-    )
+    top = min(window.y_px * factor // CELL_PX, rows - 1)
+    left = min(window.x_px * factor // CELL_PX, columns - 1)
     bottom = -(-(window.y_px + window.height_px) * factor // CELL_PX)
     right = -(-(window.x_px + window.width_px) * factor // CELL_PX)
     return float(cells[top : max(bottom, top + 1), left : max(right, left + 1)].mean())

@@ -61,7 +61,8 @@ _MOST_LOOKED_AT = 64  # vehicles; 100 give the same answers to 1,957 photographs
 # candidates of a tile, chosen by position; more cost as much as another tile and add less
 _MOST_VERIFIED = 128
 # from so many vehicles on, candidates of a tile: they hardly move the scale
-_MANY_VEHICLES, _LEAST_VERIFIED = 500, 32
+_MANY_VEHICLES = 500
+_LEAST_VERIFIED = 32
 _ENOUGH_VEHICLES = 5  # at the other resolutions, to skip an unlikely one; the prior may be wrong
 # tiles that are scheduled together; each is read while the model runs on the one before
 _TILES_AT_ONCE = 4
@@ -94,7 +95,9 @@ class ImageSearch:
     ) -> None:
         options = options or Search()
         card = detector.card
-        self._raster, self._detector, self._prior = raster, detector, prior
+        self._raster = raster
+        self._detector = detector
+        self._prior = prior
         self._nms_iou = options.nms_iou
         self._verifier = detector.verifier if options.verify else None
         self._chips = detector.chips if options.verify else None
@@ -122,10 +125,8 @@ class ImageSearch:
             )
         ]
         n_pixels = raster.width_px * raster.height_px
-        self._every_level, self._max_seconds = (
-            options.effort == "full",
-            options.max_seconds or math.inf,
-        )
+        self._every_level = options.effort == "full"
+        self._max_seconds = options.max_seconds or math.inf
         self._most = most_tiles(options, n_pixels, len(self.visits))
         self._pause = first_pause(options, n_pixels)
         self._found: dict[int, TileDetections] = {}
@@ -135,7 +136,8 @@ class ImageSearch:
 
     def __iter__(self) -> Iterator[float]:
         """Visit tiles until the limits or the caller end the search."""
-        tell, total = self._detector.runtime.tell, len(self.visits)
+        tell = self._detector.runtime.tell
+        total = len(self.visits)
         if self._every_level and self._most == total and self._max_seconds == math.inf:
             order = self._reading_order()
             for k, tile in self._read(order):
@@ -159,7 +161,9 @@ class ImageSearch:
 
     def _likely_first(self, tell: Callable[[int, int], None]) -> Iterator[float]:
         """Visit likely resolutions and tiles first, until the limits or the caller end the search."""
-        started, due, most = time.monotonic(), self._pause, self._most
+        started = time.monotonic()
+        due = self._pause
+        most = self._most
         for factors in self._levels_by_chance():
             order = self._order(factors)
             if self.n_visited and self.n_vehicles >= _ENOUGH_VEHICLES:
@@ -326,7 +330,8 @@ class ImageSearch:
         factors = np.repeat(visited, [len(part.vehicles) for part in parts])
         vehicles = Objects.joined([part.vehicles for part in parts])
         kept = _merged(vehicles, self._min_score, self._nms_iou)
-        few, looks = len(kept) <= _FEW_VEHICLES, None
+        few = len(kept) <= _FEW_VEHICLES
+        looks = None
         if ended and self._chips:
             if few:
                 kept = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
@@ -392,7 +397,8 @@ def _in_image(found: Objects, tile: Window, level: SearchLevel, overlap_px: int)
 
     The next tile shows these completely, unless they are longer than the overlap.
     """
-    corners, corner = box_corners(found.boxes), np.array([tile.x_px, tile.y_px])
+    corners = box_corners(found.boxes)
+    corner = np.array([tile.x_px, tile.y_px])
     size = np.array([tile.width_px, tile.height_px])
     cut = (corners.min(axis=1) < 1) & (corner > 0)
     cut |= (corners.max(axis=1) > size - 1) & (corner + size < (level.width_px, level.height_px))

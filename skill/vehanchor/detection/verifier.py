@@ -82,7 +82,8 @@ def _parts(
         ``[n, 4]`` left, top, right and bottom of each part; ``[n, 2]`` width and height to which it
         is reduced; and ``[n, 2, 3]`` matrices from the chip to the reduced part.
     """
-    centres, angles = boxes[:, :2], boxes[:, 4]
+    centres = boxes[:, :2]
+    angles = boxes[:, 4]
     step = boxes[:, 2] / length_px  # pixels per pixel of the chip
     reach = (0.75 * side_px * step + 2)[:, None]  # beyond the corners of the turned chip
     ends = np.array([width_px, height_px])
@@ -93,7 +94,8 @@ def _parts(
         np.intp
     )
     ratio = sizes / extent
-    cosine, sine = np.cos(angles), np.sin(angles)
+    cosine = np.cos(angles)
+    sine = np.sin(angles)
     # chip -> pixels
     turn = step[:, None, None] * np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)
     origin = centres - first - turn @ [side_px / 2, side_px / 2]
@@ -158,10 +160,12 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
     card: _CardT
 
     def __init__(self, path: str | Path, *, runtime: Runtime | None = None) -> None:
-        self.path, self.runtime = Path(path), runtime or Runtime()
+        self.path = Path(path)
+        self.runtime = runtime or Runtime()
         file = read_model(self.path)
         self._session = open_session(self.path, content=file.content, runtime=self.runtime)
-        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
+        inputs = self._session.get_inputs()
+        outputs = self._session.get_outputs()
         names = [each.name for each in (*inputs, *outputs)]
         if names != [_INPUT, *self.outputs] or tuple(inputs[0].shape[1:]) != self.chip_shape:
             channels, height, width = self.chip_shape

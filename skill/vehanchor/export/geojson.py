@@ -85,10 +85,8 @@ def _in_degrees(feature: dict[str, Any], ground: Ground) -> dict[str, Any]:
     def moved(part: Any) -> list[Any]:
         if not isinstance(part[0][0], int | float):
             return [moved(each) for each in part]
-        eastings, northings = (
-            [a * x + b * y + c for x, y in part],
-            [d * x + e * y + f for x, y in part],
-        )
+        eastings = [a * x + b * y + c for x, y in part]
+        northings = [d * x + e * y + f for x, y in part]
         longitudes, latitudes = transform(ground.crs, "EPSG:4326", eastings, northings)
         return list(map(list, zip(longitudes, latitudes, strict=True)))
 

@@ -49,7 +49,8 @@ def write_metric_copy(path: Path, raster: Raster, gsd_m_per_px: float) -> None:
     import rasterio
     import rasterio.errors
 
-    width, height = raster.width_px, raster.height_px
+    width = raster.width_px
+    height = raster.height_px
     profile: dict[str, Any] = {
         "driver": "GTiff",
         "width": width,

@@ -45,7 +45,8 @@ def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
     frequency = np.abs(np.fft.fftfreq(PATCH_PX, 1 / PATCH_PX))
     rings = np.maximum.outer(frequency, frequency).astype(np.intp).ravel()
     taper = np.hanning(PATCH_PX + 2)[1:-1]
-    total, count = np.zeros(PATCH_PX // 2 + 1), 0
+    total = np.zeros(PATCH_PX // 2 + 1)
+    count = 0
     for patch in patches:
         grey = cv2.cvtColor(patch, cv2.COLOR_RGB2GRAY).astype(np.float64)
         power = np.abs(np.fft.fft2((grey - grey.mean()) * np.outer(taper, taper))) ** 2
@@ -71,7 +72,8 @@ def spectrum_share(spectrum: NDArray[np.float64]) -> float:
     highest = len(spectrum) - 1
     logs = np.log10(spectrum + _LEAST_POWER)
     for cut in range(_LOWEST_CUT, highest):
-        first, last = min(cut, highest - 2), min(highest, math.ceil(1.5 * cut))
+        first = min(cut, highest - 2)
+        last = min(highest, math.ceil(1.5 * cut))
         fine = float(np.mean(logs[first : last + 1]))
         coarse = float(
             np.log10(np.mean(spectrum[round(cut / 4) : round(cut / 2) + 1]) + _LEAST_POWER)
@@ -94,7 +96,8 @@ def resolved_share(raster: Raster, centres: NDArray[np.float64], scale: float = 
         ``spectrum_share`` of the reduced image; 1 without vehicles or if a side is below 64 px.
     """
     factor = round(1 / scale)
-    width, height = raster.width_px // factor, raster.height_px // factor
+    width = raster.width_px // factor
+    height = raster.height_px // factor
     if len(centres) == 0 or min(width, height) < PATCH_PX:
         return 1.0
     chosen = np.unique(

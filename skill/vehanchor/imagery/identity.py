@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 _WINDOWS_PER_SIDE = 8
 _WINDOW_PX = 512  # 8 x 8 windows cover 4096 x 4096 px
 _DIGITS = 16
-_BLOCKS, _BLOCK_BYTES = 512, 1 << 20
+_BLOCKS = 512
+_BLOCK_BYTES = 1 << 20
 
 
 def image_id(raster: Raster) -> str:
@@ -35,7 +36,8 @@ def image_id(raster: Raster) -> str:
         return raster.known_id
     digest = hashlib.sha256(f"{raster.width_px} x {raster.height_px}".encode())
     step = _WINDOW_PX if raster.in_memory else None
-    rows, columns = _spans(raster.height_px, step), _spans(raster.width_px, step)
+    rows = _spans(raster.height_px, step)
+    columns = _spans(raster.width_px, step)
     if (
         not raster.in_memory
         and max(raster.width_px, raster.height_px) > _WINDOWS_PER_SIDE * _WINDOW_PX

@@ -48,7 +48,8 @@ def find_no_data(sample: NDArray[Any]) -> tuple[float, float] | None:
         if not _LEAST_EMPTY < empty.mean() < 1:
             continue
         others = sample[~empty]
-        least, most = float(others.min()), float(others.max())
+        least = float(others.min())
+        most = float(others.max())
         if max(least - float(extreme), float(extreme) - most) > most - least > 0:
             return float(extreme), float(empty.mean())
     return None
@@ -70,7 +71,8 @@ def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
         return None
     if sample.size == 0:  # no data: every stretch gives black
         return UNIT_RANGE
-    least, most = float(sample.min()), float(sample.max())
+    least = float(sample.min())
+    most = float(sample.max())
     if sample.dtype.kind == "f" and least >= 0 and most <= 1:
         return UNIT_RANGE
     # "nearest" does no arithmetic between values, so the largest floats do not overflow
@@ -78,7 +80,8 @@ def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
         float(value) for value in np.percentile(sample, STRETCH_PERCENTILES, method="nearest")
     )
     if low == high:
-        low, high = least, most
+        low = least
+        high = most
     if low == high:
         high = low + max(1.0, abs(low))  # constant: all black
     if not math.isfinite(255 / (high - low)) or math.isinf(high - low):

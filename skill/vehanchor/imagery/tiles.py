@@ -71,7 +71,8 @@ def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[
         rows = min(step, window.height_px - top)
         for left in range(0, window.width_px, step):
             columns = min(step, window.width_px - left)
-            x, y = (window.x_px + left) * factor, (window.y_px + top) * factor
+            x = (window.x_px + left) * factor
+            y = (window.y_px + top) * factor
             block = raster.read(Window(x, y, columns * factor, rows * factor))
             reduced[top : top + rows, left : left + columns] = cv2.resize(
                 block, (columns, rows), interpolation=cv2.INTER_AREA
@@ -93,11 +94,13 @@ def read_around(
     Returns:
         ``[h, w, 3]`` uint8 RGB, cut off at the image's edges, and the box ``[5]`` in its pixels.
     """
-    width, height = raster.width_px // factor, raster.height_px // factor
+    width = raster.width_px // factor
+    height = raster.height_px // factor
     x, y, length, breadth = box[:4] / factor
     left, right = (round(np.clip(x + side * reach * length, 0, width)) for side in (-1, 1))
     top, bottom = (round(np.clip(y + side * reach * length, 0, height)) for side in (-1, 1))
-    left, top = min(left, width - 1), min(top, height - 1)
+    left = min(left, width - 1)
+    top = min(top, height - 1)
     window = Window(left, top, max(1, right - left), max(1, bottom - top))
     pixels = read_reduced_window(raster, window, factor)
     return pixels, np.array([x - left, y - top, length, breadth, box[4]])

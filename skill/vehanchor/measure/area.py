@@ -92,15 +92,19 @@ def _conclude(
     scale: ResolvedScale,
 ) -> AreaMeasurement:
     """Make the record from mask and scale."""
-    mask, left, top = found.mask, found.window.x_px, found.window.y_px
+    mask = found.mask
+    left = found.window.x_px
+    top = found.window.y_px
     circle = inscribed_circle(mask)
     n_px = int(mask.sum())
-    outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
+    outline_px = perimeter(mask)
+    (length_px, width_px) = rotated_extents(mask)
     measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, not a size of zero
     area = diameter = _Size()
     if measured is not None and circle is not None:
         # the paper, section III-G
-        area_m2, diameter_m = n_px * measured**2, circle.diameter * measured
+        area_m2 = n_px * measured**2
+        diameter_m = circle.diameter * measured
         area_sd = card.area_log_sd(prompt, found)
         diameter_sd = _diameter_log_sd(area_sd, n_px, outline_px, circle.diameter)
         area = _Size(area_m2, *scale.spread.times(2).plus(area_sd).around(area_m2))
@@ -157,7 +161,8 @@ def _diameter_log_sd(
 
 
 def _other_object(found: Segmentation, scale: ResolvedScale) -> OtherObject:
-    n_px, box = int(found.mask.sum()), _box(found)
+    n_px = int(found.mask.sum())
+    box = _box(found)
     assert box is not None, "alternatives are not empty"
     gsd = scale.gsd_over(found.mask, found.window.x_px, found.window.y_px)
     return OtherObject(
@@ -188,7 +193,8 @@ def _frame(
     if frame.size is None:
         return None
     width, height = frame.size
-    across, down = width / raster.width_px, height / raster.height_px
+    across = width / raster.width_px
+    down = height / raster.height_px
     return FrameArea(
         width_px=width,
         height_px=height,

@@ -126,7 +126,11 @@ def _conclude(
     places: Sequence[Place], coordinates: CoordinateFrame, scale: ResolvedScale
 ) -> DistanceMeasurement:
     """Make the record from path and scale."""
-    length_px, gsd, distance, low, high = _length(places), scale.gsd_m_per_px, None, None, None
+    length_px = _length(places)
+    gsd = scale.gsd_m_per_px
+    distance = None
+    low = None
+    high = None
     if gsd is not None:
         plane = scale.plane
         distance = (

@@ -188,13 +188,15 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
     if stated is not None and stated.basis == "measured":  # it leads, and the image is not searched
         found = answer([stated_witness(stated)])
         assert found is not None
-        gsd, name = stated.gsd_m_per_px, "the stated scale is"
+        gsd = stated.gsd_m_per_px
+        name = "the stated scale is"
         spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
         return _given(raster, options, ResolvedScale(gsd, spread, found.chance, "given"), name)
     if callable(scale):
         analysis = scale(raster, options)
         record = analysis.estimate
-        plane, notices = _plane(raster, record.scale), record.warnings
+        plane = _plane(raster, record.scale)
+        notices = record.warnings
         return ResolvedScale(
             record.gsd_m_per_px,
             _spread(record),
@@ -235,7 +237,8 @@ def _spread(scale: KnownScale | GsdEstimate) -> Spread:
 
 def _given(raster: Raster, options: ScaleOptions, found: ResolvedScale, name: str) -> ResolvedScale:
     """Complete a scale from the caller: the plane by the image's metadata, and warnings about image and scale."""
-    gsd, own = found.gsd_m_per_px, raster.georeference_gsd_m_per_px
+    gsd = found.gsd_m_per_px
+    own = raster.georeference_gsd_m_per_px
     assert gsd is not None
     unit = _unit_notice(gsd, own) if found.source == "given" else ()
     notices = (*notices_of(raster.warnings), *unit, *georeference_notice(own, gsd, name))
@@ -281,7 +284,8 @@ def _camera_above(
         InvalidParameterError: the object's height is invalid, or the camera's height is unknown.
     """
     OBJECT_HEIGHT_M.check("object_height_m", object_height_m)
-    chosen, camera = options.rulers, raster.camera if options.rulers.metadata else None
+    chosen = options.rulers
+    camera = raster.camera if options.rulers.metadata else None
     seen = lens(ImageFacts(raster.width_px, raster.height_px), camera, chosen.focal_35mm)
     height = chosen.height_m or (camera.height_m if camera is not None else None)
     if seen is None and height is None:

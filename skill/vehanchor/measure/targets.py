@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 Kind: TypeAlias = Literal["box", "point", "line"]
 
-_NEEDED, _OPTIONAL = ("file", "x1", "y1"), ("x2", "y2", "kind", "name")
+_NEEDED = ("file", "x1", "y1")
+_OPTIONAL = ("x2", "y2", "kind", "name")
 _KINDS: tuple[Kind, ...] = ("box", "point", "line")
 _SIZES = (
     *("area_m2", "area_ci95_low_m2", "area_ci95_high_m2", "length_m", "width_m", "perimeter_m"),

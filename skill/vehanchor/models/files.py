@@ -124,10 +124,8 @@ def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
         @functools.wraps(load)
         def cached(*args: P.args, **kwargs: P.kwargs) -> T:
-            given, named = (
-                [_absolute(each) for each in args],
-                {name: _absolute(each) for name, each in kwargs.items()},
-            )
+            given = [_absolute(each) for each in args]
+            named = {name: _absolute(each) for name, each in kwargs.items()}
             files = [each for each in (*given, *named.values()) if isinstance(each, Path)]
             states = tuple(state for file in files for state in _states(file))
             return loaded(states, tuple(given), tuple(named.items()))

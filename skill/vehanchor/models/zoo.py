@@ -10,7 +10,8 @@ from vehanchor.errors import ModelNotFoundError
 DEFAULT_DETECTOR = "vehicles"
 _BUNDLED = Path(__file__).parent / "bundled"
 SEGMENTER = _BUNDLED / "segmenter-encoder.onnx", _BUNDLED / "segmenter-decoder.onnx"
-SCENE_SCALE, COURTS = _BUNDLED / "scene-scale.onnx", _BUNDLED / "courts.onnx"
+SCENE_SCALE = _BUNDLED / "scene-scale.onnx"
+COURTS = _BUNDLED / "courts.onnx"
 _NO_DETECTORS = {
     "verifier.onnx",
     "chips.onnx",

@@ -173,7 +173,8 @@ class CoordinateFrame:
     def in_image(self, x: float, y: float) -> Place:
         """Convert a place to pixels of the full image; clamp it to the image."""
         across, down = self.extent
-        x, y = x * self.width_px / across, y * self.height_px / down
+        x = x * self.width_px / across
+        y = y * self.height_px / down
         return min(max(x, 0.0), float(self.width_px)), min(max(y, 0.0), float(self.height_px))
 
     def other_reading(self, places: Sequence[Place]) -> str:
@@ -182,7 +183,8 @@ class CoordinateFrame:
             return ""
         if len(places) > 1 and all(tuple(place) == tuple(places[0]) for place in places):
             return ""  # no length in any unit
-        x, y = max(place[0] for place in places), max(place[1] for place in places)
+        x = max(place[0] for place in places)
+        y = max(place[1] for place in places)
         if max(x, y) <= 1:
             return (
                 "; as fractions of the sides it would be valid: for fractions, set "
@@ -193,7 +195,8 @@ class CoordinateFrame:
             return ""
         for side in _SEEN_SIDES_PX:
             factor = side / max(self.width_px, self.height_px)
-            width, height = round(self.width_px * factor), round(self.height_px * factor)
+            width = round(self.width_px * factor)
+            height = round(self.height_px * factor)
             if factor > 1 and x <= width and y <= height:
                 thousand = (
                     ', or set coordinates to "per_mille" if they go to 1000'

@@ -123,7 +123,8 @@ def _ranges(text: str) -> list[int]:
             raise InvalidParameterError(
                 f"drop is {text!r}: use numbers and ranges with commas, as 1-20,23"
             )
-        low, high = int(first), int(last or first)
+        low = int(first)
+        high = int(last or first)
         if high < low or high - low >= MOST_BY_HAND:
             raise InvalidParameterError(
                 f"drop has the range {part}: use rising ranges of at most {MOST_BY_HAND}"

@@ -89,7 +89,8 @@ class ScaleOptions:
         """
         picture = self.frame.size or (width_px, height_px)
         extent = CoordinateFrame(self.frame, width_px, height_px).extent
-        across, down = picture[0] / extent[0], picture[1] / extent[1]
+        across = picture[0] / extent[0]
+        down = picture[1] / extent[1]
 
         def in_picture(line: _Line) -> _Line:
             return replace(

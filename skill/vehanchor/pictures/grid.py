@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 _LINES = 11  # approximate number along the longer side
 _LIGHT = 0.35  # opacity of the white lines
 _TEXT_SHARE = 95  # longer side over the height of capitals
-_MIN_TEXT_PX, _MAX_TEXT_PX = 8, 14
+_MIN_TEXT_PX = 8
+_MAX_TEXT_PX = 14
 
 
 def draw_grid(
@@ -49,7 +50,8 @@ def draw_grid(
 
 def _draw_lines(rgb: NDArray[np.uint8], part: Window, step: int) -> None:
     height, width = rgb.shape[:2]
-    across, down = width / part.width_px, height / part.height_px
+    across = width / part.width_px
+    down = height / part.height_px
     columns = [
         (x, round((x - part.x_px) * across)) for x in _multiples(step, part.x_px, part.width_px)
     ]

@@ -68,7 +68,8 @@ def cut_to_objects(analyses: Sequence[AreaEvidence], long_side_px: int = CUT_SID
 
 def _extent(analysis: AreaEvidence) -> NDArray[np.float64]:
     """Return points that span the mask and the prompt, ``[n, 2]`` pixels of the image."""
-    prompt, box = analysis.prompt, analysis.measurement.bounding_box
+    prompt = analysis.prompt
+    box = analysis.measurement.bounding_box
     points = [(x, y) for x, y, _ in prompt.points]
     if prompt.box is not None:
         points += [(prompt.box[0], prompt.box[1]), (prompt.box[2], prompt.box[3])]
@@ -103,7 +104,8 @@ def cut_to_lines(records: Sequence[DistanceMeasurement], long_side_px: int = CUT
 
 def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placement) -> None:
     """Tint the object and draw its outline, both from the mask, because the record's outline is simplified."""
-    mask, window = analysis.segmentation.mask, analysis.segmentation.window
+    mask = analysis.segmentation.mask
+    window = analysis.segmentation.window
     corners = place.at(
         [
             [window.x_px, window.y_px],
@@ -112,7 +114,10 @@ def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placem
     )
     (left, top), (right, bottom) = np.rint(corners).astype(int).tolist()
     height, width = picture.shape[:2]
-    x1, y1, x2, y2 = max(0, left), max(0, top), min(width, right), min(height, bottom)
+    x1 = max(0, left)
+    y1 = max(0, top)
+    x2 = min(width, right)
+    y2 = min(height, bottom)
     if x2 <= x1 or y2 <= y1:
         return
     method = cv2.INTER_AREA if right - left < window.width_px else cv2.INTER_NEAREST
@@ -129,7 +134,8 @@ def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placem
 
 
 def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placement) -> None:
-    prompt, line = analysis.prompt, line_px(picture)
+    prompt = analysis.prompt
+    line = line_px(picture)
     if prompt.box is not None:
         corners = place.pixels(np.reshape(prompt.box, (2, 2))).tolist()
         cv2.rectangle(picture, corners[0], corners[1], PROMPT_RGB, 1, cv2.LINE_AA)
@@ -158,7 +164,9 @@ def _write_number(
 def _area_text(record: AreaMeasurement) -> str:
     if not record.mask_area_px:
         return "no object found"
-    low, high, mask = record.area_ci95_low_m2, record.area_ci95_high_m2, f"{record.mask_area_px} px"
+    low = record.area_ci95_low_m2
+    high = record.area_ci95_high_m2
+    mask = f"{record.mask_area_px} px"
     size = with_interval(record.area_m2, low, high, "m2", f"{mask}; {NO_SCALE}")
     pixels = "" if record.area_m2 is None else f"{mask}, "
     low_score = any(notice.code == NoticeCode.MASK_SCORE_LOW for notice in record.warnings)
@@ -175,7 +183,8 @@ def _label(record: DistanceMeasurement) -> str:
 
 
 def _distance_text(record: DistanceMeasurement) -> str:
-    low, high = record.distance_ci95_low_m, record.distance_ci95_high_m
+    low = record.distance_ci95_low_m
+    high = record.distance_ci95_high_m
     return with_interval(
         record.distance_m, low, high, "m", f"{record.length_px:.0f} px; {NO_SCALE}"
     )

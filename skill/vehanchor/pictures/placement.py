@@ -75,7 +75,8 @@ class Cut(NamedTuple):
         enlarging: int = cv2.INTER_NEAREST,
     ) -> NDArray[np.uint8]:
         """Copy the part's pixels, ``[h, w, 3]`` RGB, at the size of the picture, enlarged by ``most`` at most."""
-        width, height = self.part.width_px, self.part.height_px
+        width = self.part.width_px
+        height = self.part.height_px
         factor = min(most, self.long_side_px / max(width, height))
         size = max(1, round(width * factor)), max(1, round(height * factor))
         method = cv2.INTER_AREA if size[0] < image.shape[1] else enlarging
@@ -95,7 +96,8 @@ def part_around(points: NDArray[np.float64], width_px: int, height_px: int) -> W
         width_px: width of the image.
         height_px: height of the image.
     """
-    low, high = points.min(0), points.max(0)
+    low = points.min(0)
+    high = points.max(0)
     margin = max(_MIN_MARGIN_PX, _MARGIN * float((high - low).max()))
     size = np.array([width_px, height_px])
     left, top = np.clip(np.floor(low - margin), 0, size - 1).astype(int).tolist()

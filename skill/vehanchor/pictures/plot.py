@@ -22,9 +22,15 @@ if TYPE_CHECKING:
     from vehanchor.pictures.evidence import ScaleEvidence
     from vehanchor.scale.defaults import Aggregation
 
-_KEPT, _KEPT_DARK, _DROPPED = "#56B4E9", "#0072B2", "#E69F00"  # Okabe and Ito: blues, orange
-_GUARD, _INK = "#D55E00", "#222222"
-_WIDTH_IN, _ROW_IN, _DPI = 9.6, 4.0, 150
+# Okabe and Ito: blues, orange
+_KEPT = "#56B4E9"
+_KEPT_DARK = "#0072B2"
+_DROPPED = "#E69F00"
+_GUARD = "#D55E00"
+_INK = "#222222"
+_WIDTH_IN = 9.6
+_ROW_IN = 4.0
+_DPI = 150
 _PAD = 1.25  # factor beyond the widest interval, of the rulers' axis
 _DRAWN = 0.004  # of the maximum; lower parts of a ruler's curve are not drawn
 _RULES = {"kde": "KDE", "weighted_kde": "weighted KDE", "median": "median", "mean": "mean"}
@@ -57,7 +63,8 @@ def plot_scale(analysis: ScaleEvidence) -> Figure:
         MissingExtraError: matplotlib is not installed.
     """
     estimate = analysis.estimate
-    measured, fused = estimate.mode_length_px is not None, analysis.answer is not None
+    measured = estimate.mode_length_px is not None
+    fused = analysis.answer is not None
     n_rows = max(1, measured + fused)
     figure = require_plots()(figsize=(_WIDTH_IN, _ROW_IN * n_rows), dpi=_DPI, layout="constrained")
     rows = figure.subplots(n_rows, squeeze=False)[:, 0]
@@ -81,7 +88,9 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
     """Plot the lengths, their density, the mode, the guard, and the interval of the vehicles' scale in pixels."""
     vehicles = analysis.vehicles
     assert vehicles is not None
-    gsd, mode, guard = vehicles.gsd_m_per_px, vehicles.mode_length_px, vehicles.guard_length_px
+    gsd = vehicles.gsd_m_per_px
+    mode = vehicles.mode_length_px
+    guard = vehicles.guard_length_px
     assert gsd is not None
     assert mode is not None
     lengths = analysis.detections.boxes[:, 2]
@@ -142,15 +151,19 @@ def _draw_lengths(
 ) -> None:
     """Draw the histogram of kept and dropped lengths, and the density of the kept ones in the same units."""
     lengths = analysis.detections.boxes[:, 2]
-    kept, dropped = lengths[analysis.kept], lengths[~analysis.kept]
+    kept = lengths[analysis.kept]
+    dropped = lengths[~analysis.kept]
     edges = np.histogram_bin_edges(
         kept, "auto", (float(lengths.min()), min(float(lengths.max()), right_px))
     )
-    groups, colours, labels = [kept], [_KEPT], [f"{count(len(kept), 'vehicle')} kept"]
+    groups = [kept]
+    colours = [_KEPT]
+    labels = [f"{count(len(kept), 'vehicle')} kept"]
     if len(dropped):
         n_beyond = int((dropped > right_px).sum())
         beyond = f" ({n_beyond} beyond the axis)" if n_beyond else ""
-        groups, colours = [*groups, dropped], [*colours, _DROPPED]
+        groups = [*groups, dropped]
+        colours = [*colours, _DROPPED]
         labels.append(f"{count(len(dropped), 'outlier')} dropped{beyond}")
     axes.hist(
         groups,
@@ -186,10 +199,12 @@ def plot_rulers(axes: Axes, analysis: ScaleEvidence) -> None:
     """
     rulers = {ruler.kind: ruler for ruler in analysis.estimate.rulers}
     heard = [each for each in analysis.witnesses if each.kind in rulers]
-    found, scales = analysis.answer, np.exp(GRID)
+    found = analysis.answer
+    scales = np.exp(GRID)
     ends = [end for each in heard if each.interval is not None for end in each.interval]
     for witness in heard:
-        ruler, colour = rulers[witness.kind], ruler_class(witness.kind).colour
+        ruler = rulers[witness.kind]
+        colour = ruler_class(witness.kind).colour
         label = f"{ruler.label} {significant(ruler.gsd_m_per_px)} (right: {ruler.p_right:.2f})"
         curve = witness.density / witness.density.max()
         shown = np.where(curve > _DRAWN, curve, 0.0)

@@ -38,8 +38,11 @@ MAX_SIDE_PX = 2048  # larger images are reduced for display
 _MIN_CANVAS_PX = 480  # narrower pictures (of tall, thin images) get margins for the caption
 _BAR_SHARE = 0.2  # approximate length of the scale bar as a share of the picture's width
 # capitals of vehicles' numbers: share of a drawn width, and pixels
-_NUMBER_SHARE, _NUMBER_RANGE_PX = 0.5, (8, 16)
-_MANY_VEHICLES, _NUMBERED_PX = 100, 30.0  # more vehicles than that, drawn shorter, have no numbers
+_NUMBER_SHARE = 0.5
+_NUMBER_RANGE_PX = (8, 16)
+# more vehicles than that, drawn shorter, have no numbers
+_MANY_VEHICLES = 100
+_NUMBERED_PX = 30.0
 _HALO_MIN_PX = 22.0  # least drawn length of vehicles for a dark line under the coloured one
 _PANEL_RGB = (22, 24, 28)
 _TEXT_RGB = (238, 238, 238)
@@ -143,7 +146,8 @@ def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8
     step = max(1, math.ceil(max(part.width_px, part.height_px) / (2 * MAX_SIDE_PX)))
     if step == 1:
         return raster.read(part)
-    width, height = max(1, round(part.width_px / step)), max(1, round(part.height_px / step))
+    width = max(1, round(part.width_px / step))
+    height = max(1, round(part.height_px / step))
     reduced = np.empty((height, width, 3), np.uint8)
     for top in range(0, height, _ROWS_PER_READ // step + 1):
         bottom = min(height, top + _ROWS_PER_READ // step + 1)
@@ -202,7 +206,8 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleEvidence, place: Pl
     corners = place.pixels(box_corners(boxes))
     drawn_length = float(np.median(boxes[:, 2]) * place.scale.mean())
     line = line_px(picture, drawn_length / 16)
-    kept, dropped = corners[analysis.kept], corners[~analysis.kept]
+    kept = corners[analysis.kept]
+    dropped = corners[~analysis.kept]
     crosses = np.ascontiguousarray(np.concatenate([dropped[:, [0, 2]], dropped[:, [1, 3]]]))
     layers = [
         (kept, True, KEPT_RGB, line),
@@ -226,10 +231,12 @@ def _write_numbers(picture: NDArray[np.uint8], detections: Detections, place: Pl
         return
     written = np.zeros(picture.shape[:2], bool)
     for box, number in zip(detections.boxes, detections.numbers, strict=True):
-        text, (x, y) = str(number), place.at(box[:2])
+        text = str(number)
+        (x, y) = place.at(box[:2])
         capital = int(np.clip(_NUMBER_SHARE * box[3] * place.scale.mean(), *_NUMBER_RANGE_PX))
         width = text_width(text, capital)
-        left, baseline = round(x - width / 2), round(y + capital / 2)
+        left = round(x - width / 2)
+        baseline = round(y + capital / 2)
         covered = written[
             max(0, baseline - capital) : max(0, baseline), max(0, left) : max(0, left + width)
         ]
@@ -252,8 +259,11 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
     height, width = picture.shape[:2]
     metres = _round_length(_BAR_SHARE * width * m_per_px)
     capital = text_px(width)
-    margin, thick, rim = capital, max(4, capital // 2), max(2, capital // 7)
-    left, bottom = margin, height - margin
+    margin = capital
+    thick = max(4, capital // 2)
+    rim = max(2, capital // 7)
+    left = margin
+    bottom = height - margin
     right = left + round(metres / m_per_px)
     for grow, colour in ((rim, (0, 0, 0)), (0, (255, 255, 255))):
         cv2.rectangle(
@@ -269,7 +279,8 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
 def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:
     """Compose the caption: the reason against an unusable scale, scale, interval, confidence, and the legend."""
     estimate = analysis.estimate
-    n_found, n_kept = estimate.details.n_detections or 0, estimate.n_vehicles or 0
+    n_found = estimate.details.n_detections or 0
+    n_kept = estimate.n_vehicles or 0
     n_dropped = n_found - n_kept
     by_hand = by_hand_text(estimate)
     legend = [(KEPT_RGB, f"{count(n_kept, 'vehicle')}{by_hand and f' ({by_hand})'}")]
@@ -326,7 +337,8 @@ def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
     pitch = round(2.1 * capital)
     panel = np.full((pitch * len(lines) + round(capital), width_px, 3), _PANEL_RGB, np.uint8)
     for row, line in enumerate(lines):
-        x, baseline = round(capital), round(1.7 * capital) + row * pitch
+        x = round(capital)
+        baseline = round(1.7 * capital) + row * pitch
         for colour, text in line:
             if colour is not None:
                 side = round(capital)

@@ -43,7 +43,8 @@ def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -
     for i, (box, number, kept) in enumerate(
         zip(boxes, analysis.detections.numbers, analysis.kept, strict=False)
     ):
-        top, left = i // columns * _CHIP_PX, i % columns * _CHIP_PX
+        top = i // columns * _CHIP_PX
+        left = i % columns * _CHIP_PX
         chip = _draw_vehicle(raster, box, KEPT_RGB if kept else DROPPED_RGB)
         write_on(chip, str(number), (4, _CAPITAL_PX + 4), _CAPITAL_PX)
         strip[top : top + chip.shape[0], left : left + chip.shape[1]] = chip
@@ -54,8 +55,10 @@ def _draw_vehicle(
     raster: Raster, box: NDArray[np.float64], colour: tuple[int, int, int]
 ) -> NDArray[np.uint8]:
     reach = max(_LEAST_REACH_PX, round(_REACH * float(box[2])))
-    x, y = round(float(box[0])), round(float(box[1]))
-    left, top = max(0, x - reach), max(0, y - reach)
+    x = round(float(box[0]))
+    y = round(float(box[1]))
+    left = max(0, x - reach)
+    top = max(0, y - reach)
     part = Window(
         left, top, min(raster.width_px, x + reach) - left, min(raster.height_px, y + reach) - top
     )

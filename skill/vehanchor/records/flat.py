@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
 _OF_RULERS: dict[str, type] = {"gsd_m_per_px": float, "p_right": float}
-_CODES, _DETAILS = "warning_codes", "details"
+_CODES = "warning_codes"
+_DETAILS = "details"
 
 
 def flat_columns(kind: type[BaseModel], *, without: Collection[str] = ()) -> dict[str, type]:
@@ -94,7 +95,8 @@ def _joined(outer: str, inner: str) -> str:
 
 def _bare(field: FieldInfo) -> Any:
     """Give the type of a field's values without null."""
-    kind, kinds = field.annotation, get_args(field.annotation)
+    kind = field.annotation
+    kinds = get_args(field.annotation)
     if type(None) in kinds:
         kind = next(each for each in kinds if each is not type(None))
     if get_origin(kind) is Annotated:

@@ -318,7 +318,8 @@ def known_scale(given: Any) -> KnownScale:
             f"scale is a {type(found).__name__}: give back an estimate or its scale; a number "
             "is gsd_m_per_px"
         )
-    low, high = found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px
+    low = found.gsd_ci95_low_m_per_px
+    high = found.gsd_ci95_high_m_per_px
     if not low <= found.gsd_m_per_px <= high:
         raise InvalidParameterError(
             "scale is not what an estimate gave: its value lies outside its interval"

@@ -41,7 +41,8 @@ class Record(BaseModel):
             raise MissingExtraError("to_frame needs pandas: pip install pandas") from None
         from vehanchor.records.flat import flat_columns, flat_row
 
-        row, columns = flat_row(self), flat_columns(type(self))
+        row = flat_row(self)
+        columns = flat_columns(type(self))
         return pd.DataFrame(
             {
                 name: pd.array([row[name]], dtype=_FRAME_TYPES[kind])
@@ -51,7 +52,8 @@ class Record(BaseModel):
 
     def _repr_html_(self) -> str:
         """Make an HTML table of the single values for notebooks, without nulls."""
-        values, shown = self.model_dump(mode="json"), []
+        values = self.model_dump(mode="json")
+        shown = []
         for name, value in values.items():
             if value is not None and not isinstance(value, dict | list):
                 text = (

@@ -114,7 +114,8 @@ def advice_for(estimate: GsdEstimate | None, check: str = CHECK_VEHICLES) -> Adv
 
 def _specific(estimate: GsdEstimate) -> Advice | None:
     """Give the advice for a cause that the record shows; None for that of the reason alone."""
-    reason, n = estimate.reason, estimate.n_vehicles or 0
+    reason = estimate.reason
+    n = estimate.n_vehicles or 0
     codes = {notice.code for notice in estimate.warnings}
     if reason in ("too_few", "imprecise") and estimate.n_vehicles is None:
         return Advice(ADVICE[reason].why, f"also use the ruler vehicles, or {_LINE}")

@@ -47,7 +47,8 @@ class Camera(Ruler):
 
     def measure(self, view: View) -> Witness | None:
         """Measure by the camera's height and lens; without either, give no evidence and say what is missing."""
-        chosen, camera = view.options.rulers, view.image.camera or CameraMetadata()
+        chosen = view.options.rulers
+        camera = view.image.camera or CameraMetadata()
         given_mm = chosen.focal_35mm if chosen.height_m is None else None
         if camera.height_m is None:
             return self._without_height(view, camera, given_mm)
@@ -106,7 +107,8 @@ class Camera(Ruler):
             f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and "
             f"{seen.source}."
         )
-        condition, notices = "camera", []
+        condition = "camera"
+        notices = []
         if camera.refused:
             message = f"A part of the camera metadata is not used: {camera.refused}."
             notices.append(Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
@@ -114,13 +116,12 @@ class Camera(Ruler):
             notices.append(_tilted(tilt_deg))
             said += " This is the scale of the image's centre."
         elif tilt_deg is None:
-            condition, tilt_log_sd = (
-                "camera, tilt unknown",
-                RELIABILITY["camera, tilt unknown"].log_sd,
-            )
+            condition = "camera, tilt unknown"
+            tilt_log_sd = RELIABILITY["camera, tilt unknown"].log_sd
             said += " The tilt is not stated: this holds at nadir."
         log_sd = math.hypot(tilt_log_sd, height_log_sd(height_m))
-        chance_wrong, errors = RELIABILITY[condition].chance_wrong, [Shared(LENS, seen.log_sd)]
+        chance_wrong = RELIABILITY[condition].chance_wrong
+        errors = [Shared(LENS, seen.log_sd)]
         return point_witness(
             self.kind, gsd, log_sd, chance_wrong, said, shared=errors, notices=notices
         )

@@ -39,7 +39,8 @@ class GivenHeight(Ruler):
 
     def measure(self, view: View) -> Witness:
         """Measure by the given height and the focal length."""
-        chosen, image = view.options.rulers, view.image
+        chosen = view.options.rulers
+        image = view.image
         assert chosen.height_m is not None
         camera = image.camera if chosen.metadata else None
         if camera is not None and taken_ratio(image, camera) is None:

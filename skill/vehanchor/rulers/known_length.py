@@ -61,7 +61,8 @@ class KnownLengths(Ruler):
             for one, group in zip(each, groups, strict=True)
             if group[0].line.basis == "measured"
         ]
-        basis, heard = "measured" if measured else "assumed", measured or each
+        basis = "measured" if measured else "assumed"
+        heard = measured or each
         # each may be wrong by itself; contradictions show as several modes
         found = (
             heard[0]
@@ -119,7 +120,8 @@ def _label(line: KnownLength) -> str:
 
 def _drawn(line: KnownLength, view: View) -> _Drawn:
     frame = view.options.frame.size or (view.image.width_px, view.image.height_px)
-    across, down = view.image.width_px / frame[0], view.image.height_px / frame[1]
+    across = view.image.width_px / frame[0]
+    down = view.image.height_px / frame[1]
     ends = (line.x1 * across, line.y1 * down), (line.x2 * across, line.y2 * down)
     length_px, tilt_log_sd = _length_at_centre(*ends, view.plane)
     return _Drawn(
@@ -203,7 +205,8 @@ def _lines_disagree(
     ]
     if not apart:
         return ()
-    finest, coarsest = min(scale for _, scale in scales), max(scale for _, scale in scales)
+    finest = min(scale for _, scale in scales)
+    coarsest = max(scale for _, scale in scales)
     off = [k for k in range(len(lines)) if len(lines) > 2 and all(k in pair for pair in apart)]
     cause = "A line is wrong, or the camera was tilted."
     if len(off) == 1:

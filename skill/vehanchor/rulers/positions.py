@@ -25,7 +25,8 @@ _LEAST = 2
 _POSITION_SD_M = 2.0  # of a small receiver, relative to the neighbouring photograph
 _AIM_SHARE = 0.05  # of the picture's width: offset of the centre by a tilt of three degrees
 _LEAST_AGREEMENT = 0.9  # of layout and positions; below, they do not match
-_REACH, _STEPS = 3.0, 10
+_REACH = 3.0
+_STEPS = 10
 
 
 class Positions(Ruler):
@@ -88,14 +89,17 @@ def baseline(
         The witness; None for fewer than two positions, or if layout and positions differ.
     """
     known = np.isfinite(places).all(axis=1)
-    seen, taken = layout[known], places[known, 0] - 1j * places[known, 1]
+    seen = layout[known]
+    taken = places[known, 0] - 1j * places[known, 1]
     if len(seen) < _LEAST:
         return None
     weight = np.ones(len(seen))
     for _ in range(_STEPS):
         total = weight.sum()
-        in_px, in_m = seen - (weight @ seen) / total, taken - (weight @ taken) / total
-        spread_px, spread_m = float(weight @ np.abs(in_px) ** 2), float(weight @ np.abs(in_m) ** 2)
+        in_px = seen - (weight @ seen) / total
+        in_m = taken - (weight @ taken) / total
+        spread_px = float(weight @ np.abs(in_px) ** 2)
+        spread_m = float(weight @ np.abs(in_m) ** 2)
         if spread_px <= 0 or spread_m <= 0:
             return None
         product = complex(weight @ (np.conj(in_px) * in_m))
@@ -115,7 +119,8 @@ def baseline(
     seen_sd = math.sqrt((1 - agreement**2) / (2 * max(n - 2, 0.5))) / agreement
     if not on_grid(gsd):
         return None
-    n_known, reliability = int(known.sum()), RELIABILITY[Positions.kind]
+    n_known = int(known.sum())
+    reliability = RELIABILITY[Positions.kind]
     log_sd = math.hypot(max(stated_sd, seen_sd), reliability.log_sd)
     said = f"The positions of {n_known} overlapping photographs give {{}}."
     return point_witness(Positions.kind, gsd, log_sd, reliability.chance_wrong, said, n=n_known)

@@ -66,10 +66,8 @@ def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) 
     """
     if given.calibration is not None:
         given.calibration.check_detector(card.name, card.sha256)
-        length_m, sd_m = (
-            given.calibration.reference_length_m,
-            given.calibration.reference_length_sd_m,
-        )
+        length_m = given.calibration.reference_length_m
+        sd_m = given.calibration.reference_length_sd_m
         return ReferenceLength(length_m, "calibration", sd_m / length_m)
     sd_m = card.reference_length_sd_m
     if given.reference_length_m is not None:
@@ -98,7 +96,8 @@ def _by_looks(bodies: BodyLengths, looks: Looks, region: str | None) -> Referenc
     spread = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
     share = LOOKS_LOG_SD**2 / (LOOKS_LOG_SD**2 + spread**2)
     moved = share * (math.log(_region_length(region, bodies.region_lengths_m)) - fleet)
-    log_sd, log_mean = math.sqrt(1 - share) * LOOKS_LOG_SD, (1 - share) * LOOKS_LOG_MEAN
+    log_sd = math.sqrt(1 - share) * LOOKS_LOG_SD
+    log_mean = (1 - share) * LOOKS_LOG_MEAN
     return ReferenceLength(math.exp(log_length + moved), "region", log_sd, log_mean, moved)
 
 

@@ -118,9 +118,11 @@ def select(
     Returns:
         The fleet, empty if nothing was found.
     """
-    found, stated = detections.boxes[:, 2], detections.stated
+    found = detections.boxes[:, 2]
+    stated = detections.stated
     if detections.scales is None or len(found) == 0:
-        kept, rival_share = inlier_mask(found, lengths.alpha), 0.0
+        kept = inlier_mask(found, lengths.alpha)
+        rival_share = 0.0
     else:
         weights = np.maximum(detections.scores, LEAST_SCORE) ** 2
         if expected is not None:  # how likely each box is as long as a car
@@ -212,7 +214,8 @@ class VehicleWitness(Witness):
 
     def by_votes(self) -> VehicleWitness:
         """Weigh the votes of the boxes; their lacks are detail, cars without doubt, one car more, a known fleet."""
-        model, scores = self.card.votes or UNCALIBRATED, self.fleet.detections.scores
+        model = self.card.votes or UNCALIBRATED
+        scores = self.fleet.detections.scores
         likelihood = self._likelihood(scores, model)
         clear = self._likelihood(np.where(self.fleet.kept, _CLEAR_SCORE, scores), model)
         another = vehicle_likelihood(
@@ -245,10 +248,8 @@ class VehicleWitness(Witness):
         The boxes' lengths in metres, if they are cars, are those by their looks, or the reference.
         """
         found = self.fleet.detections
-        lengths_m, log_sds = (
-            np.full(len(found.boxes), self.reference.length_m),
-            np.full(len(found.boxes), CAR_LOG_SD),
-        )
+        lengths_m = np.full(len(found.boxes), self.reference.length_m)
+        log_sds = np.full(len(found.boxes), CAR_LOG_SD)
         if self.reference.by_looks is not None and found.looks is not None:
             seen = len(found.looks)
             lengths_m[:seen] = np.exp(found.looks.log_lengths + self.reference.by_looks)
@@ -297,11 +298,13 @@ class Vehicles(Ruler):
             InvalidParameterError: the model does not know the region.
             CalibrationMismatchError: the calibration was made for another model.
         """
-        card, plane = view.card, view.plane
+        card = view.card
+        plane = view.plane
         detections = view.detections if plane is None else rectified(view.detections, plane)
         expected = view.expected if view.prior is None or plane is not None else view.prior.density
         fleet = select(detections, view.options.lengths, expected)
-        mode_px, aggregation = None, view.options.lengths.aggregation or card.aggregation
+        mode_px = None
+        aggregation = view.options.lengths.aggregation or card.aggregation
         if fleet.kept.any():
             mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, aggregation)
         found = VehicleWitness(
@@ -401,7 +404,8 @@ def _capped(detections: Detections) -> tuple[Notice, ...]:
 
 def _detail_missing(found: VehicleWitness) -> tuple[Notice, ...]:
     """Warn of vehicles that have enough pixels, but not enough detail."""
-    seen_px, guard_px = found.seen_length_px, found.guard_length_px
+    seen_px = found.seen_length_px
+    guard_px = found.guard_length_px
     if not seen_px >= guard_px > seen_px * found.resolved:
         return ()
     message = (

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from vehanchor.scale.posterior import Answer, Remark, Witness
 
 # centimetres for metres; scenes tell a factor of two
-_UNIT_RATIO, _UNIT_TOLERANCE = math.log(100.0), math.log(2.0)
+_UNIT_RATIO = math.log(100.0)
+_UNIT_TOLERANCE = math.log(2.0)
 
 
 def measure_all(view: View, known: Sequence[Witness] | None = None) -> tuple[Witness, ...]:

@@ -80,11 +80,9 @@ class Calibration(BaseModel):
 
     @model_validator(mode="after")
     def _interval_holds_its_value(self) -> Self:
-        low, value, high = (
-            self.reference_length_ci95_low_m,
-            self.reference_length_m,
-            self.reference_length_ci95_high_m,
-        )
+        low = self.reference_length_ci95_low_m
+        value = self.reference_length_m
+        high = self.reference_length_ci95_high_m
         if not low <= value <= high:
             raise ValueError(
                 f"the 95 % interval {low:g} to {high:g} m does not hold the length {value:g} m"

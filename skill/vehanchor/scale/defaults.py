@@ -31,8 +31,10 @@ CAR_LENGTH_M = 4.6
 CAR_LENGTH_OVER_WIDTH = 2.21
 """Proportions of the detector's boxes at nadir."""
 
-LEAST_GSD_M_PER_PX, LARGEST_GSD_M_PER_PX = 1e-4, 1000.0
+LEAST_GSD_M_PER_PX = 1e-4
+LARGEST_GSD_M_PER_PX = 1000.0
 """Limits of ground sampling distances from callers, metres per pixel."""
 
-LEAST_VEHICLE_M, LARGEST_VEHICLE_M = 2.0, 20.0
+LEAST_VEHICLE_M = 2.0
+LARGEST_VEHICLE_M = 20.0
 """Limits of vehicle lengths, metres: a quadricycle has 2.3 m, a lorry with its trailer 18.75 m in Europe."""

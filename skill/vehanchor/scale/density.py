@@ -19,16 +19,20 @@ if TYPE_CHECKING:
 
 LOG_STEP = 0.005
 TOLERANCE = 0.2  # largest ``|estimated - true| / true`` with which a planner can use a scale
-_FINEST, _COARSEST = 0.003, 3.0  # metres per pixel
+# metres per pixel
+_FINEST = 0.003
+_COARSEST = 3.0
 GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_STEP)
 """``[g]`` natural logs of metres per pixel."""
 
 LEAST_PROBABILITY = 1e-300  # of a cell, so that it has a log
 KERNEL_REACH_SDS = 6.0
 # log odds of a car, 1 in 1,000 to 199 in 200: no box is certain
-_LEAST_ODDS, _MOST_ODDS = -7.0, 5.3
+_LEAST_ODDS = -7.0
+_MOST_ODDS = 5.3
 # votes are binned by odds and spread: the cost hardly depends on their number
-_ODDS_STEP, _SD_STEP = 0.25, 0.01
+_ODDS_STEP = 0.25
+_SD_STEP = 0.01
 
 
 def flat() -> NDArray[np.float64]:
@@ -124,7 +128,8 @@ def mass_within(density: NDArray[np.float64], gsd_m_per_px: float) -> float:
     Returns:
         At most the sum of the density.
     """
-    low, high = np.log(gsd_m_per_px / (1 + TOLERANCE)), np.log(gsd_m_per_px / (1 - TOLERANCE))
+    low = np.log(gsd_m_per_px / (1 + TOLERANCE))
+    high = np.log(gsd_m_per_px / (1 - TOLERANCE))
     below = np.concatenate([[0.0], np.cumsum(density)])
     edges = np.concatenate([GRID - LOG_STEP / 2, [GRID[-1] + LOG_STEP / 2]])
     return float(np.interp(high, edges, below) - np.interp(low, edges, below))

@@ -177,7 +177,8 @@ def kde_density(
     Returns:
         ``[g]`` density per pixel; all zero if the lengths have no spread.
     """
-    values, points = np.asarray(lengths, dtype=np.float64), np.asarray(at, dtype=np.float64)
+    values = np.asarray(lengths, dtype=np.float64)
+    points = np.asarray(at, dtype=np.float64)
     share = _normalised(values, weights)
     bandwidth = smoothing * scott_bandwidth(values, share)
     if bandwidth == 0.0:
@@ -220,7 +221,8 @@ def kde_mode(
     """
     values = np.asarray(lengths, dtype=np.float64)
     share = _normalised(values, weights)
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     bandwidth = smoothing * scott_bandwidth(values, share)
     if high - low <= 1e-9 * high or bandwidth <= 1e-9 * high:
         return float(np.sum(share * values))
@@ -246,9 +248,11 @@ def _peak(
     bandwidth: float,
 ) -> float:
     """Refine the peak of the density beside a point of the grid, to 1e-5 px."""
-    left, right = points[max(top - 1, 0)], points[min(top + 1, len(points) - 1)]
+    left = points[max(top - 1, 0)]
+    right = points[min(top + 1, len(points) - 1)]
     near = np.abs(values - points[top]) < 12 * bandwidth  # beyond, a Gaussian adds less than 1e-31
-    local, local_share = values[near], share[near]
+    local = values[near]
+    local_share = share[near]
     golden = (np.sqrt(5) - 1) / 2
     while right - left > 1e-5:
         inner = np.array([right - golden * (right - left), left + golden * (right - left)])
@@ -340,7 +344,8 @@ def resampled_modes(
             single lengths.
     """
     bandwidth = smoothing * scott_bandwidth(values, weights / weights.sum())
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     if bandwidth <= 1e-9 * high:
         return np.full(_BOOTSTRAP_REPLICATES, kde_mode(values, weights, smoothing=smoothing))
     cells = int(np.clip(np.ceil((high - low) / (_GRID_STEP * bandwidth)), 8, 1024))
@@ -355,10 +360,8 @@ def resampled_modes(
             rng.multinomial(len(values), counts / counts.sum(), size=_BOOTSTRAP_REPLICATES) * each
         )
     else:
-        cell, n = (
-            np.minimum(np.searchsorted(edges, values, side="right") - 1, cells - 1),
-            int(block.max()) + 1,
-        )
+        cell = np.minimum(np.searchsorted(edges, values, side="right") - 1, cells - 1)
+        n = int(block.max()) + 1
         times = rng.multinomial(n, np.full(n, 1 / n), size=_BOOTSTRAP_REPLICATES)
         drawn = np.array([np.bincount(cell, weights * each[block], cells) for each in times])
     return np.asarray(centres[np.argmax(drawn @ kernel, axis=1)])

@@ -23,8 +23,11 @@ FALLBACK_CONFIDENCE = 0.5  # paper, section III-E: with less a planner must fall
 GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
 _SAMPLE_SCALE = 12.0  # vehicles; 1 - exp(-n / 12): 5 give 0.34, 20 give 0.81
 # coefficient of variation of a clean fleet, and of uninformative lengths
-_CV_FULL, _CV_NONE = 0.05, 0.25
-_SCORE_NONE, _SCORE_FULL = 0.55, 0.75  # median detection score
+_CV_FULL = 0.05
+_CV_NONE = 0.25
+# median detection score
+_SCORE_NONE = 0.55
+_SCORE_FULL = 0.75
 _FADE = 1.5  # factor outside the trained range over which plausibility falls to 0
 
 
@@ -94,11 +97,10 @@ def paper_scale(
     mode_px, aggregation = mode
     if mode_px is None:
         return PaperScale(None, None, 0.0, Terms(), guarded=False)
-    length_m, log_sd = reference_m[0], reference_m[1] / reference_m[0]
-    gsd, (resampling, fleet) = (
-        length_m / mode_px,
-        statistical_log_sds(lengths, scores, mode_px, aggregation),
-    )
+    length_m = reference_m[0]
+    log_sd = reference_m[1] / reference_m[0]
+    gsd = length_m / mode_px
+    (resampling, fleet) = statistical_log_sds(lengths, scores, mode_px, aggregation)
     # of a lognormal 95 % interval
     reach = float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + log_sd**2)))
     terms = confidence_terms(lengths, scores, mode_px * seen_scale, length_range_px)
@@ -131,7 +133,8 @@ def confidence_terms(
         mode_px: ``P_mode``.
         length_range_px: shortest and longest vehicle in the model's training data.
     """
-    values, score = np.asarray(lengths, dtype=np.float64), np.asarray(scores, dtype=np.float64)
+    values = np.asarray(lengths, dtype=np.float64)
+    score = np.asarray(scores, dtype=np.float64)
     variation = float(np.std(values) / np.mean(values))
     shortest, longest = length_range_px
     outside = max(np.log(shortest / mode_px), np.log(mode_px / longest), 0.0)

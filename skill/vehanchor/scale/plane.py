@@ -48,7 +48,8 @@ class GroundPlane:
     @property
     def down(self) -> NDArray[np.float64]:
         """Unit vector ``[3]`` straight down: components to the right, to the lower side, and along the axis."""
-        tilt, roll = math.radians(self.tilt_deg), math.radians(self.roll_deg)
+        tilt = math.radians(self.tilt_deg)
+        roll = math.radians(self.roll_deg)
         sine = math.sin(tilt)
         return np.array([-sine * math.sin(roll), sine * math.cos(roll), math.cos(tilt)])
 
@@ -174,7 +175,8 @@ class GroundPlane:
 
     @property
     def _corners(self) -> NDArray[np.float64]:
-        right, bottom = float(self.width_px), float(self.height_px)
+        right = float(self.width_px)
+        bottom = float(self.height_px)
         return np.array([[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]])
 
     def _rays(self, points: ArrayLike) -> NDArray[np.float64]:

@@ -47,7 +47,8 @@ LOOKS_LOG_MEAN = -0.015
 -0.03 to 0 and spread of 0.04 to 0.06 makes 1,089 to 1,099 of 1,255 photographs usable, 8 to 11 of them wrong; with a
 spread below 0.05 fewer than 95 of 100 intervals hold."""
 
-_FAIR_ODDS, _DOUBT_POWER = 20.0, 0.125
+_FAIR_ODDS = 20.0
+_DOUBT_POWER = 0.125
 """Odds of a car at which its looks err as they state, and the power of the error with lower odds. Of 15,060 vehicles
 in photographs of known scale the rms error is 0.89 of the stated one for scores from 0.995 on, and 1.3 below 0.95."""
 
@@ -68,7 +69,8 @@ SAME_NUMBER = 0.02
 _NOT_MEASURED = 0.05
 """Chance that a fact is wrong of whose errors nobody has counted any. A choice."""
 
-_ROUGH, _EXACT = 0.10, 0.01
+_ROUGH = 0.10
+_EXACT = 0.01
 """Standard deviations of the logs of scales by a guess, and of those by tape, plan, survey or rule. Choices."""
 
 RELIABILITY: dict[str, Reliability] = {

@@ -46,7 +46,8 @@ def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_
         A window of the image.
     """
     x1, y1, x2, y2 = prompt.extent
-    width, height = min(side_px, image_width_px), min(side_px, image_height_px)
+    width = min(side_px, image_width_px)
+    height = min(side_px, image_height_px)
     left = math.floor((x1 + x2 - width) / 2 + 0.5)
     top = math.floor((y1 + y2 - height) / 2 + 0.5)
     return Window(
@@ -79,7 +80,9 @@ def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArr
 
 def place_mask(found: MaskLogits) -> NDArray[np.bool_]:
     """Convert logits to the mask ``[h, w]`` of their crop: bilinear interpolation, the object where they are > 0."""
-    grid, width_px, height_px = found.logits, found.window.width_px, found.window.height_px
+    grid = found.logits
+    width_px = found.window.width_px
+    height_px = found.window.height_px
     left, right, across = _between(width_px, found.cells_per_px[0], grid.shape[1])
     above, below, down = _between(height_px, found.cells_per_px[1], grid.shape[0])
     mask = np.empty((height_px, width_px), dtype=bool)

@@ -43,7 +43,8 @@ class Prompt:
         """Box, or the smallest one around the points: x1, y1, x2, y2."""
         if self.box is not None:
             return self.box
-        xs, ys = [x for x, _, _ in self.points], [y for _, y, _ in self.points]
+        xs = [x for x, _, _ in self.points]
+        ys = [y for _, y, _ in self.points]
         return min(xs), min(ys), max(xs), max(ys)
 
     def mapped(self, place: Callable[[float, float], Place]) -> Prompt:

@@ -43,7 +43,8 @@ MIN_MASK_SCORE = 0.7  # default: lower predicted IoUs need a check of the outlin
 MASK_AREA_LOG_SD = 0.1  # default: standard deviation of log(mask area / true area)
 # The same for points whose masks agree, and for all others: research/results/notes.md has the
 # trial.
-_POINT_AREA_LOG_SD, _DOUBTED_POINT_AREA_LOG_SD = 0.25, 1.3
+_POINT_AREA_LOG_SD = 0.25
+_DOUBTED_POINT_AREA_LOG_SD = 1.3
 _LEAST_AGREEING = 3  # masks that show the same object; research/results/notes.md has the trial
 # masks that overlap more show the same object; research/results/notes.md has the trial
 _SAME_IOU = 0.7
@@ -112,7 +113,9 @@ class Segmentation:
     @property
     def bounding_box(self) -> Box | None:
         """Smallest box of whole pixels around the mask, in pixels of the image; None for an empty mask."""
-        bounds, left, top = mask_bounds(self.mask), self.window.x_px, self.window.y_px
+        bounds = mask_bounds(self.mask)
+        left = self.window.x_px
+        top = self.window.y_px
         return bounds and (bounds[0] + left, bounds[1] + top, bounds[2] + left, bounds[3] + top)
 
 
@@ -139,7 +142,8 @@ class Segmenter(LoadedModel):
         runtime: Runtime | None = None,
     ) -> None:
         self.runtime = runtime or Runtime()
-        self.encoder_path, self.decoder_path = Path(encoder_path), Path(decoder_path)
+        self.encoder_path = Path(encoder_path)
+        self.decoder_path = Path(decoder_path)
         files = read_model(self.encoder_path), read_model(self.decoder_path)
         encoder, decoder = (
             open_session(file.path, content=file.content, runtime=self.runtime) for file in files
@@ -285,8 +289,10 @@ def _distinct(found: Sequence[Segmentation]) -> list[Segmentation]:
 
 def _overlap(one: Segmentation, other: Segmentation) -> float:
     """Compute the intersection over union of two masks that are not empty."""
-    first, second = one.window, other.window
-    left, top = max(first.x_px, second.x_px), max(first.y_px, second.y_px)
+    first = one.window
+    second = other.window
+    left = max(first.x_px, second.x_px)
+    top = max(first.y_px, second.y_px)
     right = min(first.x_px + first.width_px, second.x_px + second.width_px)
     bottom = min(first.y_px + first.height_px, second.y_px + second.height_px)
     if left >= right or top >= bottom:

@@ -45,7 +45,8 @@ class Circle(NamedTuple):
 
 def mask_bounds(mask: NDArray[np.bool_]) -> Bounds | None:
     """Find the bounding box of a mask ``[h, w]``; None for an empty one."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    rows = np.flatnonzero(mask.any(axis=1))
+    columns = np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return None
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
@@ -229,7 +230,8 @@ def _simplified(traced: _Traced, tolerance_px: float) -> list[Rings]:
     def simplified(ring: NDArray[np.int32]) -> NDArray[np.float64]:
         simple = cv2.approxPolyDP(ring, 2 * tolerance_px / traced.cell_px, True).reshape(-1, 2)
         if len(simple) < 3:
-            (x1, y1), (x2, y2) = ring.min(axis=(0, 1)), ring.max(axis=(0, 1))
+            (x1, y1) = ring.min(axis=(0, 1))
+            (x2, y2) = ring.max(axis=(0, 1))
             simple = np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])
         return traced.origin + simple * (traced.cell_px / 2)
 

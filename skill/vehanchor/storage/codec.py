@@ -17,7 +17,8 @@ from pydantic import BaseModel
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-_KIND, _ARRAY = "=", "array"
+_KIND = "="
+_ARRAY = "array"
 
 
 class Codec:
@@ -66,7 +67,8 @@ class Codec:
             return tuple(self.load(each) for each in found)
         if not isinstance(found, dict):
             return found
-        name, kind = found[_KIND], self._classes.get(found[_KIND])
+        name = found[_KIND]
+        kind = self._classes.get(found[_KIND])
         if name == _ARRAY:
             dtype = np.dtype(found["dtype"])
             if dtype.hasobject:

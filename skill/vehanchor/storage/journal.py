@@ -99,7 +99,9 @@ class Journal(Generic[Value]):
         self._settings = hashlib.sha256(
             json.dumps(self._facts, sort_keys=True).encode()
         ).hexdigest()
-        self._dump, self._load, self._remedy = dump, load, remedy
+        self._dump = dump
+        self._load = load
+        self._remedy = remedy
         self._lock = threading.Lock()
         with self._errors_told():
             try:
@@ -246,7 +248,8 @@ class Journal(Generic[Value]):
 
 
 def _difference(theirs: Any, ours: Mapping[str, Any]) -> str:
-    before, now = dict(_leaves("", theirs)), dict(_leaves("", ours))
+    before = dict(_leaves("", theirs))
+    now = dict(_leaves("", ours))
     keys = sorted({*before, *now})
     return ", ".join(
         f"{key} {before.get(key)!r} (now {now.get(key)!r})"

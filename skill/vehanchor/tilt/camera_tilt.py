@@ -40,7 +40,8 @@ _LEAST_SCORE = 0.5
 _LOG_SD = 0.11  # of the square root of box areas within one fleet
 _FACTOR = 4.0  # largest ratio of a car's length to the median, in either direction
 # share and number of cars that count: neighbours are alike; a choice
-_INDEPENDENT, _MOST_INDEPENDENT = 0.5, 40.0
+_INDEPENDENT = 0.5
+_MOST_INDEPENDENT = 40.0
 _LITTLE = 1e-6 * np.eye(3)  # information: cars in a row say little
 # of the reweighted fit, which then changes no digit that is shown; ``scipy.optimize`` loads for 0.2
 # s

@@ -151,7 +151,8 @@ def _from_detections(
 ) -> tuple[FleetSurvey, Calibration]:
     from vehanchor_evaluation.fleet_survey import calibrate_found, found_vehicles
 
-    options, data = chosen.options(), _known_scale(request, chosen)
+    options = chosen.options()
+    data = _known_scale(request, chosen)
     detector = open_shared(chosen, request.workers).detector
     found = request.search(data, detector, options, chosen, request.cache)
     survey = found_vehicles(data, found, detector.card, options)
@@ -160,7 +161,8 @@ def _from_detections(
 
 
 def _facts(record: Calibration) -> list[tuple[str, str]]:
-    low, high = record.reference_length_ci95_low_m, record.reference_length_ci95_high_m
+    low = record.reference_length_ci95_low_m
+    high = record.reference_length_ci95_high_m
     sha = (record.detector_sha256 or "")[:_SHORT_SHA]
     return [
         (

@@ -63,7 +63,8 @@ class ScaleRequest(KnownScaleRequest):
 
         options = chosen.options()
         options_of = with_regions(options, self._regions())
-        data, detector = self.survey(), open_shared(chosen, self.workers).detector
+        data = self.survey()
+        detector = open_shared(chosen, self.workers).detector
         check_options(detector, data, options_of)
         lines = self.lines(image.path for image in data.images)
         found = self.search(data, detector, options, chosen, self.cache or self.out / _CACHE_NAME)

@@ -149,7 +149,8 @@ def _images(
 def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, str]]:
     facts = []
     if record.same_scale:
-        low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+        low = record.gsd_ci95_low_m_per_px
+        high = record.gsd_ci95_high_m_per_px
         facts.append(
             ("scale of all", with_interval(record.gsd_m_per_px, low, high, "m/px", NO_SCALE))
         )
@@ -200,7 +201,8 @@ def _print_photographs(photographs: Sequence[FlightPhotograph], short: Mapping[s
 
 
 def _cells(each: FlightPhotograph, short: Mapping[str, str]) -> tuple[str, ...]:
-    low, high = each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px
+    low = each.gsd_ci95_low_m_per_px
+    high = each.gsd_ci95_high_m_per_px
     return (
         short[each.photograph],
         "-" if each.gsd_m_per_px is None else significant(each.gsd_m_per_px, 4),

@@ -77,7 +77,9 @@ class LiveEstimator:
         self._detector = checked_detector(detector, self._options)
         self._hold_s = HOLD_S.check("hold", hold_s)
         self._network = load_scene_scale(detector.runtime)
-        self._turn, self._first_s, self._last_s = 0, 0.0, 0.0
+        self._turn = 0
+        self._first_s = 0.0
+        self._last_s = 0.0
         self._state: FilterState | None = None
         self._features: Features | None = None
         self._prior: SceneScalePrior | None = None
@@ -89,7 +91,8 @@ class LiveEstimator:
         """Estimate the scale of the next frame."""
         if self._turn == 0:
             self._first_s = self._last_s = frame.at_s
-        seconds, self._last_s = max(0.0, frame.at_s - self._last_s), frame.at_s
+        seconds = max(0.0, frame.at_s - self._last_s)
+        self._last_s = frame.at_s
         with open_raster(frame.image) as raster:
             linked = self._follow(raster, seconds)
             analysis = self._search(raster)
@@ -98,7 +101,8 @@ class LiveEstimator:
 
     def _follow(self, raster: Raster, seconds: float) -> bool:
         """Move the state, the prior and the cars from the last frame to this one; tell whether features link them."""
-        features, before = find_features(raster, _FEATURES_SIDE_PX), self._features
+        features = find_features(raster, _FEATURES_SIDE_PX)
+        before = self._features
         self._features = features
         matched = None if before is None else match(before, features)
         motion = None if matched is None else _motion(matched, raster.width_px, raster.height_px)
@@ -107,7 +111,8 @@ class LiveEstimator:
         if self._state is not None and self._state.silent_s > self._hold_s:
             self._state = None
         if matched is None or motion is None:
-            self._prior_moved, self._cars = math.inf, np.zeros((0, 2))
+            self._prior_moved = math.inf
+            self._cars = np.zeros((0, 2))
             return False
         self._prior_moved += motion.moved
         if self._prior is not None:
@@ -121,7 +126,8 @@ class LiveEstimator:
     def _search(self, raster: Raster) -> ScaleAnalysis:
         """Search one window of the frame, and correct the state by its vehicles."""
         if self._prior_moved >= _PRIOR_FRAMES:
-            self._prior, self._prior_moved = self._network.predict(raster), 0.0
+            self._prior = self._network.predict(raster)
+            self._prior_moved = 0.0
         factor = reduction_factor(self._expected_gsd(), raster.width_px, raster.height_px)
         window = next_window(raster.width_px, raster.height_px, factor, self._turn, self._cars)
         prior = None if self._prior is None else self._prior.scaled(factor)
@@ -214,7 +220,8 @@ def next_window(
         In pixels of the reduced frame: the window around the car with the most neighbours, or in
         every fourth turn and without cars the next of all windows.
     """
-    width, height = width_px // factor, height_px // factor
+    width = width_px // factor
+    height = height_px // factor
     side = min(WINDOW_PX, width), min(WINDOW_PX, height)
     if len(cars) and turn % _ELSEWHERE_EVERY:
         corners = np.clip(
@@ -248,8 +255,10 @@ def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
     Returns:
         The measurement in pixels of the frame; None without a scale.
     """
-    estimate, vehicles = analysis.estimate, analysis.vehicles
-    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    estimate = analysis.estimate
+    vehicles = analysis.vehicles
+    low = estimate.gsd_ci95_low_m_per_px
+    high = estimate.gsd_ci95_high_m_per_px
     if estimate.gsd_m_per_px is None or vehicles is None or not low or not high:
         return None
     log_sd = math.log(high / low) / (2 * Z95)

@@ -128,9 +128,12 @@ def predicted(state: FilterState, seconds: float, motion: Motion | None) -> Filt
         The state; None if it says nothing any more.
     """
     if motion is None:
-        log_ratio, moved, noise = 0.0, 1.0, (_UNLINKED_LOG_SD_PER_S * seconds) ** 2
+        log_ratio = 0.0
+        moved = 1.0
+        noise = (_UNLINKED_LOG_SD_PER_S * seconds) ** 2
     else:
-        log_ratio, moved = motion.log_ratio, motion.moved
+        log_ratio = motion.log_ratio
+        moved = motion.moved
         noise = _STEADY_LOG_SD**2 + motion.log_sd**2 * motion.moved
     variance = state.variance + noise
     if variance > _WIDEST_LOG_SD**2:

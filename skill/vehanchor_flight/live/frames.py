@@ -201,16 +201,20 @@ class _Newest:
     def __init__(
         self, open_camera: Callable[[], Camera | None], name: str, tell: Callable[[str], None]
     ) -> None:
-        self._open, self._name, self._tell = open_camera, name, tell
+        self._open = open_camera
+        self._name = name
+        self._tell = tell
         self._frame: Frame | None = None
-        self._changed, self._ended = threading.Condition(), threading.Event()
+        self._changed = threading.Condition()
+        self._ended = threading.Event()
         threading.Thread(target=self._run, name=f"{name} of vehanchor live", daemon=True).start()
 
     def take(self, patience_s: float | None) -> Frame | None:
         """Wait for a frame; None if none came in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._frame is not None, patience_s)
-            frame, self._frame = self._frame, None
+            frame = self._frame
+            self._frame = None
         return frame
 
     def close(self) -> None:

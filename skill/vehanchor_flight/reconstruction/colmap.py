@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 _FILES = ("cameras", "images", "points3D")
 _MOST_BYTES = 8 << 30
-_POSE, _NAME_BYTES = struct.Struct("<I7dI"), 1024
+_POSE = struct.Struct("<I7dI")
+_NAME_BYTES = 1024
 _THREE = struct.Struct("<3d")
 _POINT = struct.Struct("<Q3d3BdQ")
 
@@ -154,7 +155,8 @@ def _text_shot(row: str, lenses: dict[int, Lens]) -> Shot:
 
 
 def _binary_cameras(found: bytearray) -> dict[int, Lens]:
-    (n,), at = struct.unpack_from("<Q", found), 8
+    (n,) = struct.unpack_from("<Q", found)
+    at = 8
     lenses = {}
     for _ in range(n):
         number, kind, width, height = struct.unpack_from("<IiQQ", found, at)
@@ -184,7 +186,8 @@ def _lens(kind: str, width: float, height: float, parameters: Sequence[float]) -
         or min(parameters[:n_focals]) <= 0
     ):
         raise ValueError(f"parameters of a camera {kind}: {parameters}")
-    focal_x, focal_y = parameters[0], parameters[n_focals - 1]
+    focal_x = parameters[0]
+    focal_y = parameters[n_focals - 1]
     centre_x, centre_y, *distortion = parameters[n_focals:]
     return Lens(
         width,
@@ -199,7 +202,8 @@ def _lens(kind: str, width: float, height: float, parameters: Sequence[float]) -
 
 
 def _image_offsets(found: bytearray) -> Iterator[int]:
-    (n,), at = struct.unpack_from("<Q", found), 8
+    (n,) = struct.unpack_from("<Q", found)
+    at = 8
     for _ in range(n):
         yield at
         end = found.index(b"\0", at + _POSE.size) + 1
@@ -216,7 +220,8 @@ def _binary_shot(found: bytearray, at: int, lenses: dict[int, Lens]) -> Shot:
 
 
 def _point_offsets(found: bytearray) -> Iterator[int]:
-    (n,), at = struct.unpack_from("<Q", found), 8
+    (n,) = struct.unpack_from("<Q", found)
+    at = 8
     for _ in range(n):
         yield at
         at += _POINT.size + 8 * _POINT.unpack_from(found, at)[-1]
@@ -240,7 +245,8 @@ def _shot(name: str, lens: Lens, pose: Sequence[float]) -> Shot:
 
 def _scaled_text(path: Path, first: int, factor: float, every: int = 1) -> bytes:
     """Scale three columns of every row, or of every second one; comments are kept."""
-    rows, number = [], 0
+    rows = []
+    number = 0
     for row in _bytes(path).decode().splitlines():
         if not row.startswith("#"):
             if number % every == 0 and row.strip():

@@ -114,13 +114,15 @@ def search_model(
         journal: earlier results; each new result is added at once.
     """
     files = photograph_files(model, images)
-    tell, silent = detector.runtime.tell, detector.under(replace(detector.runtime, progress=None))
+    tell = detector.runtime.tell
+    silent = detector.under(replace(detector.runtime, progress=None))
     tell(0, len(files))
     whole = model_plane(model)
     found: list[SeenPhotograph | Failure] = []
     for number, (shot, file) in enumerate(zip(model.shots, files, strict=True)):
         tell(number, len(files))
-        key, own = (shot.name, *Source.of(file)), with_lines_of(options, lines, file)
+        key = (shot.name, *Source.of(file))
+        own = with_lines_of(options, lines, file)
         points = model.points[shot.sees(model.points)]
         kept = None if journal is None else journal.get(key)
         try:
@@ -214,7 +216,8 @@ def _status(
     """Compare a photograph's own factor with that of the model."""
     if None in (own["factor"], whole["factor"]):
         return "nothing"
-    low, high = own["factor_ci95_low"], own["factor_ci95_high"]
+    low = own["factor_ci95_low"]
+    high = own["factor_ci95_high"]
     if low > whole["factor_ci95_high"] or high < whole["factor_ci95_low"]:
         return "outlier"
     return "used" if high <= _WIDEST_USED * low else "unclear"

@@ -156,13 +156,15 @@ def on_earth(
         ``[n, 3]`` degrees, degrees and metres.
     """
     squared = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
-    phi, theta = math.radians(origin[0]), math.radians(origin[1])
+    phi = math.radians(origin[0])
+    theta = math.radians(origin[1])
     east = np.array([-math.sin(theta), math.cos(theta), 0.0])
     up = np.array([math.cos(phi) * math.cos(theta), math.cos(phi) * math.sin(theta), math.sin(phi)])
     prime = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(1 - squared * math.sin(phi) ** 2)
     base = (prime + origin[2]) * up - [0, 0, squared * prime * math.sin(phi)]
     x, y, z = (base + np.asarray(points) @ np.array([east, np.cross(up, east), up])).T
-    across, latitude = np.hypot(x, y), np.full(len(x), phi)
+    across = np.hypot(x, y)
+    latitude = np.full(len(x), phi)
     for _ in range(_TURNS):
         primes = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
         latitude = np.arctan2(z + squared * primes * np.sin(latitude), across)

@@ -175,7 +175,9 @@ def _most_common(
     """
     rng = np.random.default_rng(_SEED)
     steepest = 0.0 if whole is None else math.cos(math.atan(_STEEPEST))
-    best, most, tried = np.ones(len(points), dtype=bool), 0, np.zeros(3)
+    best = np.ones(len(points), dtype=bool)
+    most = 0
+    tried = np.zeros(3)
     for _ in range(_TRIALS):
         a, b, c = points[rng.choice(len(points), 3, replace=False)]
         normal = np.cross(b - a, c - a)
@@ -187,7 +189,9 @@ def _most_common(
         normal /= size
         inside = np.abs((points - a) @ normal) <= thickness
         if int(inside.sum()) > most:
-            best, most, tried = inside, int(inside.sum()), normal
+            best = inside
+            most = int(inside.sum())
+            tried = normal
     # no slope fits: as steep as the model, at the middle height
     if whole is not None and most == 0:
         return Plane(whole.normal, whole.offset + float(np.median(whole.heights(points))))

@@ -61,7 +61,8 @@ class Lens:
         Raises:
             ReconstructionError: the copy has another aspect ratio.
         """
-        across, down = width_px / self.width_px, height_px / self.height_px
+        across = width_px / self.width_px
+        down = height_px / self.height_px
         if abs(across / down - 1) > _ASPECT_TOLERANCE:
             raise ReconstructionError(
                 f"the photograph has {width_px} x {height_px} px, and its camera in the model "

@@ -122,7 +122,8 @@ def _lens(camera: Mapping[str, Any]) -> Lens:
         raise ReconstructionError(
             f"the camera is of type {kind!r}: supported are {', '.join(_DISTORTIONS)}"
         )
-    width, height = float(camera["width"]), float(camera["height"])
+    width = float(camera["width"])
+    height = float(camera["height"])
     side = max(width, height)
     focal_x = float(camera.get("focal_x", camera.get("focal", 0)))
     focal_y = float(camera.get("focal_y", focal_x))

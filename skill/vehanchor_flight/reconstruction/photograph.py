@@ -222,7 +222,8 @@ def distinct(seen: Sequence[SeenPhotograph]) -> list[Photograph]:
     scores = np.concatenate([each.view.detections.scores for each in seen])
     places = np.concatenate([each.places for each in seen])
     logs = np.log(boxes[:, 2] * gsds)
-    kept, means = np.zeros(len(scores), dtype=bool), logs.copy()
+    kept = np.zeros(len(scores), dtype=bool)
+    means = logs.copy()
     left = np.ones(len(scores), dtype=bool)
     for first in np.argsort(-scores, kind="stable"):
         if not left[first]:
@@ -230,9 +231,11 @@ def distinct(seen: Sequence[SeenPhotograph]) -> list[Photograph]:
         reach = _SAME_PLACE * math.exp(logs[first])
         same = left & (np.abs(places - places[first]).max(axis=1) <= reach)
         same[same] = np.linalg.norm(places[same] - places[first], axis=1) <= reach
-        left[same], kept[first] = False, True
+        left[same] = False
+        kept[first] = True
         means[first] = np.average(logs[same], weights=np.maximum(scores[same], 1e-3))
-    lengths, ends = np.exp(means) / gsds, np.cumsum([len(each.places) for each in seen])[:-1]
+    lengths = np.exp(means) / gsds
+    ends = np.cumsum([len(each.places) for each in seen])[:-1]
     parts = zip(seen, np.split(kept, ends), np.split(lengths, ends), strict=True)
     return [each.photograph(chosen, own) for each, chosen, own in parts]
 
@@ -258,16 +261,19 @@ def _on_ground(
     places, steep = sight.on_ground(boxes[:, :2])
     sides = []
     for first, second in box_axes(boxes):
-        (one, good), (other, well) = sight.on_ground(first), sight.on_ground(second)
+        (one, good) = sight.on_ground(first)
+        (other, well) = sight.on_ground(second)
         sides.append(np.linalg.norm(one - other, axis=1))
         steep &= good & well
     steep &= (
         np.isfinite(np.column_stack([places, *sides])).all(axis=1) & (sides[0] > 0) & (sides[1] > 0)
     )
-    lengths, widths = sides[0][steep], sides[1][steep]
+    lengths = sides[0][steep]
+    widths = sides[1][steep]
     if sight.tilted:
         lengths = length_off_nadir(lengths, widths, bodies=detections.looks is not None)
-    centre, nearer = sight.shot.centre, np.ones((len(lengths), 1))
+    centre = sight.shot.centre
+    nearer = np.ones((len(lengths), 1))
     for _ in range(_DESCENTS):
         heights = local_heights(
             centre + nearer * (places[steep] - centre), points, sight.plane, sight.height
@@ -283,7 +289,8 @@ def _taken(
     detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.float64]
 ) -> Detections:
     """Select boxes ``[n]`` and replace their lengths."""
-    boxes, looks = detections.boxes.copy(), detections.looks
+    boxes = detections.boxes.copy()
+    looks = detections.looks
     boxes[:, 2] = lengths
     return replace(
         detections,

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-FOCAL_PX, WIDTH_PX, HEIGHT_PX = 640.0, 640, 480
+FOCAL_PX = 640.0
+WIDTH_PX = 640
+HEIGHT_PX = 480
 
 
 class Pose(NamedTuple):
@@ -82,8 +84,10 @@ class Pose(NamedTuple):
         """
         image = blank_image(WIDTH_PX, HEIGHT_PX)
         half = np.column_stack([np.cos(cars[:, 3]), np.sin(cars[:, 3])]) * cars[:, 2:3] / 2
-        first, second = self.pixels(cars[:, :2] - half), self.pixels(cars[:, :2] + half)
-        along, middle = second - first, (first + second) / 2
+        first = self.pixels(cars[:, :2] - half)
+        second = self.pixels(cars[:, :2] + half)
+        along = second - first
+        middle = (first + second) / 2
         length = np.linalg.norm(along, axis=1)
         boxes = np.column_stack(
             [middle, length, length / 2.21, np.arctan2(along[:, 1], along[:, 0])]

@@ -107,8 +107,12 @@ def red_rectangle(picture: NDArray[np.uint8]) -> tuple[int, int, int, int]:
     """The inside of the red rectangle: x1, y1, x2, y2, as the first and the first beyond pixels that are not red."""
     red = (picture[:, :, 0] > 170) & (picture[:, :, 1] < 90) & (picture[:, :, 2] < 90)
     ys, xs = np.nonzero(red)
-    x1, x2, y1, y2 = xs.min(), xs.max(), ys.min(), ys.max()
-    middle_x, middle_y = (x1 + x2) // 2, (y1 + y2) // 2
+    x1 = xs.min()
+    x2 = xs.max()
+    y1 = ys.min()
+    y2 = ys.max()
+    middle_x = (x1 + x2) // 2
+    middle_y = (y1 + y2) // 2
     while red[middle_y, x1]:
         x1 += 1
     while red[middle_y, x2]:

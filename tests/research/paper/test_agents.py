@@ -46,7 +46,9 @@ class Tools:
         self.openai_tools: list[dict[str, Any]] = [
             {"type": "function", "function": {**tool, "parameters": {}}}
         ]
-        self._truth_m, self._factor, self._status = truth_m, factor, status
+        self._truth_m = truth_m
+        self._factor = factor
+        self._status = status
 
     def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
         assert name == "measure_distance"
@@ -126,7 +128,8 @@ def test_a_model_acts_in_tasks_of_fit_and_direction(
     (first, path) = asked[0]
     task = task_of(first.question.model_copy(update={"expected": "act"}), kind)
     task = Task(task.question, kind, task.ends, 0.6 if kind == "fit" else 0.0)
-    truth, told = task.truth_m(800, 640), []
+    truth = task.truth_m(800, 640)
+    told = []
 
     def answering(shown: Asked) -> Answer:
         told.append(shown.text)

@@ -53,7 +53,8 @@ def write_isaid_pictures(
     first: int = 1,
 ) -> None:
     """The instance and the category picture of an image of ``size`` (height, width); numbers are 3001 apart."""
-    ids, colours = np.zeros((*size, 3), np.uint8), np.zeros((*size, 3), np.uint8)
+    ids = np.zeros((*size, 3), np.uint8)
+    colours = np.zeros((*size, 3), np.uint8)
     for index, (category, mask) in enumerate(objects):
         number = first + 3001 * index
         ids[mask] = number & 255, number >> 8 & 255, number >> 16
@@ -180,7 +181,8 @@ def test_an_image_that_lacks_something_is_reported_and_the_others_are_read(tmp_p
     blank = np.full((40, 60, 3), 90, np.uint8)
     mask = np.zeros((40, 60), bool)
     mask[10:30, 10:30] = True
-    dota, masks = tmp_path / "dota", tmp_path / "isaid" / "images"
+    dota = tmp_path / "dota"
+    masks = tmp_path / "isaid" / "images"
     for name, gsd in (("P1", 0.2), ("P2", None), ("P3", 0.3), ("P4", 0.3)):
         write_dota_image(dota, name, blank, gsd)
     for name in ("P1", "P2", "P4", "P5"):

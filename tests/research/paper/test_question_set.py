@@ -119,7 +119,8 @@ def test_the_bearing_is_that_of_the_picture_not_of_fractions_of_its_sides() -> N
 def test_a_direction_is_right_within_five_degrees_and_with_a_right_interval() -> None:
     task = task_of(RENDERED[0].model_copy(update={"expected": "act"}), "direction")
     size = 800, 640
-    bearing, truth = task.bearing_deg(*size), task.truth_m(*size)
+    bearing = task.bearing_deg(*size)
+    truth = task.truth_m(*size)
     around = 0.9 * truth, 1.1 * truth
     assert task.deed(Direction((bearing - 4) % 360, around), *size) == "acted rightly"
     assert task.deed(Direction((bearing + 364) % 360, around), *size) == "acted rightly"

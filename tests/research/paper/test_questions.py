@@ -42,7 +42,8 @@ class Tools:
     openai_tools: list[dict[str, Any]] = []  # noqa: RUF012
 
     def __init__(self, gsd: float | None, status: str = "ok") -> None:
-        self.gsd, self.status = gsd, status
+        self.gsd = gsd
+        self.status = status
         self.asked: list[dict[str, Any]] = []
 
     def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
@@ -50,9 +51,11 @@ class Tools:
         self.asked.append(arguments)
         if self.gsd is None:
             return "busy: later.", True
-        gsd, status = self.gsd, self.status
+        gsd = self.gsd
+        status = self.status
         for line in arguments.get("known_lengths", ()):
-            gsd, status = line["metres"] / (512 * (line["x2"] - line["x1"])), "ok"
+            gsd = line["metres"] / (512 * (line["x2"] - line["x1"]))
+            status = "ok"
         first, second = arguments["lines"][0]["points"]
         px = (
             (512 * (second["x"] - first["x"])) ** 2 + (400 * (second["y"] - first["y"])) ** 2

@@ -47,7 +47,8 @@ BOXES = [(120, 200, 216, 296), (360, 200, 456, 296), (120, 336, 216, 432)]
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three squares among cars, and models."""
     folder = tmp_path_factory.mktemp("vlm")
-    image, ids = blank_image(640, 480), np.zeros((480, 640), np.uint8)
+    image = blank_image(640, 480)
+    ids = np.zeros((480, 640), np.uint8)
     for number, (x1, y1, x2, y2) in enumerate(BOXES, start=1):
         image[y1:y2, x1:x2] = (40, 140, 210)
         ids[y1:y2, x1:x2] = number

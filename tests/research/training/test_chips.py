@@ -42,12 +42,11 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_moved_edges_touch_the_moved_body(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    move, turn, edges = (
-        draw_move(rng),
-        float(rng.normal(0, 0.1)),
-        np.array([-0.5, 0.44, -0.2, 0.23]),
-    )
-    along, across = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+    move = draw_move(rng)
+    turn = float(rng.normal(0, 0.1))
+    edges = np.array([-0.5, 0.44, -0.2, 0.23])
+    along = np.array([np.cos(turn), np.sin(turn)])
+    across = np.array([-np.sin(turn), np.cos(turn)])
     corners = np.array([a * along + b * across for a in edges[:2] for b in edges[2:]])
     seen = (corners - move.shift) @ np.linalg.inv(move.matrix).T
     moved, turned = moved_edges(edges, turn, move)

@@ -45,7 +45,8 @@ def test_a_crop_tells_where_its_court_is_and_how_it_lies() -> None:
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
 def test_a_network_that_has_learned_one_court_proposes_it(tmp_path: Path) -> None:
     torch.manual_seed(0)
-    network, stream = CourtNet(), CropStream(_groups(), 0)
+    network = CourtNet()
+    stream = CropStream(_groups(), 0)
     optimizer = torch.optim.AdamW(network.parameters(), lr=4e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 4e-3, total_steps=180)
     for step in range(180):

@@ -52,7 +52,8 @@ def test_crops_move_picture_and_boxes_alike() -> None:
             if box[2] < 20 or (corners < 2).any() or (corners > CROP_PX - 2).any():
                 continue
             rows, cols = np.mgrid[0:CROP_PX, 0:CROP_PX] + 0.5
-            dx, dy = cols - box[0], rows - box[1]
+            dx = cols - box[0]
+            dy = rows - box[1]
             along = np.abs(dx * np.cos(box[4]) + dy * np.sin(box[4]))
             across = np.abs(-dx * np.sin(box[4]) + dy * np.cos(box[4]))
             inside = (along < box[2] / 2 - 1) & (across < box[3] / 2 - 1)
@@ -86,7 +87,8 @@ def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: P
     found = onnxruntime.InferenceSession(path).run(None, {"images": tensor.numpy()})[0][0]
     np.testing.assert_allclose(found[[0, 1, 2, 3, 5]], columns[[0, 1, 2, 3, 5]], atol=1e-3)
     seen = detector.detect_tile(detector.prepared(image), 1e-6).vehicles
-    boxes, scores = seen.boxes, seen.scores
+    boxes = seen.boxes
+    scores = seen.scores
     # untrained: near ties
     assert len(boxes) == (found[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)
     assert scores.max() == pytest.approx(columns[4].max(), abs=1e-5)
@@ -128,7 +130,8 @@ def test_a_network_started_from_an_exported_file_computes_what_the_file_computes
     network = VehicleNet()
     load_exported(network, tmp_path / "m.onnx", crops)
     with torch.no_grad():
-        ours, theirs = network.eval()(crops), source(crops)
+        ours = network.eval()(crops)
+        theirs = source(crops)
     torch.testing.assert_close(ours.heat, theirs.heat, atol=2e-3, rtol=1e-3)
     torch.testing.assert_close(ours.shape, theirs.shape, atol=2e-3, rtol=1e-3)
     with torch.no_grad():  # and with the batch's own statistics, as in training

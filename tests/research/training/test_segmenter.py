@@ -61,11 +61,13 @@ def _prompt(points: list[tuple[float, float]], labels: list[float], side: int) -
 
 
 def test_crops_move_picture_and_mask_alike() -> None:
-    sample, rng = _sample(), np.random.default_rng(0)
+    sample = _sample()
+    rng = np.random.default_rng(0)
     assert objects_of([sample]) == [MaskObject(0, 3, 80, 60, 180, 140)]
     for scale in (0.4, 0.8, 1.7):
         example = cut(rng, sample, 160, scale, (130.0, 100.0), 3)
-        inner, outer = example.mask > 0.98, example.mask < 0.02
+        inner = example.mask > 0.98
+        outer = example.mask < 0.02
         near = outer & (cv2.dilate(example.mask, np.ones((9, 9))) > 0.5)
         assert inner.sum() > 0.7 * 5000 * scale**2
         assert np.median(example.image[inner]) > 190
@@ -93,7 +95,8 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     torch.manual_seed(0)
     network = Segmenter().eval()
     torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
-    offset, smoothing = 0.25, 0.7
+    offset = 0.25
+    smoothing = 0.7
     said: dict[str, object] = {
         "min_score": 0.6,
         "mask_area_log_sd": 0.08,

@@ -94,7 +94,8 @@ async def test_the_page_has_a_tool_that_no_model_sees(
     assert names.structured_content is not None
     assert str(images / "cars.png") in names.structured_content["images"]
     assert names.structured_content["next_page"] is None
-    picture, photograph = picture_of(seen).astype(float), cv2.imread(str(images / "cars.png"))
+    picture = picture_of(seen).astype(float)
+    photograph = cv2.imread(str(images / "cars.png"))
     assert photograph is not None
     shown = cv2.resize(
         photograph[50:350, 100:400], picture.shape[1::-1], interpolation=cv2.INTER_CUBIC
@@ -115,7 +116,8 @@ async def test_vehicles_and_lines_are_drawn_where_they_are_with_the_vehicles_num
     }
     async with Client(server, extensions=SHOWS_PAGES) as client:
         result = await client.call_tool("estimate_gsd", asked)
-    drawing, record = panel_of(result)["drawing"], result.structured_content
+    drawing = panel_of(result)["drawing"]
+    record = result.structured_content
     assert record is not None
     assert len(drawing["vehicles"]) == record["details"]["n_detections"] == 24
     lengths = [length for _, _, length, _, _, kept, *_ in drawing["vehicles"] if kept]

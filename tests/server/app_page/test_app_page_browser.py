@@ -69,7 +69,8 @@ class Host(Person):
 
     def __init__(self, tab: Any, calls: dict[str, Call], results: Results) -> None:
         super().__init__(tab, tab.frame_locator("iframe"))
-        self.calls, self.results = calls, results
+        self.calls = calls
+        self.results = results
         tab.route("**/*", self._serve)
         tab.goto("http://host.test/")
 
@@ -217,7 +218,8 @@ def host(chromium: Any, calls: dict[str, Call], results: Results) -> Iterator[Ho
 
 
 def test_a_good_estimate_is_shown_in_words_numbers_and_boxes(host: Host) -> None:
-    record, jpeg = host.record("good"), host.panel("good")["picture_jpeg"]
+    record = host.record("good")
+    jpeg = host.panel("good")["picture_jpeg"]
     host.show("good")
     host.reads("#sentence", "Measured from vehicles.")
     host.reads("#status", "Safe to use")
@@ -241,7 +243,8 @@ def test_a_good_estimate_is_shown_in_words_numbers_and_boxes(host: Host) -> None
 def test_every_state_is_told_in_its_own_words(host: Host) -> None:
     few, area, pixels = map(host.record, ("few", "area", "area, no ruler"))
     copy = f"{significant(few['frame']['gsd_m_per_px'])} m/px at 320 \u00d7 256 px"
-    first, last = ".readings > div:first-child", ".readings > div:last-child"
+    first = ".readings > div:first-child"
+    last = ".readings > div:last-child"
     circle = ".readings > div:nth-child(2) .value"
     states: dict[str, dict[str, str | re.Pattern[str]]] = {
         "guarded": {"#status": "Low confidence: do not use", f"{first} .warn": "do not use"},
@@ -361,7 +364,8 @@ def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arg
     host.drags((300, 180), (420, 330))
     host.reads("ol.measured li:last-child .number", f"{host.record('area')['area_m2']:.3g} m²")
     distance, area = (each["arguments"] for each in host.asked())
-    (line,), (target,) = distance.pop("lines"), area.pop("targets")
+    (line,) = distance.pop("lines")
+    (target,) = area.pop("targets")
     assert distance == area == {**host.calls["good"][1], **told}
     places = [each for point in line["points"] for each in point.values()] + list(
         target["box"].values()

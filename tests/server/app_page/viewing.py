@@ -36,7 +36,8 @@ class Person:
     """Somebody who looks at a page in a browser's tab, or in a frame of it."""
 
     def __init__(self, tab: Any, page: Any) -> None:
-        self.tab, self.page = tab, page
+        self.tab = tab
+        self.page = page
         self.requested: list[str] = []
         self.complaints: list[str] = []
         tab.set_default_timeout(PATIENCE_MS)

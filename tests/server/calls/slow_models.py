@@ -10,7 +10,9 @@ import onnx
 from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 
-_LAYERS, _CHANNELS, _SIDE_PX = 800, 16, 256
+_LAYERS = 800
+_CHANNELS = 16
+_SIDE_PX = 256
 
 
 def weighed_down(source: Path, target: Path) -> Path:

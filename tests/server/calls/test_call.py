@@ -127,7 +127,8 @@ def work_until_stopped(stop: Stop) -> None:
 
 async def test_a_place_is_taken_until_the_thread_has_ended() -> None:
     capacity = Capacity(1, 5)
-    began, release = threading.Event(), threading.Event()
+    began = threading.Event()
+    release = threading.Event()
 
     def work() -> None:  # does not listen to stop requests
         began.set()

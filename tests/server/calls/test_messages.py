@@ -241,7 +241,8 @@ def foreign_bytes(services: Services, job: Job, source: Any, hexadecimal: str) -
     ],
 )
 def test_a_worker_that_sends_other_bytes_is_ended(running: Services, sent: bytes) -> None:
-    before, started = done(running, number), time.monotonic()
+    before = done(running, number)
+    started = time.monotonic()
     with pytest.raises(CallError, match="worker_killed"):
         done(running, foreign_bytes, sent.hex())
     assert time.monotonic() - started < 50  # although it sleeps for longer

@@ -130,7 +130,8 @@ async def test_answers_are_those_of_one_process(
         ("estimate_gsd", by_path("/etc/passwd")),
         ("estimate_gsd", {**by_path(images / "cars.png"), "region": "atlantis"}),
     ):
-        answers, progress = [], []
+        answers = []
+        progress = []
         for each in (isolated_server, server):
             reports.clear()
             async with Client(each) as client:

@@ -33,7 +33,9 @@ pytestmark = pytest.mark.anyio
 
 
 TOOLS = ("estimate_gsd", "measure_area")
-INSIDE_PX, OUTSIDE_PX = 64, 96  # widths: an answer tells which image was read
+# widths: an answer tells which image was read
+INSIDE_PX = 64
+OUTSIDE_PX = 96
 
 
 @pytest.fixture
@@ -99,8 +101,10 @@ async def test_the_image_inside_is_measured_and_paths_that_lead_elsewhere_are_re
 def test_a_file_swapped_for_a_link_all_the_time_is_never_followed(
     root: Path, outside: Path
 ) -> None:
-    victim, kept = root / "victim.png", root / "a.png"
-    stop, sizes = threading.Event(), set()
+    victim = root / "victim.png"
+    kept = root / "a.png"
+    stop = threading.Event()
+    sizes = set()
 
     def swap() -> None:
         while not stop.is_set():

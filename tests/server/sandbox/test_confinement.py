@@ -65,7 +65,9 @@ class Targets:
 @work(Value)
 def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Reply[Value]:
     """Everything that a worker should be kept from, and some things that it needs; in a worker."""
-    root, secret, server = services.settings.roots[0], targets.secret, targets.server
+    root = services.settings.roots[0]
+    secret = targets.secret
+    server = targets.server
     libc = ctypes.CDLL(None, use_errno=True)
 
     def checked(result: int) -> None:
@@ -152,7 +154,8 @@ def test_a_worker_can_do_its_work_and_nothing_else(
 ) -> None:
     if not (held[0] and held[1]):
         pytest.skip(f"this system does not confine: {held[2]}")
-    root, secret = running.settings.roots[0], tmp_path / "token"
+    root = running.settings.roots[0]
+    secret = tmp_path / "token"
     secret.write_text("hunter2")
     (root / "cars.png").write_bytes(b"pixels")
     (root / "to_secret").symlink_to(secret)

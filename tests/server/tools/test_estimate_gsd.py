@@ -88,10 +88,8 @@ async def test_arguments_reach_the_library(
 async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_against_the_vehicles(
     server: MCPServer[object], images: Path
 ) -> None:
-    line, frame = (
-        {"x1": 10, "y1": 10, "x2": 110, "y2": 10, "metres": 200},
-        {"width_px": 320, "height_px": 256},
-    )
+    line = {"x1": 10, "y1": 10, "x2": 110, "y2": 10, "metres": 200}
+    frame = {"width_px": 320, "height_px": 256}
     heard = await called(
         server, "estimate_gsd", images / "cars.png", frame=frame, known_lengths=[line]
     )
@@ -150,7 +148,8 @@ def doubtful() -> GsdEstimate:
 
 
 LINE = "draw a line over a parking bay or lane dash (known_lengths)"
-CAR, REGION = "add a car that has no box (add)", "give the region (region)"
+CAR = "add a car that has no box (add)"
+REGION = "give the region (region)"
 DROP = "drop boxes that are no cars, see view_image (drop)"
 
 

@@ -61,7 +61,8 @@ def flight(images: Path) -> Path:
     """``here.png`` without a car, ``near.png`` beside it with cars at 0.8 of its scale, ``elsewhere.png``."""
     folder = images / "flight"
     folder.mkdir()
-    world, other = ground(seed=5), ground(seed=6)
+    world = ground(seed=5)
+    other = ground(seed=6)
     near = np.ascontiguousarray(photograph_of(world, 660, 580, turn_deg=30))
     paint_vehicles(
         near,
@@ -136,7 +137,8 @@ async def test_images_of_one_scale_put_their_vehicles_together(
 async def test_what_cannot_be_used_is_named_by_its_place(
     server: MCPServer[object], flight: Path, images: Path
 ) -> None:
-    here, near = flight / "here.png", flight / "near.png"
+    here = flight / "here.png"
+    near = flight / "near.png"
     line = {"x1": 0, "y1": 0, "x2": 99, "y2": 0, "metres": 9}
     cases = [
         (_among(here, near, flight / "broken.png"), "image_undecodable", "more_images.1"),

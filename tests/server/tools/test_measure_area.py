@@ -111,10 +111,8 @@ async def test_a_point_of_unknown_extent_is_told_with_the_sizes_that_it_may_mean
         **MEASURED,
     }
     asking["frame"] = {"width_px": 320, "height_px": 256}
-    short, full = (
-        await asked(server, asking),
-        record_of(await asked(server, {**asking, "detail": "full"})),
-    )
+    short = await asked(server, asking)
+    full = record_of(await asked(server, {**asking, "detail": "full"}))
     sizes = [each["area_m2"] for each in full["alternatives"]]
     assert full["status"] == record_of(short)["status"] == "low_confidence"
     assert sizes == pytest.approx([each["mask_area_px"] * 0.15**2 for each in full["alternatives"]])

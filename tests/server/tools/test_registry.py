@@ -51,7 +51,8 @@ def image_size_tool(services: Services) -> StrictTool:
         answer = await run_call(services, ctx, image, _image_size, None)
         return answer.to_result(f"{answer.record.width_px} px wide.")
 
-    title, description = "Tell an image's size", "Tells the size of an image."
+    title = "Tell an image's size"
+    description = "Tells the size of an image."
     return StrictTool.read_only(image_size, title=title, description=description, record=Size)
 
 

@@ -44,7 +44,8 @@ def seen_in(result: CallToolResult) -> dict[str, Any]:
     assert result.structured_content is None
     first, *lines = text_of(result).splitlines()
     if "Image of" not in first:
-        names, folder = [], ""
+        names = []
+        folder = ""
         for line in lines:
             folder = folder if line.startswith("  ") else line
             names += [f"{folder}{line[2:]}"] if line.startswith("  ") else []
@@ -66,7 +67,8 @@ async def test_the_picture_has_the_size_that_is_declared(
 ) -> None:
     for long_side_px in (256, 1568):
         result = await asked(server, images / "pool.png", long_side_px=long_side_px)
-        seen, picture = seen_in(result), picture_of(result)
+        seen = seen_in(result)
+        picture = picture_of(result)
         assert (seen["picture_width_px"], seen["picture_height_px"]) == picture.shape[1::-1]
         assert seen["picture_width_px"] == long_side_px
         assert (seen["image_width_px"], seen["image_height_px"]) == (640, 512)
@@ -77,9 +79,11 @@ async def test_what_is_pointed_at_in_the_picture_is_there_in_the_image(
     server: MCPServer[object], images: Path
 ) -> None:
     result = await asked(server, images / "pool.png", long_side_px=320)
-    seen, picture = seen_in(result), picture_of(result)[:, :, ::-1].astype(int)
+    seen = seen_in(result)
+    picture = picture_of(result)[:, :, ::-1].astype(int)
     pool = np.argwhere(np.abs(picture - [40, 140, 210]).max(2) < 40)
-    (top, left), (bottom, right) = pool.min(0), pool.max(0) + 1
+    (top, left) = pool.min(0)
+    (bottom, right) = pool.max(0) + 1
     box = {
         "x_min": float(left) - 2,
         "y_min": float(top) - 2,
@@ -109,7 +113,8 @@ async def test_a_part_is_shown_enlarged_with_the_way_back_in_words(
     server: MCPServer[object], images: Path
 ) -> None:
     result = await asked(server, images / "pool.png", part=POOL_BOX, long_side_px=400)
-    seen, picture = seen_in(result), picture_of(result)
+    seen = seen_in(result)
+    picture = picture_of(result)
     assert seen["part"] == POOL_BOX
     assert max(picture.shape) == 400
     assert "shows x 294 to 354, y 324 to 432: in the image, x = 294 + " in text_of(result)
@@ -219,7 +224,8 @@ async def test_many_images_come_in_pages(tmp_path: Path) -> None:
 
 
 async def test_what_links_lead_to_is_not_named(tmp_path: Path) -> None:
-    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    inside = tmp_path / "inside"
+    outside = tmp_path / "outside"
     for folder in (inside, outside, inside / ".hidden"):
         folder.mkdir()
         (folder / "a.jpg").touch()
@@ -236,7 +242,8 @@ async def test_a_server_without_roots_names_none() -> None:
 async def test_a_part_of_a_large_image_is_read_alone(tmp_path: Path) -> None:
     image = write_image(tmp_path / "large.png", with_pool(paint_scene(1500, 1260, 0)))
     server = _served(tmp_path)
-    whole, part = await asked(server, image), await asked(server, image, part=POOL_BOX)
+    whole = await asked(server, image)
+    part = await asked(server, image, part=POOL_BOX)
     assert seen_in(whole)["picture_width_px"] == 1024
     assert "give that size as frame" in text_of(whole)
     assert seen_in(part)["grid_px"] == 10
@@ -257,7 +264,8 @@ async def test_names_that_are_no_text_are_left_out(tmp_path: Path) -> None:
 async def test_a_listing_takes_a_slot_and_has_the_deadline(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    listing, goes_on = threading.Event(), threading.Event()
+    listing = threading.Event()
+    goes_on = threading.Event()
 
     def slow_walk(root: Path, stop: Stop) -> Iterator[Path]:
         listing.set()

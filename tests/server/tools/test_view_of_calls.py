@@ -73,7 +73,8 @@ async def test_the_words_of_the_call_stand_before_a_picture_with_its_vehicles(
 async def test_a_call_that_is_computed_again_gives_the_same_picture(
     settings: Settings, images: Path
 ) -> None:
-    seen, tool = [], "measure_area"
+    seen = []
+    tool = "measure_area"
     for is_remembered in (True, False):
         server = create_server(create_services(settings))
         if is_remembered:

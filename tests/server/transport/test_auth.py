@@ -27,7 +27,8 @@ from vehanchor_server.transport.auth import (
 
 pytestmark = pytest.mark.anyio
 
-ISSUER, AUDIENCE = "https://issuer.test/realm", "https://vehanchor.test/mcp"
+ISSUER = "https://issuer.test/realm"
+AUDIENCE = "https://vehanchor.test/mcp"
 TOKEN = "a-long-enough-token-1234"
 
 
@@ -205,7 +206,8 @@ async def test_an_issuer_that_is_not_itself_or_not_there_is_told_in_the_log(
 ) -> None:
     issuer.says_it_is = "https://evil.test"
     assert await issuer.verifier().verify_token(issuer.token()) is None
-    issuer.says_it_is, issuer.jwks_uri = ISSUER, "http://issuer.test/keys"
+    issuer.says_it_is = ISSUER
+    issuer.jwks_uri = "http://issuer.test/keys"
     assert await issuer.verifier().verify_token(issuer.token()) is None
     issuer.broken = True
     assert await issuer.verifier().verify_token(issuer.token()) is None

@@ -70,7 +70,8 @@ def test_very_many_unknown_arguments_are_refused_and_freeze_nothing(
     base: str, unknown: bytes, modern: bool
 ) -> None:
     request = with_unknown(unknown, modern=modern, nested=modern)
-    slowest, stop = [0.0], threading.Event()
+    slowest = [0.0]
+    stop = threading.Event()
 
     def probe() -> None:
         with httpx.Client(timeout=60) as client:
@@ -95,7 +96,8 @@ def test_very_many_unknown_arguments_are_refused_and_freeze_nothing(
 @pytest.mark.anyio
 @pytest.mark.parametrize("part", [b"," * 1000, b"[" * 1000, b'"a":0,' * 200])
 async def test_the_application_gets_no_more_of_a_body_than_may_be_parsed(part: bytes) -> None:
-    parts, answers = [0], []
+    parts = [0]
+    answers = []
 
     async def receive() -> Any:
         parts[0] += 1
@@ -188,7 +190,8 @@ def test_who_hangs_up_in_the_middle_of_a_body_leaves_no_traceback(
 
 def test_a_client_that_sends_on_after_a_refusal_reads_it(base: str) -> None:
     host, port = base.removeprefix("http://").split(":")
-    part, n_parts = b"," * (64 << 10), 32
+    part = b"," * (64 << 10)
+    n_parts = 32
     head = (
         f"POST /mcp HTTP/1.1\r\nHost: localhost\r\nContent-Length: {n_parts * len(part)}\r\n\r\n"
     ).encode()

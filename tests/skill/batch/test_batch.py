@@ -116,7 +116,8 @@ def test_a_file_named_with_a_patterns_characters_is_that_file(folder: Path, tmp_
 
 
 def test_folders_behind_links_are_searched_once(folder: Path, tmp_path: Path) -> None:
-    data, top = (folder / "cars.png").read_bytes(), tmp_path / "top"
+    data = (folder / "cars.png").read_bytes()
+    top = tmp_path / "top"
     for name in ("elsewhere", "top/real"):
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / "cars.png").write_bytes(data)

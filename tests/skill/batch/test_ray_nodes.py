@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 # of Ray, about itself
 pytestmark = [pytest.mark.ray, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
-N_IMAGES, KILLED_AFTER = 48, 12
+N_IMAGES = 48
+KILLED_AFTER = 12
 
 
 @pytest.fixture

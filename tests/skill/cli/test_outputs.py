@@ -35,7 +35,8 @@ def run(image: Path, *arguments: object) -> tuple[int, str]:
 def test_the_bar_is_as_long_as_it_says(image: Path) -> None:
     out = image.with_name("out.png")
     assert run(image, "--scale-bar", out, *LINE) == (0, "")
-    before, after = cv2.imread(str(image)), cv2.imread(str(out))
+    before = cv2.imread(str(image))
+    after = cv2.imread(str(out))
     assert before is not None
     assert after is not None
     assert after.shape == before.shape
@@ -46,7 +47,8 @@ def test_the_bar_is_as_long_as_it_says(image: Path) -> None:
 
 
 def test_without_a_usable_scale_nothing_is_written(image: Path) -> None:
-    out, copy = image.with_name("out.png"), image.with_name("out.tif")
+    out = image.with_name("out.png")
+    copy = image.with_name("out.tif")
     code, told = run(image, "--scale-bar", out, "--geotiff", copy)
     assert (
         code,

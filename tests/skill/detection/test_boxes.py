@@ -27,7 +27,8 @@ def _clip(subject: NDArray[np.float64], clip: NDArray[np.float64]) -> NDArray[np
     """What two convex polygons share (Sutherland and Hodgman)."""
     output = list(subject)
     for a, b in zip(clip, np.roll(clip, -1, axis=0), strict=True):
-        points, output = output, []
+        points = output
+        output = []
         for p, q in zip(points, points[1:] + points[:1], strict=True):
             side_p = (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
             side_q = (b[0] - a[0]) * (q[1] - a[1]) - (b[1] - a[1]) * (q[0] - a[0])
@@ -41,7 +42,8 @@ def _clip(subject: NDArray[np.float64], clip: NDArray[np.float64]) -> NDArray[np
 
 
 def _area(polygon: NDArray[np.float64]) -> float:
-    x, y = polygon[:, 0], polygon[:, 1]
+    x = polygon[:, 0]
+    y = polygon[:, 1]
     return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
@@ -76,7 +78,8 @@ def test_corners_and_boxes_are_inverse(rows: list[tuple[float, ...]]) -> None:
 
 @given(NEARBY_BOX, NEARBY_BOX)
 def test_iou_equals_the_polygon_oracle(a: tuple[float, ...], b: tuple[float, ...]) -> None:
-    first, second = canonical_boxes([a])[0], canonical_boxes([b])[0]
+    first = canonical_boxes([a])[0]
+    second = canonical_boxes([b])[0]
     assert oriented_iou([a], [b])[0, 0] == pytest.approx(polygon_iou(first, second), abs=2e-3)
 
 

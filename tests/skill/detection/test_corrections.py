@@ -68,7 +68,8 @@ def test_without_corrections_nothing_changes() -> None:
 
 def test_dropped_vehicles_are_no_evidence_and_the_others_keep_their_numbers() -> None:
     found = _found([(40.0, 12), (100.0, 10)])
-    both, one = _analysis(found), _analysis(found, drop=range(13, 23))
+    both = _analysis(found)
+    one = _analysis(found, drop=range(13, 23))
     alone = _analysis(_found([(40.0, 12)]))
     assert both.estimate.confidence < one.estimate.confidence
     assert one.estimate.warnings == ()
@@ -139,7 +140,8 @@ def test_a_number_that_does_not_exist_says_how_many_there_are() -> None:
 def test_what_belongs_to_one_image_or_needs_a_search_is_refused(
     detector: Detector, tmp_path: Path
 ) -> None:
-    engine, image = Engine(detector), blank_image(100, 80)
+    engine = Engine(detector)
+    image = blank_image(100, 80)
     with pytest.raises(InvalidParameterError, match="add belongs to one image"):
         run_batch(
             [str(tmp_path)], tmp_path / "t.csv", options=ScaleOptions.of({"add": [(0, 0, 9, 0)]})

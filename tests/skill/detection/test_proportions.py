@@ -63,7 +63,8 @@ def _fisheye(image: _Image) -> _Image:
     """Distort like a wide lens: the centre has 0.6 of the scale, the corners are kept."""
     height, width = image.shape[:2]
     y, x = np.mgrid[:height, :width].astype(np.float32)
-    along, down = (x - width / 2) / (width / 2), (y - height / 2) / (height / 2)
+    along = (x - width / 2) / (width / 2)
+    down = (y - height / 2) / (height / 2)
     factor = (1 + _BARREL * (along**2 + down**2)) / (1 + 2 * _BARREL)
     mapped = (along * factor + 1) * width / 2, (down * factor + 1) * height / 2
     return np.asarray(cv2.remap(image, *mapped, cv2.INTER_LINEAR), np.uint8)

@@ -95,7 +95,8 @@ def test_vehicles_are_found_at_the_level_that_fits_them_in_pixels_of_the_image(
 ) -> None:
     image, painted = _painted(factor, _fleet(mean, 12), columns=4)
     analysis = analyse_scale(image, ScaleOptions.of({"rulers": ("vehicles",)}), detector=searching)
-    found, e = analysis.detections, analysis.estimate
+    found = analysis.detections
+    e = analysis.estimate
     order = np.lexsort((found.boxes[:, 0], np.rint(found.boxes[:, 1] / 10 / factor)))
     np.testing.assert_allclose(found.boxes[order], painted, atol=0.02 * factor)
     assert found.scales is not None
@@ -304,7 +305,8 @@ _KINDS = {0: "small vehicle", 1: "ship", 2: "tennis court"}
 def test_objects_of_other_classes_are_kept_beside_the_vehicles_with_their_class(
     tmp_path: Path,
 ) -> None:
-    image, kinds = blank_image(700, 300), [0, 1, 2, 0, 1, 2]
+    image = blank_image(700, 300)
+    kinds = [0, 1, 2, 0, 1, 2]
     painted = paint_vehicles(
         image,
         [[60 + 110 * k, 100, 30, 12, 0.3 * k] for k in range(6)],

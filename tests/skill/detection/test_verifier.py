@@ -95,14 +95,16 @@ def test_a_search_verifies_fewer_candidates_a_tile_once_it_has_found_many_vehicl
     monkeypatch.setattr("vehanchor.detection.scheduler.ANYTIME_PIXELS", 1)
     for name, value in (("_MOST_VERIFIED", 60), ("_LEAST_VERIFIED", 10)):
         monkeypatch.setattr(f"vehanchor.detection.search.{name}", value)
-    verified, found = {}, {}
+    verified = {}
+    found = {}
     for many in (10**6, 30):
         monkeypatch.setattr("vehanchor.detection.search._MANY_VEHICLES", many)
         with open_raster(image) as raster:
             found[many] = ImageSearch(
                 raster, load_detector(resolve_model()), Search(tile_px=512, search_scales=False)
             ).searched()
-        verified[many], counts = counts, []
+        verified[many] = counts
+        counts = []
     first = verified[30].index(min(verified[30]))
     assert verified[30][0] == verified[10**6][0] >= 60
     assert max(verified[30][first:]) < 60 <= max(verified[10**6][first:])

@@ -27,7 +27,8 @@ from vehanchor.imagery.metadata.camera import CameraMetadata, read_camera
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Reading
 
-WIDTH_PX, HEIGHT_PX = 60, 40
+WIDTH_PX = 60
+HEIGHT_PX = 40
 
 
 def smooth_rgb(width_px: int = WIDTH_PX, height_px: int = HEIGHT_PX) -> NDArray[np.uint8]:
@@ -157,7 +158,8 @@ def _entry(name: str, value: Any, order: str) -> tuple[int, int, int, bytes]:
 
 
 def _directory(entries: Sequence[tuple[int, int, int, bytes]], order: str, at: int) -> bytes:
-    table, values = b"", b""
+    table = b""
+    values = b""
     values_at = at + 2 + 12 * len(entries) + 4
     for tag, kind, count, raw in sorted(entries):
         inline = raw if len(raw) <= 4 else struct.pack(order + "I", values_at + len(values))
@@ -339,7 +341,8 @@ def bigtiff_header(width: int, height: int) -> bytes:
     return data + struct.pack("<HHQQHHQQ", 256, 16, 1, width, 257, 4, 1, height) + bytes(8)
 
 
-JPEG, PNG = encoded(".jpg", NOISE), encoded(".png", NOISE)
+JPEG = encoded(".jpg", NOISE)
+PNG = encoded(".png", NOISE)
 
 PROGRESSIVE = encoded(".jpg", NOISE, cv2.IMWRITE_JPEG_PROGRESSIVE, 1)
 

@@ -105,7 +105,8 @@ def test_the_byte_limit_holds_for_every_kind_of_source(tmp_path: Path) -> None:
     data = encoded(".png", NOISE)
     path = tmp_path / "a.png"
     path.write_bytes(data)
-    exact, tight = ImageLimits(max_bytes=len(data)), ImageLimits(max_bytes=len(data) - 1)
+    exact = ImageLimits(max_bytes=len(data))
+    tight = ImageLimits(max_bytes=len(data) - 1)
     for make in (lambda: data, lambda: bytearray(data), lambda: path, lambda: io.BytesIO(data)):
         read_all(make(), limits=exact)
         with pytest.raises(ImageTooLargeError, match=str(len(data) - 1)):
@@ -336,7 +337,8 @@ def test_the_limit_is_what_decoding_takes_not_what_the_file_weighs(
 def test_a_tiff_that_takes_too_much_is_read_by_windows_unless_its_strips_do(
     dtype: str, bands: int
 ) -> None:
-    side, data = 256, bombs.zero_tiff(256, dtype, bands)
+    side = 256
+    data = bombs.zero_tiff(256, dtype, bands)
     pixel = max(4, bands * np.dtype(dtype).itemsize)
     tight = ImageLimits(max_decoded_bytes=side * side * pixel)
     with open_raster(bombs.zero_tiff(side, dtype, bands, rows=16), Reading(limits=tight)) as raster:

@@ -94,8 +94,10 @@ def windowed_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @given(data=st.data())
 def test_windows_are_slices_of_the_whole(windowed_file: Path, data: st.DataObject) -> None:
     height, width = NOISE.shape[:2]
-    x, y = data.draw(st.integers(0, width - 1)), data.draw(st.integers(0, height - 1))
-    w, h = data.draw(st.integers(1, width - x)), data.draw(st.integers(1, height - y))
+    x = data.draw(st.integers(0, width - 1))
+    y = data.draw(st.integers(0, height - 1))
+    w = data.draw(st.integers(1, width - x))
+    h = data.draw(st.integers(1, height - y))
     with open_raster(windowed_file) as raster:
         whole = raster.read()
         part = raster.read(Window(x, y, w, h))
@@ -152,7 +154,9 @@ def test_a_reduced_window_is_the_mean_of_blocks_and_is_read_in_small_pieces(
 
 READ_WHOLE = Reading()
 WINDOWED = Reading(limits=ImageLimits(max_pixels=1_000_000))
-SIDE_PX, UNREAD_PX = 4800, 560  # along the longer side, a window of 512 px every 600 px
+# along the longer side, a window of 512 px every 600 px
+SIDE_PX = 4800
+UNREAD_PX = 560
 
 
 def _id(source: ImageSource, reading: Reading = READ_WHOLE) -> str:

@@ -40,10 +40,8 @@ def test_the_area_is_the_masks_pixels_times_the_scale_squared(
     analysis = analyse_area(
         image, box=BOX, detector=detector, segmenter=segmenter, rulers=("vehicles",)
     )
-    record, scale = (
-        analysis.measurement,
-        estimate_gsd(image, detector=detector, rulers=("vehicles",)),
-    )
+    record = analysis.measurement
+    scale = estimate_gsd(image, detector=detector, rulers=("vehicles",))
     assert (record.estimate, record.scale) == (scale, scale.scale)
     assert scale.gsd_m_per_px is not None
     assert record.mask_area_px == analysis.segmentation.mask.sum()
@@ -71,7 +69,8 @@ def test_the_outline_is_in_the_images_pixels(detector: Detector, segmenter: Segm
     (polygon,) = measure_area(
         pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter
     ).outline
-    xs, ys = [p.x_px for p in polygon.exterior.points], [p.y_px for p in polygon.exterior.points]
+    xs = [p.x_px for p in polygon.exterior.points]
+    ys = [p.y_px for p in polygon.exterior.points]
     assert (min(xs), min(ys), max(xs), max(ys)) == POOL
     assert polygon.holes == ()
 

@@ -92,7 +92,8 @@ def test_a_coarser_copy_is_pointed_at_less_exactly() -> None:
     fine = vehanchor.measure_distance(
         pool_among_cars(0), [(100, 150), (500, 450)], gsd_m_per_px=0.1
     )
-    path, frame = [(25.0, 37.5), (125.0, 112.5)], {"frame": (200, 150)}
+    path = [(25.0, 37.5), (125.0, 112.5)]
+    frame = {"frame": (200, 150)}
     coarse = vehanchor.measure_distance(pool_among_cars(0), path, gsd_m_per_px=0.1, **frame)  # type: ignore[arg-type]
     assert fine.distance_ci95_high_m is not None
     assert coarse.distance_ci95_high_m is not None
@@ -216,7 +217,8 @@ def test_a_distance_and_an_area_have_the_skewed_interval_of_their_scale(
     )
     line = vehanchor.measure_distance(pool_among_cars(), [(20, 580), (780, 580)], scale=scale)
     pointing = math.sqrt(2) / 760 * 1.96
-    low, high = math.hypot(math.log(136 / 121), pointing), math.hypot(math.log(185 / 136), pointing)
+    low = math.hypot(math.log(136 / 121), pointing)
+    high = math.hypot(math.log(185 / 136), pointing)
     assert line.distance_ci95_low_m == pytest.approx(760 * 0.136 * math.exp(-low), rel=1e-4)
     assert line.distance_ci95_high_m == pytest.approx(760 * 0.136 * math.exp(high), rel=1e-4)
     exact = write_sam(tmp_path, metadata={"vehanchor.mask_area_log_sd": "0"})
@@ -308,11 +310,9 @@ def test_six_fields_without_meaning_are_refused(
 def test_a_dumped_estimate_is_the_estimate(
     estimate: vehanchor.GsdEstimate, detector: Detector
 ) -> None:
-    image, path, given = (
-        pool_among_cars(),
-        [(100.0, 150.0), (500.0, 450.0)],
-        vehanchor.measure_distance,
-    )
+    image = pool_among_cars()
+    path = [(100.0, 150.0), (500.0, 450.0)]
+    given = vehanchor.measure_distance
     expected = given(image, path, scale=estimate)
     assert given(image, path, scale=estimate.model_dump()) == expected
     assert given(image, path, scale=estimate.model_dump(mode="json")) == expected

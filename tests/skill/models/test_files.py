@@ -83,7 +83,8 @@ class Loaded:
     """A stand-in for a model: what its file held."""
 
     def __init__(self, path: Path, threads: int | None) -> None:
-        self.content, self.threads = read_model(path).content, threads
+        self.content = read_model(path).content
+        self.threads = threads
 
 
 @file_cached(max_models=2)
@@ -198,7 +199,8 @@ def test_the_chip_network_lies_beside_its_detector(bundled: Path, tmp_path: Path
 
 def test_a_segmenter_is_given_by_both_its_paths(tmp_path: Path) -> None:
     assert all(path.is_file() for path in resolve_segmenter())
-    encoder, decoder = tmp_path / "encoder.onnx", tmp_path / "decoder.onnx"
+    encoder = tmp_path / "encoder.onnx"
+    decoder = tmp_path / "decoder.onnx"
     encoder.touch()
     with pytest.raises(ModelNotFoundError, match=r"decoder\.onnx"):
         resolve_segmenter((encoder, decoder))

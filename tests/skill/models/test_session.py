@@ -100,7 +100,8 @@ def test_a_provider_that_is_installed_and_does_not_start_is_told(
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, list[str]]]:
     """The providers that each model file was to run on, as on a machine with a GPU; they run on the CPU."""
-    real, asked = onnxruntime.InferenceSession, {}
+    real = onnxruntime.InferenceSession
+    asked = {}
 
     def open_on_cpu(source: Any, options: Any, *, providers: list[str]) -> Any:
         on_cpu = real(source, options, providers=["CPUExecutionProvider"])

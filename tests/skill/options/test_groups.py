@@ -72,10 +72,8 @@ def test_a_calibration_is_read_from_its_file_at_once(tmp_path: Path) -> None:
         Reference(calibration=str(tmp_path / "none.json"))  # type: ignore[arg-type]
 
 
-LENGTH_M, WEIGHTS = (
-    5.045,
-    {"sample": 0.35, "concentration": 0.35, "quality": 0.20, "plausibility": 0.10},
-)
+LENGTH_M = 5.045
+WEIGHTS = {"sample": 0.35, "concentration": 0.35, "quality": 0.20, "plausibility": 0.10}
 
 
 @pytest.fixture(scope="module")

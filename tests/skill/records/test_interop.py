@@ -64,7 +64,8 @@ def test_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_columns_and_their_types_are_the_same_for_every_record_of_a_type() -> None:
     pytest.importorskip("pandas")
-    full, nothing = _estimate(), make_analysis(np.zeros((0, 5)), 600, 300).estimate
+    full = _estimate()
+    nothing = make_analysis(np.zeros((0, 5)), 600, 300).estimate
     assert (full.gsd_m_per_px is None, nothing.gsd_m_per_px is None) == (False, True)
     assert list(flat_row(full)) == list(flat_row(nothing)) == list(flat_columns(GsdEstimate))
     assert (len(full.to_frame()), full.to_frame().gsd_m_per_px[0]) == (1, full.gsd_m_per_px)

@@ -178,7 +178,8 @@ def test_cars_and_a_camera_far_apart_are_not_usable() -> None:
 def test_a_height_that_repeats_the_files_changes_nothing() -> None:
     again: dict[str, Any] = {"height_m": (MAVIC.height_m or 0) * 1.01, "height_basis": "measured"}
     for cars in (0, 40):
-        alone, repeated = record_of(cars, camera=MAVIC), record_of(cars, camera=MAVIC, **again)
+        alone = record_of(cars, camera=MAVIC)
+        repeated = record_of(cars, camera=MAVIC, **again)
         assert _codes(repeated).count("height_repeated") == 1
         assert repeated.confidence == alone.confidence
         assert repeated.gsd_m_per_px == alone.gsd_m_per_px
@@ -186,14 +187,16 @@ def test_a_height_that_repeats_the_files_changes_nothing() -> None:
 
 
 def test_an_assumed_line_that_contradicts_the_cars_lowers_the_chance() -> None:
-    alone, beside = record_of(30), record_of(30, **_lines(2.2 * CARS_GSD))
+    alone = record_of(30)
+    beside = record_of(30, **_lines(2.2 * CARS_GSD))
     assert beside.confidence < alone.confidence
     assert _right(beside) == {"vehicles": True, "known_length": False}
     assert _codes(beside) == ["rulers_disagree"]
 
 
 def test_an_assumed_line_that_agrees_raises_the_chance() -> None:
-    alone, beside = record_of(2), record_of(2, **_lines(1.02 * CARS_GSD))
+    alone = record_of(2)
+    beside = record_of(2, **_lines(1.02 * CARS_GSD))
     assert beside.confidence > alone.confidence
 
 
@@ -258,7 +261,8 @@ def test_a_mistyped_unit_is_told_and_does_not_lead(
 
 def test_a_tolerance_is_the_interval_of_the_line() -> None:
     record = record_of(0, **_lines(0.05, basis="measured", tolerance_m=5.0))  # of 50 m
-    low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+    low = record.gsd_ci95_low_m_per_px
+    high = record.gsd_ci95_high_m_per_px
     assert low is not None
     assert high is not None
     assert math.log(high / low) == pytest.approx(0.2, rel=0.05)

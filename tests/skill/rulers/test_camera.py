@@ -135,7 +135,8 @@ def test_a_wide_picture_is_a_full_width_with_rows_left_out() -> None:
 
 
 def test_a_camera_that_looks_aslant_measures_the_centre() -> None:
-    straight, aslant = _measured(_but(off_nadir_deg=9.9)), _measured(_but(off_nadir_deg=40.0))
+    straight = _measured(_but(off_nadir_deg=9.9))
+    aslant = _measured(_but(off_nadir_deg=40.0))
     assert straight.gsd_m_per_px is not None
     assert aslant.gsd_m_per_px == pytest.approx(
         straight.gsd_m_per_px * math.cos(math.radians(40)) ** -1.5
@@ -152,7 +153,8 @@ def test_a_camera_that_looks_at_the_horizon_is_no_ruler() -> None:
 
 
 def test_an_unknown_pitch_widens_the_interval() -> None:
-    known, unknown = _measured(MAVIC), _measured(_but(off_nadir_deg=None))
+    known = _measured(MAVIC)
+    unknown = _measured(_but(off_nadir_deg=None))
     assert log_sd(unknown) > log_sd(known)
     assert unknown.chance_wrong > known.chance_wrong
     assert unknown.said is not None
@@ -160,7 +162,8 @@ def test_an_unknown_pitch_widens_the_interval() -> None:
 
 
 def test_the_nearer_the_ground_the_less_a_height_says() -> None:
-    low, high = _measured(_but(height_m=20.0)), _measured(_but(height_m=500.0))
+    low = _measured(_but(height_m=20.0))
+    high = _measured(_but(height_m=500.0))
     assert log_sd(low) > 0.15 > 0.13 > log_sd(high)
 
 

@@ -174,20 +174,16 @@ def test_the_country_or_the_region_chooses_and_without_one_the_mixture_stays() -
         1.6,
         1.668,
     }
-    everywhere, american = (
-        _evidence("lane_dash_cycle", 200.0),
-        _evidence("lane_dash_cycle", 200.0, region="north_america"),
-    )
+    everywhere = _evidence("lane_dash_cycle", 200.0)
+    american = _evidence("lane_dash_cycle", 200.0, region="north_america")
     assert american.gsd_m_per_px == pytest.approx(12.19 / 200, rel=0.01)
     width = math.log(american.interval.high / american.interval.low)
     assert math.log(everywhere.interval.high / everywhere.interval.low) > 3 * width
 
 
 def test_things_of_one_kind_share_their_size() -> None:
-    one, many = (
-        _evidence("parking_bay_width/DE", 50.0),
-        _evidence("parking_bay_width/DE", 50.0, 50.2, 49.9, 50.1),
-    )
+    one = _evidence("parking_bay_width/DE", 50.0)
+    many = _evidence("parking_bay_width/DE", 50.0, 50.2, 49.9, 50.1)
     assert many.n == 4
     assert many.interval.high / many.interval.low > 1.12  # the custom's spread stays
     assert many.interval.high / many.interval.low < one.interval.high / one.interval.low
@@ -291,7 +287,8 @@ def test_a_line_has_metres_or_a_name(line: tuple[Any, ...]) -> None:
         ScaleOptions.of({"known_lengths": [line]})
 
 
-GSD, WIDTH_PX = 0.07, 4000.0
+GSD = 0.07
+WIDTH_PX = 4000.0
 
 
 def test_two_or_more_photographs_in_a_line_give_the_scale() -> None:

@@ -48,7 +48,8 @@ def _searched(view: View, **changes: Any) -> View:
 
 
 def test_equal_things_are_probably_no_cars() -> None:
-    equal, fleet = _view([40.0] * 30), _view(list(40 * np.exp(0.09 * np.linspace(-1.7, 1.7, 30))))
+    equal = _view([40.0] * 30)
+    fleet = _view(list(40 * np.exp(0.09 * np.linspace(-1.7, 1.7, 30))))
     codes, chance_wrong = _doubts(_searched(fleet))
     assert codes == []
     assert chance_wrong <= 0.1

@@ -267,7 +267,8 @@ def test_photographs_with_a_height_need_no_georeference_and_what_the_height_may_
         24,
     )
     assert result.exit_code == 0, result.stderr
-    by_height, by_table = load_calibration(tmp_path / "c.json"), load_calibration(calibration)
+    by_height = load_calibration(tmp_path / "c.json")
+    by_table = load_calibration(calibration)
     assert by_height.reference_length_m == pytest.approx(by_table.reference_length_m, rel=1e-3)
     # of a given height, and of a lens
     truth_sd_m = math.hypot(0.05, 0.04) * by_height.reference_length_m

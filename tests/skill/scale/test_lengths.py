@@ -106,7 +106,8 @@ def test_the_mode_of_nothing_is_refused() -> None:
 
 def test_the_weighted_mode_is_that_of_scipys_density() -> None:
     rng = np.random.default_rng(3)
-    lengths, scores = rng.normal(30, 3, 60), rng.uniform(0.5, 0.9, 60)
+    lengths = rng.normal(30, 3, 60)
+    scores = rng.uniform(0.5, 0.9, 60)
     factor = gaussian_kde(lengths, weights=scores**2 * lengths).factor
     reference = gaussian_kde(lengths, weights=scores**2 * lengths, bw_method=2 * factor)
     at = np.linspace(20, 40, 20001)
@@ -163,7 +164,8 @@ _VOTES = Votes(-2.0, 5.0)
 
 
 def test_the_binned_votes_are_the_product_of_the_boxes_likelihoods() -> None:
-    lengths, scores = np.array([20.0, 22.0, 60.0]), np.array([0.9, 0.3, 0.6])
+    lengths = np.array([20.0, 22.0, 60.0])
+    scores = np.array([0.9, 0.3, 0.6])
     odds = np.exp(_VOTES.log_odds(scores))
     distance = np.log(4.5 / lengths)[:, None] - GRID
     normal = np.exp(-0.5 * (distance / 0.12) ** 2) / (0.12 * np.sqrt(2 * np.pi))

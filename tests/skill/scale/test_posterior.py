@@ -22,7 +22,8 @@ from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judged
 from vehanchor.scale.reliability import CALLER, LOOKS_LOG_MEAN, LOOKS_LOG_SD, Shared
 
 VOTES = Votes(-13.76, 17.4)
-LENS, HEIGHT = Shared("lens", 0.03), Shared("height", 0.12)
+LENS = Shared("lens", 0.03)
+HEIGHT = Shared("height", 0.12)
 
 
 def _point(
@@ -134,7 +135,8 @@ def test_the_value_is_continuous(
 def test_witnesses_of_one_lens_and_one_height_do_not_confirm_each_other() -> None:
     camera = replace(_point(0.0417, 0.005, kind="camera"), shared=(LENS, HEIGHT))
     given_height = replace(_point(0.0417, 0.05, kind="height"), shared=(LENS,))
-    cars, prior = _cars(40), _prior(0.12)
+    cars = _cars(40)
+    prior = _prior(0.12)
     both = answer([cars, prior, camera, given_height])
     apart = answer([cars, prior, replace(camera, shared=()), replace(given_height, shared=())])
     assert both is not None
@@ -165,7 +167,8 @@ def test_a_guess_never_makes_sure(factor: float, prior_log_sd: float) -> None:
 
 def test_a_prior_narrows_a_guess() -> None:
     guess = replace(_point(0.12, 0.20, kind="guess"), assumed=True)
-    alone, beside = answer([guess]), answer([guess, _prior(0.12, 0.1)])
+    alone = answer([guess])
+    beside = answer([guess, _prior(0.12, 0.1)])
     assert alone is not None
     assert beside is not None
     assert beside.interval.high / beside.interval.low < alone.interval.high / alone.interval.low
@@ -185,7 +188,8 @@ def test_without_a_witness_that_sets_a_scale_there_is_no_answer() -> None:
 
 
 def test_the_reason_is_the_lack_whose_removal_raises_the_chance_most() -> None:
-    more, known = _cars(2), _cars(1, spread=0.0)
+    more = _cars(2)
+    known = _cars(1, spread=0.0)
     few = replace(
         _cars(1), chance_wrong=0.3, lacks=(Lack("too_few", more), Lack("imprecise", known))
     )

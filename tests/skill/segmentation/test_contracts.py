@@ -172,7 +172,8 @@ def test_the_encoder_sees_colours_as_its_contract_says(
         np.full((300, 300, 3), OBJECT_RGB, np.uint8),
         Prompt(box=(100.0, 100.0, 150.0, 150.0)),
     )
-    rgb, contract = np.array(OBJECT_RGB, dtype=np.float64), segmenter.card.contract
+    rgb = np.array(OBJECT_RGB, dtype=np.float64)
+    contract = segmenter.card.contract
     imagenet = (rgb / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
     half = (rgb / 255 - 0.5) / 0.5
     expected = {
@@ -190,7 +191,8 @@ def test_a_box_takes_the_single_mask_and_a_point_the_best_of_the_others(tmp_path
         *write_sam(tmp_path, masks=[OBJECT, EMPTY, OBJECT, FULL], scores=[0.95, 0.7, 0.9, 0.8])
     )
     image = picture(512, 512, (224, 64, 352, 128))
-    on, off = (248.0, 100.0, True), (10.0, 500.0, False)
+    on = (248.0, 100.0, True)
+    off = (10.0, 500.0, False)
     assert segmented(four, image, Prompt(box=(220.0, 60.0, 360.0, 130.0))).score == pytest.approx(
         0.95
     )

@@ -30,7 +30,8 @@ def _rectangle(
     """The pixels whose centres are in a rectangle about the middle of the array."""
     y, x = np.mgrid[:side, :side] + 0.5 - side / 2 + [[[0.13]], [[0.29]]]
     along, across = np.deg2rad(degrees) + np.array([0, np.pi / 2])
-    u, v = x * np.cos(along) + y * np.sin(along), x * np.cos(across) + y * np.sin(across)
+    u = x * np.cos(along) + y * np.sin(along)
+    v = x * np.cos(across) + y * np.sin(across)
     return np.asarray((np.abs(u) <= width / 2) & (np.abs(v) <= height / 2))
 
 

@@ -21,7 +21,11 @@ from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt, rectified
 from vehanchor_flight.photograph import Photograph, StoredPhotograph, photograph_codec
 from vehanchor_flight.pooling import pool
 
-WIDTH, HEIGHT, FOCAL, CAR_M, GSD = 3000, 2000, 2400.0, 5.0, 0.05
+WIDTH = 3000
+HEIGHT = 2000
+FOCAL = 2400.0
+CAR_M = 5.0
+GSD = 0.05
 CAR_WIDTH_M = CAR_M / 2.21  # as detectors draw it
 CAMERA = CameraMetadata(
     focal_px=FOCAL, taken_width_px=WIDTH, taken_height_px=HEIGHT, off_nadir_deg=35.0
@@ -35,11 +39,9 @@ def _cars(tilt: CameraTilt, n: int = 60) -> Detections:
     plane = tilt.plane(FACTS, GSD)
     boxes = []
     for _ in range(n):
-        x, y, heading = (
-            rng.uniform(200, WIDTH - 200),
-            rng.uniform(200, HEIGHT - 200),
-            rng.uniform(0, np.pi),
-        )
+        x = rng.uniform(200, WIDTH - 200)
+        y = rng.uniform(200, HEIGHT - 200)
+        heading = rng.uniform(0, np.pi)
         along = np.array([np.cos(heading), np.sin(heading)])
         across = np.array([-along[1], along[0]])
         here = [(x, y), (x, y)]
@@ -99,7 +101,8 @@ def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
 def _cars_and_parts() -> tuple[View, GroundPlane]:
     """A view of cars and of twice as many halves of them, without the camera's height, and its plane."""
     tilt = CameraTilt(35.0, 0.0, FOCAL, "metadata")
-    cars, parts = _cars(tilt, n=20).boxes, _cars(tilt, n=40).boxes * [1, 1, 0.5, 0.5, 1]
+    cars = _cars(tilt, n=20).boxes
+    parts = _cars(tilt, n=40).boxes * [1, 1, 0.5, 0.5, 1]
     boxes = np.concatenate([cars, parts])
     seen = Detections(boxes, np.full(len(boxes), 0.8), scales=np.ones(len(boxes)))
     return View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0), tilt.plane(
@@ -184,7 +187,8 @@ def test_a_horizon_in_sight_is_refused() -> None:
 # --- Rulers along the tilt
 # -------------------------------------------------------------------------------------------
 
-HIGH, LOW = replace(CAMERA, off_nadir_deg=30.0, height_m=60.0), replace(CAMERA, off_nadir_deg=30.0)
+HIGH = replace(CAMERA, off_nadir_deg=30.0, height_m=60.0)
+LOW = replace(CAMERA, off_nadir_deg=30.0)
 
 
 def _view(camera: CameraMetadata, **options: object) -> View:
@@ -213,7 +217,8 @@ def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
     view = _view(LOW, **said).at_nadir()
     tilt = CameraTilt(35.0, 5.0, FOCAL, "metadata")
     for ruler in (KnownLengths(), GivenHeight()):
-        before, moved = measured(ruler, view), measured(ruler, replace(view, tilt=tilt))
+        before = measured(ruler, view)
+        moved = measured(ruler, replace(view, tilt=tilt))
         assert before.gsd_m_per_px is not None
         assert before.interval is not None
         assert abs(before.gsd_m_per_px / GSD - 1) > 0.15

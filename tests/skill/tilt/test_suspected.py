@@ -19,7 +19,8 @@ from vehanchor.tilt.camera_tilt import LEAST_CARS, suspected_tilt
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.pooling import pool
 
-WIDTH, HEIGHT = 1000, 750
+WIDTH = 1000
+HEIGHT = 750
 FOCAL_PX = equivalent_lens(WIDTH, HEIGHT, 26.0).pixels
 
 

@@ -76,7 +76,9 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
         )
         return {struct.unpack(form, each) for each in found}
 
-    sizes, turns, mirrors = values(b"ispe", ">II", 4), values(b"irot", "B"), values(b"imir", "B")
+    sizes = values(b"ispe", ">II", 4)
+    turns = values(b"irot", "B")
+    mirrors = values(b"imir", "B")
     if not sizes or len(turns) > 1 or len(mirrors) > 1:
         raise ImageDecodeError(
             "the AVIF declares no size or several rotations: damaged or no photo; save it again"
@@ -88,7 +90,8 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
     deep = any(third & _HIGH_BIT_DEPTH for _, _, third in values(b"av1C", "3B"))
     # of another image, which is alpha or a depth map
     alpha = any(box.kind == b"auxC" for box in properties)
-    decoded_px, complete = width * height, True
+    decoded_px = width * height
+    complete = True
     for start, end in _items(read_at, parts):
         complete = complete and len(read_at(end - 1, 1)) == 1
         decoded_px = max(decoded_px, _largest_frame_px(read_at, start, end))
@@ -100,9 +103,11 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
 
 def _items(read_at: ReadAt, parts: dict[bytes, Box]) -> Iterator[tuple[int, int]]:
     """Yield the start and end of each item: images, and metadata, which hold no sequence header."""
-    iloc, idat = parts[b"iloc"], parts.get(b"idat")
+    iloc = parts[b"iloc"]
+    idat = parts.get(b"idat")
     bits = _Bits(read_at(iloc.start, _MAX_ILOC_BYTES))
-    version, _ = bits(8), bits(24)
+    version = bits(8)
+    _ = bits(24)
     offset_bits, length_bits, base_bits, index_bits = (8 * bits(4) for _ in range(4))
     wide = 32 if version == 2 else 16
     n_items = bits(wide)
@@ -116,7 +121,8 @@ def _items(read_at: ReadAt, parts: dict[bytes, Box]) -> Iterator[tuple[int, int]
                 "the AVIF stores an image within another, or nowhere; save it again"
             )
         bits(16)
-        start, n_pieces = bits(base_bits), bits(16)
+        start = bits(base_bits)
+        n_pieces = bits(16)
         if n_pieces > 1:
             raise ImageDecodeError("the AVIF stores an image in several pieces; save it again")
         if n_pieces:
@@ -137,7 +143,8 @@ def _largest_frame_px(read_at: ReadAt, position: int, end: int) -> int:
         head = read_at(position, 10)
         if position >= end or not head:
             return largest
-        kind, has_length = head[0] >> 3 & 15, head[0] & 2
+        kind = head[0] >> 3 & 15
+        has_length = head[0] & 2
         position += 2 if head[0] & 4 else 1
         length = end - position
         if has_length:
@@ -188,7 +195,8 @@ def _sequence_size(bits: _Bits) -> tuple[int, int]:
                 bits(2 * delay_bits + 1)
             if shows_delay and bits(1):
                 bits(4)
-    width_bits, height_bits = bits(4) + 1, bits(4) + 1
+    width_bits = bits(4) + 1
+    height_bits = bits(4) + 1
     return bits(width_bits) + 1, bits(height_bits) + 1
 
 

@@ -56,11 +56,23 @@ _TIFF_BLOCK_BYTES = 4  # OpenCV decodes a strip or tile of up to 8 bits to four 
 # the first directory, with the orientation, is at the start; JPEG allows no more
 _MAX_EXIF_BYTES = 1 << 16
 
-_TAG_WIDTH, _TAG_HEIGHT, _TAG_BITS, _TAG_PHOTOMETRIC = 256, 257, 258, 262
-_TAG_SUBFILE, _SUBFILE_REDUCED, _SUBFILE_MASK = 254, 1, 4
-_TAG_SAMPLES, _TAG_ROWS_PER_STRIP, _TAG_PLANAR, _TAG_SAMPLE_FORMAT = 277, 278, 284, 339
-_TAG_TILE_WIDTH, _TAG_TILE_HEIGHT, _TAG_EXTRA_SAMPLES = 322, 323, 338
-_TAG_FURTHER, _TAG_DNG_VERSION, _RAW_PHOTOMETRIC = 330, 50706, (32803, 34892)
+_TAG_WIDTH = 256
+_TAG_HEIGHT = 257
+_TAG_BITS = 258
+_TAG_PHOTOMETRIC = 262
+_TAG_SUBFILE = 254
+_SUBFILE_REDUCED = 1
+_SUBFILE_MASK = 4
+_TAG_SAMPLES = 277
+_TAG_ROWS_PER_STRIP = 278
+_TAG_PLANAR = 284
+_TAG_SAMPLE_FORMAT = 339
+_TAG_TILE_WIDTH = 322
+_TAG_TILE_HEIGHT = 323
+_TAG_EXTRA_SAMPLES = 338
+_TAG_FURTHER = 330
+_TAG_DNG_VERSION = 50706
+_RAW_PHOTOMETRIC = (32803, 34892)
 # ModelPixelScale, ModelTransformation, GeoKeyDirectory
 _GEO_TAGS = frozenset({33550, 34264, 34735})
 _RAW_TAGS = frozenset({_TAG_DNG_VERSION})
@@ -291,7 +303,9 @@ def _read_bmp(read_at: ReadAt) -> ImageHeader:
         width, height = struct.unpack("<HH", read_at(18, 4))
     else:
         width, height = struct.unpack("<ii", read_at(18, 8))
-    width, height = abs(width), abs(height)  # a negative height means top-down rows
+    # a negative height means top-down rows
+    width = abs(width)
+    height = abs(height)
     return ImageHeader("BMP", width, height, decoding_bytes=COPIES * 4 * width * height)
 
 
@@ -304,11 +318,9 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         raise ImageDecodeError(
             f"the TIFF's tag {repeated[0]} has several values instead of one: damaged"
         )
-    (width,), (height,), (bands,) = (
-        tags[_TAG_WIDTH],
-        tags[_TAG_HEIGHT],
-        tags.get(_TAG_SAMPLES, (1,)),
-    )
+    (width,) = tags[_TAG_WIDTH]
+    (height,) = tags[_TAG_HEIGHT]
+    (bands,) = tags.get(_TAG_SAMPLES, (1,))
     _check_for_preview(read_at, tags, width, height)
     for tag in _TAGS_OF_BANDS:
         if len(tags.get(tag, (0,))) not in (1, min(bands, MAX_VALUES)):

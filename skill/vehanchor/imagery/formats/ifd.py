@@ -80,7 +80,9 @@ def read_ifd(
         struct.error: the file ends within the directory or a value.
     """
     form = _form(read_at)
-    entry_format, value_bytes, order = form.entry, form.value_bytes, form.order
+    entry_format = form.entry
+    value_bytes = form.value_bytes
+    order = form.order
     value_at = struct.calcsize(entry_format)
     entry_bytes = value_at + value_bytes
     table_at, n_entries = _table(read_at, form, form.first if offset is None else offset)
@@ -118,7 +120,8 @@ def later_directories(read_at: ReadAt) -> Iterator[int]:
         ImageDecodeError: the chain has more than a thousand directories.
     """
     form = _form(read_at)
-    at, seen = form.first, {form.first}
+    at = form.first
+    seen = {form.first}
     entry_bytes = struct.calcsize(form.entry) + form.value_bytes
     with contextlib.suppress(struct.error):  # the chain leaves the file: every decoder stops here
         while True:

@@ -25,7 +25,10 @@ _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # DHT, JPG and DAC sha
 # sequential and lossless; all others refine earlier scans
 _SOF_ONE_PASS = frozenset({0xC0, 0xC1, 0xC3, 0xC9, 0xCB})
 _STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})  # TEM and RSTn carry no length
-_SOS, _EOI, _APP1, _STUFFING = 0xDA, 0xD9, 0xE1, 0x00
+_SOS = 0xDA
+_EOI = 0xD9
+_APP1 = 0xE1
+_STUFFING = 0x00
 # In entropy-coded data, 0 (stuffing), a restart marker or a fill byte follows 0xFF; anything else
 # is a marker.
 _MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
@@ -42,7 +45,8 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
     """
     data = read_at(0, sys.maxsize)
     frame: tuple[int, int, int, int] | None = None
-    orientation, complete = 1, False
+    orientation = 1
+    complete = False
     metadata: list[tuple[int, int]] = []
     n_segments = n_scans = 0
     position = 2

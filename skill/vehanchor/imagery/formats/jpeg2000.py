@@ -29,7 +29,8 @@ def read_jpeg2000(read_at: ReadAt) -> ImageHeader:
     right, bottom, left, top, tile_width, tile_height, _, _, bands = struct.unpack(
         ">8IH", read_at(at + 8, 34)
     )
-    width, height = right - left, bottom - top
+    width = right - left
+    height = bottom - top
     if (
         read_at(at, 4) != _CODESTREAM
         or min(width, height, tile_width, tile_height) < 1

@@ -24,7 +24,8 @@ _MAX_BLOCKS = 512  # real files have a dozen
 _XMP_PREFIX = b"http://ns.adobe.com/xap/1.0/\0"
 # then the packet's digest, its size and an offset in it
 _FURTHER_XMP_PREFIX = b"http://ns.adobe.com/xmp/extension/\0"
-_DIGEST_BYTES, _FURTHER_HEAD_BYTES = 32, 40
+_DIGEST_BYTES = 32
+_FURTHER_HEAD_BYTES = 40
 # then two bytes on compression, a language and a translation, which end with 0
 _PNG_XMP = b"XML:com.adobe.xmp\0"
 
@@ -45,7 +46,8 @@ def metadata_blocks(read_at: ReadAt, header: ImageHeader) -> tuple[list[ReadAt],
             exif.append(in_memory(block.removeprefix(EXIF_PREFIX)))
         elif block.startswith(_FURTHER_XMP_PREFIX):
             part = block[len(_FURTHER_XMP_PREFIX) :]
-            at, content = part[_DIGEST_BYTES + 4 : _FURTHER_HEAD_BYTES], part[_FURTHER_HEAD_BYTES:]
+            at = part[_DIGEST_BYTES + 4 : _FURTHER_HEAD_BYTES]
+            content = part[_FURTHER_HEAD_BYTES:]
             if int.from_bytes(at, "big") < MAX_XMP_BYTES:
                 further.setdefault(part[:_DIGEST_BYTES], {})[at] = content
         elif sum(map(len, xmp)) >= MAX_XMP_BYTES:
@@ -59,7 +61,8 @@ def metadata_blocks(read_at: ReadAt, header: ImageHeader) -> tuple[list[ReadAt],
 
 def _xmp_of_text(chunk: bytes) -> bytes:
     """Take the XMP packet of a PNG's text chunk; empty if it is damaged."""
-    compressed, rest = chunk[len(_PNG_XMP) : len(_PNG_XMP) + 1], chunk[len(_PNG_XMP) + 2 :]
+    compressed = chunk[len(_PNG_XMP) : len(_PNG_XMP) + 1]
+    rest = chunk[len(_PNG_XMP) + 2 :]
     packet = rest.split(b"\0", 2)[-1]
     if compressed != b"\1":
         return packet

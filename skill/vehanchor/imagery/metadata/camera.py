@@ -115,7 +115,8 @@ def _combine(
     tags: Sequence[ExifTags], packets: Sequence[Properties], refused: Sequence[str]
 ) -> CameraMetadata:
     stated = Statements(tags, packets, refused)
-    make, model = stated.text("Make"), stated.text("Model")
+    make = stated.text("Make")
+    model = stated.text("Model")
     makers = makers_of(make)
     height, height_tag = _first(stated, makers, "height", METRES)
     focal_px, _ = _first(stated, makers, "focal_px", PIXELS)
@@ -128,7 +129,8 @@ def _combine(
                 (focal_px or value, focal_mm) if unit == "px" else (focal_px, value)
             )
             break
-    width, rows = stated.whole("PixelXDimension"), stated.whole("PixelYDimension")
+    width = stated.whole("PixelXDimension")
+    rows = stated.whole("PixelYDimension")
     off_nadir, roll = _attitude(stated, makers)
     return CameraMetadata(
         make=make,
@@ -188,7 +190,8 @@ def _attitude(stated: Statements, makers: Sequence[Maker]) -> tuple[float | None
 
 def _position(tags: ExifTags) -> dict[str, float]:
     """Give latitude and longitude; empty if one is invalid."""
-    north, east = tags.get("GPSLatitude"), tags.get("GPSLongitude")
+    north = tags.get("GPSLatitude")
+    east = tags.get("GPSLongitude")
     if not isinstance(north, float) or not isinstance(east, float):
         return {}
     if north > 90 or east > 180 or north == east == 0:  # 0, 0 is "no fix"
@@ -201,14 +204,13 @@ def _position(tags: ExifTags) -> dict[str, float]:
 
 def _pixel_mm(stated: Statements, width_px: int | None, make: str, model: str) -> float | None:
     """Compute the pixel pitch from the focal plane's resolution; None if the sensor that it makes is impossible."""
-    per_unit, unit = (
-        stated.lens_number("FocalPlaneXResolution"),
-        stated.whole("FocalPlaneResolutionUnit") or 2,
-    )
+    per_unit = stated.lens_number("FocalPlaneXResolution")
+    unit = stated.whole("FocalPlaneResolutionUnit") or 2
     if not per_unit or per_unit < 0 or unit not in _MM_PER_UNIT:
         return None
     pixel_mm = _MM_PER_UNIT[unit] / per_unit
-    wide, sensor = pixel_mm * (width_px or 0), sensor_of(make, model)
+    wide = pixel_mm * (width_px or 0)
+    sensor = sensor_of(make, model)
     least, most = (
         _SENSOR_WIDTHS_MM
         if sensor is None

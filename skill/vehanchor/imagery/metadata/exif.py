@@ -41,12 +41,19 @@ _POSITION_NAMES = {
     3: "GPSLongitudeRef",
     4: "GPSLongitude",
 }
-_CAMERA_DIRECTORY, _POSITION_DIRECTORY = 0x8769, 0x8825
+_CAMERA_DIRECTORY = 0x8769
+_POSITION_DIRECTORY = 0x8825
 _POINTERS = (_CAMERA_DIRECTORY, _POSITION_DIRECTORY)
 _SEXAGESIMAL = ("GPSLatitude", "GPSLongitude")
 _MAX_ENTRIES = 512  # a real directory has some dozens
 _MAX_TEXT_BYTES = 64
-_BYTE, _ASCII, _LONG, _IFD, _UNDEFINED, _RATIONAL, _SIGNED_RATIONAL = 1, 2, 4, 13, 7, 5, 10
+_BYTE = 1
+_ASCII = 2
+_LONG = 4
+_IFD = 13
+_UNDEFINED = 7
+_RATIONAL = 5
+_SIGNED_RATIONAL = 10
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8, 11: 4, 12: 8}
 _FORMATS = {1: "B", 3: "H", 4: "I", 5: "II", 9: "i", 10: "ii", 11: "f", 12: "d"}
 

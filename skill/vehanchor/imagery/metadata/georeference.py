@@ -94,7 +94,8 @@ def _gsd_in_crs(transform: AffineCoefficients, crs: Any, column: float, row: flo
     from rasterio.warp import transform as reproject
 
     a, b, c, d, e, f = transform
-    x, y = a * column + b * row + c, d * column + e * row + f
+    x = a * column + b * row + c
+    y = d * column + e * row + f
     if max(abs(x), abs(y)) > _MAX_COORDINATE:
         return math.nan
     if crs.is_geographic:

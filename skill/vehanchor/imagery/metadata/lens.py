@@ -23,7 +23,8 @@ _WIDEST_SENSOR = 1.55
 # of a sensor of 4:3 (1.25) or 3:2 (1.202) whose full width a wider picture takes
 _DIAGONAL_PER_WIDTH = 1.226
 _WIDE_LOG_SD = 0.02
-_CALIBRATED_LOG_SD, _SENSOR_LOG_SD = 0.02, 0.03
+_CALIBRATED_LOG_SD = 0.02
+_SENSOR_LOG_SD = 0.03
 _TABLE_LOG_SD = 0.02  # root mean square of sixteen such sensors against OpenAthena's calibrations
 _CENTRE_TOLERANCE = 0.05
 
@@ -54,7 +55,8 @@ def taken_ratio(image: ImageFacts, camera: CameraMetadata) -> float | None:
     """
     if not camera.taken_width_px or not camera.taken_height_px:
         return 1.0
-    long, short = max(image.width_px, image.height_px), min(image.width_px, image.height_px)
+    long = max(image.width_px, image.height_px)
+    short = min(image.width_px, image.height_px)
     taken_short, taken_long = sorted((camera.taken_width_px, camera.taken_height_px))
     fitting = taken_short * long / taken_long
     slack = 1.0 + short / long  # one pixel of rounding in either side
@@ -112,7 +114,8 @@ def equivalent_lens(width_px: int, height_px: int, focal_35mm: float) -> Lens:
         height_px: of it.
         focal_35mm: millimetres.
     """
-    long, short = max(width_px, height_px), min(width_px, height_px)
+    long = max(width_px, height_px)
+    short = min(width_px, height_px)
     wide = long / short > _WIDEST_SENSOR
     diagonal = long * _DIAGONAL_PER_WIDTH if wide else math.hypot(long, short)
     spread = math.hypot(_EQUIVALENT_LOG_SD, _WIDE_LOG_SD if wide else 0.0)

@@ -62,7 +62,8 @@ class Sensor(NamedTuple):
             width_px: of the picture, as taken or as a resized copy.
             height_px: of it.
         """
-        long, short = max(width_px, height_px), min(width_px, height_px)
+        long = max(width_px, height_px)
+        short = min(width_px, height_px)
         return min(self.width_mm / long, self.height_mm / short)
 
 

@@ -87,7 +87,8 @@ class Statements:
 
     def quantity(self, maker: Maker, name: str, units: Mapping[str, float]) -> float | None:
         """Read a maker's property; None if it is missing, no number, or stated with two values."""
-        label, values = f"{maker.name} {name}", []
+        label = f"{maker.name} {name}"
+        values = []
         for text in self._of(maker, name):
             value = _number(text, units)
             if value is None:
@@ -130,7 +131,8 @@ class Statements:
     def _agreed(self, label: str, values: Sequence[float], equal: float) -> float | None:
         if not values:
             return None
-        least, most = min(values), max(values)
+        least = min(values)
+        most = max(values)
         if most - least > equal * abs(most):
             self.refused.append(f"{label} is both {least:.6g} and {most:.6g}")
             return None

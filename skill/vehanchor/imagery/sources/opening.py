@@ -88,7 +88,8 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
             unsupported dtype.
         MissingExtraError: the file needs rasterio or libheif, which is not installed.
     """
-    bands, limits = reading.bands, reading.limits
+    bands = reading.bands
+    limits = reading.limits
     if isinstance(image, np.ndarray):
         return ArrayRaster(image, "array", bands, bgr=reading.bgr)
     if isinstance(image, str | os.PathLike):

@@ -57,7 +57,8 @@ def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
             "(--max-megapixels, ImageLimits.max_pixels)"
         )
     plain = "RGBA" if getattr(image, "has_transparency_data", False) else "RGB"
-    held, shown = _HELD_BYTES.get(image.mode, 4), _ARRAY_MODES.get(image.mode, len(plain))
+    held = _HELD_BYTES.get(image.mode, 4)
+    shown = _ARRAY_MODES.get(image.mode, len(plain))
     # Pillow copies its pixels in pieces and then joins them
     taken = width * height * (held + 2 * shown)
     if taken > limits.max_decoded_bytes:

@@ -360,7 +360,8 @@ class DatasetRaster(Raster):
         All of a small raster, a grid of windows of a large one; a raster of large blocks once, so
         that no block is decoded again for each window.
         """
-        width, height = self._dataset.width, self._dataset.height
+        width = self._dataset.width
+        height = self._dataset.height
         if width * height <= SAMPLE_PX:
             return [(Window(0, 0, width, height), None)]
         if max(rows * columns for rows, columns in self._dataset.block_shapes) > SAMPLE_PX:
@@ -368,7 +369,8 @@ class DatasetRaster(Raster):
             return [(Window(0, 0, width, height), (max(1, height // step), max(1, width // step)))]
         side = math.isqrt(SAMPLE_PX) // _SAMPLE_GRID
         spots = np.linspace(0, 1, _SAMPLE_GRID)
-        w, h = min(side, width), min(side, height)
+        w = min(side, width)
+        h = min(side, height)
         return [
             (Window(int(x * (width - w)), int(y * (height - h)), w, h), None)
             for y in spots

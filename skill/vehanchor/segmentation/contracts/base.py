@@ -32,7 +32,9 @@ DTYPES: dict[str, type[np.generic]] = {
     "tensor(uint8)": np.uint8,
 }
 _MASK_PER_EMBEDDING = 4  # SAM's mask prompt is four times finer than its embedding
-_TOP_LEFT, _BOTTOM_RIGHT = 2, 3  # labels; 1 is a point on the object, 0 one outside it
+# labels; 1 is a point on the object, 0 one outside it
+_TOP_LEFT = 2
+_BOTTOM_RIGHT = 3
 # number of masks from a decoder with a single-mask output and three for ambiguous prompts
 _SINGLE_AND_MULTI = 4
 
@@ -91,7 +93,8 @@ class SamContract(LoadedModel, ABC):
     mean_sd: tuple[NDArray[np.float32], NDArray[np.float32]] = MEAN_RGB, SD_RGB
 
     def __init__(self, encoder: Session, decoder: Session, input_px: int | None) -> None:
-        self._encoder, self._decoder = encoder, decoder
+        self._encoder = encoder
+        self._decoder = decoder
         self._image = encoder.get_inputs()[0]
         self.input_px = input_px or self._found_input_px()
         self._check_image_shape()
@@ -104,7 +107,8 @@ class SamContract(LoadedModel, ABC):
             sides = [side for side in shape[:2] if isinstance(side, int)]
         if sides:
             return int(max(sides))
-        embedding, prior = self._side(self.embedding), self._side("mask_input")
+        embedding = self._side(self.embedding)
+        prior = self._side("mask_input")
         if embedding is not None and prior in (None, embedding * _MASK_PER_EMBEDDING):
             return embedding * SAM_STRIDE_PX
         if embedding is None and prior is not None:
@@ -165,7 +169,8 @@ class SamContract(LoadedModel, ABC):
         """
         features = self._run(self._encoder, {self._image.name: self._prepared(image)})
         size = image.shape[1], image.shape[0]
-        across, down = size[0] / window.width_px, size[1] / window.height_px
+        across = size[0] / window.width_px
+        down = size[1] / window.height_px
         seen = prompt.mapped(
             lambda x, y: ((x - window.x_px) * across - 0.5, (y - window.y_px) * down - 0.5)
         )

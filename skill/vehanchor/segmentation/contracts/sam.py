@@ -66,7 +66,8 @@ class Sam(SamContract):
         """Convert the picture to the encoder's input: unpadded if the graph pads, else padded with its zero."""
         height, width = image.shape[:2]
         pixels = image.astype(np.float32)
-        below, right = self.input_px - height, self.input_px - width
+        below = self.input_px - height
+        right = self.input_px - width
         if len(self._image.shape) == 3:
             sides = self._image.shape[:2]
             pads = [

@@ -16,7 +16,8 @@ from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits, Reading
 
-HEIGHT, WIDTH = 96, 128
+HEIGHT = 96
+WIDTH = 128
 
 
 def encoded(height: int = HEIGHT, width: int = WIDTH, orientation: int | None = None) -> bytes:

@@ -30,7 +30,9 @@ HEIC = base64.b64decode(
     "n772ztftfM0IQ1xhBKfsX+i6xQ/0FrxtrkEE2Vcp1C8EU0Kldd5xz/hCkEekIv/7X/vr/74sH5Y3aVPWZPL26irBJPr88ZBD6e227FRktwW7Km"
     "A5R8Atn2YtenfFfI3a2+Pvg1ehkS+Il9d83kFrsAAAAGRXhpZgAATU0AKgAAAAgAAQESAAMAAAABAAYAAAAAAAA="
 )
-GREEN, WHITE, BLACK = (0, 200, 0), (255, 255, 255), (0, 0, 0)
+GREEN = (0, 200, 0)
+WHITE = (255, 255, 255)
+BLACK = (0, 0, 0)
 
 
 @pytest.fixture(autouse=True)

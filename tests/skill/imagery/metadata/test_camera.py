@@ -296,7 +296,8 @@ def test_every_camera_is_found_and_has_a_plausible_sensor_with_a_source(
 
 
 def test_the_focal_length_of_the_file_chooses_the_lens() -> None:
-    fixed, zoom = sensor_of("DJI", "FC3170"), sensor_of("DJI", "FC2204")
+    fixed = sensor_of("DJI", "FC3170")
+    zoom = sensor_of("DJI", "FC2204")
     assert fixed is not None
     assert zoom is not None
     assert (fixed.focal_mm(4.5), fixed.focal_mm(9.1)) == (4.5, None)

@@ -137,7 +137,8 @@ def test_want_of_memory_is_not_the_images_fault(monkeypatch: pytest.MonkeyPatch)
 
     def no_memory(*_: object) -> None:
         error = cv2.error("Insufficient memory")
-        error.code, error.err = decoding._NO_MEMORY, "Insufficient memory"
+        error.code = decoding._NO_MEMORY
+        error.err = "Insufficient memory"
         raise error
 
     monkeypatch.setattr(cv2, "imdecode", no_memory)
