@@ -14,11 +14,11 @@ from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.camera_tilt import metadata_tilt
 from vehanchor.rulers.ruler import Ruler, View
 from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.posterior import Witness
-from vehanchor.tilt.camera_tilt import metadata_tilt
 
 
 def made_card(reference_length_m: float = 5.045, min_length_px: float = 0.0) -> DetectorCard:
@@ -59,11 +59,13 @@ def analyse_found(
     *,
     image_width_px: int,
     image_height_px: int,
-    resolved: float = 1.0,
+    detail_share: float = 1.0,
 ) -> ScaleAnalysis:
     """The second half of the skill, on vehicles that a test has made up."""
     image = ImageFacts(image_width_px, image_height_px)
-    return analyse_view(View(image, found, card, options or ScaleOptions(), lambda *_: resolved))
+    return analyse_view(
+        View(image, found, card, options or ScaleOptions(), lambda *_: detail_share)
+    )
 
 
 def with_tilt(view: View) -> View:

@@ -63,7 +63,9 @@ def _with_region(trial: ScaleTrial, card: DetectorCard, options: ScaleOptions) -
     regional = _in_region(options, trial.image, card)
     return ScaleTrial(
         trial.image,
-        analyse_view(View(facts, before.detections, card, regional, lambda *_: before.resolved)),
+        analyse_view(
+            View(facts, before.detections, card, regional, lambda *_: before.detail_share)
+        ),
     )
 
 

@@ -257,8 +257,10 @@ def without_vehicles(photograph: Photograph) -> Photograph:
         seen,
         boxes=seen.boxes[:0],
         scores=seen.scores[:0],
-        scales=None if seen.scales is None else seen.scales[:0],
-        looks=None if seen.looks is None else seen.looks.take(np.zeros(len(seen.looks), bool)),
+        reductions=None if seen.reductions is None else seen.reductions[:0],
+        appearance=None
+        if seen.appearance is None
+        else seen.appearance.take(np.zeros(len(seen.appearance), bool)),
     )
     again = StoredPhotograph(
         photograph.view.image, bare, 1.0, of_photographs(photograph.analysis.witnesses)

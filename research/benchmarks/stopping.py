@@ -22,7 +22,7 @@ import numpy as np
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
 from research.results.record import add_record_option, header, recording
 from vehanchor.analysis.convergence import convergence, has_converged, stop_rule
-from vehanchor.detection.detections import Detections, Looks
+from vehanchor.detection.detections import Appearance, Detections
 from vehanchor.detection.detector import load_detector
 from vehanchor.detection.scheduler import (
     LARGE_PIXELS,
@@ -45,7 +45,7 @@ from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import answer
-from vehanchor.scale.reliability import LOOKS_LOG_SD
+from vehanchor.scale.reliability import APPEARANCE_LOG_SD
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,7 +61,7 @@ class Cell(NamedTuple):
 
     boxes: NDArray[Any]
     scores: NDArray[Any]
-    looks: Looks
+    appearance: Appearance
     tile_prior: float
 
 
@@ -76,14 +76,14 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
         with open_raster(image) as raster:
             found = ImageSearch(raster, detector, Search(search_scales=False)).searched()
         n = len(found.boxes)
-        looks = Looks(*(np.zeros(0) for _ in Looks._fields))
-        if n and found.looks is not None:
+        appearance = Appearance(*(np.zeros(0) for _ in Appearance._fields))
+        if n and found.appearance is not None:
             # beyond the first, those of others in the cell
-            looks = found.looks.take(np.arange(n) % len(found.looks))
+            appearance = found.appearance.take(np.arange(n) % len(found.appearance))
         coarse = np.asarray(
             cv2.resize(image, (CELL_PX // 8,) * 2, interpolation=cv2.INTER_AREA), np.uint8
         )
-        cells.append(Cell(found.boxes, found.scores, looks, car_prior(coarse).item()))
+        cells.append(Cell(found.boxes, found.scores, appearance, car_prior(coarse).item()))
     return cells
 
 
@@ -127,16 +127,19 @@ class Mosaic:
         )
         flat = [cell for cells in chosen for cell in cells]
         self.scores = np.concatenate([cell.scores for cell in flat])
-        self.looks = Looks.joined([cell.looks for cell in flat])
+        self.appearance = Appearance.joined([cell.appearance for cell in flat])
         self.side = side
 
     def detections(self, found: NDArray[Any]) -> Detections:
         """Detections of a search that has found these boxes."""
         kept = np.flatnonzero(found)
         kept = kept[np.argsort(-self.scores[kept], kind="stable")]
-        looks = self.looks.take(kept[:_LOOKED_AT])
+        appearance = self.appearance.take(kept[:_LOOKED_AT])
         return Detections(
-            self.boxes[kept], self.scores[kept], scales=np.ones(len(kept)), looks=looks
+            self.boxes[kept],
+            self.scores[kept],
+            reductions=np.ones(len(kept)),
+            appearance=appearance,
         )
 
 
@@ -168,7 +171,11 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
     n_pixels = max(side * side, LARGE_PIXELS)
     rule = stop_rule(options.search.effort, n_pixels)
     view = partial(
-        View, ImageFacts(side, side), card=card, options=options, resolved_share=lambda *_: 1.0
+        View,
+        ImageFacts(side, side),
+        card=card,
+        options=options,
+        measure_detail_share=lambda *_: 1.0,
     )
     found = np.zeros(len(mosaic.boxes), bool)
     visited = 0
@@ -218,7 +225,7 @@ def main() -> None:
         rng = np.random.default_rng(seed)
         name = sorted(towns)[seed % len(towns)]
         # of this place's cars, which their looks do not tell
-        factor = math.exp(rng.normal(0, LOOKS_LOG_SD))
+        factor = math.exp(rng.normal(0, APPEARANCE_LOG_SD))
         mosaic = Mosaic(
             chosen.side, towns[name], fields, float(rng.uniform(0.05, 0.4)), factor, rng
         )

@@ -22,7 +22,7 @@ The library's codes (``vehanchor.errors``) pass through unchanged. The server ad
 
 from __future__ import annotations
 
-from vehanchor.records.foreign_text import on_one_line
+from vehanchor.records.escaping import on_one_line
 
 WORKER_KILLED = "worker_killed"
 _SHOWN_CHARS = 80

@@ -33,7 +33,7 @@ SLOW_IMPORTS = (
     "vehanchor_server.tools.registry",
     "vehanchor_server.calls.jpeg",
     "vehanchor.engine",
-    "vehanchor.pictures.measured",
+    "vehanchor.pictures.measurement",
 )
 """Modules that a first call would wait for."""
 

@@ -31,7 +31,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
-from vehanchor.measure.resolved_scale import given_scale
+from vehanchor.measure.scale_source import given_scale
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.models.zoo import resolve_model, resolve_segmenter
 from vehanchor.options import ScaleOptions
@@ -40,9 +40,9 @@ from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 
 if TYPE_CHECKING:
-    from vehanchor.analysis.measured_analysis import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.measurement_analysis import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
-    from vehanchor.measure.resolved_scale import ScaleInput
+    from vehanchor.measure.scale_source import ScaleInput
     from vehanchor.options.reading import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
     from vehanchor.segmentation.prompt import Box, Point

@@ -152,7 +152,7 @@ def _repeat(
     variant: _Variant,
     benchmark: ScaleBenchmark,
 ) -> ScaleTrial:
-    """Repeat a trial with one option changed, on the same vehicles; the resolved detail follows the kept vehicles."""
+    """Repeat a trial with one option changed, on the same vehicles; the detail follows the kept vehicles."""
     if trial.searched is None:
         raise InvalidParameterError(
             f"the trial of {trial.image.path} lacks its vehicles: use benchmark_scale"

@@ -7,7 +7,7 @@ import io
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import OutputError
-from vehanchor.records.foreign_text import in_cell
+from vehanchor.records.escaping import in_cell
 from vehanchor.records.text import count
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.reliability import LEAST_ESTIMATES

@@ -12,23 +12,23 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from vehanchor.analysis.journal_classes import FORMER_NAMES, STORED_CLASSES
 from vehanchor.analysis.pipeline import analyse_view, search_raster
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
-from vehanchor.analysis.stored import STORED_CLASSES
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import networks_sha256
 from vehanchor.errors import InvalidParameterError, VehAnchorError
-from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.detail import measure_detail_share
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
 from vehanchor.rulers.active import needs_search
+from vehanchor.rulers.camera_tilt import metadata_tilt
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import select
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.storage.codec import Codec
 from vehanchor.storage.journal import Journal, Source
-from vehanchor.tilt.camera_tilt import metadata_tilt
 from vehanchor_evaluation.known_scale import DATASET_READING, FileIssue
 from vehanchor_evaluation.pool import finished
 
@@ -53,7 +53,7 @@ class SearchedImage:
     Attributes:
         detections: the vehicles.
         image: size, own scale and notices of the file.
-        resolved: share of the pixels' resolution at which there is detail around the vehicles that
+        detail_share: share of the pixels' resolution at which there is detail around the vehicles that
             the outlier filter keeps, by its factor; vehicles that nobody has looked for, as labels,
             need none.
         prior: the scene-scale prior; None without one.
@@ -61,18 +61,18 @@ class SearchedImage:
 
     detections: Detections
     image: ImageFacts
-    resolved: Mapping[float | None, float] = field(default_factory=dict)
+    detail_share: Mapping[float | None, float] = field(default_factory=dict)
     prior: SceneScalePrior | None = None
 
     def analysis(self, card: DetectorCard, options: ScaleOptions) -> ScaleAnalysis:
         """Estimate the scale from these vehicles.
 
         Raises:
-            InvalidParameterError: the search did not measure the resolved detail for this alpha.
+            InvalidParameterError: the search did not measure the detail for this alpha.
             KnownLengthError: a line of known length leaves the image.
         """
         options = options.in_pixels(self.image.width_px, self.image.height_px)
-        share = self.resolved.get(options.lengths.alpha) if self.resolved else 1.0
+        share = self.detail_share.get(options.lengths.alpha) if self.detail_share else 1.0
         if share is None:
             raise InvalidParameterError(
                 f"searched without alpha {options.lengths.alpha}: search with these options"
@@ -138,14 +138,14 @@ def _of_full_search(chosen: Search) -> dict[str, Any]:
 
 
 def _dumped(searched: SearchedImage) -> Any:
-    return Codec(STORED_CLASSES).dump(
-        (searched.detections, searched.image, list(searched.resolved.items()), searched.prior)
+    return Codec(STORED_CLASSES, FORMER_NAMES).dump(
+        (searched.detections, searched.image, list(searched.detail_share.items()), searched.prior)
     )
 
 
 def _loaded(stored: Any) -> SearchedImage:
-    detections, image, resolved, prior = Codec(STORED_CLASSES).load(stored)
-    return SearchedImage(detections, image, dict(resolved), prior)
+    detections, image, detail_share, prior = Codec(STORED_CLASSES, FORMER_NAMES).load(stored)
+    return SearchedImage(detections, image, dict(detail_share), prior)
 
 
 def search_images(
@@ -163,7 +163,7 @@ def search_images(
         images: distinct files.
         detector: the detector, shared by all workers.
         options: options of the search. Every tile is searched, so that tables do not depend on an
-            early stop. The resolved detail is also measured for ``options.lengths.alpha``.
+            early stop. The detail is also measured for ``options.lengths.alpha``.
         log: receives each result at once.
         workers: images searched in parallel, each held in memory.
         progress: called with (images done, total).
@@ -241,7 +241,7 @@ def search_known_scale(
 
 
 def _has_alphas(known: SearchedImage | None, alphas: Sequence[float | None]) -> bool:
-    return known is not None and all(alpha in known.resolved for alpha in alphas)
+    return known is not None and all(alpha in known.detail_share for alpha in alphas)
 
 
 def _search(
@@ -250,14 +250,14 @@ def _search(
     try:
         with open_raster(os.fspath(file), options.reading) as raster:
             view = search_raster(raster, detector, options)
-            resolved = {alpha: _resolved(raster, view, alpha) for alpha in alphas}
-            return SearchedImage(view.detections, view.image, resolved, view.prior)
+            detail_share = {alpha: _detail_share(raster, view, alpha) for alpha in alphas}
+            return SearchedImage(view.detections, view.image, detail_share, view.prior)
     except VehAnchorError as error:
         return FileIssue(file, error.code, str(error))
 
 
-def _resolved(raster: Raster, view: View, alpha: float | None) -> float:
+def _detail_share(raster: Raster, view: View, alpha: float | None) -> float:
     """The share of the resolution with detail around the vehicles that a factor of the outlier filter keeps."""
     expected = None if view.prior is None or view.tilt is not None else view.prior.density
     fleet = select(view.detections, Lengths(alpha=alpha), expected)
-    return resolved_share(raster, fleet.centres, fleet.working_scale or 1.0)
+    return measure_detail_share(raster, fleet.centres, fleet.main_reduction or 1.0)

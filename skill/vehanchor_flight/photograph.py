@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.analysis.journal_classes import FORMER_NAMES, STORED_CLASSES
 from vehanchor.analysis.pipeline import analyse_view
-from vehanchor.analysis.stored import STORED_CLASSES
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.rulers.active import ruler_class
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.options import ScaleOptions
+    from vehanchor.rulers.camera_tilt import CameraTilt
     from vehanchor.scale.posterior import Witness
-    from vehanchor.tilt.camera_tilt import CameraTilt
     from vehanchor_flight.features import Features
 
 
@@ -36,7 +36,7 @@ class StoredPhotograph:
     Attributes:
         image: facts of the image.
         detections: result of the search, in pixels of the image.
-        resolved: share of the pixels' resolution at which there is detail around its vehicles.
+        detail_share: share of the pixels' resolution at which there is detail around its vehicles.
         others: witnesses of the rulers that measure each photograph, with the tilt; None if they
             have not measured.
         prior: the scene-scale prior; None without one.
@@ -46,7 +46,7 @@ class StoredPhotograph:
 
     image: ImageFacts
     detections: Detections
-    resolved: float
+    detail_share: float
     others: tuple[Witness, ...] | None = None
     prior: SceneScalePrior | None = None
     tilt: CameraTilt | None = None
@@ -56,12 +56,14 @@ class StoredPhotograph:
     def of(cls, view: View, analysis: ScaleAnalysis) -> StoredPhotograph:
         """Take the intermediate results of an analysis."""
         others = of_photographs(analysis.witnesses)
-        return cls(view.image, view.detections, analysis.resolved, others, view.prior, view.tilt)
+        return cls(
+            view.image, view.detections, analysis.detail_share, others, view.prior, view.tilt
+        )
 
 
 def photograph_codec() -> Codec:
     """Codec of ``StoredPhotograph`` for journals."""
-    return Codec((*STORED_CLASSES, StoredPhotograph))
+    return Codec((*STORED_CLASSES, StoredPhotograph), FORMER_NAMES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,7 @@ class Photograph:
             kept.detections,
             card,
             options,
-            lambda _centres, _scale: kept.resolved,
+            lambda _centres, _scale: kept.detail_share,
             prior=kept.prior,
             tilt=kept.tilt,
         )

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from vehanchor.analysis.pipeline import conclude
-from vehanchor.detection.detections import Detections, Looks
+from vehanchor.detection.detections import Appearance, Detections
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.records import KnownPlane
 from vehanchor.rulers.active import ruler_class
+from vehanchor.rulers.camera_tilt import with_scale
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.witnesses import expected_scale, measure_all
 from vehanchor.scale.density import quantile, shifted
 from vehanchor.scale.posterior import Lack, Remark, Witness
-from vehanchor.tilt.camera_tilt import with_scale
 from vehanchor_flight.photograph import of_photographs
 
 if TYPE_CHECKING:
@@ -61,14 +61,14 @@ def pool(
     logs = np.asarray(log_scales, dtype=np.float64)
     offsets = logs - logs[reference]
     chief = members[reference].view
-    resolved = _resolved(members)
+    detail_share = _detail_share(members)
     others = (*_pooled_others(members, offsets), *added)
     view = View(  # no tilt: the boxes are rectified
         _facts(members, reference),
         pooled_detections([member.measured for member in members], offsets),
         chief.card,
         chief.options,
-        lambda _centres, _scale: resolved,
+        lambda _centres, _scale: detail_share,
         prior=_pooled_prior([member.view for member in members], offsets),
         expected=None if chief.tilt is None else expected_scale(others),
     )
@@ -96,7 +96,7 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     """
     factors = np.exp(np.asarray(offsets, dtype=np.float64))
     scores = np.concatenate([each.scores for each in detections])
-    looked = [0 if each.looks is None else len(each.looks) for each in detections]
+    looked = [0 if each.appearance is None else len(each.appearance) for each in detections]
     known = np.concatenate(
         [np.arange(len(each.boxes)) < n for each, n in zip(detections, looked, strict=True)]
     )
@@ -105,12 +105,12 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         [each.boxes * [k, k, k, k, 1.0] for each, k in zip(detections, factors, strict=True)],
         dtype=np.float64,
     )
-    scaled = any(each.scales is not None for each in detections)
+    scaled = any(each.reductions is not None for each in detections)
     scales = [
-        (np.ones(len(each.boxes)) if each.scales is None else each.scales) / k
+        (np.ones(len(each.boxes)) if each.reductions is None else each.reductions) / k
         for each, k in zip(detections, factors, strict=True)
     ]
-    looks = [each.looks for each in detections if each.looks is not None]
+    appearance = [each.appearance for each in detections if each.appearance is not None]
     place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among boxes with looks
     ends = (each.stopped_because for each in detections if each.stopped_because is not None)
     return Detections(
@@ -119,7 +119,7 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         sum(each.n_tiles for each in detections),
         sum(each.n_capped_tiles for each in detections),
         np.concatenate(scales)[order] if scaled else None,
-        Looks.joined(looks).take(place) if looks else None,
+        Appearance.joined(appearance).take(place) if appearance else None,
         n_tiles_total=sum(each.n_tiles_total or each.n_tiles for each in detections),
         n_skipped=sum(each.n_skipped for each in detections),
         stopped_because=next(ends, None),
@@ -156,14 +156,14 @@ def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> N
     return np.asarray(combined / combined.sum())
 
 
-def _resolved(members: Sequence[Photograph]) -> float:
+def _detail_share(members: Sequence[Photograph]) -> float:
     """Compute the median share of resolution with detail, weighted by the photographs' numbers of vehicles."""
     counts = np.array(
         [member.analysis.estimate.n_vehicles or 0 for member in members], dtype=np.float64
     )
     if not counts.any():
         return 1.0
-    values = np.array([member.analysis.resolved for member in members])
+    values = np.array([member.analysis.detail_share for member in members])
     order = np.argsort(values, kind="stable")
     return float(values[order][np.searchsorted(np.cumsum(counts[order]), counts.sum() / 2)])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.tilt.camera_tilt import with_scale
+from vehanchor.rulers.camera_tilt import with_scale
 
 if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate, RulerScale

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vehanchor.analysis.pipeline import known_scale
+from vehanchor.analysis.pipeline import make_known_scale
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import Advice, advice_for
@@ -236,7 +236,7 @@ def _photograph(
         advice=advice,
         component=record.number,
         supported_by=rulers,
-        scale=known_scale(
+        scale=make_known_scale(
             photograph.view, gsd, None if low is None or high is None else (low, high), confidence
         ),
         own=photograph.analysis.estimate,

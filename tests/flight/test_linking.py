@@ -12,7 +12,7 @@ from tests.flight.ground import facts_at, features_of, ground, photograph_of, si
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
-from vehanchor.tilt.camera_tilt import CameraTilt
+from vehanchor.rulers.camera_tilt import CameraTilt
 from vehanchor_flight.estimate import reduced_picture, without_copies
 from vehanchor_flight.features import Features
 from vehanchor_flight.graph import Link, Unary, solve

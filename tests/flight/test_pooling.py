@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tests.analyses import made_card
 from tests.flight.ground import facts_at, sighting_of
-from vehanchor.detection.detections import NOT_SEARCHED, Detections, Looks
+from vehanchor.detection.detections import NOT_SEARCHED, Appearance, Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.ruler import point_witness, prior_witness
@@ -22,9 +22,9 @@ from vehanchor_flight.records import FlightEstimate
 
 
 def _photograph(
-    lengths: NDArray[np.float64], name: str = "one", resolved: float = 1.0
+    lengths: NDArray[np.float64], name: str = "one", detail_share: float = 1.0
 ) -> Photograph:
-    stored = StoredPhotograph(ImageFacts(800, 600), sighting_of(lengths), resolved)
+    stored = StoredPhotograph(ImageFacts(800, 600), sighting_of(lengths), detail_share)
     return Photograph.of(name, stored, made_card(5.0), ScaleOptions())
 
 
@@ -66,25 +66,25 @@ def test_looks_at_vehicles_stay_with_their_boxes() -> None:
     first = Detections(
         np.full((3, 5), 1.0),
         np.array([0.9, 0.5, 0.3]),
-        looks=Looks(np.array([1.9, 1.5]), np.array([0.1, 0.2]), np.array([9.0, 5.0])),
+        appearance=Appearance(np.array([1.9, 1.5]), np.array([0.1, 0.2]), np.array([9.0, 5.0])),
     )
     second = Detections(
         np.full((2, 5), 2.0),
         np.array([0.8, 0.4]),
-        looks=Looks(np.array([1.8, 1.4]), np.array([0.3, 0.4]), np.array([8.0, 4.0])),
+        appearance=Appearance(np.array([1.8, 1.4]), np.array([0.3, 0.4]), np.array([8.0, 4.0])),
     )
     both = pooled_detections([first, second], np.zeros(2))
-    assert both.looks is not None
-    assert list(both.looks.logits) == [9.0, 8.0, 5.0, 4.0]
-    assert list(both.looks.log_lengths) == [1.9, 1.8, 1.5, 1.4]
+    assert both.appearance is not None
+    assert list(both.appearance.logits) == [9.0, 8.0, 5.0, 4.0]
+    assert list(both.appearance.log_lengths) == [1.9, 1.8, 1.5, 1.4]
     assert list(both.scores) == [0.9, 0.8, 0.5, 0.4, 0.3]
     assert list(both.boxes[:, 0]) == [1, 2, 1, 2, 1]
 
 
 def test_boxes_found_in_a_reduced_copy_keep_their_length_in_it() -> None:
-    seen = Detections(np.full((1, 5), 40.0), np.array([0.9]), scales=np.array([0.5]))
+    seen = Detections(np.full((1, 5), 40.0), np.array([0.9]), reductions=np.array([0.5]))
     (pooled,) = pooled_detections([seen], [np.log(2.0)]).boxes
-    scales = pooled_detections([seen], [np.log(2.0)]).scales
+    scales = pooled_detections([seen], [np.log(2.0)]).reductions
     assert scales is not None
     assert pooled[2] * scales[0] == pytest.approx(20.0)
 
@@ -130,7 +130,7 @@ def test_a_stretch_of_the_camera_is_that_of_the_photographs_with_the_vehicles() 
 
 def test_two_stretched_photographs_are_as_doubtful_together_as_alone() -> None:
     view = _photograph(_FLEET).view
-    searched = replace(view.detections, scales=np.ones(len(_FLEET)), stretch=3.0)
+    searched = replace(view.detections, reductions=np.ones(len(_FLEET)), stretch=3.0)
     stored = StoredPhotograph(view.image, searched, 1.0)
     photographs = [Photograph.of(name, stored, view.card, view.options) for name in ("one", "two")]
     pooled = pool(photographs, np.zeros(2), 0).estimate

@@ -8,12 +8,12 @@ import pytest
 from tests.analyses import made_card
 from tests.flight.ground import sighting_of
 from tests.models import fleet
-from tests.skill.tilt.test_camera_tilt import CAR_M, FACTS, FOCAL, GSD, _cars
+from tests.skill.rulers.test_camera_tilt import CAR_M, FACTS, FOCAL, GSD, _cars
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import ImageNotFoundError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
-from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
+from vehanchor.rulers.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor_flight.components import single_component
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.project import estimate_in_flight

@@ -17,12 +17,12 @@ from typer.testing import CliRunner
 from tests.analyses import make_analysis
 from tests.models import car_park
 from vehanchor import analyse_area, analyse_distance, analyse_scale
-from vehanchor.analysis.measured_analysis import AreaAnalysis
+from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.cli.app import app
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, MissingExtraError
 from vehanchor.options import ScaleOptions
-from vehanchor.pictures.measured import MEASURED_RGB
+from vehanchor.pictures.measurement import MEASURED_RGB
 from vehanchor.records import GsdEstimate, KnownPlane, Notice, Reason, SceneScaleEstimate
 from vehanchor.records.text import ADVICE, advice_for
 

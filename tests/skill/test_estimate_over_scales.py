@@ -14,7 +14,7 @@ from research.scenes import Scene, render_scene
 from tests.analyses import analyse_found
 from tests.yards import YARDS, Yard, paint_yard
 from vehanchor import estimate_gsd
-from vehanchor.detection.detections import Detections, Looks
+from vehanchor.detection.detections import Appearance, Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
@@ -40,7 +40,7 @@ def _fleet(mean: float, n: int = 30, spread: float = 0.07) -> list[float]:
 
 
 def _analysis(
-    detector: Detector, groups: list[tuple[float, int, float, float]], resolved: float = 1.0
+    detector: Detector, groups: list[tuple[float, int, float, float]], detail_share: float = 1.0
 ) -> Any:
     """An analysis of groups of (length, number, score, scale), their lengths spread as a fleet's."""
     lengths = np.concatenate([_fleet(length, n) for length, n, _, _ in groups])
@@ -50,11 +50,11 @@ def _analysis(
     scores = np.concatenate([np.full(n, score) for _, n, score, _ in groups])
     scales = np.concatenate([np.full(n, scale) for _, n, _, scale in groups])
     return analyse_found(
-        Detections(boxes, scores, scales=scales),
+        Detections(boxes, scores, reductions=scales),
         detector.card,
         image_width_px=4000,
         image_height_px=4000,
-        resolved=resolved,
+        detail_share=detail_share,
     ).estimate
 
 
@@ -118,10 +118,10 @@ def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
     normal = np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
     lengths = np.array(_fleet(40.0, n, of_lengths))
     boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.6, lengths * 0])
-    looks = Looks(np.log(4.4) + of_looks * normal, np.full(n, 0.07), np.full(n, logit))
+    appearance = Appearance(np.log(4.4) + of_looks * normal, np.full(n, 0.07), np.full(n, logit))
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:
-        found = Detections(boxes, np.full(n, 0.9), scales=scales, looks=looks)
+        found = Detections(boxes, np.full(n, 0.9), reductions=scales, appearance=appearance)
         return analyse_found(
             found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40
         ).estimate
@@ -148,11 +148,11 @@ def test_a_fleet_at_the_border_of_two_levels_is_one_fleet(searching: Detector) -
 # --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("resolved", "guarded"), [(1.0, False), (0.6, False), (0.4, True)])
+@pytest.mark.parametrize(("detail_share", "guarded"), [(1.0, False), (0.6, False), (0.4, True)])
 def test_vehicles_without_the_detail_of_their_pixels_are_guarded(
-    searching: Detector, resolved: float, guarded: bool
+    searching: Detector, detail_share: float, guarded: bool
 ) -> None:
-    e = _analysis(searching, [(30.0, 40, 0.9, 1.0)], resolved)  # the guard asks for 16.8 px
+    e = _analysis(searching, [(30.0, 40, 0.9, 1.0)], detail_share)  # the guard asks for 16.8 px
     assert (e.status == "low_confidence") is guarded
     assert [w.code for w in e.warnings] == (["detail_missing"] if guarded else [])
 

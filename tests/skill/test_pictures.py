@@ -40,9 +40,9 @@ from vehanchor.pictures.scale import (
     read_reduced,
     write_picture,
 )
+from vehanchor.rulers.camera_tilt import CameraTilt
 from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.posterior import Mark
-from vehanchor.tilt.camera_tilt import CameraTilt
 
 
 def _near(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.bool_]:

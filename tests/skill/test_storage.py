@@ -18,7 +18,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.skill.cut_off import CALIBRATION
-from vehanchor.analysis.stored import STORED_CLASSES
+from vehanchor.analysis.journal_classes import STORED_CLASSES
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.errors import InvalidParameterError, OutputError
@@ -235,13 +235,25 @@ def test_intermediate_results_come_back_exactly() -> None:
     after = photograph_codec().load(json.loads(json.dumps(photograph_codec().dump(before))))
     assert isinstance(after, StoredPhotograph)
     assert after.image == before.image
-    assert after.resolved == 0.7
+    assert after.detail_share == 0.7
     assert np.array_equal(after.detections.boxes, before.detections.boxes)
     assert after.detections.boxes.dtype == before.detections.boxes.dtype
     assert after.prior is not None
     assert before.prior is not None
     assert np.array_equal(after.prior.density, before.prior.density)
     after.detections.boxes[0] = 1  # and may be changed
+
+
+def test_a_journal_with_former_names_is_read() -> None:
+    stored = json.dumps(photograph_codec().dump(_stored()))
+    for former, today in {
+        "resolved": "detail_share",
+        "scales": "reductions",
+        "looks": "appearance",
+    }.items():
+        assert f'"{today}"' in stored
+        stored = stored.replace(f'"{today}"', f'"{former}"')
+    assert photograph_codec().load(json.loads(stored)).detail_share == 0.7
 
 
 @pytest.mark.parametrize(

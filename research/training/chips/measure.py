@@ -16,7 +16,7 @@ from research.results.record import add_record_option, header, recording
 from research.training.chips.kinds import BODY_M, CARS, GROUP_OF_KIND, GROUPS, UNKNOWN
 from research.training.chips.readings import READ_LENGTH_PX, Read, load
 from research.training.chips.stream import cut
-from vehanchor.detection.chips import KINDS, ChipAnswers, ChipNetwork, looks
+from vehanchor.detection.chips import KINDS, ChipAnswers, ChipNetwork, read_appearance
 from vehanchor.models.runtime import Runtime
 
 _N_GROUPS = 4  # of cars
@@ -39,7 +39,7 @@ def log_scale(read: Read, said: ChipAnswers) -> NDArray[np.float64]:
     width_px = np.nan_to_num(read.width_px, nan=1.0)
     middle = np.full(len(width_px), _FAR_PX / 2)
     boxes = np.column_stack([middle, middle, read.length_px, width_px, np.zeros(len(middle))])
-    return looks(boxes, said, (_FAR_PX, _FAR_PX)).log_lengths - np.log(
+    return read_appearance(boxes, said, (_FAR_PX, _FAR_PX)).log_lengths - np.log(
         said.sizes[:, 0] * read.length_px
     )
 

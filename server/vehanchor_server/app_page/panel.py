@@ -13,7 +13,7 @@ from pydantic import FailFast
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor.records.text import advice_for, by_hand_text
-from vehanchor_server.frozen import FrozenModel
+from vehanchor_server.base_model import FrozenModel
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

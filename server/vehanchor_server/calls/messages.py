@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 from pydantic import Field, TypeAdapter, ValidationError
 
 from vehanchor_server.app_page.panel import Drawing
+from vehanchor_server.base_model import FrozenModel
 from vehanchor_server.calls.reply import Reply
-from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.sandbox.confinement import Confinement
 
 if TYPE_CHECKING:

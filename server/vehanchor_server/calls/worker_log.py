@@ -6,7 +6,7 @@ import logging
 import threading
 from typing import TYPE_CHECKING
 
-from vehanchor.records.foreign_text import on_one_line
+from vehanchor.records.escaping import on_one_line
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from vehanchor_server.frozen import FrozenModel
+from vehanchor_server.base_model import FrozenModel
 
 MAX_PATH_CHARS = 4096  # Linux's PATH_MAX
 MAX_URL_CHARS = 2048

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 
 from vehanchor.errors import VehAnchorError
-from vehanchor.records.foreign_text import on_one_line
+from vehanchor.records.escaping import on_one_line
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import AnyImage, Base64Image, PathImage, UrlImage
 

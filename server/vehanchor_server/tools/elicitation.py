@@ -42,9 +42,9 @@ class _ScaleInput(BaseModel):
 
     model_config = ConfigDict(extra="forbid", str_strip_whitespace=True)
 
-    region: Literal[REGIONS] | None = Field(
+    region: Literal[REGIONS] | None = Field(  # type: ignore[valid-type]
         None, title="Region", description="Where the image was taken."
-    )  # type: ignore[valid-type]
+    )
     height_m: Height | None = Field(
         None, title="Height, m", description="Camera height above ground, for a nadir view."
     )

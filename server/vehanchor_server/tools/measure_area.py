@@ -90,7 +90,7 @@ def _measure(
     """Segment the objects and measure them."""
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.area import analyse_objects
-    from vehanchor.pictures.measured import cut_to_objects, draw_area
+    from vehanchor.pictures.measurement import cut_to_objects, draw_area
     from vehanchor_server.app_page.panel import drawing_of
 
     # refuse invalid prompts before the work

@@ -8,10 +8,10 @@ from pydantic import Field
 
 from vehanchor.options.option import Number
 from vehanchor.records import DistanceMeasurement
+from vehanchor_server.base_model import FrozenModel
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
-from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
@@ -98,7 +98,7 @@ def _measure(
     """Measure the lines."""
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.distance import analyse_paths, read_path
-    from vehanchor.pictures.measured import cut_to_lines, draw_distance
+    from vehanchor.pictures.measurement import cut_to_lines, draw_distance
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in asked.subject]
     options, scale = resolve_source(asked.given, services, job)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from mcp.server.mcpserver import Context
 
-    from vehanchor.measure.resolved_scale import ScaleInput
+    from vehanchor.measure.scale_source import ScaleInput
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
     from vehanchor_server.calls.job import Job
     from vehanchor_server.calls.reply import Reply
@@ -160,7 +160,7 @@ def resolve_source(given: Given, services: Services, job: Job) -> tuple[ScaleOpt
         VehAnchorError: the arguments contradict each other.
     """
     from vehanchor.analysis.pipeline import checked_detector
-    from vehanchor.measure.resolved_scale import given_scale
+    from vehanchor.measure.scale_source import given_scale
 
     if given.get("gsd_basis") == "measured":
         options = scale_options(given, services.settings, None)

@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from vehanchor.options.option import Number
-from vehanchor_server.frozen import FrozenModel
+from vehanchor_server.base_model import FrozenModel
 
 MAX_POINTS = 32  # more than anyone clicks
 MAX_TARGETS = 16  # per call

@@ -21,11 +21,11 @@ from vehanchor.options import Coordinates, Frame, Reading, declared_options
 from vehanchor.options.option import Limits
 from vehanchor.records.text import count
 from vehanchor_server.app_page.page import PAGE_ONLY_META
+from vehanchor_server.base_model import FrozenModel
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
-from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services

@@ -20,7 +20,7 @@ from vehanchor.detection.detections import NOT_SEARCHED, corrected
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import ImageListError, InvalidParameterError, VehAnchorError
-from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.detail import measure_detail_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.records import (
@@ -37,6 +37,7 @@ from vehanchor.records import (
 )
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class
+from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
@@ -47,7 +48,6 @@ from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judged
 from vehanchor.scale.reliability import SAME_NUMBER
-from vehanchor.tilt.camera_tilt import metadata_tilt, tilt_notice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -154,9 +154,17 @@ def search_raster(
     kinds = {ruler.kind for ruler in rulers}
     if prior is None and SceneScale.kind in kinds:
         prior = load_scene_scale(detector.runtime).predict(raster)
-    resolved = partial(resolved_share, raster)
+    detail_share = partial(measure_detail_share, raster)
     view = View(
-        facts, NOT_SEARCHED, detector.card, options, resolved, raster, detector.runtime, prior, tilt
+        facts,
+        NOT_SEARCHED,
+        detector.card,
+        options,
+        detail_share,
+        raster,
+        detector.runtime,
+        prior,
+        tilt,
     )
     if not any(ruler.needs_search for ruler in rulers):
         if options.by_hand.given:
@@ -301,7 +309,7 @@ def _record(
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         tilt=None if view.tilt is None else view.tilt.record(image, gsd),
         frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
-        scale=known_scale(view, gsd, interval, decided.confidence),
+        scale=make_known_scale(view, gsd, interval, decided.confidence),
         model=view.card.name,
         warnings=warnings,
         details=_details(view, vehicles, witnesses),
@@ -322,7 +330,7 @@ def _details(
         else SceneScaleEstimate(**_with_ci95(scene.gsd_m_per_px, scene.interval)),
         n_detections=None if vehicles is None else len(vehicles.fleet.detections.boxes),
         by_hand=told and VehiclesByHand(dropped=told.n_dropped, added=told.n_added),
-        working_scale=None if vehicles is None else vehicles.fleet.working_scale,
+        working_scale=None if vehicles is None else vehicles.fleet.main_reduction,
         tiles_searched=searched.n_tiles,
         tiles_total=searched.n_tiles_total or searched.n_tiles,
         candidates_skipped=searched.n_skipped,
@@ -351,7 +359,7 @@ def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:
     )
 
 
-def known_scale(
+def make_known_scale(
     view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
 ) -> KnownScale | None:
     """Make the scale to give back; None without a scale, or if the image has no checksum."""

@@ -95,10 +95,10 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
     """Estimate with its evidence, drawing and export."""
 
     @property
-    def resolved(self) -> float:
+    def detail_share(self) -> float:
         """Share of the pixels' resolution at which there is detail; 1 without vehicles."""
         vehicles = self.vehicles
-        return 1.0 if vehicles is None else vehicles.resolved
+        return 1.0 if vehicles is None else vehicles.detail_share
 
     def _draw(self, raster: Raster) -> NDArray[np.uint8]:
         from vehanchor.pictures.scale import draw_overlay, read_reduced

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError
-from vehanchor.records.foreign_text import in_cell
+from vehanchor.records.escaping import in_cell
 from vehanchor.storage.atomic import check_output_path, whole_file
 
 if TYPE_CHECKING:

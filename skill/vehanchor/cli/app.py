@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from vehanchor.cli.spaced import SpacedCommand
+from vehanchor.cli.multi_value import SpacedCommand
 from vehanchor.cli.terminal import BAD_INPUT, INTERRUPTED, UNFORESEEN
 
 if TYPE_CHECKING:

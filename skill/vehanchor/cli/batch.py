@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
-from vehanchor.cli.given_scale import KnownLengthsFile
+from vehanchor.cli.scale_option import KnownLengthsFile
 from vehanchor.cli.terminal import FAILED, counts_text, printable, resumable, work_progress
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.text import count

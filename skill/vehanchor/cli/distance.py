@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
-from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
-from vehanchor.cli.measured import show_measured
-from vehanchor.cli.spaced import parse_point
+from vehanchor.cli.measurement import show_measurement
+from vehanchor.cli.multi_value import parse_point
+from vehanchor.cli.scale_option import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.terminal import Strict
 from vehanchor.records.text import with_interval
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from vehanchor.analysis.measured_analysis import DistanceAnalysis
+    from vehanchor.analysis.measurement_analysis import DistanceAnalysis
     from vehanchor.records import DistanceMeasurement
 
 
@@ -68,7 +68,7 @@ def distance(
         )
 
     files = {"line": line, "overlay": overlay}
-    show_measured(image, analyse, _facts, files, as_json=as_json, strict=strict)
+    show_measurement(image, analyse, _facts, files, as_json=as_json, strict=strict)
 
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
-from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
-from vehanchor.cli.measured import show_measured
-from vehanchor.cli.spaced import parse_point
+from vehanchor.cli.measurement import show_measurement
+from vehanchor.cli.multi_value import parse_point
+from vehanchor.cli.scale_option import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.terminal import Strict
 from vehanchor.options.models import SEGMENTER
 from vehanchor.records.text import significant, with_interval
@@ -18,7 +18,7 @@ from vehanchor.records.text import significant, with_interval
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vehanchor.analysis.measured_analysis import AreaAnalysis
+    from vehanchor.analysis.measurement_analysis import AreaAnalysis
     from vehanchor.records import AreaMeasurement, OtherObject
 
 _SHORT_SHA = 12
@@ -92,7 +92,7 @@ def measure(
         )
 
     files = {"outline": outline, "overlay": overlay, "mask": mask}
-    show_measured(image, analyse, _facts, files, as_json=as_json, strict=strict)
+    show_measurement(image, analyse, _facts, files, as_json=as_json, strict=strict)
 
 
 def _points(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
-from vehanchor.records.foreign_text import on_one_line
+from vehanchor.records.escaping import on_one_line
 from vehanchor.records.text import by_hand_text
 
 if TYPE_CHECKING:

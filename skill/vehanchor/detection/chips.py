@@ -14,7 +14,7 @@ import numpy as np
 
 from vehanchor.detection.boxes import box_axes, canonical_boxes
 from vehanchor.detection.card import ChipCard
-from vehanchor.detection.detections import Looks, Objects
+from vehanchor.detection.detections import Appearance, Objects
 from vehanchor.detection.verifier import AuxiliaryModel, Weights, surroundings
 from vehanchor.imagery.tiles import read_around
 
@@ -95,9 +95,9 @@ def bodies(boxes: NDArray[np.float64], answers: ChipAnswers) -> NDArray[np.float
     return canonical_boxes(np.column_stack([centre, answers.sizes * length[:, None], angle]))
 
 
-def looked_at(
+def with_appearance(
     network: ChipNetwork, raster: Raster, found: Objects, *, most: int, mirrored: bool
-) -> tuple[Objects, Looks]:
+) -> tuple[Objects, Appearance]:
     """Score the best candidates again, and replace their boxes by those of their bodies.
 
     Args:
@@ -116,7 +116,7 @@ def looked_at(
     seen = boxes[:most]
     answers = network.answers(candidate_chips(raster, seen), views=len(_MIRRORS) if mirrored else 1)
     size_px = raster.width_px, raster.height_px
-    apparent = looks(seen, answers, size_px)
+    apparent = read_appearance(seen, answers, size_px)
     if len(boxes) > most:
         boxes[most:, 2:4] = boxes[most:, 2:3] * np.median(answers.sizes, axis=0)
     boxes[:most] = bodies(seen, answers)
@@ -125,7 +125,9 @@ def looked_at(
     return Objects(boxes, scores, found.classes), apparent
 
 
-def looks(boxes: NDArray[np.float64], answers: ChipAnswers, image_px: tuple[int, int]) -> Looks:
+def read_appearance(
+    boxes: NDArray[np.float64], answers: ChipAnswers, image_px: tuple[int, int]
+) -> Appearance:
     """Compare the sizes of bodies in pixels with their metres by appearance.
 
     Length and width count by the precision of their edges. The image's border cuts a body's length,
@@ -142,7 +144,7 @@ def looks(boxes: NDArray[np.float64], answers: ChipAnswers, image_px: tuple[int,
     log_gsd = (shares * (answers.log_metres - np.log(sizes_px))).sum(axis=1)
     edge_variance = 1 / (1 / variances).sum(axis=1)
     log_sds = np.sqrt(answers.metres_sd.mean(axis=1) ** 2 + edge_variance)
-    return Looks(log_gsd + np.log(sizes_px[:, 0]), log_sds, answers.logit)
+    return Appearance(log_gsd + np.log(sizes_px[:, 0]), log_sds, answers.logit)
 
 
 def _cut(boxes: NDArray[np.float64], image_px: tuple[int, int]) -> NDArray[np.bool_]:

@@ -54,14 +54,14 @@ class Objects:
         )
 
 
-class Looks(NamedTuple):
+class Appearance(NamedTuple):
     """Sizes of vehicles by their appearance.
 
     Attributes:
         log_lengths: ``[n]`` float64, log of the metres that each body's length in pixels stands
             for.
         log_sds: ``[n]`` float64, their standard deviations as the network states them (see
-            ``looks_error``).
+            ``appearance_error``).
         logits: ``[n]`` float64, log odds of a small vehicle in a fitting box, before calibration.
     """
 
@@ -72,12 +72,12 @@ class Looks(NamedTuple):
     def __len__(self) -> int:
         return len(self.log_lengths)
 
-    def take(self, kept: NDArray[np.bool_] | NDArray[np.intp]) -> Looks:
+    def take(self, kept: NDArray[np.bool_] | NDArray[np.intp]) -> Appearance:
         """Select vehicles by a mask ``[n]``, or by indices in their order."""
-        return Looks(*(each[kept] for each in self))
+        return Appearance(*(each[kept] for each in self))
 
     @classmethod
-    def joined(cls, parts: Sequence[Looks]) -> Looks:
+    def joined(cls, parts: Sequence[Appearance]) -> Appearance:
         """Concatenate the vehicles of at least one part."""
         return cls(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
@@ -106,16 +106,16 @@ class Detections:
 
     Attributes:
         boxes: ``[n, 5]`` float64 rows ``(x, y, length, width, angle)`` of the vehicles, in image
-            pixels and radians, those with looks first, then best score first, then vehicles that
-            the caller added.
+            pixels and radians, those with an appearance first, then best score first, then vehicles
+            that the caller added.
         scores: ``[n]`` float64 in [0, 1].
         n_tiles: number of tiles that were searched.
         n_capped_tiles: number of tiles in which an end-to-end model filled all its rows, so that
             vehicles may be missing.
-        scales: ``[n]`` float64, scale of the image in which each was found: 1, 0.5, 0.25 or 0.125;
+        reductions: ``[n]`` float64, reduction of the image in which each was found: 1, 0.5, 0.25 or
             None for a search at full resolution only.
-        looks: sizes of the first m = min(n, 64) vehicles by their appearance; None without a chip
-            network.
+        appearance: sizes of the first m = min(n, 64) vehicles by their appearance; None without a
+            chip network.
         others: objects of the model's other classes, in image pixels, best score first; overlapping
             boxes are merged within a class, not between classes.
         n_tiles_total: number of tiles of the image at all resolutions; None if it was not counted.
@@ -131,8 +131,8 @@ class Detections:
     scores: NDArray[np.float64]
     n_tiles: int = 1
     n_capped_tiles: int = 0
-    scales: NDArray[np.float64] | None = None
-    looks: Looks | None = None
+    reductions: NDArray[np.float64] | None = None
+    appearance: Appearance | None = None
     others: Objects = field(default_factory=Objects.joined)
     n_tiles_total: int | None = None
     stopped_because: Stopped | None = None
@@ -195,15 +195,15 @@ def corrected(
     kept = ~np.isin(numbers, by_hand.drop) & ~overlaps
     n_added = len(added)
 
-    looks = detections.looks
+    appearance = detections.appearance
     return replace(
         detections,
         boxes=np.concatenate([detections.boxes[kept], added]),
         scores=np.concatenate([detections.scores[kept], np.full(n_added, _STATED_SCORE)]),
-        scales=None
-        if detections.scales is None
-        else np.concatenate([detections.scales[kept], np.ones(n_added)]),
-        looks=None if looks is None else looks.take(kept[: len(looks)]),
+        reductions=None
+        if detections.reductions is None
+        else np.concatenate([detections.reductions[kept], np.ones(n_added)]),
+        appearance=None if appearance is None else appearance.take(kept[: len(appearance)]),
         corrections=Corrections(
             numbers=np.concatenate([numbers[kept], found + 1 + np.arange(n_added)]),
             pointed_log_sds=np.concatenate([np.zeros(int(kept.sum())), pointed_log_sds]),

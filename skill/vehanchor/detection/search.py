@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.detection.boxes import box_corners, oriented_nms
-from vehanchor.detection.chips import looked_at
+from vehanchor.detection.chips import with_appearance
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.proportions import stretch, stretch_of_few
 from vehanchor.detection.scheduler import (
@@ -331,17 +331,17 @@ class ImageSearch:
         vehicles = Objects.joined([part.vehicles for part in parts])
         kept = _merged(vehicles, self._min_score, self._nms_iou)
         few = len(kept) <= _FEW_VEHICLES
-        looks = None
+        appearance = None
         if ended and self._chips:
             if few:
                 kept = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
             factors = factors[kept]
-            vehicles, looks = looked_at(
+            vehicles, appearance = with_appearance(
                 self._chips, self._raster, vehicles.take(kept), most=_MOST_LOOKED_AT, mirrored=few
             )
             kept = _merged(vehicles, self._min_score, self._nms_iou)
-            kept = kept[np.argsort(kept >= len(looks), kind="stable")]
-            looks = looks.take(kept[kept < len(looks)])
+            kept = kept[np.argsort(kept >= len(appearance), kind="stable")]
+            appearance = appearance.take(kept[kept < len(appearance)])
         vehicles = vehicles.take(kept)
         return Detections(
             vehicles.boxes,
@@ -349,7 +349,7 @@ class ImageSearch:
             len(parts),
             sum(part.ran_out for part in parts),
             1 / factors[kept] if self._search_scales else None,
-            looks,
+            appearance,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
             self._because,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from vehanchor.analysis.measured_analysis import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.measurement_analysis import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.metadata.georeference import Ground
 

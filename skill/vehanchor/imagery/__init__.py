@@ -1,1 +1,1 @@
-"""Image input: sources, formats, metadata, windows, tiles, resolved detail."""
+"""Image input: sources, formats, metadata, windows, tiles, detail."""

@@ -84,18 +84,20 @@ def spectrum_share(spectrum: NDArray[np.float64]) -> float:
     return 1.0
 
 
-def resolved_share(raster: Raster, centres: NDArray[np.float64], scale: float = 1.0) -> float:
-    """Compute the share of the resolution that holds detail around vehicles.
+def measure_detail_share(
+    raster: Raster, centres: NDArray[np.float64], reduction: float = 1.0
+) -> float:
+    """Measure the share of the resolution that holds detail around vehicles.
 
     Args:
         raster: the image.
         centres: ``[n, 2]`` x, y of vehicles in pixels of the image; at most 16 are used.
-        scale: of the reduced image in which they were found: 1, 0.5, 0.25 or 0.125.
+        reduction: of the image in which they were found: 1, 0.5, 0.25 or 0.125.
 
     Returns:
         ``spectrum_share`` of the reduced image; 1 without vehicles or if a side is below 64 px.
     """
-    factor = round(1 / scale)
+    factor = round(1 / reduction)
     width = raster.width_px // factor
     height = raster.height_px // factor
     if len(centres) == 0 or min(width, height) < PATCH_PX:

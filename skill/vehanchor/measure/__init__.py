@@ -1,1 +1,1 @@
-"""Areas and distances at a resolved scale."""
+"""Areas and distances at a scale."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.analysis.measured_analysis import AreaAnalysis
-from vehanchor.measure.resolved_scale import resolve_scale
+from vehanchor.analysis.measurement_analysis import AreaAnalysis
+from vehanchor.measure.scale_source import find_measurement_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.records import (
     AreaMeasurement,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
-    from vehanchor.measure.resolved_scale import ResolvedScale, ScaleInput
+    from vehanchor.measure.scale_source import MeasurementScale, ScaleInput
     from vehanchor.options import Frame
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
@@ -70,7 +70,7 @@ def analyse_objects(
     ]
     # Masks first: they are faster than the search, and an invalid prompt fails early.
     masks = [segmenter.segment(raster, prompt, limits=options.reading.limits) for prompt in prompts]
-    found = resolve_scale(raster, scale, options, object_height_m=object_height_m)
+    found = find_measurement_scale(raster, scale, options, object_height_m=object_height_m)
     return tuple(
         AreaAnalysis(
             _conclude(raster, mask, prompt, segmenter.card, options, found),
@@ -89,7 +89,7 @@ def _conclude(
     prompt: Prompt,
     card: SegmenterCard,
     options: ScaleOptions,
-    scale: ResolvedScale,
+    scale: MeasurementScale,
 ) -> AreaMeasurement:
     """Make the record from mask and scale."""
     mask = found.mask
@@ -160,7 +160,7 @@ def _diameter_log_sd(
     return max(area_log_sd / 2, 2 * area_log_sd * area_px / (perimeter_px * diameter_px))
 
 
-def _other_object(found: Segmentation, scale: ResolvedScale) -> OtherObject:
+def _other_object(found: Segmentation, scale: MeasurementScale) -> OtherObject:
     n_px = int(found.mask.sum())
     box = _box(found)
     assert box is not None, "alternatives are not empty"

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.analysis.measured_analysis import DistanceAnalysis
+from vehanchor.analysis.measurement_analysis import DistanceAnalysis
 from vehanchor.errors import PromptError
-from vehanchor.measure.resolved_scale import resolve_scale
+from vehanchor.measure.scale_source import find_measurement_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import DistanceMeasurement, ImagePoint
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vehanchor.imagery.raster import Raster
-    from vehanchor.measure.resolved_scale import ResolvedScale, ScaleInput
+    from vehanchor.measure.scale_source import MeasurementScale, ScaleInput
     from vehanchor.options.reading import Place
 
 MIN_PATH_PX = 2.0
@@ -81,7 +81,7 @@ def analyse_paths(
     options.frame.check(raster.width_px, raster.height_px)
     coordinates = CoordinateFrame(options.frame, raster.width_px, raster.height_px)
     in_image = [_in_image(path, coordinates) for path in paths]
-    found = resolve_scale(raster, scale, options, object_height_m=object_height_m)
+    found = find_measurement_scale(raster, scale, options, object_height_m=object_height_m)
     return tuple(
         DistanceAnalysis(
             _conclude(path, coordinates, found), scale=found.analysis, nadir=found.plane is None
@@ -123,7 +123,7 @@ def _length_sd(places: Sequence[Place], unit_px: tuple[float, float]) -> float:
 
 
 def _conclude(
-    places: Sequence[Place], coordinates: CoordinateFrame, scale: ResolvedScale
+    places: Sequence[Place], coordinates: CoordinateFrame, scale: MeasurementScale
 ) -> DistanceMeasurement:
     """Make the record from path and scale."""
     length_px = _length(places)

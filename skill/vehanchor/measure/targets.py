@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Mapping, Sequence
 
-    from vehanchor.analysis.measured_analysis import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.measurement_analysis import AreaAnalysis, DistanceAnalysis
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.imagery.raster import Raster
-    from vehanchor.measure.resolved_scale import ScaleInput
+    from vehanchor.measure.scale_source import ScaleInput
     from vehanchor.options import ScaleOptions
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
     from vehanchor.segmentation.segmenter import Segmenter

@@ -286,7 +286,7 @@ class GsdEstimate(Record):
         return sorted(right, key=lambda ruler: ruler.kind != self.leading_ruler)
 
 
-def known_scale(given: Any) -> KnownScale:
+def read_known_scale(given: Any) -> KnownScale:
     """Read a scale that a caller gives back.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from vehanchor.records.foreign_text import on_one_line
+from vehanchor.records.escaping import on_one_line
 from vehanchor.records.record import Record
 
 

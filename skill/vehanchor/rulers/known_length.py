@@ -12,13 +12,13 @@ import numpy as np
 from vehanchor.errors import KnownLengthError
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.camera_tilt import TILT_SD_DEG
 from vehanchor.rulers.ruler import Ruler, assumed, in_words
 from vehanchor.rulers.standards import Variant, lengths_of
 from vehanchor.scale.density import lognormal, mass_within, on_grid, product, quantile
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import CALLER, RECOGNITION, RELIABILITY
-from vehanchor.tilt.camera_tilt import TILT_SD_DEG
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

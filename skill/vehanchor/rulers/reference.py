@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.countries import COUNTRY_CODES, COUNTRY_REGIONS, country_length
-from vehanchor.scale.reliability import KNOWN_REGION, LOOKS_LOG_MEAN, LOOKS_LOG_SD
+from vehanchor.scale.reliability import APPEARANCE_LOG_MEAN, APPEARANCE_LOG_SD, KNOWN_REGION
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from vehanchor.detection.card import BodyLengths, DetectorCard
-    from vehanchor.detection.detections import Looks
+    from vehanchor.detection.detections import Appearance
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 
@@ -34,18 +34,20 @@ class ReferenceLength(NamedTuple):
         source: source of the length.
         log_sd: standard deviation of its log between places.
         log_mean: mean error of its log.
-        by_looks: log of the factor on the vehicles' lengths by their appearance; None if these are
-            not used.
+        by_appearance: log of the factor on the vehicles' lengths by their appearance; None if these
+            are not used.
     """
 
     length_m: float
     source: ReferenceSource
     log_sd: float
     log_mean: float = 0.0
-    by_looks: float | None = None
+    by_appearance: float | None = None
 
 
-def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) -> ReferenceLength:
+def reference_length(
+    card: DetectorCard, given: Reference, appearance: Appearance | None
+) -> ReferenceLength:
     """Choose the caller's reference length, else the fleet's by appearance, else the model's.
 
     A length from the caller removes half of the spread between regions. A region removes less,
@@ -55,7 +57,7 @@ def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) 
     Args:
         card: of the model that found the vehicles.
         given: source chosen by the caller.
-        looks: of the vehicles of the fleet; None if unknown.
+        appearance: of the vehicles of the fleet; None if unknown.
 
     Returns:
         The length, its spread and its source.
@@ -74,8 +76,8 @@ def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) 
         return ReferenceLength(
             given.reference_length_m, "given", _KNOWN_LENGTH * sd_m / given.reference_length_m
         )
-    if card.bodies is not None and looks is not None:
-        return _by_looks(card.bodies, looks, given.region)
+    if card.bodies is not None and appearance is not None:
+        return _by_appearance(card.bodies, appearance, given.region)
     if given.region is not None:
         # where nobody measured boxes
         of_bodies = {} if card.bodies is None else card.bodies.region_lengths_m
@@ -84,20 +86,22 @@ def reference_length(card: DetectorCard, given: Reference, looks: Looks | None) 
     return ReferenceLength(card.reference_length_m, "model", sd_m / card.reference_length_m)
 
 
-def _by_looks(bodies: BodyLengths, looks: Looks, region: str | None) -> ReferenceLength:
+def _by_appearance(
+    bodies: BodyLengths, appearance: Appearance, region: str | None
+) -> ReferenceLength:
     """Read the reference length from appearances, and move it towards that of a region."""
-    log_length = float(looks.log_lengths.mean())
+    log_length = float(appearance.log_lengths.mean())
     if region is None:
         return ReferenceLength(
-            math.exp(log_length), "appearance", LOOKS_LOG_SD, LOOKS_LOG_MEAN, 0.0
+            math.exp(log_length), "appearance", APPEARANCE_LOG_SD, APPEARANCE_LOG_MEAN, 0.0
         )
     usual = math.log(bodies.reference_length_m)
-    fleet = (len(looks) * log_length + _USUAL_CARS * usual) / (len(looks) + _USUAL_CARS)
+    fleet = (len(appearance) * log_length + _USUAL_CARS * usual) / (len(appearance) + _USUAL_CARS)
     spread = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
-    share = LOOKS_LOG_SD**2 / (LOOKS_LOG_SD**2 + spread**2)
+    share = APPEARANCE_LOG_SD**2 / (APPEARANCE_LOG_SD**2 + spread**2)
     moved = share * (math.log(_region_length(region, bodies.region_lengths_m)) - fleet)
-    log_sd = math.sqrt(1 - share) * LOOKS_LOG_SD
-    log_mean = (1 - share) * LOOKS_LOG_MEAN
+    log_sd = math.sqrt(1 - share) * APPEARANCE_LOG_SD
+    log_mean = (1 - share) * APPEARANCE_LOG_MEAN
     return ReferenceLength(math.exp(log_length + moved), "region", log_sd, log_mean, moved)
 
 

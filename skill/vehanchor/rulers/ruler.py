@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.models.runtime import Runtime
     from vehanchor.options import ScaleOptions
+    from vehanchor.rulers.camera_tilt import CameraTilt
     from vehanchor.scale.lengths import Interval
     from vehanchor.scale.plane import GroundPlane
     from vehanchor.scale.posterior import Remark
     from vehanchor.scale.reliability import Shared
-    from vehanchor.tilt.camera_tilt import CameraTilt
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class View:
         detections: result of the search.
         card: of the detector.
         options: all options of the method.
-        resolved_share: function of centres ``[n, 2]`` in pixels and the scale where they were
+        measure_detail_share: function of centres ``[n, 2]`` in pixels and the scale where they were
             found; it gives the share of the resolution at which there is detail
             (``vehanchor.imagery.detail``).
         raster: the open image, for a ruler that reads pixels; None if only search results are kept.
@@ -59,7 +59,7 @@ class View:
     detections: Detections
     card: DetectorCard
     options: ScaleOptions
-    resolved_share: Callable[[NDArray[np.float64], float], float]
+    measure_detail_share: Callable[[NDArray[np.float64], float], float]
     raster: Raster | None = None
     runtime: Runtime | None = None
     prior: SceneScalePrior | None = None

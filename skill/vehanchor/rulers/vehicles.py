@@ -11,6 +11,7 @@ import numpy as np
 
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.camera_tilt import rectified
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.defaults import CAR_LENGTH_M
@@ -28,11 +29,10 @@ from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.scale.reliability import (
     CAR_LOG_SD,
     RELIABILITY,
-    looks_error,
+    appearance_error,
     uncalibrated_wrong,
     unresolved,
 )
-from vehanchor.tilt.camera_tilt import rectified
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.detections import Detections, Looks
+    from vehanchor.detection.detections import Appearance, Detections
     from vehanchor.options import Lengths
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.ruler import View
@@ -63,7 +63,7 @@ class Fleet:
     Attributes:
         detections: all detections.
         kept: ``[n]`` bool, the detections of the fleet.
-        working_scale: scale of the image copy with most of the fleet, by score; None without
+        main_reduction: reduction of the image copy with most of the fleet, by score; None without
             vehicles.
         rival_share: evidence of the strongest group of other lengths over the fleet's; 0 without
             any.
@@ -71,7 +71,7 @@ class Fleet:
 
     detections: Detections
     kept: NDArray[np.bool_]
-    working_scale: float | None
+    main_reduction: float | None
     rival_share: float = 0.0
 
     @property
@@ -95,12 +95,12 @@ class Fleet:
         return np.asarray(self.detections.scores[self.kept])
 
     @property
-    def looks(self) -> Looks | None:
-        """Looks of the vehicles that have any; None without such vehicles."""
-        looks = self.detections.looks
-        if looks is None or not self.kept[: len(looks)].any():
+    def appearance(self) -> Appearance | None:
+        """Appearance of the vehicles that have any; None without such vehicles."""
+        appearance = self.detections.appearance
+        if appearance is None or not self.kept[: len(appearance)].any():
             return None
-        return looks.take(self.kept[: len(looks)])
+        return appearance.take(self.kept[: len(appearance)])
 
 
 def select(
@@ -120,7 +120,7 @@ def select(
     """
     found = detections.boxes[:, 2]
     stated = detections.stated
-    if detections.scales is None or len(found) == 0:
+    if detections.reductions is None or len(found) == 0:
         kept = inlier_mask(found, lengths.alpha)
         rival_share = 0.0
     else:
@@ -132,18 +132,18 @@ def select(
         kept[kept] = inlier_mask(found[kept], lengths.alpha)
     kept |= stated
     return Fleet(
-        detections, kept, _working_scale(detections, kept), 0.0 if stated.any() else rival_share
+        detections, kept, _main_reduction(detections, kept), 0.0 if stated.any() else rival_share
     )
 
 
-def _working_scale(detections: Detections, kept: NDArray[np.bool_]) -> float | None:
+def _main_reduction(detections: Detections, kept: NDArray[np.bool_]) -> float | None:
     """Find the scale with most of the kept vehicles, by score; the finer of equals."""
     if not kept.any():
         return None
-    if detections.scales is None:
+    if detections.reductions is None:
         return 1.0
-    scales, which = np.unique(-detections.scales[kept], return_inverse=True)
-    return float(-scales[np.argmax(np.bincount(which, weights=detections.scores[kept]))])
+    reductions, which = np.unique(-detections.reductions[kept], return_inverse=True)
+    return float(-reductions[np.argmax(np.bincount(which, weights=detections.scores[kept]))])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -156,7 +156,7 @@ class VehicleWitness(Witness):
         reference: ``L_ref`` and its source.
         mode_length_px: ``P_mode``; None without vehicles.
         aggregation: statistic of the lengths.
-        resolved: share of the pixels' resolution at which there is detail.
+        detail_share: share of the pixels' resolution at which there is detail.
         only_kept: whether the fleet alone votes: in a tilted view, the other boxes are parts of
             cars.
     """
@@ -166,7 +166,7 @@ class VehicleWitness(Witness):
     reference: ReferenceLength
     mode_length_px: float | None
     aggregation: Aggregation
-    resolved: float
+    detail_share: float
     only_kept: bool
 
     @property
@@ -183,7 +183,7 @@ class VehicleWitness(Witness):
             self.fleet.scores,
             (self.mode_length_px, self.aggregation),
             (self.reference.length_m, self.reference.log_sd * self.reference.length_m),
-            seen_scale=self.fleet.working_scale or 1.0,
+            reduction=self.fleet.main_reduction or 1.0,
             guard_length_px=self.guard_length_px,
             length_range_px=(max(self.card.min_length_px, shortest_px), longest_px),
         )
@@ -200,12 +200,12 @@ class VehicleWitness(Witness):
     def seen_length_px(self) -> float:
         """Modal length in pixels of the copy that the model saw; there must be vehicles."""
         assert self.mode_length_px is not None
-        return self.mode_length_px * (self.fleet.working_scale or 1.0)
+        return self.mode_length_px * (self.fleet.main_reduction or 1.0)
 
     @property
     def coarseness(self) -> float:
-        """``P_thresh`` over the vehicles' resolved length; above 1 they are too coarse."""
-        return self.guard_length_px / (self.seen_length_px * self.resolved)
+        """``P_thresh`` over the vehicles' length; above 1 they are too coarse."""
+        return self.guard_length_px / (self.seen_length_px * self.detail_share)
 
     @property
     def doubted(self) -> bool:
@@ -222,7 +222,7 @@ class VehicleWitness(Witness):
             [np.median(self.fleet.lengths)], [_CLEAR_SCORE], self.reference.length_m, model
         )
         without: list[tuple[Reason, VehicleWitness, NDArray[np.float64]]] = [
-            ("too_coarse", replace(self, resolved=math.inf), likelihood),
+            ("too_coarse", replace(self, detail_share=math.inf), likelihood),
             ("not_cars", self, clear),
             ("disagree", replace(self, fleet=replace(self.fleet, rival_share=0.0)), likelihood),
             ("too_few", self, product(likelihood, another)),
@@ -250,10 +250,10 @@ class VehicleWitness(Witness):
         found = self.fleet.detections
         lengths_m = np.full(len(found.boxes), self.reference.length_m)
         log_sds = np.full(len(found.boxes), CAR_LOG_SD)
-        if self.reference.by_looks is not None and found.looks is not None:
-            seen = len(found.looks)
-            lengths_m[:seen] = np.exp(found.looks.log_lengths + self.reference.by_looks)
-            log_sds[:seen] = found.looks.log_sds * looks_error(scores[:seen])
+        if self.reference.by_appearance is not None and found.appearance is not None:
+            seen = len(found.appearance)
+            lengths_m[:seen] = np.exp(found.appearance.log_lengths + self.reference.by_appearance)
+            log_sds[:seen] = found.appearance.log_sds * appearance_error(scores[:seen])
         if found.corrections is not None:
             log_sds = np.hypot(log_sds, found.corrections.pointed_log_sds)
         voting = self.fleet.kept if self.only_kept else slice(None)
@@ -313,10 +313,10 @@ class Vehicles(Ruler):
             notices=_capped(detections),
             fleet=fleet,
             card=card,
-            reference=reference_length(card, view.options.reference, fleet.looks),
+            reference=reference_length(card, view.options.reference, fleet.appearance),
             mode_length_px=mode_px,
             aggregation=aggregation,
-            resolved=view.resolved_share(fleet.centres, fleet.working_scale or 1.0),
+            detail_share=view.measure_detail_share(fleet.centres, fleet.main_reduction or 1.0),
             only_kept=fleet.is_stated or (plane is not None and view.expected is not None),
         )
         if mode_px is None:
@@ -355,16 +355,16 @@ def _doubts(fleet: Fleet, stretch: float | None) -> tuple[Notice, ...]:
     A caller who states that most of the vehicles are cars resolves the doubt that they are
     look-alikes.
     """
-    if fleet.detections.scales is None:
+    if fleet.detections.reductions is None:
         return ()
     stretched = stretch is not None and abs(stretch) > 1.0
-    alike = not fleet.is_stated and look_alikes(fleet.lengths, fleet.looks)
+    alike = not fleet.is_stated and look_alikes(fleet.lengths, fleet.appearance)
     return tuple(
         each for each, doubted in zip(_DOUBTS.values(), (stretched, alike), strict=True) if doubted
     )
 
 
-def look_alikes(lengths: ArrayLike, looks: Looks | None) -> bool:
+def look_alikes(lengths: ArrayLike, appearance: Appearance | None) -> bool:
     """Test whether vehicles may be equal things that are no cars, such as lorries, caravans and boats in rows.
 
     One of two signs is enough, from 20 vehicles on: their lengths and their looks spread less than
@@ -373,16 +373,17 @@ def look_alikes(lengths: ArrayLike, looks: Looks | None) -> bool:
 
     Args:
         lengths: ``[n]`` pixels.
-        looks: of the vehicles that have any; None without a chip network.
+        appearance: of the vehicles that have any; None without a chip network.
     """
     values = np.asarray(lengths, dtype=np.float64)
     if len(values) < _LEAST_ALIKE:
         return False
     equal = _spread(np.log(values)) < _EQUAL
-    if looks is None or len(looks) < _LEAST_ALIKE:
+    if appearance is None or len(appearance) < _LEAST_ALIKE:
         return bool(equal)
     return bool(
-        looks.logits.mean() < _LEAST_LOGIT or (equal and _spread(looks.log_lengths) < _EQUAL)
+        appearance.logits.mean() < _LEAST_LOGIT
+        or (equal and _spread(appearance.log_lengths) < _EQUAL)
     )
 
 
@@ -406,12 +407,13 @@ def _detail_missing(found: VehicleWitness) -> tuple[Notice, ...]:
     """Warn of vehicles that have enough pixels, but not enough detail."""
     seen_px = found.seen_length_px
     guard_px = found.guard_length_px
-    if not seen_px >= guard_px > seen_px * found.resolved:
+    if not seen_px >= guard_px > seen_px * found.detail_share:
         return ()
     message = (
-        f"The image has no detail finer than {1 / found.resolved:.2g} px, as after enlarging or "
+        f"The image has no detail finer than {1 / found.detail_share:.2g} px, as after "
+        "enlarging or "
         "blur: vehicles of "
-        f"{seen_px:.1f} px have the detail of {seen_px * found.resolved:.1f} px, and "
+        f"{seen_px:.1f} px have the detail of {seen_px * found.detail_share:.1f} px, and "
         f"{guard_px:.1f} px are needed. "
         "Give the original image."
     )

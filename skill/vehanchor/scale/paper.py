@@ -79,7 +79,7 @@ def paper_scale(
     mode: tuple[float | None, Aggregation],
     reference_m: tuple[float, float],
     *,
-    seen_scale: float,
+    reduction: float,
     guard_length_px: float,
     length_range_px: tuple[float, float],
 ) -> PaperScale:
@@ -90,7 +90,7 @@ def paper_scale(
         scores: ``[n]`` detection scores of the kept vehicles.
         mode: their modal length and its statistic, from ``vehanchor.scale.lengths.modal_length``.
         reference_m: ``L_ref`` and its standard deviation between regions, metres.
-        seen_scale: scale of the image copy that the model saw.
+        reduction: scale of the image copy that the model saw.
         guard_length_px: ``P_thresh``, in pixels of that copy.
         length_range_px: shortest and longest vehicle in the model's training data.
     """
@@ -103,8 +103,8 @@ def paper_scale(
     (resampling, fleet) = statistical_log_sds(lengths, scores, mode_px, aggregation)
     # of a lognormal 95 % interval
     reach = float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + log_sd**2)))
-    terms = confidence_terms(lengths, scores, mode_px * seen_scale, length_range_px)
-    guarded = mode_px * seen_scale < guard_length_px
+    terms = confidence_terms(lengths, scores, mode_px * reduction, length_range_px)
+    guarded = mode_px * reduction < guard_length_px
     return PaperScale(
         gsd,
         Interval(gsd / reach, gsd * reach),

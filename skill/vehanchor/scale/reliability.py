@@ -38,11 +38,11 @@ _PLACES = "photographs of 30 places that no network has learned from, November 2
 CAR_LOG_SD = 0.12
 """Standard deviation of the log length of one car's box around its fleet, without looks; 0.10 to 0.145 by place."""
 
-LOOKS_LOG_SD = 0.055
+APPEARANCE_LOG_SD = 0.055
 """Standard deviation of the log of a fleet's length by its looks, between places: 0.047 between 13 places,
 of which the network has learned from six."""
 
-LOOKS_LOG_MEAN = -0.015
+APPEARANCE_LOG_MEAN = -0.015
 """Mean error of that log: cars of 13 places are 2.8 % shorter than they look; half of it is taken off. Any mean of
 -0.03 to 0 and spread of 0.04 to 0.06 makes 1,089 to 1,099 of 1,255 photographs usable, 8 to 11 of them wrong; with a
 spread below 0.05 fewer than 95 of 100 intervals hold."""
@@ -109,14 +109,14 @@ def unresolved(coarseness: float) -> Reliability:
     """Return the errors of vehicles that are too coarse for the resolution guard.
 
     Args:
-        coarseness: ``P_thresh`` over the vehicles' resolved length; up to 1 they are fine enough.
+        coarseness: ``P_thresh`` over the vehicles' length; up to 1 they are fine enough.
     """
     each = RELIABILITY["vehicles, too coarse"]
     logs = math.log(max(1.0, coarseness))
     return each._replace(log_sd=each.log_sd * logs, chance_wrong=min(1.0, each.chance_wrong * logs))
 
 
-def looks_error(scores: ArrayLike) -> NDArray[np.float64]:
+def appearance_error(scores: ArrayLike) -> NDArray[np.float64]:
     """Compute how many times what the network states looks err, ``[n]``: less, the surer it is that this is a car.
 
     Args:

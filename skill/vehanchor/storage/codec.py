@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
 _KIND = "="
 _ARRAY = "array"
@@ -26,10 +26,15 @@ class Codec:
 
     Args:
         classes: frozen dataclasses, named tuples and records, each of another name.
+        former_names: today's name by the former one, of a class (``Looks``) or of one of its fields
+            (``Detections.looks``), so that journals of earlier versions can be read.
     """
 
-    def __init__(self, classes: Iterable[type[Any]]) -> None:
+    def __init__(
+        self, classes: Iterable[type[Any]], former_names: Mapping[str, str] | None = None
+    ) -> None:
         self._classes = {each.__name__: each for each in classes}
+        self._former_names = former_names or {}
 
     def dump(self, value: Any) -> Any:
         """Turn a value into what JSON can hold.
@@ -67,8 +72,8 @@ class Codec:
             return tuple(self.load(each) for each in found)
         if not isinstance(found, dict):
             return found
-        name = found[_KIND]
-        kind = self._classes.get(found[_KIND])
+        name = self._former_names.get(found[_KIND], found[_KIND])
+        kind = self._classes.get(name)
         if name == _ARRAY:
             dtype = np.dtype(found["dtype"])
             if dtype.hasobject:
@@ -79,7 +84,12 @@ class Codec:
             raise ValueError(f"{name!r} is the name of no stored class")
         if issubclass(kind, BaseModel):
             return kind.model_validate(found["fields"])
-        return kind(**{key: self.load(each) for key, each in found["fields"].items()})
+        return kind(
+            **{
+                self._former_names.get(f"{name}.{field}", field): self.load(value)
+                for field, value in found["fields"].items()
+            }
+        )
 
     def _fields(self, value: Any) -> dict[str, Any]:
         if isinstance(value, BaseModel):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from vehanchor.cli.given_scale import KnownLengthsFile
+from vehanchor.cli.scale_option import KnownLengthsFile
 from vehanchor.cli.terminal import printable, work_progress
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from vehanchor.cli.spaced import SpacedCommand
+from vehanchor.cli.multi_value import SpacedCommand
 from vehanchor_flight.commands.live import live
 from vehanchor_flight.commands.photographs import photographs
 from vehanchor_flight.commands.rescale import rescale

@@ -17,11 +17,11 @@ from vehanchor.detection.boxes import box_axes
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.active import active_rulers
+from vehanchor.rulers.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt, length_off_nadir
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.rulers.witnesses import measure_all
 from vehanchor.scale.plane import LEAST_DESCENT
-from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt, length_off_nadir
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.reconstruction.ground import local_heights, plane_below
 
@@ -152,7 +152,7 @@ class SeenPhotograph:
             detections,
             card,
             options,
-            lambda _centres, _scale: kept.resolved,
+            lambda _centres, _scale: kept.detail_share,
             prior=kept.prior,
         )
         return cls(shot.name, view, kept.others or (), sight, places)
@@ -209,8 +209,8 @@ def search_photograph(
             sight.tilt.plane(view.image).check()
             view = replace(view, tilt=sight.tilt, prior=None)
         others = _measured(view, sight)
-        resolved = Vehicles().measure(view.at_nadir()).resolved
-    return StoredPhotograph(view.image, view.detections, resolved, others, view.prior)
+        detail_share = Vehicles().measure(view.at_nadir()).detail_share
+    return StoredPhotograph(view.image, view.detections, detail_share, others, view.prior)
 
 
 def distinct(seen: Sequence[SeenPhotograph]) -> list[Photograph]:
@@ -271,7 +271,7 @@ def _on_ground(
     lengths = sides[0][steep]
     widths = sides[1][steep]
     if sight.tilted:
-        lengths = length_off_nadir(lengths, widths, bodies=detections.looks is not None)
+        lengths = length_off_nadir(lengths, widths, bodies=detections.appearance is not None)
     centre = sight.shot.centre
     nearer = np.ones((len(lengths), 1))
     for _ in range(_DESCENTS):
@@ -290,14 +290,14 @@ def _taken(
 ) -> Detections:
     """Select boxes ``[n]`` and replace their lengths."""
     boxes = detections.boxes.copy()
-    looks = detections.looks
+    appearance = detections.appearance
     boxes[:, 2] = lengths
     return replace(
         detections,
         boxes=boxes[kept],
         scores=detections.scores[kept],
-        scales=None if detections.scales is None else detections.scales[kept],
-        looks=None if looks is None else looks.take(kept[: len(looks)]),
+        reductions=None if detections.reductions is None else detections.reductions[kept],
+        appearance=None if appearance is None else appearance.take(kept[: len(appearance)]),
         stretch=None,  # width and height have the scales that the model gives them
     )
 

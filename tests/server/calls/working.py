@@ -7,11 +7,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+from vehanchor_server.base_model import FrozenModel
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import Task, Work, work
-from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import Base64Image
 from vehanchor_server.services import Services
 

@@ -16,11 +16,11 @@ from tests.server.conversation import by_path, check_shape, error_of, input_sche
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Reading
 from vehanchor_server.app import create_server
+from vehanchor_server.base_model import FrozenModel
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
-from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.schemas import PUBLISHED, schema_files

@@ -14,7 +14,7 @@ from mcp.types import CallToolResult, ImageContent
 
 from tests.server.conftest import POOL, POOL_BOX
 from tests.server.conversation import by_path, error_of, picture_of, text_of
-from vehanchor.pictures.measured import PROMPT_RGB
+from vehanchor.pictures.measurement import PROMPT_RGB
 from vehanchor.pictures.scale import KEPT_RGB
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services

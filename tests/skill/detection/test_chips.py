@@ -19,7 +19,7 @@ from vehanchor.detection.chips import (
     ChipNetwork,
     bodies,
     candidate_chips,
-    looks,
+    read_appearance,
 )
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector, load_detector, networks_sha256
@@ -91,23 +91,23 @@ def test_a_body_lies_between_its_edges() -> None:
 
 def test_looks_compare_metres_with_the_better_known_sides() -> None:
     boxes = np.array([[500.0, 400.0, 43.0, 20.0, 0.0]])
-    plain = looks(boxes, _said(1), _SIZE_PX)
+    plain = read_appearance(boxes, _said(1), _SIZE_PX)
     assert plain.log_lengths == pytest.approx(np.log(4.3))
     # the sides say 0.091 m/px, the ends 0.1
     wider = _said(1, edges=np.array([[-0.5, 0.5, -0.22, 0.22]]))
-    by_both = np.exp(looks(boxes, wider, _SIZE_PX).log_lengths[0]) / 43
+    by_both = np.exp(read_appearance(boxes, wider, _SIZE_PX).log_lengths[0]) / 43
     assert 0.091 < by_both < 0.1
     unsure = wider._replace(edge_sd=np.array([[0.02, 0.02, 0.2, 0.2]]))
-    assert by_both < np.exp(looks(boxes, unsure, _SIZE_PX).log_lengths[0]) / 43 < 0.1
-    assert looks(boxes, unsure, _SIZE_PX).log_sds > plain.log_sds
+    assert by_both < np.exp(read_appearance(boxes, unsure, _SIZE_PX).log_lengths[0]) / 43 < 0.1
+    assert read_appearance(boxes, unsure, _SIZE_PX).log_sds > plain.log_sds
 
 
 def test_a_car_that_the_border_cuts_tells_the_scale_by_its_width() -> None:
     half = _said(1, edges=np.array([[-0.25, 0.25, -0.2, 0.2]]))
-    cut = looks(np.array([[8.0, 400.0, 43.0, 20.0, 0.0]]), half, _SIZE_PX)
+    cut = read_appearance(np.array([[8.0, 400.0, 43.0, 20.0, 0.0]]), half, _SIZE_PX)
     assert np.exp(cut.log_lengths) / (43 * 0.5) == pytest.approx(0.1, rel=0.01)
     assert 0.05 < cut.log_sds < 0.2
-    across = looks(np.array([[500.0, 4.0, 43.0, 20.0, 0.0]]), _said(1), _SIZE_PX)
+    across = read_appearance(np.array([[500.0, 4.0, 43.0, 20.0, 0.0]]), _said(1), _SIZE_PX)
     assert across.log_lengths == pytest.approx(np.log(4.3), rel=0.01)
 
 
@@ -197,12 +197,12 @@ def test_few_vehicles_and_weaker_candidates_are_looked_at(tmp_path: Path) -> Non
     assert sorted(found.boxes[:, 0]) == pytest.approx([80, 380], abs=3)
     assert found.boxes[:, 2:4] == pytest.approx(np.tile([36.0, 14.4], (2, 1)), rel=0.01)
     assert (np.diff(found.scores) <= 0).all()
-    assert found.looks is not None
-    assert len(found.looks) == 2
+    assert found.appearance is not None
+    assert len(found.appearance) == 2
     plain = _found(detector, pixels, Search(verify=False))
     assert sorted(plain.boxes[:, 0]) == pytest.approx([230, 380])
     assert plain.boxes[:, 2] == pytest.approx(boxes[1:3, 2])
-    assert plain.looks is None
+    assert plain.appearance is None
 
 
 def test_of_many_vehicles_the_best_are_looked_at_and_the_others_follow(tmp_path: Path) -> None:
@@ -214,8 +214,8 @@ def test_of_many_vehicles_the_best_are_looked_at_and_the_others_follow(tmp_path:
     )
     found = _found(load_detector(path), image)
     assert len(found.boxes) == 140
-    assert found.looks is not None
-    assert len(found.looks) == 64
+    assert found.appearance is not None
+    assert len(found.appearance) == 64
     np.testing.assert_allclose(found.boxes[:, 2:4], np.tile([27.0, 10.8], (140, 1)), rtol=0.01)
 
 

@@ -14,7 +14,7 @@ from tests.models import blank_image
 from vehanchor import Engine
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.batch.run import run_batch
-from vehanchor.detection.detections import Detections, Looks, corrected
+from vehanchor.detection.detections import Appearance, Detections, corrected
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import ScaleOptions
@@ -26,7 +26,7 @@ def _found(
     groups: list[tuple[float, int]],
     *,
     score: float = 0.8,
-    looks: Looks | None = None,
+    appearance: Appearance | None = None,
     spread: float = 0.07,
 ) -> Detections:
     """Groups of (length, number), spread as a fleet, in rows of their own."""
@@ -43,7 +43,10 @@ def _found(
     ]
     n = len(boxes)
     return Detections(
-        np.array(boxes).reshape(-1, 5), np.full(n, score), scales=np.ones(n), looks=looks
+        np.array(boxes).reshape(-1, 5),
+        np.full(n, score),
+        reductions=np.ones(n),
+        appearance=appearance,
     )
 
 

@@ -99,8 +99,8 @@ def test_vehicles_are_found_at_the_level_that_fits_them_in_pixels_of_the_image(
     e = analysis.estimate
     order = np.lexsort((found.boxes[:, 0], np.rint(found.boxes[:, 1] / 10 / factor)))
     np.testing.assert_allclose(found.boxes[order], painted, atol=0.02 * factor)
-    assert found.scales is not None
-    assert set(found.scales) == {1 / factor}
+    assert found.reductions is not None
+    assert set(found.reductions) == {1 / factor}
     assert e.details.working_scale == 1 / factor
     assert e.mode_length_px == pytest.approx(mean * factor, rel=0.015)
     assert e.status == "ok"

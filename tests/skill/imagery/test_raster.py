@@ -29,7 +29,7 @@ from tests.skill.imagery.files import (
 from vehanchor.errors import (
     InvalidParameterError,
 )
-from vehanchor.imagery.detail import PATCH_PX, resolved_share, ring_spectrum, spectrum_share
+from vehanchor.imagery.detail import PATCH_PX, measure_detail_share, ring_spectrum, spectrum_share
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.raster import Raster, Window
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
@@ -228,9 +228,9 @@ def test_compression_and_a_flat_image_are_no_missing_detail() -> None:
     assert _share(np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)) == 1.0
     assert _share(blank_image(200, 200)) == 1.0
     with open_raster(blank_image(40, 40)) as raster:
-        assert resolved_share(raster, np.array([[20.0, 20.0]])) == 1.0
+        assert measure_detail_share(raster, np.array([[20.0, 20.0]])) == 1.0
     with open_raster(_texture(128)) as raster:
-        assert resolved_share(raster, np.zeros((0, 2))) == 1.0
+        assert measure_detail_share(raster, np.zeros((0, 2))) == 1.0
 
 
 def test_detail_is_looked_for_in_the_copy_in_which_the_vehicles_were_found() -> None:
@@ -238,5 +238,5 @@ def test_detail_is_looked_for_in_the_copy_in_which_the_vehicles_were_found() -> 
     enlarged = cv2.resize(original, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
     centres = np.random.default_rng(0).uniform(100, 900, (20, 2))
     with open_raster(np.asarray(enlarged, dtype=np.uint8)) as raster:
-        assert resolved_share(raster, centres, 1.0) < 0.5
-        assert resolved_share(raster, centres, 0.25) == 1.0
+        assert measure_detail_share(raster, centres, 1.0) < 0.5
+        assert measure_detail_share(raster, centres, 0.25) == 1.0

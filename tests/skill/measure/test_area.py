@@ -11,7 +11,7 @@ from tests.sam_models import EMPTY, write_sam
 from vehanchor import analyse_area, estimate_gsd, measure_area
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import FrameError, PromptError
-from vehanchor.pictures.measured import MEASURED_RGB, cut_to_objects, draw_area
+from vehanchor.pictures.measurement import MEASURED_RGB, cut_to_objects, draw_area
 from vehanchor.records import AreaMeasurement
 from vehanchor.segmentation.segmenter import Segmenter
 

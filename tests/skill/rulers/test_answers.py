@@ -39,7 +39,9 @@ def record_of(
         [[99.0 + 90 * k, 90, car_px * each, 0.4 * car_px, 0] for k, each in enumerate(spread)]
     )
     scales = None if stretch is None else np.ones(cars)
-    found = Detections(boxes.reshape(-1, 5), np.full(cars, 0.95), scales=scales, stretch=stretch)
+    found = Detections(
+        boxes.reshape(-1, 5), np.full(cars, 0.95), reductions=scales, stretch=stretch
+    )
     card = made_card(5.0).model_copy(update={"votes": votes, "reference_length_sd_m": 0.4})
     view = View(
         ImageFacts(4000, 3000, camera=camera), found, card, ScaleOptions.of(options), lambda *_: 1.0

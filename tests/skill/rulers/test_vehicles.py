@@ -10,7 +10,7 @@ import pytest
 
 from tests.analyses import made_card
 from vehanchor.detection.card import DetectorCard
-from vehanchor.detection.detections import Detections, Looks
+from vehanchor.detection.detections import Appearance, Detections
 from vehanchor.detection.detector import load_detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.facts import ImageFacts
@@ -21,7 +21,7 @@ from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, REGIONS, country_length
 from vehanchor.scale.posterior import answer
-from vehanchor.scale.reliability import LOOKS_LOG_SD
+from vehanchor.scale.reliability import APPEARANCE_LOG_SD
 
 _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
 
@@ -43,7 +43,7 @@ def _doubts(view: View) -> tuple[list[str], float]:
 
 def _searched(view: View, **changes: Any) -> View:
     """A view after a search over scales."""
-    found = replace(view.detections, scales=np.ones(len(view.detections.boxes)), **changes)
+    found = replace(view.detections, reductions=np.ones(len(view.detections.boxes)), **changes)
     return replace(view, detections=found)
 
 
@@ -147,11 +147,11 @@ def test_an_unknown_place_names_the_nearest(
 
 
 def test_a_named_region_narrows_a_fleet_that_is_read_by_its_looks(card: DetectorCard) -> None:
-    seen = Looks(np.full(30, math.log(4.4)), np.full(30, 0.07), np.full(30, 4.0))
+    seen = Appearance(np.full(30, math.log(4.4)), np.full(30, 0.07), np.full(30, 4.0))
     read, named = (
         reference_length(card, Reference(region=region), seen) for region in (None, "NP")
     )
-    assert (read.source, read.log_sd, named.source) == ("appearance", LOOKS_LOG_SD, "region")
+    assert (read.source, read.log_sd, named.source) == ("appearance", APPEARANCE_LOG_SD, "region")
     assert read.length_m == pytest.approx(4.4)
     assert card.bodies is not None
     assert card.bodies.region_lengths_m["south_asia"] < named.length_m < 4.4
@@ -159,13 +159,15 @@ def test_a_named_region_narrows_a_fleet_that_is_read_by_its_looks(card: Detector
 
 
 def test_of_two_cars_the_surer_one_tells_more(card: DetectorCard) -> None:
-    seen = Looks(np.log([4.3, 4.7]), np.full(2, 0.07), np.full(2, 4.0))
+    seen = Appearance(np.log([4.3, 4.7]), np.full(2, 0.07), np.full(2, 4.0))
     view = replace(_view([45.0, 45.0]), card=card)
     answers = [
         answer(
             [
                 Vehicles().measure(
-                    replace(view, detections=replace(view.detections, scores=scores, looks=seen))
+                    replace(
+                        view, detections=replace(view.detections, scores=scores, appearance=seen)
+                    )
                 )
             ]
         )

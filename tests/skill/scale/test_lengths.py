@@ -221,7 +221,7 @@ def test_confidence_and_its_terms_lie_between_0_and_1(
 
 
 def _paper(lengths: list[float], scores: list[float], **more: float) -> PaperScale:
-    seen = {"seen_scale": 1.0, "guard_length_px": 15.0} | more
+    seen = {"reduction": 1.0, "guard_length_px": 15.0} | more
     return paper_scale(
         lengths, scores, modal_length(lengths, scores), (4.5, 0.45), length_range_px=_RANGE, **seen
     )

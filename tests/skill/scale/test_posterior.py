@@ -19,7 +19,7 @@ from vehanchor.scale.density import (
     vehicle_likelihood,
 )
 from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judged
-from vehanchor.scale.reliability import CALLER, LOOKS_LOG_MEAN, LOOKS_LOG_SD, Shared
+from vehanchor.scale.reliability import APPEARANCE_LOG_MEAN, APPEARANCE_LOG_SD, CALLER, Shared
 
 VOTES = Votes(-13.76, 17.4)
 LENS = Shared("lens", 0.03)
@@ -35,7 +35,7 @@ def _point(
 def _cars(n: int, gsd: float = 0.12, *, spread: float = 0.1, score: float = 0.95) -> Witness:
     lengths = 4.5 / gsd * np.exp(spread * np.linspace(-1, 1, n) if n > 1 else np.zeros(1))
     votes = vehicle_likelihood(lengths, np.full(n, score), 4.5, VOTES)
-    return Witness("vehicles", gsd, blurred(votes, LOOKS_LOG_SD, LOOKS_LOG_MEAN), 0.01)
+    return Witness("vehicles", gsd, blurred(votes, APPEARANCE_LOG_SD, APPEARANCE_LOG_MEAN), 0.01)
 
 
 def _prior(gsd: float, log_sd: float = 0.22) -> Witness:

@@ -23,7 +23,7 @@ class AreaAnalysis(Analysis, AreaEvidence):
     """Area with its evidence, drawing and export."""
 
     def _draw(self, raster: Raster) -> NDArray[np.uint8]:
-        from vehanchor.pictures.measured import cut_to_objects, draw_area
+        from vehanchor.pictures.measurement import cut_to_objects, draw_area
         from vehanchor.pictures.scale import read_reduced
 
         cut = cut_to_objects([self])
@@ -88,7 +88,7 @@ class DistanceAnalysis(Analysis, DistanceEvidence):
     """Distance with its evidence, drawing and export."""
 
     def _draw(self, raster: Raster) -> NDArray[np.uint8]:
-        from vehanchor.pictures.measured import cut_to_lines, draw_distance
+        from vehanchor.pictures.measurement import cut_to_lines, draw_distance
         from vehanchor.pictures.scale import read_reduced
 
         cut = cut_to_lines([self.measurement])

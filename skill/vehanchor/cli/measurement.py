@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
 
-def show_measured(
+def show_measurement(
     image: str,
     measure: Callable[[Callable[[int, int], None]], Any],
     facts: Callable[[Any], Sequence[tuple[str, str]]],

@@ -14,15 +14,15 @@ from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import lens
 from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale, Notice
-from vehanchor.records.gsd_estimate import known_scale
+from vehanchor.records.gsd_estimate import read_known_scale
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera import height_log_sd
+from vehanchor.rulers.camera_tilt import ground_plane, metadata_tilt
 from vehanchor.rulers.stated_scale import stated_witness
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.lengths import Spread
 from vehanchor.scale.posterior import answer
 from vehanchor.scale.reliability import RELIABILITY
-from vehanchor.tilt.camera_tilt import ground_plane, metadata_tilt
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,7 +45,7 @@ ScaleInput: TypeAlias = "Callable[[Raster, ScaleOptions], ScaleAnalysis] | float
 
 
 @dataclass(frozen=True, eq=False)
-class ResolvedScale:
+class MeasurementScale:
     """Scale of a measurement and its confidence.
 
     Attributes:
@@ -148,17 +148,17 @@ def given_scale(
             "vehicles are searched"
         )
     if scale is not None:
-        return known_scale(scale)
+        return read_known_scale(scale)
     return None if gsd_m_per_px is None else GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
 
 
-def resolve_scale(
+def find_measurement_scale(
     raster: Raster,
     scale: ScaleInput,
     options: ScaleOptions,
     *,
     object_height_m: float | None = None,
-) -> ResolvedScale:
+) -> MeasurementScale:
     """Resolve the scale of an open image; the image is searched only if its scale is unknown.
 
     Args:
@@ -183,7 +183,7 @@ def resolve_scale(
     return _raised(_on_the_ground(raster, scale, options), object_height_m, *camera)
 
 
-def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> ResolvedScale:
+def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> MeasurementScale:
     stated = options.rulers.stated_scale
     if stated is not None and stated.basis == "measured":  # it leads, and the image is not searched
         found = answer([stated_witness(stated)])
@@ -191,13 +191,13 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         gsd = stated.gsd_m_per_px
         name = "the stated scale is"
         spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
-        return _given(raster, options, ResolvedScale(gsd, spread, found.chance, "given"), name)
+        return _given(raster, options, MeasurementScale(gsd, spread, found.chance, "given"), name)
     if callable(scale):
         analysis = scale(raster, options)
         record = analysis.estimate
         plane = _plane(raster, record.scale)
         notices = record.warnings
-        return ResolvedScale(
+        return MeasurementScale(
             record.gsd_m_per_px,
             _spread(record),
             record.confidence,
@@ -209,7 +209,7 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         )
     if not isinstance(scale, KnownScale):
         return _given(
-            raster, options, ResolvedScale(scale, Spread(), None, "given"), "the given scale is"
+            raster, options, MeasurementScale(scale, Spread(), None, "given"), "the given scale is"
         )
     seen = image_id(raster)
     if seen != scale.image_id:
@@ -218,7 +218,7 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
             "estimate the scale "
             "of this image, or leave scale out"
         )
-    reused = ResolvedScale(
+    reused = MeasurementScale(
         scale.gsd_m_per_px,
         _spread(scale),
         scale.confidence,
@@ -235,7 +235,9 @@ def _spread(scale: KnownScale | GsdEstimate) -> Spread:
     )
 
 
-def _given(raster: Raster, options: ScaleOptions, found: ResolvedScale, name: str) -> ResolvedScale:
+def _given(
+    raster: Raster, options: ScaleOptions, found: MeasurementScale, name: str
+) -> MeasurementScale:
     """Complete a scale from the caller: the plane by the image's metadata, and warnings about image and scale."""
     gsd = found.gsd_m_per_px
     own = raster.georeference_gsd_m_per_px
@@ -302,12 +304,12 @@ def _camera_above(
 
 
 def _raised(
-    found: ResolvedScale,
+    found: MeasurementScale,
     object_height_m: float,
     lens: Lens | None,
     camera_height_m: float | None,
     height_log_sd: float,
-) -> ResolvedScale:
+) -> MeasurementScale:
     """Convert the scale of the ground to a height above it, nearer to the camera.
 
     Raises:

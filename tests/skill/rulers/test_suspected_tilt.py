@@ -13,9 +13,9 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
+from vehanchor.rulers.camera_tilt import LEAST_CARS, suspected_tilt
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.camera_tilt import LEAST_CARS, suspected_tilt
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
 from vehanchor_flight.pooling import pool
 

@@ -58,13 +58,13 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
     """
     if path is None:
         return None
-    from vehanchor.records.gsd_estimate import known_scale
+    from vehanchor.records.gsd_estimate import read_known_scale
 
     try:
         record: Any = json.loads(path.read_text(encoding="utf-8"))
         if isinstance(record, dict) and "photographs" in record:
             record = _scale_in(record["photographs"], image)
-        return known_scale(record)
+        return read_known_scale(record)
     # InvalidParameterError is a ValueError
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise InvalidParameterError(

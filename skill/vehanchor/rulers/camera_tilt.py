@@ -269,7 +269,7 @@ def rectified(detections: Detections, plane: GroundPlane) -> Detections:
     """
     lengths, widths = (plane.length(*ends) for ends in box_axes(detections.boxes))
     measured = detections.boxes.copy()
-    measured[:, 2] = length_off_nadir(lengths, widths, bodies=detections.looks is not None)
+    measured[:, 2] = length_off_nadir(lengths, widths, bodies=detections.appearance is not None)
     measured[:, 3] = measured[:, 2] / CAR_LENGTH_OVER_WIDTH
     return replace(detections, boxes=measured)
 

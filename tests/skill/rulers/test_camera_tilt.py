@@ -13,11 +13,11 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
+from vehanchor.rulers.camera_tilt import CameraTilt, metadata_tilt, rectified
 from vehanchor.rulers.height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt, rectified
 from vehanchor_flight.photograph import Photograph, StoredPhotograph, photograph_codec
 from vehanchor_flight.pooling import pool
 
@@ -104,7 +104,7 @@ def _cars_and_parts() -> tuple[View, GroundPlane]:
     cars = _cars(tilt, n=20).boxes
     parts = _cars(tilt, n=40).boxes * [1, 1, 0.5, 0.5, 1]
     boxes = np.concatenate([cars, parts])
-    seen = Detections(boxes, np.full(len(boxes), 0.8), scales=np.ones(len(boxes)))
+    seen = Detections(boxes, np.full(len(boxes), 0.8), reductions=np.ones(len(boxes)))
     return View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0), tilt.plane(
         FACTS, GSD
     )

@@ -1,18 +1,18 @@
-"""Intermediate results that journals store."""
+"""Classes of intermediate results that journals store, and the names that these had in earlier journals."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from vehanchor.detection.detections import Detections, Looks, Objects
+from vehanchor.detection.detections import Appearance, Detections, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
+from vehanchor.rulers.camera_tilt import CameraTilt
 from vehanchor.scale.posterior import Lack, Mark, Witness
 from vehanchor.scale.reliability import Shared
-from vehanchor.tilt.camera_tilt import CameraTilt
 
 STORED_CLASSES: tuple[type[Any], ...] = (
     CameraMetadata,
@@ -20,7 +20,7 @@ STORED_CLASSES: tuple[type[Any], ...] = (
     Detections,
     ImageFacts,
     Lack,
-    Looks,
+    Appearance,
     Mark,
     Notice,
     Objects,
@@ -30,3 +30,10 @@ STORED_CLASSES: tuple[type[Any], ...] = (
     Witness,
 )
 """Classes that journals store."""
+
+FORMER_NAMES = {
+    "Looks": "Appearance",
+    "Detections.looks": "appearance",
+    "Detections.scales": "reductions",
+    "StoredPhotograph.resolved": "detail_share",
+}

@@ -1,1 +1,0 @@
-"""Tilt of the camera and the ground plane that it implies."""
