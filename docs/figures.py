@@ -62,7 +62,11 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
     scores = analysis.detections.scores[analysis.kept]
     grid = np.linspace(kept.min() * 0.9, kept.max() * 1.1, 400)
     lengths.hist(kept, bins=24, density=True, color="#56B4E9", alpha=0.6)
-    lengths.plot(grid, modal_density(grid, kept, scores, estimate.details.aggregation), color=BLUE)
+    lengths.plot(
+        grid,
+        modal_density(grid, kept, scores=scores, aggregation=estimate.details.aggregation),
+        color=BLUE,
+    )
     lengths.axvline(estimate.mode_length_px, color=ORANGE)
     lengths.set(xlabel="longer side, pixels", yticks=[])
     lengths.spines[["top", "right", "left"]].set_visible(False)

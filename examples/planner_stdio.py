@@ -107,16 +107,20 @@ class Decision:
 def decide_zone(record: dict[str, Any], ruler: Ruler, zone: Zone, craft: Craft) -> Decision:
     """Decide on one zone by a record of ``measure_area``; HOLD_ALTITUDE if the ruler is not usable."""
     if record["status"] == "no_scale":
-        return Decision(Action.HOLD_ALTITUDE, f"no scale from {ruler.name}", ruler.name, zone)
+        return Decision(
+            Action.HOLD_ALTITUDE, f"no scale from {ruler.name}", ruler=ruler.name, zone=zone
+        )
     if "reason" in record:  # against the scale
         why = f"{record['reason']}; {REMEDIES[record['reason']]}"
         reason = (
             f"the scale from {ruler.name} is not ok (confidence "
             f"{record['scale_confidence']:.2f}): {why}"
         )
-        return Decision(Action.HOLD_ALTITUDE, reason, ruler.name, zone)
+        return Decision(Action.HOLD_ALTITUDE, reason, ruler=ruler.name, zone=zone)
     if record["status"] != "ok":
-        return Decision(Action.NEXT_ZONE, "the zone's outline is uncertain", ruler.name, zone)
+        return Decision(
+            Action.NEXT_ZONE, "the zone's outline is uncertain", ruler=ruler.name, zone=zone
+        )
     low = record["inscribed_diameter_ci95_low_m"]
     seen = (
         f"a circle of at least {low:.1f} m fits by {ruler.name} (estimate "
@@ -156,7 +160,10 @@ async def decide(
             if result.is_error:  # "code: problem. remedy"
                 message = " ".join(getattr(part, "text", "") for part in result.content)
                 return Decision(
-                    Action.HOLD_ALTITUDE, f"the measurement failed: {message}", ruler.name, zone
+                    Action.HOLD_ALTITUDE,
+                    f"the measurement failed: {message}",
+                    ruler=ruler.name,
+                    zone=zone,
                 )
             decision = decide_zone(result.structured_content or {}, ruler, zone, craft)
             log.info("%s: %s", decision.action, decision.reason)
@@ -208,7 +215,14 @@ async def main() -> None:
     )
     with Path(os.devnull).open("w") as quiet:  # the server's log is not the planner's
         async with Client(stdio_client(server, errlog=quiet)) as client:
-            decision = await decide(client, options.image, zones, rulers, craft, options.region)
+            decision = await decide(
+                client,
+                options.image,
+                zones=zones,
+                rulers=rulers,
+                craft=craft,
+                region=options.region,
+            )
     log.info("decision: %s, because %s", decision.action, decision.reason)
     print(
         json.dumps({name: value for name, value in asdict(decision).items() if value is not None})

@@ -64,7 +64,13 @@ def analyse_found(
     """The second half of the skill, on vehicles that a test has made up."""
     image = ImageFacts(image_width_px, image_height_px)
     return analyse_view(
-        View(image, found, card, options or ScaleOptions(), lambda *_: detail_share)
+        View(
+            image,
+            found,
+            card=card,
+            options=options or ScaleOptions(),
+            measure_detail_share=lambda *_: detail_share,
+        )
     )
 
 

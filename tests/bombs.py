@@ -127,7 +127,7 @@ def zero_tiff(
     """A small file of a large image: all zeros, in strips of so many rows (None: of one strip), deflated."""
     rows = rows or side_px
     strip = zlib.compress(bytes(rows * side_px * bands * np.dtype(dtype).itemsize), 9)
-    return strip_tiff(side_px, dtype, bands, rows, strip)
+    return strip_tiff(side_px, dtype, bands=bands, rows=rows, strip=strip)
 
 
 def strip_tiff(side_px: int, dtype: str, bands: int, rows: int, strip: bytes) -> bytes:
@@ -233,7 +233,7 @@ class Cost(NamedTuple):
 
 
 def _square(dtype: str, bands: int, rows: int | None) -> Callable[[int], bytes]:
-    return lambda n_pixels: zero_tiff(int(n_pixels**0.5), dtype, bands, rows)
+    return lambda n_pixels: zero_tiff(int(n_pixels**0.5), dtype, bands=bands, rows=rows)
 
 
 FAMILIES: dict[str, Family] = {

@@ -39,7 +39,9 @@ def _each_image_is_looked_at_once() -> Iterator[None]:
     def ran(session: Any, names: Any, inputs: Any, runtime: Any, described: str) -> Any:
         key = described, runtime.threads, hashlib.sha256(inputs["tiles"]).digest()
         if key not in seen:
-            seen[key] = run_session(session, names, inputs, runtime, described)
+            seen[key] = run_session(
+                session, names, feeds=inputs, runtime=runtime, described=described
+            )
         return seen[key]
 
     def fitted(raster: Raster, proposals: list[Proposal], **sizes: int) -> Any:

@@ -245,14 +245,14 @@ def write_detector(
     return save_model(
         path,
         graph.nodes,
-        [
+        inputs=[
             helper.make_tensor_value_info(
                 "images", element, [batch, 3, *(size or ("height", "width"))]
             )
         ],
-        [helper.make_tensor_value_info("output0", element, shape_out)],
-        graph.constants,
-        entries,
+        outputs=[helper.make_tensor_value_info("output0", element, shape_out)],
+        constants=graph.constants,
+        metadata=entries,
     )
 
 
@@ -334,20 +334,20 @@ def write_chip_network(
     return save_model(
         detector.with_name(f"{detector.stem}.chips.onnx"),
         graph.nodes,
-        [
+        inputs=[
             helper.make_tensor_value_info(
                 "chips", TensorProto.FLOAT, ["n", 3, CHIP_ROWS, CHIP_COLUMNS]
             )
         ],
-        [
+        outputs=[
             helper.make_tensor_value_info(
                 name, TensorProto.FLOAT, ["n"] if size == 1 else ["n", size]
             )
             for name, size in sizes.items()
             if name != without
         ],
-        graph.constants,
-        {
+        constants=graph.constants,
+        metadata={
             "vehanchor.detector": detector.stem,
             "vehanchor.weights": "1,1,0",
             "vehanchor.least_score": "0.15",
@@ -363,10 +363,12 @@ def write_other_model(path: Path, *, metadata: Mapping[str, str | None] | None =
     return save_model(
         path,
         [mean],
-        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "height", "width"])],
-        [helper.make_tensor_value_info("logits", TensorProto.FLOAT, [1, 3])],
-        [],
-        metadata or {},
+        inputs=[
+            helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "height", "width"])
+        ],
+        outputs=[helper.make_tensor_value_info("logits", TensorProto.FLOAT, [1, 3])],
+        constants=[],
+        metadata=metadata or {},
     )
 
 

@@ -90,7 +90,7 @@ def write_sam(
         image = "input_image"
         shape = [1, 3, input_px, input_px]
     block = embedding_stride // CELL_PX
-    _embedded(graph, image, CELL_PX, block, "image_embeddings")
+    _embedded(graph, image, cell_px=CELL_PX, block=block, output="image_embeddings")
     side = input_px // embedding_stride
     encoder = _write(
         folder / "encoder.onnx",
@@ -109,7 +109,13 @@ def write_sam(
     coords = graph.add("Add", ["point_coords", graph.constant([0.5])])
     logits = _stacked(
         graph,
-        _logits(graph, _colours(graph, cells, _MEAN, _SD), coords, "point_labels", CELL_PX),
+        _logits(
+            graph,
+            _colours(graph, cells, mean=_MEAN, sd=_SD),
+            coords=coords,
+            labels="point_labels",
+            cell_px=CELL_PX,
+        ),
         masks,
     )
     outputs: dict[str, Any] = {
@@ -134,7 +140,7 @@ def write_sam(
         whole = _resized(graph, logits, _ints(graph, [input_px, input_px]), len(masks))
         picture = graph.add("Slice", [whole, _ints(graph, [0, 0]), kept, _ints(graph, [2, 3])])
         _resized(graph, picture, _as_int(graph, "orig_im_size"), len(masks), output="masks")
-    _scores(graph, scores, [1, len(masks)], "iou_predictions")
+    _scores(graph, scores, shape=[1, len(masks)], output="iou_predictions")
     side = input_px // CELL_PX
     decoder = _write(
         folder / "decoder.onnx",
@@ -170,7 +176,7 @@ def write_sam2(
         "image_embed": 4 * CELL_PX,
     }
     for name, kernel in levels.items():
-        _embedded(graph, "image", kernel, 1, name)
+        _embedded(graph, "image", cell_px=kernel, block=1, output=name)
     features = {
         name: (_FLOAT, [1, 3, input_px // kernel, input_px // kernel])
         for name, kernel in levels.items()
@@ -187,10 +193,14 @@ def write_sam2(
     padded = graph.add("Concat", [coords, graph.constant([[[0.0, 0.0]]])], axis=1)
     labels = graph.add("Concat", ["point_labels", graph.constant([[-1.0]])], axis=1)
     logits = _logits(
-        graph, _colours(graph, "high_res_feats_0", _MEAN, _SD), padded, labels, CELL_PX
+        graph,
+        _colours(graph, "high_res_feats_0", mean=_MEAN, sd=_SD),
+        coords=padded,
+        labels=labels,
+        cell_px=CELL_PX,
     )
     _stacked(graph, logits, masks, output="masks")
-    _scores(graph, scores, [1, len(masks)], "iou_predictions")
+    _scores(graph, scores, shape=[1, len(masks)], output="iou_predictions")
     side = input_px // CELL_PX
     decoder = _write(
         folder / "sam2.decoder.onnx",
@@ -227,7 +237,7 @@ def write_transformers(
     features: dict[str, Any] = {}
     for level, kernel in enumerate(strides):
         name = f"image_embeddings.{level}"
-        _embedded(graph, "pixel_values", kernel, 1, name)
+        _embedded(graph, "pixel_values", cell_px=kernel, block=1, output=name)
         features[name] = (_FLOAT, ["batch_size", 3, input_px // kernel, input_px // kernel])
     encoder = _write(
         folder / "vision_encoder.onnx",
@@ -251,11 +261,17 @@ def write_transformers(
         "Cast", [graph.add("Reshape", ["input_labels", _ints(graph, [1, -1])])], to=_FLOAT
     )
     labels = graph.add("Concat", [of_points, of_boxes], axis=1)
-    logits = _logits(graph, _colours(graph, "image_embeddings.0", mean, sd), coords, labels, cell)
+    logits = _logits(
+        graph,
+        _colours(graph, "image_embeddings.0", mean=mean, sd=sd),
+        coords=coords,
+        labels=labels,
+        cell_px=cell,
+    )
     stacked = _stacked(graph, logits, masks)
     graph.add("Unsqueeze", [stacked, _ints(graph, [1])], output="pred_masks")
-    _scores(graph, scores, [1, 1, len(masks)], "iou_scores")
-    _scores(graph, [5.0], [1, 1, 1], "object_score_logits")
+    _scores(graph, scores, shape=[1, 1, len(masks)], output="iou_scores")
+    _scores(graph, [5.0], shape=[1, 1, 1], output="object_score_logits")
     decoder = _write(
         folder / "prompt_encoder_mask_decoder.onnx",
         graph,
@@ -287,9 +303,9 @@ def write_efficient_sam(
     _embedded(
         graph,
         graph.add("Mul", [square, graph.constant([255.0])]),
-        CELL_PX,
-        CELL_PX,
-        "image_embeddings",
+        cell_px=CELL_PX,
+        block=CELL_PX,
+        output="image_embeddings",
     )
     side = input_px // CELL_PX // CELL_PX
     embedding = (_FLOAT, ["batch", 3 * CELL_PX**2, side, side])
@@ -310,10 +326,12 @@ def write_efficient_sam(
     points = graph.add("Reshape", ["batched_point_coords", _ints(graph, [1, -1, 2])])
     coords = graph.add("Add", [graph.add("Mul", [points, factor]), graph.constant([0.5])])
     labels = graph.add("Reshape", ["batched_point_labels", _ints(graph, [1, -1])])
-    stacked = _stacked(graph, _logits(graph, cells, coords, labels, CELL_PX), masks)
+    stacked = _stacked(
+        graph, _logits(graph, cells, coords=coords, labels=labels, cell_px=CELL_PX), masks
+    )
     full = _resized(graph, stacked, "orig_im_size", len(masks))
     graph.add("Unsqueeze", [full, _ints(graph, [1])], output="output_masks")
-    _scores(graph, scores, [1, 1, len(masks)], "iou_predictions")
+    _scores(graph, scores, shape=[1, 1, len(masks)], output="iou_predictions")
     # the low-resolution masks have no name in its export
     graph.add("Identity", [stacked], output="4242")
     decoder = _write(
@@ -504,5 +522,10 @@ def _write(
         ]
 
     return save_model(
-        path, graph.nodes, described(inputs), described(outputs), graph.constants, metadata or {}
+        path,
+        graph.nodes,
+        inputs=described(inputs),
+        outputs=described(outputs),
+        constants=graph.constants,
+        metadata=metadata or {},
     )

@@ -89,12 +89,16 @@ def paint_yard(
                 math.pi / 2 + rng.normal(0, 0.02),
             )
             if yard == "equal cars":
-                model = VehicleModel("small-vehicle", "sedan", length, width, (226, 228, 228))
-                world.vehicles.append(PlacedVehicle(model, frame.x, frame.y, frame.angle))
+                model = VehicleModel(
+                    "small-vehicle", "sedan", length_m=length, width_m=width, paint=(226, 228, 228)
+                )
+                world.vehicles.append(PlacedVehicle(model, frame.x, y=frame.y, angle=frame.angle))
             elif yard in _BODIES:
                 paint = fleet.large(_BODIES[yard]).paint
-                model = VehicleModel("large-vehicle", _BODIES[yard], length, width, paint)
-                world.vehicles.append(PlacedVehicle(model, frame.x, frame.y, frame.angle))
+                model = VehicleModel(
+                    "large-vehicle", _BODIES[yard], length_m=length, width_m=width, paint=paint
+                )
+                world.vehicles.append(PlacedVehicle(model, frame.x, y=frame.y, angle=frame.angle))
             else:
                 paint = _PAINTS[rng.integers(len(_PAINTS))] if yard == "containers" else _PAINTS[0]
                 height = 2.6 if yard == "containers" else 1.0
@@ -106,7 +110,7 @@ def paint_yard(
                     )
                     world.boxes.append(Box(inner, height + 0.05, (70, 74, 80)))
     over = 2
-    painter = Painter(world, Sun(1.0, math.radians(48)), rng, over / gsd_m_per_px)
+    painter = Painter(world, Sun(1.0, math.radians(48)), rng=rng, px_per_m=over / gsd_m_per_px)
     tile = painter.paint(0.0, 0.0, side_px * over, side_px * over)
     image = cv2.resize(tile.rgb, (side_px, side_px), interpolation=cv2.INTER_AREA)
     return np.asarray(np.clip(image + rng.normal(0, 3, image.shape), 0, 255), dtype=np.uint8)

@@ -64,7 +64,13 @@ def _with_region(trial: ScaleTrial, card: DetectorCard, options: ScaleOptions) -
     return ScaleTrial(
         trial.image,
         analyse_view(
-            View(facts, before.detections, card, regional, lambda *_: before.detail_share)
+            View(
+                facts,
+                before.detections,
+                card=card,
+                options=regional,
+                measure_detail_share=lambda *_: before.detail_share,
+            )
         ),
     )
 

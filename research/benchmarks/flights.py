@@ -263,7 +263,10 @@ def without_vehicles(photograph: Photograph) -> Photograph:
         else seen.appearance.take(np.zeros(len(seen.appearance), bool)),
     )
     again = StoredPhotograph(
-        photograph.view.image, bare, 1.0, of_photographs(photograph.analysis.witnesses)
+        photograph.view.image,
+        bare,
+        detail_share=1.0,
+        others=of_photographs(photograph.analysis.witnesses),
     )
     return Photograph.of(
         photograph.name, again, photograph.view.card, photograph.view.options, photograph.features

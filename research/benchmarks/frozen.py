@@ -74,10 +74,17 @@ def answer(engine: Engine, name: str, path: Path) -> Frozen:
     try:
         found = engine.estimate(str(path))
     except VehAnchorError as error:
-        return Frozen(name, error.code, "", "", "", "")
+        return Frozen(name, error.code, gsd_m_per_px="", low="", high="", confidence="")
     values = found.gsd_m_per_px, found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px
     gsd, low, high = ("" if value is None else f"{value:.4g}" for value in values)
-    return Frozen(name, found.status, gsd, low, high, f"{found.confidence:.4f}")
+    return Frozen(
+        name,
+        found.status,
+        gsd_m_per_px=gsd,
+        low=low,
+        high=high,
+        confidence=f"{found.confidence:.4f}",
+    )
 
 
 def equal(a: str, b: str) -> bool:

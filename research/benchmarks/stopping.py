@@ -83,7 +83,14 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
         coarse = np.asarray(
             cv2.resize(image, (CELL_PX // 8,) * 2, interpolation=cv2.INTER_AREA), np.uint8
         )
-        cells.append(Cell(found.boxes, found.scores, appearance, car_prior(coarse).item()))
+        cells.append(
+            Cell(
+                found.boxes,
+                found.scores,
+                appearance=appearance,
+                tile_prior=car_prior(coarse).item(),
+            )
+        )
     return cells
 
 
@@ -227,7 +234,12 @@ def main() -> None:
         # of this place's cars, which their looks do not tell
         factor = math.exp(rng.normal(0, APPEARANCE_LOG_SD))
         mosaic = Mosaic(
-            chosen.side, towns[name], fields, float(rng.uniform(0.05, 0.4)), factor, rng
+            chosen.side,
+            towns[name],
+            fields=fields,
+            share=float(rng.uniform(0.05, 0.4)),
+            factor=factor,
+            rng=rng,
         )
         for effort, outcomes in found.items():
             outcomes.append(outcome(mosaic, detector, ScaleOptions.of({"effort": effort})))

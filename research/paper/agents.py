@@ -102,17 +102,17 @@ def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCall
             told = converse(
                 api,
                 _SYSTEM,
-                _words(task, image),
-                _encoded_picture(image),
-                tools,
+                text=_words(task, image),
+                jpeg_base64=_encoded_picture(image),
+                tools=tools,
                 max_turns=_MAX_TURNS,
             )
             calls = calls + len(told.called)
             tokens = tokens + told.tokens
             answers.append(_answered(task, image, told.text))
     except (ApiRefusedError, BudgetSpentError, RequestFailedError) as error:
-        return AgentRun(answers, calls, tokens, str(error))
-    return AgentRun(answers, calls, tokens, None)
+        return AgentRun(answers, calls, tokens=tokens, stopped=str(error))
+    return AgentRun(answers, calls, tokens=tokens, stopped=None)
 
 
 def agent_score(

@@ -118,7 +118,11 @@ def find_annotated_images(
         if reader is None:
             issues.append(FileIssue(image.path, "no_masks", f"{folder} has no annotation of it"))
         else:
-            images.append(AnnotatedImage(image.path.stem, image.path, image.gsd_m_per_px, reader))
+            images.append(
+                AnnotatedImage(
+                    image.path.stem, image.path, gsd_m_per_px=image.gsd_m_per_px, read_masks=reader
+                )
+            )
     return images, issues
 
 
@@ -154,7 +158,7 @@ def read_instances(id_picture: Path, colour_picture: Path) -> list[InstanceMask]
             return_counts=True,
         )
         category = _CATEGORY_OF.get(int(colours[counts.argmax()]), UNLABELLED)
-        objects.append(InstanceMask(number, category, left, top, mask))
+        objects.append(InstanceMask(number, category, left_px=left, top_px=top, mask=mask))
     return objects
 
 

@@ -143,6 +143,10 @@ def _rows(
     if api is not None:
         for kind in TASKS:
             run = ask_agent(asked[kind], api, tools)
-            rows.append(agent_score(request.model, kind, run.answers, run.calls, run.tokens))
+            rows.append(
+                agent_score(
+                    request.model, kind, answers=run.answers, calls=run.calls, tokens=run.tokens
+                )
+            )
             stopped = stopped or run.stopped
     return rows, stopped

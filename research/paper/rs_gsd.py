@@ -132,7 +132,10 @@ def build_benchmark(
         )
     _write(out, chosen)
     return Built(
-        dict(Counter(candidate.category for candidate in chosen)), available, n_small, issues
+        dict(Counter(candidate.category for candidate in chosen)),
+        available,
+        too_small=n_small,
+        issues=issues,
     )
 
 
@@ -204,16 +207,24 @@ def _read_candidates(image: AnnotatedImage, categories: Sequence[str]) -> _Image
         masks = image.read_masks()
     except (OSError, ValueError) as error:
         return _ImageObjects(
-            [], 0, frozenset(), [FileIssue(image.path, "unreadable_masks", str(error))]
+            [],
+            0,
+            categories=frozenset(),
+            issues=[FileIssue(image.path, "unreadable_masks", str(error))],
         )
     wanted = [mask for mask in masks if mask.category in categories]
     large = [mask for mask in wanted if min(mask.mask.shape) >= MIN_SIDE_PX]
     candidates = [
-        _Candidate(image, mask.category, mask.left_px, mask.top_px, _png(mask.mask))
+        _Candidate(
+            image, mask.category, left_px=mask.left_px, top_px=mask.top_px, png=_png(mask.mask)
+        )
         for mask in large
     ]
     return _ImageObjects(
-        candidates, len(wanted) - len(large), frozenset(mask.category for mask in masks), []
+        candidates,
+        len(wanted) - len(large),
+        categories=frozenset(mask.category for mask in masks),
+        issues=[],
     )
 
 

@@ -196,7 +196,7 @@ def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None
     with open_raster(entry.image) as raster:
         seen = read_reduced(raster)
         question = draw_question(
-            seen, seen.shape[1] / raster.width_px, entry.corners, query.max_side_px
+            seen, seen.shape[1] / raster.width_px, box=entry.corners, max_side_px=query.max_side_px
         )
     text = f"{QUESTION} {HINT}" if query.hint else QUESTION
     if tools is not None:
@@ -211,7 +211,9 @@ def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None
             y2=y2,
         )
     picture = base64.b64encode(question.jpeg).decode()
-    told = converse(api, SYSTEM, text, picture, tools, max_turns=query.max_turns)
+    told = converse(
+        api, SYSTEM, text=text, jpeg_base64=picture, tools=tools, max_turns=query.max_turns
+    )
     reply = told.last
     stated = read_area(reply.text)
     problem: str | None = stated.problem

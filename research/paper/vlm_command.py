@@ -106,7 +106,9 @@ def vlm(request: VlmRequest) -> None:
         progress = stack.enter_context(work_progress("questions"))
         run = run_vlm_trials(entries, api, query, tools=tools, progress=progress)
     print_issues(run.issues)
-    report = vlm_report(data, api, query, run, len(entries))
-    write_area_report(request.out, report_stem(query), report, run.trials, run.issues)
+    report = vlm_report(data, api, query=query, run=run, n_entries=len(entries))
+    write_area_report(
+        request.out, report_stem(query), report=report, records=run.trials, issues=run.issues
+    )
     print(area_markdown(report), end="")
     exit_if_stopped(run.stopped)

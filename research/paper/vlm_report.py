@@ -52,7 +52,7 @@ def vlm_report(
         "stopped": run.stopped,
     }
     row = summarise_vlm(" + ".join([api.model, *_settings(query)]), run.trials)
-    return area_report(data, settings, [row], facts, run.issues)
+    return area_report(data, settings, rows=[row], facts=facts, issues=run.issues)
 
 
 def _settings(query: Query) -> list[str]:

@@ -26,9 +26,9 @@ def car_park(site: Site, width: float, depth: float) -> None:
         site.crack(
             rng.uniform(0, width),
             rng.uniform(0, depth),
-            rng.uniform(4, 20),
-            rng.choice([0, math.pi / 2]),
-            112,
+            length=rng.uniform(4, 20),
+            angle=rng.choice([0, math.pi / 2]),
+            level=112,
         )
     for _ in range(int(rng.poisson(width * depth / 900))):
         x = rng.uniform(0, width)
@@ -63,12 +63,12 @@ def _rows(site: Site, width: float, depth: float) -> None:
     offset = 1 + (depth - 2 - count * module) / 2
     if count == 0:
         if depth - 2 >= row + 4:
-            bays(site, start, stop, 1.2, 1, slant, filled, line)
+            bays(site, start, x1=stop, head=1.2, side=1, slant=slant, filled=filled, line=line)
         return
     for index in range(count):
         y = offset + index * module
-        bays(site, start, stop, y, 1, slant, filled, line)
-        bays(site, start, stop, y + module, -1, slant, filled, line)
+        bays(site, start, x1=stop, head=y, side=1, slant=slant, filled=filled, line=line)
+        bays(site, start, x1=stop, head=y + module, side=-1, slant=slant, filled=filled, line=line)
         if rng.random() < 0.5:  # arrows and cars on the aisle
             for x in np.arange(start + 8, stop - 8, 30):
                 site.polygon([(x, row + y + aisle / 2 - 0.15), (x + 2, row + y + aisle / 2 - 0.15),
@@ -78,7 +78,7 @@ def _rows(site: Site, width: float, depth: float) -> None:
         if rng.random() < 0.45 and stop - start > 24:
             model = fleet.small()
             x = rng.uniform(start + 8, stop - 8)
-            site.vehicle(model, x, y + row + aisle / 2 + 0.7, 0.0)
+            site.vehicle(model, x, y=y + row + aisle / 2 + 0.7, angle=0.0)
         for stain_y in (y + row + aisle * 0.3, y + row + aisle * 0.7):
             site.stain_rect((0, stain_y - 0.5, width, stain_y + 0.5), 123)
         if index > 0 and planted:
@@ -161,8 +161,8 @@ def bays(
         site.vehicle(
             model,
             float(centre[0]),
-            float(centre[1]),
-            heading + turn + (math.pi if rng.random() < reverse else 0.0),
+            y=float(centre[1]),
+            angle=heading + turn + (math.pi if rng.random() < reverse else 0.0),
         )
 
 
@@ -198,7 +198,7 @@ def halls(site: Site, width: float, depth: float) -> None:
         if kind < 0.35:
             model = site.fleet.large("truck", "semitrailer")
             if yard + 1 + model.length_m < depth - 2:
-                site.vehicle(model, x, yard + 1 + model.length_m / 2, math.pi / 2)
+                site.vehicle(model, x, y=yard + 1 + model.length_m / 2, angle=math.pi / 2)
             x += 4.2
         elif kind < 0.7:
             rgb = jitter(

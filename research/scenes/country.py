@@ -191,8 +191,8 @@ def farm(site: Site, width: float, depth: float) -> None:
             own.vehicle(
                 model,
                 x,
-                10 + rng.uniform(0, 2.0),
-                math.pi / 2 + float(np.clip(rng.normal(0, 0.1), -0.2, 0.2)),
+                y=10 + rng.uniform(0, 2.0),
+                angle=math.pi / 2 + float(np.clip(rng.normal(0, 0.1), -0.2, 0.2)),
             )
         elif rng.random() < 0.3:
             own.box((x - 1.2, 8, x + 1.2, 14), 2.6, jitter(rng, (120, 84, 62), 14))

@@ -121,7 +121,11 @@ class Fleet:
         spread = 1 + _WIDTH_SD * _bounded(rng)
         body = bodies[rng.integers(len(bodies))]
         return VehicleModel(
-            "small-vehicle", body, length, _WIDTH_PER_LENGTH * typical * spread, self._paint(body)
+            "small-vehicle",
+            body,
+            length_m=length,
+            width_m=_WIDTH_PER_LENGTH * typical * spread,
+            paint=self._paint(body),
         )
 
     def large(self, *bodies: str) -> VehicleModel:
@@ -131,7 +135,13 @@ class Fleet:
         body, (shortest, longest), (narrowest, widest) = choices[rng.integers(len(choices))]
         length = rng.uniform(shortest, longest)
         width = rng.uniform(narrowest, widest)
-        return VehicleModel("large-vehicle", body, float(length), float(width), self._paint(body))
+        return VehicleModel(
+            "large-vehicle",
+            body,
+            length_m=float(length),
+            width_m=float(width),
+            paint=self._paint(body),
+        )
 
     def _paint(self, body: str) -> tuple[int, int, int]:
         rng = self._rng

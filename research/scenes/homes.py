@@ -57,17 +57,17 @@ def garden(site: Site, width: float, depth: float) -> None:
         Material.PAVING,
     )
     house(site.at(x0, setback), house_w, house_d)
-    _drive_cars(site, drive_x, drive, drive_end)
-    _garden_things(site, width, depth, setback + house_d)
+    _drive_cars(site, drive_x, width=drive, end=drive_end)
+    _garden_things(site, width, depth=depth, behind=setback + house_d)
     hedge = rng.random() < 0.5
-    site.wall(0.2, 0.3 + rng.uniform(0, 1), 0.2, depth, hedge=hedge)
+    site.wall(0.2, 0.3 + rng.uniform(0, 1), x1=0.2, y1=depth, hedge=hedge)
     if rng.random() < 0.6:
-        site.wall(0, depth - 0.3, width, depth - 0.3, hedge=rng.random() < 0.6)
+        site.wall(0, depth - 0.3, x1=width, y1=depth - 0.3, hedge=rng.random() < 0.6)
     gap = (drive_x - 0.3, drive_x + drive + 0.3)
     front = rng.random() < 0.5
-    site.wall(0.3, 0.4, gap[0], 0.4, hedge=front)
-    site.wall(gap[1], 0.4, width - 0.3, 0.4, hedge=front)
-    _garden_plants(site, width, depth, setback + house_d, left=left)
+    site.wall(0.3, 0.4, x1=gap[0], y1=0.4, hedge=front)
+    site.wall(gap[1], 0.4, x1=width - 0.3, y1=0.4, hedge=front)
+    _garden_plants(site, width, depth=depth, back=setback + house_d, left=left)
 
 
 def _garden_ground(site: Site, width: float, depth: float) -> None:
@@ -153,10 +153,14 @@ def _drive_cars(site: Site, x: float, width: float, end: float) -> None:
         centre = x + width * (slot + 0.5) / slots
         position = 0.6 + model.length_m / 2 + rng.uniform(0, 0.8)
         turn = float(np.clip(rng.normal(0, 0.03), -0.06, 0.06))
-        site.vehicle(model, centre, position, turn + float(rng.choice([-1, 1])) * math.pi / 2)
+        site.vehicle(
+            model, centre, y=position, angle=turn + float(rng.choice([-1, 1])) * math.pi / 2
+        )
         if slots == 1 and rng.random() < 0.35 and end > 2 * fleet.max_length_m + 2.2:
             other = fleet.small()
-            site.vehicle(other, centre, 1.8 + fleet.max_length_m + other.length_m / 2, math.pi / 2)
+            site.vehicle(
+                other, centre, y=1.8 + fleet.max_length_m + other.length_m / 2, angle=math.pi / 2
+            )
 
 
 def _garden_things(site: Site, width: float, depth: float, behind: float) -> None:
@@ -199,17 +203,25 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
         x = rng.uniform(3, width - 3)
         y = rng.uniform(behind + 3, depth - 2.5)
         radius = rng.uniform(1.4, 2.0)
-        site.disc(x, y, radius, 0.7, (62, 92, 128) if rng.random() < 0.5 else (70, 96, 70))
-        site.disc(x, y, radius * 0.83, 0.7, (44, 46, 48))
+        site.disc(
+            x,
+            y,
+            radius=radius,
+            height=0.7,
+            rgb=(62, 92, 128) if rng.random() < 0.5 else (70, 96, 70),
+        )
+        site.disc(x, y, radius=radius * 0.83, height=0.7, rgb=(44, 46, 48))
     if rng.random() < 0.4:
         x = rng.uniform(2, width - 2)
         y = behind + rng.uniform(0.8, 2.2)
         site.disc(
             x,
             y,
-            rng.uniform(0.9, 1.5),
-            2.2,
-            jitter(rng, [(222, 216, 200), (170, 60, 50), (90, 110, 90)][int(rng.integers(3))], 8),
+            radius=rng.uniform(0.9, 1.5),
+            height=2.2,
+            rgb=jitter(
+                rng, [(222, 216, 200), (170, 60, 50), (90, 110, 90)][int(rng.integers(3))], 8
+            ),
         )
     if rng.random() < 0.12 and space > 6 and width > 11:
         x = rng.uniform(2, width - 6)
@@ -231,7 +243,16 @@ def flats(site: Site, width: float, depth: float) -> None:
     site.rect(apron, jitter(rng, palette.asphalt, 4, 0.08), Material.ASPHALT)
     site.target("parking-lot", [(0, 0), (width, 0), (width, parking + 2), (0, parking + 2)])
     filled = rng.uniform(0.4, 0.95)
-    bays(site, 2, width - 2, parking + 1.2, -1, 0.0, filled, (216, 216, 210))
+    bays(
+        site,
+        2,
+        x1=width - 2,
+        head=parking + 1.2,
+        side=-1,
+        slant=0.0,
+        filled=filled,
+        line=(216, 216, 210),
+    )
     y = parking + 7
     while y + 12 < depth - 2:
         deep = rng.uniform(11, 15)

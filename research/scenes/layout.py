@@ -23,15 +23,21 @@ class _Plan:
 
 _PLANS: dict[Layout, _Plan] = {
     "urban": _Plan(
-        StreetPlan((55, 110), (13.5, 9.0, 8.2, 6.5), 2.0, 0.75, 2.2, True),
+        StreetPlan(
+            (55, 110), (13.5, 9.0, 8.2, 6.5), pavement=2.0, parking=0.75, traffic=2.2, marked=True
+        ),
         {"houses": 0.46, "flats": 0.2, "town": 0.14, "park": 0.08, "car_park": 0.08, "halls": 0.04},
     ),
     "parking": _Plan(
-        StreetPlan((85, 150), (13.5, 8.0, 7.0), 2.2, 0.2, 2.0, True),
+        StreetPlan(
+            (85, 150), (13.5, 8.0, 7.0), pavement=2.2, parking=0.2, traffic=2.0, marked=True
+        ),
         {"car_park": 0.6, "halls": 0.3, "flats": 0.04, "park": 0.06},
     ),
     "countryside": _Plan(
-        StreetPlan((110, 200), (6.8, 5.6, 4.2), 0.0, 0.0, 1.3, False),
+        StreetPlan(
+            (110, 200), (6.8, 5.6, 4.2), pavement=0.0, parking=0.0, traffic=1.3, marked=False
+        ),
         {
             "field": 0.26,
             "vineyard": 0.14,
@@ -43,7 +49,9 @@ _PLANS: dict[Layout, _Plan] = {
         },
     ),
     "sports": _Plan(
-        StreetPlan((70, 130), (13.5, 8.0, 7.0), 2.2, 0.5, 2.0, True),
+        StreetPlan(
+            (70, 130), (13.5, 8.0, 7.0), pavement=2.2, parking=0.5, traffic=2.0, marked=True
+        ),
         {"sports_ground": 0.5, "park": 0.06, "houses": 0.2, "car_park": 0.16, "flats": 0.08},
     ),
 }
@@ -65,7 +73,9 @@ def lay_out(
     centre = Frame(width_m / 2, height_m / 2, turn)
     world = World()
     shift = rng.uniform(-0.2, 0.2, 2) * 60
-    site = Site(world, centre.at(float(shift[0]), float(shift[1])), rng, fleet, palette)
+    site = Site(
+        world, centre.at(float(shift[0]), float(shift[1])), rng=rng, fleet=fleet, palette=palette
+    )
     half = extent / 2 + 12
     site.rect((-half, -half, half, half), palette.meadow, Material.MEADOW)
     streets, blocks = divide(site, (-half, -half, half, half), plan.streets)
@@ -73,14 +83,14 @@ def lay_out(
     shares = np.array([plan.fillers[name] for name in names])
     for layer in ("base", "carriage"):
         for street in sorted(streets, key=lambda street: -street.depth):
-            build_street(site, street, plan.streets, layer)
+            build_street(site, street, plan=plan.streets, layer=layer)
     for block, block_rng in zip(blocks, rng.spawn(len(blocks)), strict=True):
         name = names[int(block_rng.choice(len(names), p=shares / shares.sum()))]
-        if _in_reach(site.frame, block, width_m, height_m):
+        if _in_reach(site.frame, block, width=width_m, height=height_m):
             own_fleet = Fleet(fleet.mean_length_m, block_rng, fleet.kind)
             _fill(replace(site, rng=block_rng, fleet=own_fleet, kept_free=[]), block, name)
     for street in sorted(streets, key=lambda street: -street.depth):
-        build_street(site, street, plan.streets, "marks")
+        build_street(site, street, plan=plan.streets, layer="marks")
     return world
 
 

@@ -93,13 +93,20 @@ class Painter:
         """Draw the window of width x height pixels of the canvas that starts at (x, y) metres."""
         step = 1 / self.px_per_m
         noise = (
-            sample_noise(self._fine, 0.03, x, y, step, width, height),
-            sample_noise(self._middle, 0.16, x, y, step, width, height),
-            sample_noise(self._coarse, 2.2, x, y, step, width, height),
+            sample_noise(self._fine, 0.03, x=x, y=y, step=step, width=width, height=height),
+            sample_noise(self._middle, 0.16, x=x, y=y, step=step, width=width, height=height),
+            sample_noise(self._coarse, 2.2, x=x, y=y, step=step, width=width, height=height),
         )
         rgb = np.zeros((height, width, 3), dtype=np.uint8)
         tile = Tile(
-            x, y, step, width, height, rgb, np.zeros((height, width), dtype=np.uint8), noise
+            x,
+            y,
+            step=step,
+            width=width,
+            height=height,
+            rgb=rgb,
+            crowns=np.zeros((height, width), dtype=np.uint8),
+            noise=noise,
         )
         near = {name: self._near(name, tile) for name in self._boxes}
         world = self.world
@@ -185,7 +192,7 @@ class Painter:
             dx, dy = self.sun.shadow(max(tree.height - tree.radius, 0.5 * tree.height))
             far_x, far_y = self.sun.shadow(0.45 * tree.height)
             for x, y in ((tree.x + far_x, tree.y + far_y), (tree.x + dx, tree.y + dy)):
-                patch = self._crown_patch(tile, tree, x, y)
+                patch = self._crown_patch(tile, tree, x=x, y=y)
                 if patch is not None:
                     (x0, y0, x1, y1), sprite = patch
                     target = shadow[y0:y1, x0:x1]
@@ -273,7 +280,9 @@ class Painter:
         if key not in self._sprites:
             resolution = float(np.clip(1.3 * self.px_per_m, 4, 160))
             light = self.sun.light(self.sun.azimuth + octant * math.pi / 4)
-            drawn = vehicle_sprite(model.body, model.length_m, model.width_m, resolution, light)
+            drawn = vehicle_sprite(
+                model.body, model.length_m, width=model.width_m, px_per_m=resolution, light=light
+            )
             self._sprites[key] = (drawn, model.length_m, model.width_m)
         return self._sprites[key]
 
@@ -305,7 +314,7 @@ class Painter:
         return window, cast("_F", sprite.reshape(y1 - y0, x1 - x0, 2))
 
     def _crown(self, tile: Tile, tree: Tree) -> None:
-        patch = self._crown_patch(tile, tree, tree.x, tree.y)
+        patch = self._crown_patch(tile, tree, x=tree.x, y=tree.y)
         if patch is None:
             return
         (x0, y0, x1, y1), sprite = patch

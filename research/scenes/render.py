@@ -76,12 +76,12 @@ def render_scene(
     _check_all(
         gsd_m_per_px,
         width_px,
-        height_px,
-        seed,
-        n_vehicles,
-        mean_vehicle_length_m,
-        layout,
-        fleet_kind,
+        height_px=height_px,
+        seed=seed,
+        n_vehicles=n_vehicles,
+        mean_vehicle_length_m=mean_vehicle_length_m,
+        layout=layout,
+        fleet_kind=fleet_kind,
     )
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
     chosen = cast("Layout", get_args(Layout)[int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))])
@@ -90,10 +90,12 @@ def render_scene(
     width_m = width_px * gsd_m_per_px
     height_m = height_px * gsd_m_per_px
     world = lay_out(place_rng, layout or chosen, width_m, height_m, fleet)
-    x0, y0 = _view_corner(world, width_m, height_m, thin_rng)
-    _thin(world, (x0, y0, x0 + width_m, y0 + height_m), n_vehicles, thin_rng)
+    x0, y0 = _view_corner(world, width_m, height=height_m, rng=thin_rng)
+    _thin(world, (x0, y0, x0 + width_m, y0 + height_m), limit=n_vehicles, rng=thin_rng)
 
-    painter = Painter(world, sun, paint_rng, _oversampling(gsd_m_per_px) / gsd_m_per_px)
+    painter = Painter(
+        world, sun, rng=paint_rng, px_per_m=_oversampling(gsd_m_per_px) / gsd_m_per_px
+    )
     image, crowns = _paint(painter, x0, y0, gsd_m_per_px, width_px, height_px)
     image = _photograph(image, camera_rng)
 
@@ -116,7 +118,14 @@ def render_scene(
         **_drawn(sun, fleet_kind),
     }
     return Scene(
-        image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters, courts
+        image,
+        float(gsd_m_per_px),
+        vehicles=vehicles,
+        masks=masks,
+        objects=objects,
+        seed=int(seed),
+        parameters=parameters,
+        courts=courts,
     )
 
 
@@ -307,7 +316,12 @@ def _masks(
         pixels = np.bincount(mask.ravel(), minlength=len(full[category]) + 1)
         for index, area in enumerate(full[category]):
             objects.append(
-                SceneObject(category, index + 1, float(pixels[index + 1]) * gsd**2, area)
+                SceneObject(
+                    category,
+                    index + 1,
+                    area_m2=float(pixels[index + 1]) * gsd**2,
+                    full_area_m2=area,
+                )
             )
     return masks, tuple(objects)
 
@@ -348,4 +362,6 @@ def _court(
     high = np.clip(np.ceil(corners.max(axis=0)), low + 1, (width, height)).astype(int)
     inside = polygon_mask(corners - low, int(high[0] - low[0]), int(high[1] - low[1]))
     below = hidden[low[1] : high[1], low[0] : high[0]][inside]
-    return SceneCourt(placed.kind, corners, float(below.mean()) if below.size else 0.0, cut)
+    return SceneCourt(
+        placed.kind, corners, hidden_share=float(below.mean()) if below.size else 0.0, cut=cut
+    )

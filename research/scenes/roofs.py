@@ -51,9 +51,9 @@ def paint_roof(tile: Tile, roof: Roof, sun: Sun) -> None:
     picture = (shade * weather)[:, :, None] * np.array(roof.rgb, dtype=np.float32)
     if roof.style == "flat":
         for part in roof.parts:
-            _flat_fittings(picture, roof, part, u, v, sun, rng, step)
+            _flat_fittings(picture, roof, part=part, u=u, v=v, sun=sun, rng=rng, step=step)
     else:
-        _pitched_fittings(picture, roof, u, v, sun, rng, step)
+        _pitched_fittings(picture, roof, u=u, v=v, sun=sun, rng=rng, step=step)
     target = tile.rgb[y0:y1, x0:x1]
     blend = target + (picture - target) * cover[:, :, None]
     target[:] = np.clip(blend + 0.5, 0, 255).astype(np.uint8)

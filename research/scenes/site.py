@@ -152,7 +152,7 @@ class Site:
         rough: float = 0.12,
     ) -> None:
         """Add an irregular round surface."""
-        self.polygon(_blob(self.rng, x, y, rx, ry, rough), rgb, material)
+        self.polygon(_blob(self.rng, x, y=y, rx=rx, ry=ry, rough=rough), rgb, material)
 
     def line(
         self, x0: float, y0: float, x1: float, y1: float, width: float = 0.12, rgb: Rgb = WHITE
@@ -254,7 +254,14 @@ class Site:
         look = int(rng.integers(7, 9)) if conical else int(rng.integers(0, 7))
         height = radius * (rng.uniform(3.2, 4.6) if conical else rng.uniform(1.5, 2.3)) + 0.8
         self.world.trees.append(
-            Tree(float(place[0]), float(place[1]), radius, float(height), rgb, look)
+            Tree(
+                float(place[0]),
+                float(place[1]),
+                radius=radius,
+                height=float(height),
+                rgb=rgb,
+                look=look,
+            )
         )
 
     def bush(self, x: float, y: float) -> None:
@@ -271,7 +278,15 @@ class Site:
         """Add a building over one or two rectangles of its frame."""
         pitch = float(self.rng.uniform(0.32, 0.62))
         self.world.roofs.append(
-            Roof(self.frame, parts, style, pitch, eaves, rgb, int(self.rng.integers(2**31)))
+            Roof(
+                self.frame,
+                parts,
+                style=style,
+                pitch=pitch,
+                eaves=eaves,
+                rgb=rgb,
+                seed=int(self.rng.integers(2**31)),
+            )
         )
         self.kept_free.extend(
             (self.frame, (x0 - 0.4, y0 - 0.4, x1 + 0.4, y1 + 0.4)) for x0, y0, x1, y1 in parts
@@ -334,7 +349,7 @@ class Site:
         """Add a vehicle that points towards ``angle``."""
         (place,) = self.frame.points([(x, y)])
         self.world.vehicles.append(
-            PlacedVehicle(model, float(place[0]), float(place[1]), self.frame.angle + angle)
+            PlacedVehicle(model, float(place[0]), y=float(place[1]), angle=self.frame.angle + angle)
         )
 
 

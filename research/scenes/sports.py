@@ -34,9 +34,15 @@ class _Basketball(NamedTuple):
 
 
 _BASKETBALL: dict[CourtKind, _Basketball] = {
-    "basketball_fiba": _Basketball(28.0, 15.0, 5.8, 4.9, 6.75, 0.9),
-    "basketball_nba": _Basketball(28.65, 15.24, 5.79, 4.88, 7.24, 0.91),
-    "basketball_ncaa": _Basketball(28.65, 15.24, 5.79, 3.66, 6.75, 1.02),
+    "basketball_fiba": _Basketball(
+        28.0, 15.0, key_length=5.8, key_width=4.9, arc=6.75, arc_from_side=0.9
+    ),
+    "basketball_nba": _Basketball(
+        28.65, 15.24, key_length=5.79, key_width=4.88, arc=7.24, arc_from_side=0.91
+    ),
+    "basketball_ncaa": _Basketball(
+        28.65, 15.24, key_length=5.79, key_width=3.66, arc=6.75, arc_from_side=1.02
+    ),
 }
 _KINDS: tuple[CourtKind, ...] = ("tennis", *_BASKETBALL)
 _KIND_SHARES = (0.6, 0.2, 0.12, 0.08)
@@ -101,7 +107,7 @@ def sports_ground(site: Site, width: float, depth: float) -> None:
         wear = float(rng.choice([0.0, 0.0, 0.05, 0.15, 0.3]))
         while x + broad < width - 3:
             _slab(site.at(x + broad / 2, y + 17.5, math.pi / 2), broad, surface)
-            place_court(site.at(x + broad / 2, y + 17.5, math.pi / 2), kind, inner, wear)
+            place_court(site.at(x + broad / 2, y + 17.5, math.pi / 2), kind, inner=inner, wear=wear)
             x += broad + (0.0 if rng.random() < 0.6 else rng.uniform(2, 25))
             if rng.random() < 0.15:
                 x += 20
@@ -123,9 +129,9 @@ def _slab(site: Site, broad: float, surface: Rgb) -> None:
         site.crack(
             rng.uniform(-16, 16),
             rng.uniform(-half_y, half_y),
-            rng.uniform(4, 16),
-            rng.uniform(0, 6.3),
-            112,
+            length=rng.uniform(4, 16),
+            angle=rng.uniform(0, 6.3),
+            level=112,
         )
     if rng.random() < 0.6:  # little more than the fence's foot and shadow is visible
         fence: Rgb = (70, 78, 74)
@@ -157,7 +163,7 @@ def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
     rgb = tuple(
         int(tone * white + (1 - tone) * ground) for white, ground in zip(WHITE, inner, strict=True)
     )
-    paint = Paint(site, (rgb[0], rgb[1], rgb[2]), float(rng.uniform(0.05, 0.1)), wear)
+    paint = Paint(site, (rgb[0], rgb[1], rgb[2]), width=float(rng.uniform(0.05, 0.1)), wear=wear)
     if kind == "tennis":
         _tennis(paint)
     else:
@@ -165,7 +171,7 @@ def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
     for _ in range(int(rng.poisson(1.2))):
         x = rng.uniform(-length / 2, length / 2)
         y = rng.uniform(-width / 2, width / 2)
-        site.disc(float(x), float(y), 0.28, 1.7, jitter(rng, (150, 120, 110), 40))
+        site.disc(float(x), float(y), radius=0.28, height=1.7, rgb=jitter(rng, (150, 120, 110), 40))
     corners = site.frame.points(
         [
             (-length / 2, -width / 2),
@@ -226,10 +232,10 @@ def _other_game(site: Site) -> None:
     """Paint lines of pickleball or volleyball in another colour."""
     rng = site.rng
     rgb: Rgb = ((206, 190, 80), (90, 130, 190), (190, 90, 80))[int(rng.integers(3))]
-    paint = Paint(site, rgb, 0.05, 0.0)
+    paint = Paint(site, rgb, width=0.05, wear=0.0)
     length, width = (13.41, 6.10) if rng.random() < 0.6 else (18.0, 9.0)
     at = float(rng.choice([0.0, 0.0, 3.0]))
-    shifted = Paint(site.at(at, 0.0), rgb, 0.05, 0.0)
+    shifted = Paint(site.at(at, 0.0), rgb, width=0.05, wear=0.0)
     shifted.outline(length, width)
     cross = 2.13 if width < 9 else 3.0
     for x in (-cross, cross):

@@ -67,27 +67,83 @@ class _Car:
 _BASE_HALF_WIDTH = 0.90  # of the greenhouse at its base; a share as in _Car
 
 _CARS = {
-    "city": _Car(0.17, 0.34, 0.86, 0.955, boot=0.9),
-    "hatchback": _Car(0.24, 0.395, 0.80, 0.925, boot=0.9),
-    "sedan": _Car(0.265, 0.415, 0.66, 0.80),
-    "estate": _Car(0.26, 0.405, 0.855, 0.95, boot=0.9),
-    "suv": _Car(0.255, 0.385, 0.845, 0.94, 0.73, bonnet=1.0, boot=1.0),
-    "van": _Car(0.10, 0.235, 0.985, 0.995, 0.84, bonnet=1.1, boot=1.2),
-    "pickup": _Car(0.27, 0.395, 0.56, 0.63, 0.73, bonnet=1.0, bed=True),
-    "kei": _Car(0.085, 0.25, 0.93, 0.985, 0.82, bonnet=0.95, boot=1.3, cabin_height=1.75),
+    "city": _Car(0.17, 0.34, roof_rear=0.86, glass_rear=0.955, boot=0.9),
+    "hatchback": _Car(0.24, 0.395, roof_rear=0.80, glass_rear=0.925, boot=0.9),
+    "sedan": _Car(0.265, 0.415, roof_rear=0.66, glass_rear=0.80),
+    "estate": _Car(0.26, 0.405, roof_rear=0.855, glass_rear=0.95, boot=0.9),
+    "suv": _Car(
+        0.255, 0.385, roof_rear=0.845, glass_rear=0.94, roof_half_width=0.73, bonnet=1.0, boot=1.0
+    ),
+    "van": _Car(
+        0.10, 0.235, roof_rear=0.985, glass_rear=0.995, roof_half_width=0.84, bonnet=1.1, boot=1.2
+    ),
+    "pickup": _Car(
+        0.27, 0.395, roof_rear=0.56, glass_rear=0.63, roof_half_width=0.73, bonnet=1.0, bed=True
+    ),
+    "kei": _Car(
+        0.085,
+        0.25,
+        roof_rear=0.93,
+        glass_rear=0.985,
+        roof_half_width=0.82,
+        bonnet=0.95,
+        boot=1.3,
+        cabin_height=1.75,
+    ),
     "kei truck": _Car(
-        0.03, 0.15, 0.34, 0.40, 0.84, bonnet=1.1, bed=True, bed_front=0.425, cabin_height=1.75
+        0.03,
+        0.15,
+        roof_rear=0.34,
+        glass_rear=0.40,
+        roof_half_width=0.84,
+        bonnet=1.1,
+        bed=True,
+        bed_front=0.425,
+        cabin_height=1.75,
     ),
     "single cab": _Car(
-        0.27, 0.385, 0.475, 0.53, 0.74, bonnet=1.05, bed=True, bed_front=0.56, cabin_height=1.75
+        0.27,
+        0.385,
+        roof_rear=0.475,
+        glass_rear=0.53,
+        roof_half_width=0.74,
+        bonnet=1.05,
+        bed=True,
+        bed_front=0.56,
+        cabin_height=1.75,
     ),
     "crew cab": _Car(
-        0.235, 0.345, 0.60, 0.665, 0.75, bonnet=1.1, bed=True, bed_front=0.69, cabin_height=1.85
+        0.235,
+        0.345,
+        roof_rear=0.60,
+        glass_rear=0.665,
+        roof_half_width=0.75,
+        bonnet=1.1,
+        bed=True,
+        bed_front=0.69,
+        cabin_height=1.85,
     ),
     "flatbed": _Car(
-        0.15, 0.25, 0.355, 0.40, 0.80, bonnet=1.1, bed=True, bed_front=0.43, cabin_height=1.95
+        0.15,
+        0.25,
+        roof_rear=0.355,
+        glass_rear=0.40,
+        roof_half_width=0.80,
+        bonnet=1.1,
+        bed=True,
+        bed_front=0.43,
+        cabin_height=1.95,
     ),
-    "minivan": _Car(0.16, 0.32, 0.90, 0.97, 0.78, bonnet=1.0, boot=1.0, cabin_height=1.75),
+    "minivan": _Car(
+        0.16,
+        0.32,
+        roof_rear=0.90,
+        glass_rear=0.97,
+        roof_half_width=0.78,
+        bonnet=1.0,
+        boot=1.0,
+        cabin_height=1.75,
+    ),
 }
 
 
@@ -125,8 +181,10 @@ def vehicle_sprite(
     v = ((np.arange(rows, dtype=np.float32) + 0.5) / rows - 0.5) * np.float32(width + 2 * pad)
     grid_u, grid_v = cast("tuple[_F, _F]", np.meshgrid(u, v))
     if body in _CARS:
-        return _car(_CARS[body], body, grid_u, grid_v, length, width, px, light)
-    return _heavy(body, grid_u, grid_v, length, width, px, light)
+        return _car(
+            _CARS[body], body, u=grid_u, v=grid_v, length=length, width=width, px=px, light=light
+        )
+    return _heavy(body, grid_u, v=grid_v, length=length, width=width, px=px, light=light)
 
 
 def _lit(height: _F, px: float, light: tuple[float, float, float]) -> _F:
@@ -158,7 +216,7 @@ def _car(
     half_width = width / 2
     t = (length / 2 - u) / length
     across = np.abs(v) / half_width
-    inset = _car_inset(body, u, v, t, across, length, width)
+    inset = _car_inset(body, u, v=v, t=t, across=across, length=length, width=width)
     cover = _soft(inset, px)
 
     # Greenhouse: almost as wide as the body at its base, narrower at the roof.
@@ -178,14 +236,16 @@ def _car(
     )
     shade = _lit(height.astype(np.float32), px, light)
 
-    glass = _car_glass(car, t, across, base_front, length, half_width, px)
+    glass = _car_glass(
+        car, t, across=across, base_front=base_front, length=length, half_width=half_width, px=px
+    )
     if body == "van":
         glass *= 1 - _soft(((t - 0.30) * length).astype(np.float32), px)
     paint = shade * (1 - glass)
     # Windscreens reflect the sky: brighter towards the roof.
     grey = glass * (38 + 26 * np.clip(rise, 0, 1) * (t < 0.5) + 14 * (shade - 0.8))
     if car.bed:
-        bed = _band(t * length, car.bed_front * length, 0.965 * length, px) * _soft(
+        bed = _band(t * length, car.bed_front * length, high=0.965 * length, width=px) * _soft(
             ((0.80 - across) * half_width).astype(np.float32), px
         )
         paint *= 1 - 0.85 * bed
@@ -196,7 +256,9 @@ def _car(
         * (1 - glass)
     )
     grey += 11 * gloss  # along bonnet and roof
-    red = _car_trim(car, paint, grey, t, across, length, half_width, px)
+    red = _car_trim(
+        car, paint, grey=grey, t=t, across=across, length=length, half_width=half_width, px=px
+    )
     return cast(
         "_F", np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32)
     )
@@ -257,10 +319,13 @@ def _car_glass(
     )
     sides = in_cabin * _soft(((across - roof_half - 0.02) * half_width).astype(np.float32), px)
     sides *= _soft(((0.885 - across) * half_width).astype(np.float32), px) * _band(
-        t * length, (car.roof_front - 0.07) * length, (min(car.roof_rear + 0.05, 0.97)) * length, px
+        t * length,
+        (car.roof_front - 0.07) * length,
+        high=(min(car.roof_rear + 0.05, 0.97)) * length,
+        width=px,
     )
     pillar = (car.roof_front * 0.45 + car.roof_rear * 0.55) * length
-    pillars = _band(t * length, pillar - 0.06, pillar + 0.06, px)
+    pillars = _band(t * length, pillar - 0.06, high=pillar + 0.06, width=px)
     return cast("_F", np.clip(screen + sides * (1 - pillars), 0, 1))
 
 
@@ -275,17 +340,19 @@ def _car_trim(
     px: float,
 ) -> _Reals:
     """Draw seams, grille and lamps into ``paint`` and ``grey``; return the red of the rear lamps."""
-    seam = _band(t * length, car.glass_front * length - 0.10, car.glass_front * length - 0.05, px)
+    seam = _band(
+        t * length, car.glass_front * length - 0.10, high=car.glass_front * length - 0.05, width=px
+    )
     paint *= 1 - 0.35 * seam * _soft(((0.86 - across) * half_width).astype(np.float32), px)
-    grille = _band(t * length, 0.0, 0.07, px) * _soft(
+    grille = _band(t * length, 0.0, high=0.07, width=px) * _soft(
         ((0.55 - across) * half_width).astype(np.float32), px
     )
     paint *= 1 - 0.55 * grille
     lamp_side = _soft(((across - 0.60) * half_width).astype(np.float32), px)
-    lamps = _band(t * length, 0.06, 0.30, px) * lamp_side * (across < 0.97)
+    lamps = _band(t * length, 0.06, high=0.30, width=px) * lamp_side * (across < 0.97)
     paint *= 1 - 0.7 * lamps
     grey += 120 * lamps
-    rear_lamps = _band(t * length, length - 0.20, length - 0.03, px) * lamp_side
+    rear_lamps = _band(t * length, length - 0.20, high=length - 0.03, width=px) * lamp_side
     paint *= 1 - 0.75 * rear_lamps
     return 110 * rear_lamps
 
@@ -316,18 +383,18 @@ def _heavy(
     dark = np.zeros_like(cover)
     if body in ("truck", "semitrailer"):
         cab = 2.1
-        gap = _band(from_front, cab, cab + (0.35 if body == "truck" else 0.8), px)
-        dark = np.maximum(gap, _band(from_front, 0.12, 0.45, px) * inner * 0.85)
+        gap = _band(from_front, cab, high=cab + (0.35 if body == "truck" else 0.8), width=px)
+        dark = np.maximum(gap, _band(from_front, 0.12, high=0.45, width=px) * inner * 0.85)
         height -= (1.0 * _soft((cab - from_front).astype(np.float32), px)).astype(np.float32)
         ribs = (np.floor(from_front / 1.2) % 2).astype(np.float32)
         grey += 4 * ribs * (from_front > cab + 0.8)
     elif body == "bus":
-        dark = _band(from_front, 0.05, 0.35, px) * inner * 0.8
+        dark = _band(from_front, 0.05, high=0.35, width=px) * inner * 0.8
         for centre in (0.22, 0.55, 0.8):
-            hatch = _band(from_front, centre * length - 0.45, centre * length + 0.45, px)
+            hatch = _band(from_front, centre * length - 0.45, high=centre * length + 0.45, width=px)
             hatch *= _soft((0.42 - np.abs(v)).astype(np.float32), px)
             dark = np.maximum(dark, 0.25 * hatch)
-        unit = _band(from_front, 0.33 * length, 0.33 * length + 2.2, px)
+        unit = _band(from_front, 0.33 * length, high=0.33 * length + 2.2, width=px)
         unit *= _soft((0.8 - np.abs(v)).astype(np.float32), px)
         height += (0.3 * unit).astype(np.float32)
         grey += 14 * unit
@@ -336,7 +403,7 @@ def _heavy(
             dark = np.maximum(
                 dark,
                 0.7
-                * _band(from_front, centre * length - 0.3, centre * length + 0.3, px)
+                * _band(from_front, centre * length - 0.3, high=centre * length + 0.3, width=px)
                 * _soft((0.3 - np.abs(v)).astype(np.float32), px),
             )
     shade = _lit(height, px, light)

@@ -81,12 +81,12 @@ def divide(
     street = Street(
         x0 + position if vertical else x0,
         y0 if vertical else y0 + position,
-        vertical,
-        height if vertical else width,
-        carriage,
-        pavement,
-        depth,
-        bool(parking),
+        vertical=vertical,
+        length=height if vertical else width,
+        carriage=carriage,
+        pavement=pavement,
+        depth=depth,
+        parking=bool(parking),
     )
     for other in (top, bottom) if vertical else (left, right):
         if other is not None:
@@ -110,7 +110,7 @@ def divide(
             ((x0, street.y + half, x1, y1), (left, street, right, bottom)),
         )
     for part, part_sides in halves:
-        more, found = divide(site, part, plan, part_sides, depth + 1)
+        more, found = divide(site, part, plan=plan, sides=part_sides, depth=depth + 1)
         streets += more
         blocks += found
     return streets, blocks
@@ -197,7 +197,7 @@ def _markings(own: Site, street: Street, plan: StreetPlan) -> None:
     offsets = [0.0] if street.carriage < 12.5 else [-3.3, 0.0, 3.3]
     for offset in offsets:
         solid = len(offsets) > 1 and offset == 0.0
-        for start, stop in _free(street, 9, length - 9, 1):
+        for start, stop in _free(street, 9, stop=length - 9, margin=1):
             if solid:
                 own.line(start, offset, stop, offset, 0.15)
                 continue
@@ -206,7 +206,7 @@ def _markings(own: Site, street: Street, plan: StreetPlan) -> None:
     if street.parking:
         lane = _lane(own) - 0.2
         for side in (-1, 1):
-            for start, stop in _free(street, 8, length - 8, 5, side):
+            for start, stop in _free(street, 8, stop=length - 8, margin=5, side=side):
                 own.line(
                     start, side * (half - lane), max(stop, start + 1), side * (half - lane), 0.1
                 )
@@ -246,9 +246,9 @@ def _wear(own: Site, street: Street) -> None:
         own.crack(
             rng.uniform(0, length),
             rng.uniform(-half * 0.7, half * 0.7),
-            span,
-            heading,
-            int(rng.integers(96, 116)),
+            length=span,
+            angle=heading,
+            level=int(rng.integers(96, 116)),
         )
     for _ in range(int(rng.poisson(length / 30))):
         x = rng.uniform(0, length)
@@ -266,7 +266,7 @@ def _furniture(own: Site, street: Street) -> None:
     radius = rng.uniform(1.2, 2.6)
     for side in (-1, 1):
         y = side * (street.half - 0.75)
-        for start, stop in _free(street, 6, street.length - 6, 3, side):
+        for start, stop in _free(street, 6, stop=street.length - 6, margin=3, side=side):
             for x in (
                 np.arange(start + rng.uniform(0, 6), stop, rng.uniform(7, 11)) if planted else ()
             ):
@@ -292,7 +292,7 @@ def _traffic(own: Site, street: Street, plan: StreetPlan) -> None:
         filled = rng.uniform(0.35, 0.97)
         for side in (-1, 1):
             heading = 0.0 if side > 0 else math.pi
-            for start, stop in _free(street, 8, length - 8, 5.5, side):
+            for start, stop in _free(street, 8, stop=length - 8, margin=5.5, side=side):
                 position = start
                 # Whether a car fits must not depend on its length: that would favour short ones.
                 while position + slot < stop:
@@ -306,7 +306,7 @@ def _traffic(own: Site, street: Street, plan: StreetPlan) -> None:
                         y = side * (
                             half - 0.2 - model.width_m / 2 - min(abs(rng.normal(0, 0.05)), 0.1)
                         )
-                        own.vehicle(model, position + model.length_m / 2, y, turn)
+                        own.vehicle(model, position + model.length_m / 2, y=y, angle=turn)
                     position += model.length_m + 0.5 + rng.exponential(0.45)
     free_half = half - (_lane(own) if street.parking else 0)
     if free_half < fleet.max_width_m / 2 + 0.25:
@@ -332,5 +332,5 @@ def _traffic(own: Site, street: Street, plan: StreetPlan) -> None:
                     0 if large else 1
                 )
                 turn = 0.0 if large else float(np.clip(rng.normal(0, 0.008), -0.02, 0.02))
-                own.vehicle(model, position + model.length_m / 2, y, heading + turn)
+                own.vehicle(model, position + model.length_m / 2, y=y, angle=heading + turn)
                 position += 17 + 2.5 + rng.exponential(1 / density)

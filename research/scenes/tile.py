@@ -52,7 +52,7 @@ class Tile:
         """Convert metres to OpenCV's fixed-point coordinates (integers are pixel centres); None if out of reach."""
         pixels = self.pixels(points)
         if np.abs(pixels).max() > _FAR_PX:
-            pixels = clip_polygon(pixels, -16, -16, self.width + 16, self.height + 16)
+            pixels = clip_polygon(pixels, -16, y0=-16, x1=self.width + 16, y1=self.height + 16)
             if len(pixels) < 3:
                 return None
         return cast(

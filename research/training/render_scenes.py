@@ -33,8 +33,8 @@ class _Choice(NamedTuple):
 
 
 _CHOICES = {
-    "detector": _Choice((0.07, 0.28), 640, 1_000, 0.1, (4.1, 5.1)),
-    "chips": _Choice((0.03, 0.28), 512, 50_000, 0.25, (3.9, 5.2)),
+    "detector": _Choice((0.07, 0.28), 640, first_seed=1_000, empty_share=0.1, length_m=(4.1, 5.1)),
+    "chips": _Choice((0.03, 0.28), 512, first_seed=50_000, empty_share=0.25, length_m=(3.9, 5.2)),
     "courts": _Choice((0.2, 0.35), 576, 1_000),
 }
 

@@ -172,4 +172,4 @@ def view(
         settings = Settings(
             roots=roots, deadline_s=_VIEW_DEADLINE_S, isolation="in-process", **_given(options)
         )
-        serve_viewer(settings, selected, port, opened)
+        serve_viewer(settings, selected, port=port, opened=opened)

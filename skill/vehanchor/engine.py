@@ -260,7 +260,12 @@ class Engine:
         known = engine._scale_input(gsd_m_per_px, scale, chosen)
         with open_raster(image, chosen.reading) as raster:
             (found,) = analyse_objects(
-                raster, [prompt], segmenter, known, chosen, object_height_m=object_height_m
+                raster,
+                [prompt],
+                segmenter=segmenter,
+                scale=known,
+                options=chosen,
+                object_height_m=object_height_m,
             )
         return found.drawn_over(image, raster, chosen.reading)
 
@@ -310,7 +315,7 @@ class Engine:
         known = engine._scale_input(gsd_m_per_px, scale, chosen)
         with open_raster(image, chosen.reading) as raster:
             (found,) = analyse_paths(
-                raster, [places], known, chosen, object_height_m=object_height_m
+                raster, [places], scale=known, options=chosen, object_height_m=object_height_m
             )
         return found.drawn_over(image, raster, chosen.reading)
 

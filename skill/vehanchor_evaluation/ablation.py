@@ -110,7 +110,9 @@ def ablate(benchmark: ScaleBenchmark) -> AblationReport:
     rows = []
     for variant in _variants():
         for boxes, trials, options_of in sides:
-            again = [_repeat(trial, options_of, variant, benchmark) for trial in trials]
+            again = [
+                _repeat(trial, options_of, variant=variant, benchmark=benchmark) for trial in trials
+            ]
             rows.append(_row(variant.choice, variant.setting, boxes, again))
     rows += [
         _row(choice, setting, "detector", some)

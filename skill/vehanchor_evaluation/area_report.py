@@ -118,5 +118,5 @@ def write_area_report(
         OutputError: a file cannot be written.
     """
     rows = [record.model_dump(mode="json") for record in records]
-    files = write_results(folder, stem, report, rows, area_markdown(report))
+    files = write_results(folder, stem, record=report, rows=rows, markdown=area_markdown(report))
     return [*files, write_issues(folder / f"{stem}_left_out.csv", issues)]

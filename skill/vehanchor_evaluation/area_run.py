@@ -95,10 +95,10 @@ def measure_areas(
     )
     trials = area_trials(entries, masks, _scales(searched, detector, options))
     issues += [found for found in searched.values() if isinstance(found, FileIssue)]
-    run = _run_facts(detector, segmenter, options, limit)
+    run = _run_facts(detector, segmenter, options=options, limit=limit)
     facts = _facts(trials, entries, detector.card.name, segmenter.card.name)
     issues = [*data.issues, *issues]
-    report = area_report(data, run, summarise_area(trials), facts, issues)
+    report = area_report(data, run, rows=summarise_area(trials), facts=facts, issues=issues)
     return AreaRun(report, tuple(trials), tuple(issues))
 
 

@@ -134,7 +134,7 @@ def read_areas(
         first = f"; the first problem: {issues[0].file}: {issues[0].message}" if issues else ""
         raise InvalidParameterError(f"{folder} has no object of {MIN_SIDE_PX} px and more{first}")
     sha256 = hashlib.sha256((folder / INDEX).read_bytes()).hexdigest()
-    return AreaSet(folder, sha256, tuple(_alternating(entries)), tuple(issues))
+    return AreaSet(folder, sha256, entries=tuple(_alternating(entries)), issues=tuple(issues))
 
 
 def _rows(folder: Path, split: str | None) -> tuple[list[_Row], list[FileIssue]]:
@@ -206,12 +206,12 @@ def _entries(row: _Row) -> list[AreaEntry] | FileIssue:
         AreaEntry(
             f"{row.name}-{number}",
             row.image,
-            row.mask,
-            row.category,
-            row.gsd_m_per_px,
-            left,
-            top,
-            mask,
+            mask_file=row.mask,
+            category=row.category,
+            gsd_m_per_px=row.gsd_m_per_px,
+            left_px=left,
+            top_px=top,
+            mask=mask,
         )
         for number, left, top, mask in objects
         if min(mask.shape) >= MIN_SIDE_PX

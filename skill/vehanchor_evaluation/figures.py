@@ -373,7 +373,7 @@ def sheet_cell(trial: ScaleTrial) -> SheetCell:
     estimate = trial.analysis.estimate
     with open_raster(trial.image.path, DATASET_READING) as raster:
         picture = fit_for_eyes(read_reduced(raster))
-    whole = Window(0, 0, estimate.image_width_px, estimate.image_height_px)
+    whole = Window(0, 0, width_px=estimate.image_width_px, height_px=estimate.image_height_px)
     draw_vehicles(picture, trial.analysis, Placement.of(picture, whole))
     return SheetCell(
         picture,

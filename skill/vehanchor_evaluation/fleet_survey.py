@@ -76,7 +76,12 @@ def found_vehicles(
         boxes = analysis.detections.boxes[analysis.kept]
         scores = analysis.detections.scores[analysis.kept]
         survey.images.append(
-            SurveyedImage(boxes, image.gsd_m_per_px, scores if weighted else None, image.gsd_log_sd)
+            SurveyedImage(
+                boxes,
+                image.gsd_m_per_px,
+                scores=scores if weighted else None,
+                gsd_log_sd=image.gsd_log_sd,
+            )
         )
     return survey
 

@@ -120,11 +120,11 @@ def summarise_errors(signed_errors: ArrayLike) -> ErrorSummary:
     return ErrorSummary(
         len(signed),
         float(known.mean()),
-        float(np.median(errors)),
-        float(errors.mean()),
-        float((errors < 0.10).mean()),
-        float((errors < 0.20).mean()),
-        float(np.median(signed[known])) if known.any() else math.nan,
+        median=float(np.median(errors)),
+        mean=float(errors.mean()),
+        within_10=float((errors < 0.10).mean()),
+        within_20=float((errors < 0.20).mean()),
+        bias=float(np.median(signed[known])) if known.any() else math.nan,
     )
 
 
@@ -235,7 +235,13 @@ def benchmark_scale(
                 ScaleTrial(image, labelled.analysis(detector, label_options_of(image)), labelled)
             )
     return ScaleBenchmark(
-        data, detector, tuple(trials), tuple(baseline), tuple(issues), options_of, label_options_of
+        data,
+        detector,
+        trials=tuple(trials),
+        baseline=tuple(baseline),
+        issues=tuple(issues),
+        options_of=options_of,
+        label_options_of=label_options_of,
     )
 
 

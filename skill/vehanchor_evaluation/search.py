@@ -82,9 +82,9 @@ class SearchedImage:
             View(
                 self.image,
                 self.detections,
-                card,
-                options,
-                lambda *_: share,
+                card=card,
+                options=options,
+                measure_detail_share=lambda *_: share,
                 prior=self.prior,
                 tilt=tilt,
             )
@@ -145,7 +145,7 @@ def _dumped(searched: SearchedImage) -> Any:
 
 def _loaded(stored: Any) -> SearchedImage:
     detections, image, detail_share, prior = Codec(STORED_CLASSES, FORMER_NAMES).load(stored)
-    return SearchedImage(detections, image, dict(detail_share), prior)
+    return SearchedImage(detections, image, detail_share=dict(detail_share), prior=prior)
 
 
 def search_images(
@@ -233,7 +233,7 @@ def search_known_scale(
             (image.path for image in data.images),
             detector,
             options,
-            log=open_detection_log(cache, detector, options, classes),
+            log=open_detection_log(cache, detector, options=options, classes=classes),
             workers=workers or default_workers(),
             progress=progress,
         )
@@ -251,7 +251,9 @@ def _search(
         with open_raster(os.fspath(file), options.reading) as raster:
             view = search_raster(raster, detector, options)
             detail_share = {alpha: _detail_share(raster, view, alpha) for alpha in alphas}
-            return SearchedImage(view.detections, view.image, detail_share, view.prior)
+            return SearchedImage(
+                view.detections, view.image, detail_share=detail_share, prior=view.prior
+            )
     except VehAnchorError as error:
         return FileIssue(file, error.code, str(error))
 

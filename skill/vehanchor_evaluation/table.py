@@ -78,5 +78,9 @@ def _image(path: Path, number: int, row: Mapping[str, str | None]) -> KnownScale
             f"{path}, line {number}: gsd_m_per_px is {gsd}, not a positive number"
         )
     return KnownScaleImage(
-        path.parent / file, gsd, row.get("set") or "", row.get("split") or "", count
+        path.parent / file,
+        gsd,
+        set=row.get("set") or "",
+        split=row.get("split") or "",
+        labelled_vehicles=count,
     )

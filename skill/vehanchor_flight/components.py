@@ -54,4 +54,4 @@ def single_component(members: Sequence[int], reference: int) -> Component:
         reference: index among the members.
     """
     zeros = np.zeros(len(members))
-    return Component(np.asarray(members, dtype=np.intp), zeros, zeros, reference)
+    return Component(np.asarray(members, dtype=np.intp), zeros, log_sds=zeros, reference=reference)

@@ -148,7 +148,12 @@ def _search(
 def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
     """Reduce an image to ``[32, 32]`` grey levels."""
     factor = max(1, max(raster.width_px, raster.height_px) // _READ_PX)
-    whole = Window(0, 0, max(1, raster.width_px // factor), max(1, raster.height_px // factor))
+    whole = Window(
+        0,
+        0,
+        width_px=max(1, raster.width_px // factor),
+        height_px=max(1, raster.height_px // factor),
+    )
     grey = cv2.cvtColor(read_preview(raster, whole, factor), cv2.COLOR_RGB2GRAY)
     return np.asarray(
         cv2.resize(grey, (_REDUCED_PX, _REDUCED_PX), interpolation=cv2.INTER_AREA), np.uint8

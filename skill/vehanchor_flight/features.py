@@ -57,7 +57,7 @@ def find_features(raster: Raster, long_side_px: int = _LONG_SIDE_PX) -> Features
     grey = np.empty((height, width), np.uint8)
     for top in range(0, height, _ROWS_A_READ):
         rows = min(_ROWS_A_READ, height - top)
-        strip = read_reduced_window(raster, Window(0, top, width, rows), factor)
+        strip = read_reduced_window(raster, Window(0, top, width_px=width, height_px=rows), factor)
         grey[top : top + rows] = cv2.cvtColor(strip, cv2.COLOR_RGB2GRAY)
     cv: Any = cv2  # its stubs lack SIFT
     sift = cv.SIFT_create(nfeatures=_MOST_FEATURES, contrastThreshold=_CONTRAST)

@@ -147,7 +147,7 @@ def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Sol
         residuals = np.where(used, 0.0, residuals)
         residuals[used] = problem.residuals
     components = _components(n, kept, sds[used], problem)
-    return Solution(components, residuals, used, inflation)
+    return Solution(components, residuals, used=used, inflation=inflation)
 
 
 class _Problem:

@@ -70,12 +70,30 @@ def lay_out(
     ones = np.ones(len(overlaps))
     trust = weight
     for _ in range(_STEPS):
-        headings = _tied(m, first, second, unit, 0 * ones, trust, reference, 1.0)
+        headings = _tied(
+            m,
+            first,
+            second=second,
+            of_second=unit,
+            target=0 * ones,
+            weight=trust,
+            reference=reference,
+            fixed=1.0,
+        )
         headings /= np.maximum(np.abs(headings), 1e-9)
         apart = (
             headings[second] * np.exp(offsets[second]) * (factor * own[first] + shift - own[second])
         )
-        laid = _tied(m, first, second, ones, apart, trust, reference, 0.0)
+        laid = _tied(
+            m,
+            first,
+            second=second,
+            of_second=ones,
+            target=apart,
+            weight=trust,
+            reference=reference,
+            fixed=0.0,
+        )
         turned = np.abs(headings[first] - unit * headings[second])
         off = np.abs(laid[first] - laid[second] - apart) / reach
         trust = (

@@ -69,7 +69,7 @@ def link_photographs(
             inside = set(subgraph.members.tolist())
             numbers = [number for number in used if found[number].first in inside]
             component, off = _component(
-                subgraph, photographs, [found[number] for number in numbers], places
+                subgraph, photographs, found=[found[number] for number in numbers], places=places
             )
             components.append(component)
             wrong |= {
@@ -150,10 +150,10 @@ def _link(overlap: Overlap, photographs: Sequence[Photograph]) -> Link:
     return Link(
         first,
         second,
-        matched.log_ratio,
-        matched.log_sd,
-        _from_centre(photographs[first], matched.first_at),
-        _from_centre(photographs[second], matched.second_at),
+        log_ratio=matched.log_ratio,
+        log_sd=matched.log_sd,
+        first_at=_from_centre(photographs[first], matched.first_at),
+        second_at=_from_centre(photographs[second], matched.second_at),
     )
 
 
@@ -219,9 +219,9 @@ def _component(
     component = Component(
         members,
         subgraph.log_scales,
-        np.hypot(subgraph.sds_from(reference), by_tilt),
-        reference,
-        () if extra is None else (extra,),
-        bool(by_tilt.any()),
+        log_sds=np.hypot(subgraph.sds_from(reference), by_tilt),
+        reference=reference,
+        extra=() if extra is None else (extra,),
+        maybe_tilted=bool(by_tilt.any()),
     )
     return component, off

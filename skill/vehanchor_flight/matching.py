@@ -90,7 +90,14 @@ def match(first: Features, second: Features) -> Match | None:
     here = here[inlier]
     there = there[inlier]
     log_sd = round(_spread(here, there, turn), _DIGITS)
-    return Match(math.log(scale), log_sd, n, turn, here.mean(axis=0), there.mean(axis=0))
+    return Match(
+        math.log(scale),
+        log_sd,
+        n=n,
+        turn=turn,
+        first_at=here.mean(axis=0),
+        second_at=there.mean(axis=0),
+    )
 
 
 def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.intp]:

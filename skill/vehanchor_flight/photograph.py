@@ -103,9 +103,9 @@ class Photograph:
         view = View(
             kept.image,
             kept.detections,
-            card,
-            options,
-            lambda _centres, _scale: kept.detail_share,
+            card=card,
+            options=options,
+            measure_detail_share=lambda _centres, _scale: kept.detail_share,
             prior=kept.prior,
             tilt=kept.tilt,
         )

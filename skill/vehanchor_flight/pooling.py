@@ -66,9 +66,9 @@ def pool(
     view = View(  # no tilt: the boxes are rectified
         _facts(members, reference),
         pooled_detections([member.measured for member in members], offsets),
-        chief.card,
-        chief.options,
-        lambda _centres, _scale: detail_share,
+        card=chief.card,
+        options=chief.options,
+        measure_detail_share=lambda _centres, _scale: detail_share,
         prior=_pooled_prior([member.view for member in members], offsets),
         expected=None if chief.tilt is None else expected_scale(others),
     )
@@ -116,10 +116,10 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     return Detections(
         boxes[order],
         scores[order],
-        sum(each.n_tiles for each in detections),
-        sum(each.n_capped_tiles for each in detections),
-        np.concatenate(scales)[order] if scaled else None,
-        Appearance.joined(appearance).take(place) if appearance else None,
+        n_tiles=sum(each.n_tiles for each in detections),
+        n_capped_tiles=sum(each.n_capped_tiles for each in detections),
+        reductions=np.concatenate(scales)[order] if scaled else None,
+        appearance=Appearance.joined(appearance).take(place) if appearance else None,
         n_tiles_total=sum(each.n_tiles_total or each.n_tiles for each in detections),
         n_skipped=sum(each.n_skipped for each in detections),
         stopped_because=next(ends, None),

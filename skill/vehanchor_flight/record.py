@@ -237,7 +237,10 @@ def _photograph(
         component=record.number,
         supported_by=rulers,
         scale=make_known_scale(
-            photograph.view, gsd, None if low is None or high is None else (low, high), confidence
+            photograph.view,
+            gsd,
+            interval=None if low is None or high is None else (low, high),
+            confidence=confidence,
         ),
         own=photograph.analysis.estimate,
     )

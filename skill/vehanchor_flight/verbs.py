@@ -127,7 +127,11 @@ def rescale(
     lines = lines_in(known_lengths_table, photograph_files(read, folder))
     with resumed(journal, detector, chosen, lines, model_sha256=model_sha256(read)) as kept:
         return conclude_model(
-            read, search_model(read, folder, detector, chosen, lines, kept), folder
+            read,
+            search_model(
+                read, folder, detector=detector, options=chosen, lines=lines, journal=kept
+            ),
+            folder,
         )
 
 

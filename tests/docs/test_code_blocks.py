@@ -56,7 +56,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         file.write(pixels[:, :, ::-1].transpose(2, 0, 1))
     seen = np.asarray(pixels[:, :, ::-1], dtype=np.uint8)
     pose = Pose(width * 0.06, height * 0.06, 120)  # 0.12 m/px
-    write_opensfm(tmp_path / "project", [pose.photograph(seen, 0.12)], [pose], 1 / 0.92)
+    write_opensfm(
+        tmp_path / "project", [pose.photograph(seen, 0.12)], poses=[pose], metres_per_unit=1 / 0.92
+    )
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

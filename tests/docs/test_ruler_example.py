@@ -67,7 +67,15 @@ def _analysed(
     card = made_card().model_copy(update={"class_names": {0: "small-vehicle", 1: name}})
     facts = ImageFacts(1000, 800, camera=camera)
     return analyse_view(
-        with_tilt(View(facts, found, card, ScaleOptions.of(options), lambda *_: 1.0))
+        with_tilt(
+            View(
+                facts,
+                found,
+                card=card,
+                options=ScaleOptions.of(options),
+                measure_detail_share=lambda *_: 1.0,
+            )
+        )
     )
 
 

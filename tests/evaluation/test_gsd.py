@@ -263,7 +263,7 @@ def test_labels_may_have_a_reference_length_of_their_own(dota: Path, detector: P
 
 def test_geotiffs_are_named_as_a_shell_spreads_them(tmp_path: Path, detector: Path) -> None:
     files = [
-        write_geotiff(tmp_path / f"{k}.tif", "EPSG:25832", REFERENCE_M / 20, 5e5, 5.5e6)
+        write_geotiff(tmp_path / f"{k}.tif", "EPSG:25832", pixel=REFERENCE_M / 20, x=5e5, y=5.5e6)
         for k in range(2)
     ]
     result = _run(

@@ -96,7 +96,7 @@ def test_a_search_is_repeated_for_other_settings_and_for_changed_files(
         assert len(result.detections.boxes) == (0 if options is strict else 12)
         assert len(counted) == n_searches
     assert len(open_detection_log(log, model, plain)) == 1
-    assert len(open_detection_log(log, model, plain, ["car"])) == 0
+    assert len(open_detection_log(log, model, options=plain, classes=["car"])) == 0
     paint(file, cars(20, 3))
     (result,) = dict(search_images([file], model, plain, log=_log(log, model))).values()
     assert not isinstance(result, FileIssue)
@@ -225,9 +225,11 @@ def test_a_table_reports_bad_lines_and_finds_labels_beside_its_images(tmp_path: 
 def test_the_true_scale_of_a_geotiff_is_corrected_for_its_latitude(tmp_path: Path) -> None:
     latitude_60_m = 8399737.89  # northing of 60 degrees in Web Mercator
     files = [
-        write_geotiff(tmp_path / "metres.tif", "EPSG:25832", 0.25, 500000, 5500000),
-        write_geotiff(tmp_path / "mercator.tif", "EPSG:3857", 0.5, 1000000, latitude_60_m),
-        write_geotiff(tmp_path / "degrees.tif", "EPSG:4326", 2e-6, 10, 0),
+        write_geotiff(tmp_path / "metres.tif", "EPSG:25832", pixel=0.25, x=500000, y=5500000),
+        write_geotiff(
+            tmp_path / "mercator.tif", "EPSG:3857", pixel=0.5, x=1000000, y=latitude_60_m
+        ),
+        write_geotiff(tmp_path / "degrees.tif", "EPSG:4326", pixel=2e-6, x=10, y=0),
     ]
     paint(tmp_path / "plain.png", cars(20))
     (tmp_path / "broken.tif").write_bytes(b"II*\0")
@@ -265,7 +267,13 @@ def _trial(true_gsd: float, cars: int) -> ScaleTrial:
     boxes = np.array([[99.0 + 90 * k, 90, 50.0, 20.0, 0] for k in range(cars)]).reshape(-1, 5)
     card = made_card(5.0).model_copy(update={"votes": VOTES})
     found = Detections(boxes, np.full(cars, 0.9))
-    view = View(ImageFacts(4000, 3000), found, card, ScaleOptions(), lambda *_: 1.0)
+    view = View(
+        ImageFacts(4000, 3000),
+        found,
+        card=card,
+        options=ScaleOptions(),
+        measure_detail_share=lambda *_: 1.0,
+    )
     return ScaleTrial(KnownScaleImage(Path(f"{cars}.png"), true_gsd), analyse_view(view))
 
 

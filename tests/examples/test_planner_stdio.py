@@ -48,7 +48,10 @@ def decide_zone(example: Callable[[str], Any]) -> Callable[..., Any]:
 
     def decided(record: dict[str, Any]) -> Any:
         return planner.decide_zone(
-            record, planner.Ruler("the ruler"), planner.Zone(0, 0, 80, 60), planner.Craft(4.0, 2.0)
+            record,
+            planner.Ruler("the ruler"),
+            planner.Zone(0, 0, x_max=80, y_max=60),
+            planner.Craft(4.0, 2.0),
         )
 
     return decided
@@ -84,7 +87,12 @@ async def test_the_planner_uses_listed_arguments_alone(
     ruler = planner.Ruler("a ruler", gsd_m_per_px)
     craft = planner.Craft(4.0, 2.0)
     await planner.decide(
-        Recorder(), Path("a.jpg"), [planner.Zone(1, 2, 30, 40)], [ruler], craft, "europe"
+        Recorder(),
+        Path("a.jpg"),
+        zones=[planner.Zone(1, 2, x_max=30, y_max=40)],
+        rulers=[ruler],
+        craft=craft,
+        region="europe",
     )
     by_name = {tool.name: tool for tool in create_tools(create_services(Settings(roots=(ROOT,))))}
     assert [name for name, _ in asked] == ["measure_area"]

@@ -179,7 +179,12 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
         [[(80 + 9 * (k % 4), 80 + 9 * (k // 4)) for k in range(12)], LENGTHS, np.arange(12) * 0.3]
     )
     poses = [Pose(80, 80, 70), Pose(110, 85, 70, 8, 100), Pose(100, 90, 75)]
-    write_opensfm(folder / "project", [pose.painted(cars) for pose in poses], poses, 1 / 0.92)
+    write_opensfm(
+        folder / "project",
+        [pose.painted(cars) for pose in poses],
+        poses=poses,
+        metres_per_unit=1 / 0.92,
+    )
     write_detector(folder / "detector.onnx")
     return folder
 
@@ -231,7 +236,9 @@ def test_what_cannot_be_done_is_told_with_its_remedy(
 
 def test_nothing_is_written_without_a_usable_size(rescale: Any, tmp_path: Path) -> None:
     pose = Pose(80, 80, 70)
-    write_opensfm(tmp_path / "bare", [pose.painted(np.zeros((0, 4)))], [pose], 1.0)
+    write_opensfm(
+        tmp_path / "bare", [pose.painted(np.zeros((0, 4)))], poses=[pose], metres_per_unit=1.0
+    )
     done = rescale("bare", "--geo", "geo.txt")
     assert done.exit_code == 3
     assert "no file in metres was written" in done.stderr

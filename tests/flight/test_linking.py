@@ -174,7 +174,7 @@ def test_an_overlap_with_a_copy_of_the_ground_elsewhere_is_dropped() -> None:
 
 
 CORNERS = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
-TILT = CameraTilt(35.0, 0.0, 700.0, "metadata")
+TILT = CameraTilt(35.0, 0.0, focal_length_px=700.0, source="metadata")
 NO_CARS = sighting_of(np.zeros(0))
 
 
@@ -186,7 +186,10 @@ def _features_between(there: NDArray[np.float64]) -> Features:
 
 def _tilted(name: str, facts: ImageFacts) -> Photograph:
     return Photograph.of(
-        name, StoredPhotograph(facts, NO_CARS, 1.0, (), tilt=TILT), made_card(5.0), ScaleOptions()
+        name,
+        StoredPhotograph(facts, NO_CARS, detail_share=1.0, others=(), tilt=TILT),
+        made_card(5.0),
+        ScaleOptions(),
     )
 
 
@@ -223,7 +226,9 @@ def test_positions_of_tilted_photographs_are_below_their_cameras() -> None:
 def test_ratios_of_an_unknown_tilt_are_doubted_and_those_of_two_heights_are_not(
     tilt_deg: float, doubted: bool
 ) -> None:
-    plane = CameraTilt(tilt_deg, 0.0, 500.0, "metadata").plane(ImageFacts(500, 500))
+    plane = CameraTilt(tilt_deg, 0.0, focal_length_px=500.0, source="metadata").plane(
+        ImageFacts(500, 500)
+    )
     flight = []
     seen = []
     for number in range(6):
@@ -245,7 +250,12 @@ def _ring(
 ) -> list[Link]:
     n = len(scales)
     return [
-        Link(i, (i + step) % n, float(scales[i] - scales[(i + step) % n] + rng.normal(0, sd)), sd)
+        Link(
+            i,
+            (i + step) % n,
+            log_ratio=float(scales[i] - scales[(i + step) % n] + rng.normal(0, sd)),
+            log_sd=sd,
+        )
         for step in range(1, reach + 1)
         for i in range(n)
     ]
@@ -272,7 +282,7 @@ def test_a_contradiction_in_a_loop_is_found_and_dropped(ratio: float) -> None:
     rng = np.random.default_rng(1)
     truth = rng.uniform(np.log(0.05), np.log(0.15), 12)
     links = _ring(truth, rng)
-    links.append(Link(0, 6, float(truth[0] - truth[6] + np.log(ratio)), 0.01))
+    links.append(Link(0, 6, log_ratio=float(truth[0] - truth[6] + np.log(ratio)), log_sd=0.01))
     solution = solve(12, links, [Unary(float(each), 0.1) for each in truth])
     assert list(np.flatnonzero(~solution.used)) == [len(links) - 1]
     assert solution.residuals[-1] == pytest.approx(np.log(ratio), abs=0.05)
@@ -298,7 +308,7 @@ def test_a_bridge_that_contradicts_the_evidence_on_both_sides_is_no_bridge() -> 
             for each in _ring(truth[8:], rng)
         ),
     ]
-    links.append(Link(0, 8, float(np.log(3.0)), 0.02))
+    links.append(Link(0, 8, log_ratio=float(np.log(3.0)), log_sd=0.02))
     solution = solve(16, links, [Unary(float(each), 0.1) for each in truth])
     assert [len(component.members) for component in solution.components] == [8, 8]
 
@@ -323,7 +333,11 @@ def test_a_camera_that_looks_aside_does_not_bend_the_scales() -> None:
                 continue
             back = (-at[0], -at[1])
             ratio = aside[first] @ at - aside[second] @ back + rng.normal(0, 0.005)
-            links.append(Link(first, second, float(ratio), 0.01, at, back))
+            links.append(
+                Link(
+                    first, second, log_ratio=float(ratio), log_sd=0.01, first_at=at, second_at=back
+                )
+            )
     (component,) = solve(n, links, [Unary(0.0, 0.3)] * n).components
     (plain,) = solve(
         n, [link._replace(first_at=(0, 0), second_at=(0, 0)) for link in links], [Unary(0, 0.3)] * n
@@ -341,7 +355,9 @@ SCENE = np.kron(
 def _reduced(name: str, step: int, scene: np.ndarray = SCENE) -> Photograph:
     with open_raster(np.ascontiguousarray(scene[::step, ::step])) as raster:
         facts = ImageFacts(raster.width_px, raster.height_px)
-        stored = StoredPhotograph(facts, NO_CARS, 1.0, (), reduced=reduced_picture(raster))
+        stored = StoredPhotograph(
+            facts, NO_CARS, detail_share=1.0, others=(), reduced=reduced_picture(raster)
+        )
     return Photograph.of(name, stored, made_card(5.0), ScaleOptions())
 
 

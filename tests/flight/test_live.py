@@ -162,7 +162,9 @@ def test_a_window_lies_in_the_reduced_frame(
     width: int, height: int, gsd: float, turn: int, cars: list[tuple[int, int]]
 ) -> None:
     factor = reduction_factor(gsd, width, height)
-    window = next_window(width, height, factor, turn, np.array(cars, np.float64).reshape(-1, 2))
+    window = next_window(
+        width, height, factor=factor, turn=turn, cars=np.array(cars, np.float64).reshape(-1, 2)
+    )
     assert 0 <= window.x_px <= window.x_px + window.width_px <= width // factor
     assert 0 <= window.y_px <= window.y_px + window.height_px <= height // factor
     assert 0 < max(window.width_px, window.height_px) <= WINDOW_PX
@@ -170,7 +172,7 @@ def test_a_window_lies_in_the_reduced_frame(
 
 def test_the_window_with_the_most_cars_is_searched_and_others_now_and_then() -> None:
     cars = np.array([[1000.0, 500.0], [1050.0, 520.0], [100.0, 100.0]])
-    windows = [next_window(1280, 720, 1, turn, cars) for turn in range(8)]
+    windows = [next_window(1280, 720, factor=1, turn=turn, cars=cars) for turn in range(8)]
     holds = [
         each.x_px <= 1000 and each.x_px + each.width_px > 1050 and each.y_px <= 500
         for each in windows
@@ -191,7 +193,7 @@ SDS = st.floats(0.01, 0.3)
 CHANCES = st.floats(0.05, 0.999)
 MEASUREMENTS = st.builds(Measurement, LOGS, SDS, SDS, CHANCES)
 MOTIONS = st.builds(Motion, st.floats(-0.5, 0.5), st.floats(0.001, 0.1), st.floats(0.0, 1.0))
-SURE = Measurement(math.log(0.1), 0.05, 0.04, 0.95)
+SURE = Measurement(math.log(0.1), 0.05, common_log_sd=0.04, chance=0.95)
 
 
 @given(MEASUREMENTS, MOTIONS, st.floats(0, 1))

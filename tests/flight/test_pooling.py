@@ -99,14 +99,14 @@ def test_rulers_that_err_alike_gain_less_by_number(gain: float, narrower: float)
 
 def test_a_witness_of_the_flight_is_heard() -> None:
     photographs = [_photograph(_FLEET), _photograph(_FLEET)]
-    extra = point_witness("positions", 0.17, 0.05, 0.05, "{}", n=3)
+    extra = point_witness("positions", 0.17, log_sd=0.05, chance_wrong=0.05, said="{}", n=3)
     pooled = pool(photographs, np.zeros(2), 0, [extra])
     assert pooled.witnesses[1:] == (extra,)
     assert [ruler.kind for ruler in pooled.estimate.rulers] == ["vehicles", "positions"]
 
 
 def test_a_prior_counts_once_per_place() -> None:
-    prior = prior_witness("scene_scale", lognormal(0.13, 0.2), 0.7, 24)
+    prior = prior_witness("scene_scale", lognormal(0.13, 0.2), power=0.7, n=24)
     pooled = _pooled_witness("scene_scale", [(prior, 0.0)] * 10)
     assert prior.interval is not None
     assert pooled.interval == pytest.approx(prior.interval)
@@ -115,7 +115,7 @@ def test_a_prior_counts_once_per_place() -> None:
 
 def test_photographs_of_one_take_off_share_its_error() -> None:
     height = Shared("height above take-off", 0.12)
-    each = point_witness("camera", 0.1, 0.02, 0.05, "{}", shared=[height])
+    each = point_witness("camera", 0.1, log_sd=0.02, chance_wrong=0.05, said="{}", shared=[height])
     pooled = _pooled_witness("camera", [(each, 0.0), (each, 0.05)])
     assert (pooled.shared, pooled.chance_wrong) == ((height,), 0.05)
     assert pooled.gsd_m_per_px == pytest.approx(0.1 * np.exp(-0.025), rel=0.01)
@@ -203,8 +203,12 @@ def test_one_scale_for_two_sorties_is_warned_of() -> None:
 
 
 def test_tiles_and_skipped_candidates_add_up() -> None:
-    first = Detections(np.zeros((0, 5)), np.zeros(0), 3, 1, n_tiles_total=20, n_skipped=5)
-    second = Detections(np.zeros((0, 5)), np.zeros(0), 4, 0, n_tiles_total=30, n_skipped=2)
+    first = Detections(
+        np.zeros((0, 5)), np.zeros(0), n_tiles=3, n_capped_tiles=1, n_tiles_total=20, n_skipped=5
+    )
+    second = Detections(
+        np.zeros((0, 5)), np.zeros(0), n_tiles=4, n_capped_tiles=0, n_tiles_total=30, n_skipped=2
+    )
     pooled = pooled_detections([first, second], np.zeros(2))
     assert (pooled.n_tiles, pooled.n_capped_tiles, pooled.n_tiles_total, pooled.n_skipped) == (
         7,

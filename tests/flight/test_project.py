@@ -20,7 +20,7 @@ from vehanchor_flight.project import estimate_in_flight
 from vehanchor_flight.record import Failure, conclude_flight
 from vehanchor_flight.records import FlightEstimate
 
-LOOKED = CameraTilt(35.0, 0.0, FOCAL, "metadata")
+LOOKED = CameraTilt(35.0, 0.0, focal_length_px=FOCAL, source="metadata")
 NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
 FLEET = fleet(12, 50.0)
 

@@ -178,14 +178,20 @@ def main() -> int:
     asked = parser.parse_args()
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     if asked.coverage:
-        drive_by_coverage(asked.targets[0], asked.findings, asked.seconds, asked.seed)
+        drive_by_coverage(asked.targets[0], asked.findings, seconds=asked.seconds, seed=asked.seed)
     from tests.fuzz.targets import CORPUS, TARGETS
 
     names = asked.targets or list(TARGETS)
     failures = 0
     for name in names:
         checked = Checked(TARGETS[name], asked.findings)
-        drive_blindly(checked, CORPUS[name](), asked.seconds / len(names), asked.seed, asked.inputs)
+        drive_blindly(
+            checked,
+            CORPUS[name](),
+            seconds=asked.seconds / len(names),
+            seed=asked.seed,
+            n_inputs=asked.inputs,
+        )
         failures += checked.n_failures
         print(
             f"{name}: {checked.n_inputs} inputs, {checked.n_failures} failures, slowest "

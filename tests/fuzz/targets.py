@@ -89,7 +89,9 @@ def image(data: bytes) -> None:
     try:
         with warnings.catch_warnings(), open_raster(data, Reading(limits=FUZZ_LIMITS)) as raster:
             warnings.simplefilter("ignore")
-            raster.read(Window(0, 0, min(16, raster.width_px), min(16, raster.height_px)))
+            raster.read(
+                Window(0, 0, width_px=min(16, raster.width_px), height_px=min(16, raster.height_px))
+            )
             if raster.width_px * raster.height_px <= FUZZ_LIMITS.max_pixels:
                 raster.read()
     except VehAnchorError:
@@ -229,7 +231,7 @@ def _images() -> list[bytes]:
     )
     found.append(cv2.imencode(".png", rgb.astype(np.uint16) * 200)[1].tobytes())
     found += [
-        bombs.zero_tiff(_SIDE_PX, dtype, bands, 16)
+        bombs.zero_tiff(_SIDE_PX, dtype, bands=bands, rows=16)
         for dtype, bands in (("float64", 4), ("uint16", 3), ("uint8", 1))
     ]
     found += [make(200) for make in bombs.HEADER_BOMBS.values()]

@@ -36,7 +36,7 @@ def _hangs(data: bytes) -> None:
 
 def test_what_fails_is_kept_and_the_drive_goes_on(tmp_path: Path) -> None:
     checked = Checked(_fails, tmp_path)
-    drive_blindly(checked, [b"seed"], 0.2, 1)
+    drive_blindly(checked, [b"seed"], seconds=0.2, seed=1)
     assert checked.n_failures > 1
     assert list(tmp_path.iterdir())
 

@@ -84,7 +84,7 @@ def deployment(tmp_path: Path) -> Iterator[Deployment]:
         addresses = [server.url.removeprefix("http://").removesuffix("/mcp") for server in servers]
         url = stack.enter_context(nginx_before(addresses, tmp_path))
         behind = [(address, server.pid) for address, server in zip(addresses, servers, strict=True)]
-        yield Deployment(url, behind, tmp_path / "access.log", calls)
+        yield Deployment(url, behind, log=tmp_path / "access.log", calls=calls)
 
 
 @contextmanager

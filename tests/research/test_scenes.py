@@ -123,7 +123,7 @@ def test_a_drawn_vehicle_is_exactly_as_long_as_its_record(
     length, width = (4.37, 1.81) if body not in ("truck", "caravan") else (7.1, 2.4)
     monkeypatch.setattr(Painter, "_low_shadows", lambda *_: None)
     for turn in (0.0, -math.pi / 2):
-        cover = _coverage(body, length, width, gsd, turn)
+        cover = _coverage(body, length, width=width, gsd=gsd, turn=turn)
         if turn:
             cover = cover.T
         assert cover.sum() * gsd**2 == pytest.approx(length * width, rel=0.12)
@@ -140,16 +140,19 @@ def _coverage(
     over = 2
     pixels = math.ceil(8 / gsd)
     placed = PlacedVehicle(
-        VehicleModel("small-vehicle", body, length, width, (90, 90, 90)), 4.0, 4.0, turn
+        VehicleModel("small-vehicle", body, length_m=length, width_m=width, paint=(90, 90, 90)),
+        4.0,
+        y=4.0,
+        angle=turn,
     )
     floor = np.array([[-50.0, -50], [50, -50], [50, 50], [-50, 50]])
     looks = []
     for level, vehicles in ((0, [placed]), (200, [placed]), (200, [])):
         world = World(surfaces=[Surface(floor, (level,) * 3, Material.PLAIN)], vehicles=vehicles)
         side = pixels * over
-        tile = Painter(world, Sun(0.3, 1.0), np.random.default_rng(0), over / gsd).paint(
-            0, 0, side, side
-        )
+        tile = Painter(
+            world, Sun(0.3, 1.0), rng=np.random.default_rng(0), px_per_m=over / gsd
+        ).paint(0, 0, side, side)
         looks.append(
             cv2.resize(tile.rgb, (pixels, pixels), interpolation=cv2.INTER_AREA)[:, :, 1].astype(
                 float

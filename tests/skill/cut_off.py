@@ -57,7 +57,7 @@ _WRITERS: dict[str, Callable[[Path], object]] = {
     "table.jsonl": lambda path: write_table(path, [row.flat() for row in _ROWS]),
     "table.parquet": lambda path: write_table(path, [row.flat() for row in _ROWS]),
     "report.json": lambda path: write_results(
-        path.parent, "report", CALIBRATION, _FACTS, "# Words\n"
+        path.parent, "report", record=CALIBRATION, rows=_FACTS, markdown="# Words\n"
     ),
 }
 _RESULTS = 3

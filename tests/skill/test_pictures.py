@@ -207,7 +207,9 @@ def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
     level = _judged(
         make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None
     )
-    tilt = CameraTilt(35.0, 0.0, 800.0, "metadata").record(ImageFacts(1000, 700), 0.1)
+    tilt = CameraTilt(35.0, 0.0, focal_length_px=800.0, source="metadata").record(
+        ImageFacts(1000, 700), 0.1
+    )
     aside = replace(level, estimate=level.estimate.model_copy(update={"tilt": tilt}))
     corner = (slice(600, 700), slice(0, 600))
     assert (draw_overlay(_grey(1000, 700), aside)[corner] == 100).all()

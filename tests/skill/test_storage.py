@@ -225,7 +225,11 @@ def _stored() -> StoredPhotograph:
     scene = SceneScalePrior(np.linspace(0.1, 0.3, 7), 9)
     found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4))
     facts = ImageFacts(
-        10, 20, None, (RasterNote("a", "b"),), CameraMetadata(make="x", height_m=3.0)
+        10,
+        20,
+        georeference_gsd_m_per_px=None,
+        notices=(RasterNote("a", "b"),),
+        camera=CameraMetadata(make="x", height_m=3.0),
     )
     return StoredPhotograph(facts, found, 0.7, prior=scene)
 
@@ -275,14 +279,14 @@ def test_a_journal_can_start_nothing(found: object) -> None:
         point_witness(
             "camera",
             0.1,
-            0.02,
-            0.05,
-            "{}",
+            log_sd=0.02,
+            chance_wrong=0.05,
+            said="{}",
             shared=[Shared("lens", 0.03)],
             marks=[Mark(((1, 2),), "up")],
         ),
-        assumed(point_witness("height", 0.1, 0.1, 0.05, "{}")),
-        prior_witness("scene_scale", lognormal(0.1, 0.2), 0.7, 24),
+        assumed(point_witness("height", 0.1, log_sd=0.1, chance_wrong=0.05, said="{}")),
+        prior_witness("scene_scale", lognormal(0.1, 0.2), power=0.7, n=24),
         Witness("courts", n=0),
     ],
     ids=lambda witness: witness.kind,

@@ -62,10 +62,10 @@ def export(network: ChipNet, out: Path) -> None:
     write_onnx(
         Exported(network),
         (example,),
-        out,
-        ["chips"],
-        names,
-        {name: {0: "n"} for name in ("chips", *names)},
+        out=out,
+        inputs=["chips"],
+        outputs=names,
+        free={name: {0: "n"} for name in ("chips", *names)},
     )
     _halve(out)
     write_weights(out, (1.0, 1.0, 0.0))

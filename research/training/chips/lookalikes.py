@@ -63,7 +63,11 @@ def draw_box(
     points = _corners(canvas, px_per_m, length, width)
     colour = colour_of(rng)
     shade(
-        canvas, points, px_per_m * float(rng.uniform(0.4, 2.8)), sun, float(rng.uniform(0.5, 1.0))
+        canvas,
+        points,
+        height_px=px_per_m * float(rng.uniform(0.4, 2.8)),
+        sun=sun,
+        strength=float(rng.uniform(0.5, 1.0)),
     )
     fill(canvas, points, colour)
     kind = rng.integers(5)
@@ -101,7 +105,11 @@ def draw_air_conditioner(
     points = _corners(canvas, px_per_m, length, width)
     colour = np.full(3, rng.uniform(110, 235))
     shade(
-        canvas, points, px_per_m * float(rng.uniform(0.6, 2.0)), sun, float(rng.uniform(0.6, 1.0))
+        canvas,
+        points,
+        height_px=px_per_m * float(rng.uniform(0.6, 2.0)),
+        sun=sun,
+        strength=float(rng.uniform(0.6, 1.0)),
     )
     fill(canvas, points, colour)
     fans = int(rng.integers(1, 5))
@@ -130,7 +138,7 @@ def draw_row(
         if k and rng.random() < 0.15:
             continue
         points = _corners(canvas, px_per_m, length, width, 0, k * pitch)
-        shade(canvas, points, height, sun, 0.8)
+        shade(canvas, points, height_px=height, sun=sun, strength=0.8)
         fill(canvas, points, colour)
         fill(canvas, _corners(canvas, px_per_m, 0.8 * length, 0.65 * width, 0, k * pitch), inner)
     return length, width
@@ -155,9 +163,9 @@ def draw_bench(
         shade(
             canvas,
             _corners(canvas, px_per_m, length, width, 0, y),
-            height,
-            sun,
-            float(rng.uniform(0.6, 1.05)),
+            height_px=height,
+            sun=sun,
+            strength=float(rng.uniform(0.6, 1.05)),
         )
         fill(
             canvas, _corners(canvas, px_per_m, length, width, 0, y), colour * rng.uniform(0.3, 0.7)
@@ -199,9 +207,9 @@ def draw_playground(
         shade(
             canvas,
             points,
-            px_per_m * float(rng.uniform(0.3, 1.5)),
-            sun,
-            float(rng.uniform(0.5, 1.0)),
+            height_px=px_per_m * float(rng.uniform(0.3, 1.5)),
+            sun=sun,
+            strength=float(rng.uniform(0.5, 1.0)),
         )
         fill(canvas, points, rng.uniform(20, 250, 3))
     return length, width
@@ -216,7 +224,7 @@ def draw_skylight(
     length = float(rng.uniform(1.2, 5.0))
     width = length * float(rng.uniform(0.35, 0.8))
     points = _corners(canvas, px_per_m, length, width)
-    shade(canvas, points, px_per_m * float(rng.uniform(0.1, 0.9)), sun, 0.9)
+    shade(canvas, points, height_px=px_per_m * float(rng.uniform(0.1, 0.9)), sun=sun, strength=0.9)
     fill(canvas, points, np.full(3, rng.uniform(150, 245)))
     panes = int(rng.integers(1, 4))
     for k in range(panes):
@@ -243,7 +251,13 @@ def draw_shadow(
     )
     if rng.random() < 0.4:
         blob = _corners(canvas, px_per_m, length, width) - np.array(canvas.shape[1::-1]) / 2
-    shade(canvas, blob + np.array(canvas.shape[1::-1]) / 2, 0.0, sun, float(rng.uniform(0.7, 1.15)))
+    shade(
+        canvas,
+        blob + np.array(canvas.shape[1::-1]) / 2,
+        height_px=0.0,
+        sun=sun,
+        strength=float(rng.uniform(0.7, 1.15)),
+    )
     return length, width
 
 
@@ -261,9 +275,9 @@ def draw_bush(
     shade(
         canvas,
         _corners(canvas, px_per_m, 0.8 * length, 0.8 * width),
-        px_per_m * float(rng.uniform(0.5, 3)),
-        sun,
-        0.9,
+        height_px=px_per_m * float(rng.uniform(0.5, 3)),
+        sun=sun,
+        strength=0.9,
     )
     target = canvas[y : y + size[1], x : x + size[0]]
     colour = np.array([rng.uniform(40, 120), rng.uniform(70, 130), rng.uniform(30, 80)], np.float32)
@@ -294,7 +308,7 @@ def draw_boat(
         * px_per_m
     )
     middle = np.array(canvas.shape[1::-1]) / 2
-    shade(canvas, hull + middle, px_per_m * 0.6, sun, 0.8)
+    shade(canvas, hull + middle, height_px=px_per_m * 0.6, sun=sun, strength=0.8)
     fill(canvas, hull + middle, np.full(3, rng.uniform(150, 245)))
     fill(canvas, 0.7 * hull * (0.8, 1) + middle - (0.08 * length * px_per_m, 0), colour_of(rng))
     fill(

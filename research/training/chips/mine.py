@@ -270,7 +270,9 @@ def add_lorries(image: Named, store: ChipStore) -> None:
         return
     rows = Rows.unlabelled(boxes[:, 2], f"lorry_{image.set}", image.file)
     rows = rows._replace(type=np.full(len(boxes), _LORRY, np.int8))
-    store.add(surroundings(image.sample.image, boxes, STORED_PX, STORED_LENGTH_PX), rows)
+    store.add(
+        surroundings(image.sample.image, boxes, side_px=STORED_PX, length_px=STORED_LENGTH_PX), rows
+    )
 
 
 def mined(
@@ -303,7 +305,8 @@ def mined(
     rest = rng.permutation(false[_MOST_FALSE // 2 :])
     known[rest[_MOST_FALSE // 2 :]] = False
     store.add(
-        surroundings(sample.image, boxes[known], STORED_PX, STORED_LENGTH_PX), rows.take(known)
+        surroundings(sample.image, boxes[known], side_px=STORED_PX, length_px=STORED_LENGTH_PX),
+        rows.take(known),
     )
 
 
@@ -331,7 +334,7 @@ def train_images(data: Path, *, held_out: bool) -> Iterator[Named]:
     def named(sample: TrainImage, path: Path, set_name: str, labels: Path | None) -> Named:
         seen = by_file.get(path.name, Seen())
         sample = sample._replace(ignore=np.concatenate([sample.ignore, seen.squares]))
-        return Named(sample, path.name, set_name, labels, seen=seen)
+        return Named(sample, path.name, set=set_name, labels=labels, seen=seen)
 
     with (data / "vehicles" / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
@@ -360,12 +363,12 @@ def chia_images(data: Path) -> Iterator[Named]:
         sample = TrainImage(
             "chia",
             np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8),
-            np.zeros((0, 5)),
-            seen.squares,
-            np.zeros((0, 2)),
-            CAR_M / float(row["gsd_m_per_px"]),
+            boxes=np.zeros((0, 5)),
+            ignore=seen.squares,
+            clutter=np.zeros((0, 2)),
+            car_px=CAR_M / float(row["gsd_m_per_px"]),
         )
-        yield Named(sample, path.name, "chia", None, seen=seen)
+        yield Named(sample, path.name, set="chia", labels=None, seen=seen)
 
 
 def scene_images(folder: Path) -> Iterator[Named]:
@@ -380,7 +383,13 @@ def scene_images(folder: Path) -> Iterator[Named]:
             type_of(body, length) for body, length in zip(bodies[counted], lengths_m, strict=True)
         ]
         sized = sample._replace(car_px=CAR_M / labels.gsd_m_per_px)
-        yield Named(sized, path.name, "scene", path.with_suffix(".txt"), np.array(types, np.int8))
+        yield Named(
+            sized,
+            path.name,
+            set="scene",
+            labels=path.with_suffix(".txt"),
+            label_types=np.array(types, np.int8),
+        )
 
 
 def main() -> None:

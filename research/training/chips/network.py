@@ -94,9 +94,9 @@ class ChipNet(nn.Module):
         return Answers(
             what[:, 0],
             what[:, 1:n],
-            edges,
-            where[:, 4:8].clamp(-3, 3) - 3.5,
-            0.1 * where[:, 8],
-            0.1 * what[:, n : n + 2] + what.new_tensor(_MIDDLE_LOG_M),
-            what[:, n + 2 : n + 4].clamp(-2, 2) - 2.5,
+            edges=edges,
+            edge_log_sd=where[:, 4:8].clamp(-3, 3) - 3.5,
+            turn=0.1 * where[:, 8],
+            log_metres=0.1 * what[:, n : n + 2] + what.new_tensor(_MIDDLE_LOG_M),
+            metres_log_sd=what[:, n + 2 : n + 4].clamp(-2, 2) - 2.5,
         )

@@ -124,8 +124,10 @@ def draw_vehicle(
     )
     points = (outline * (length, width)) @ turn.T + (x, y)
     height = VEHICLE_SHADOW_HEIGHT_M.get(model.body.partition(":")[0], 1.15)
-    shade(canvas, points, height * px_per_m, sun, strength)
-    sprite = vehicle_sprite(model.body, model.length_m, model.width_m, px_per_m, sun.light(angle))
+    shade(canvas, points, height_px=height * px_per_m, sun=sun, strength=strength)
+    sprite = vehicle_sprite(
+        model.body, model.length_m, width=model.width_m, px_per_m=px_per_m, light=sun.light(angle)
+    )
     rows, columns = sprite.shape[:2]
     pad = 2 * VEHICLE_PAD * length
     scale = np.array([columns / (length + pad), rows / (width + pad)])
@@ -188,14 +190,18 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
         wrong = rng.random() < (_WRONG_SHARE if vehicle else 0.4)
         candidate, truth = _candidate(rng, model, wrong=wrong)
         px_per_m = 2 * STORED_LENGTH_PX / candidate[2]
-        canvas = ground_canvas(ground, place, float(rng.uniform(0, 2 * np.pi)), px_per_m)
+        canvas = ground_canvas(
+            ground, place, turn=float(rng.uniform(0, 2 * np.pi)), px_per_m=px_per_m
+        )
         if rng.random() < _COMPANY_SHARE:
-            _draw_company(rng, canvas, truth, px_per_m, sun, strength, fleet)
+            _draw_company(
+                rng, canvas, truth=truth, px_per_m=px_per_m, sun=sun, strength=strength, fleet=fleet
+            )
         middle = np.array([_CANVAS_PX / 2, _CANVAS_PX / 2])
         box = np.array(
             [*(middle + truth[:2] * px_per_m), truth[2] * px_per_m, truth[3] * px_per_m, truth[4]]
         )
-        draw_vehicle(canvas, model, box, px_per_m, sun, strength)
+        draw_vehicle(canvas, model, box=box, px_per_m=px_per_m, sun=sun, strength=strength)
         fits = vehicle and not wrong
         kind = type_of(model.body, model.length_m) if not wrong else UNKNOWN
         answer = relative(candidate[None], truth[None])[0] if fits else None
@@ -203,7 +209,9 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
         car = int(fits)
     else:
         px_per_m = 2 * STORED_LENGTH_PX / 4.5
-        canvas = ground_canvas(ground, place, float(rng.uniform(0, 2 * np.pi)), px_per_m)
+        canvas = ground_canvas(
+            ground, place, turn=float(rng.uniform(0, 2 * np.pi)), px_per_m=px_per_m
+        )
         thing = LOOKALIKES[int(rng.integers(len(LOOKALIKES)))]
         length, _ = thing(rng, canvas, px_per_m, sun)
         # the candidate is as long as the thing
@@ -230,10 +238,10 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
     return Pasted(
         chip,
         car,
-        kind,
-        answer,
-        length_m,
-        2 * STORED_LENGTH_PX / max(coarse, 2.0) if coarse > 2 else 36.0,
+        type=kind,
+        box=answer,
+        length_m=length_m,
+        length_px=2 * STORED_LENGTH_PX / max(coarse, 2.0) if coarse > 2 else 36.0,
     )
 
 
@@ -296,7 +304,7 @@ def _draw_company(
         if (np.abs(at - _CANVAS_PX / 2) > _CANVAS_PX).any():
             continue
         box = np.array([*at, model.length_m * px_per_m, model.width_m * px_per_m, angle])
-        draw_vehicle(canvas, model, box, px_per_m, sun, strength)
+        draw_vehicle(canvas, model, box=box, px_per_m=px_per_m, sun=sun, strength=strength)
 
 
 def grounds(data: Path) -> list[Ground]:

@@ -91,7 +91,7 @@ def photographs(data: Path) -> Iterator[Drawn]:
             ignored = [labels.of_class(name).reshape(-1, 4, 2) for name in ("ignore",)]
             more = [box for kind, box in seen.get(Path(row["file"]).name, []) if kind != "other"]
             doubtful = np.concatenate([upright(np.concatenate(ignored)), np.reshape(more, (-1, 4))])
-            yield Drawn(data / folder / row["file"], row["set"], cars, doubtful)
+            yield Drawn(data / folder / row["file"], row["set"], cars=cars, doubtful=doubtful)
     with (data / "chia" / "crops.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 0]
     for row in rows:
@@ -165,7 +165,7 @@ def main() -> None:
         rows = Rows.unlabelled(boxes[:, 2], drawn.set, drawn.path.name)._replace(
             car=truth, score=scores.astype(np.float32), combined=combined.astype(np.float32)
         )
-        store.add(surroundings(pixels, boxes, STORED_PX, STORED_LENGTH_PX), rows)
+        store.add(surroundings(pixels, boxes, side_px=STORED_PX, length_px=STORED_LENGTH_PX), rows)
         print(
             drawn.path.name,
             len(drawn.cars),

@@ -110,23 +110,25 @@ def collect(data: Path) -> Read:
             if image is None:
                 raise FileNotFoundError(row["file"])
             images[row["file"]] = np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8)
-        chips.append(surroundings(images[row["file"]], box, READ_PX, READ_LENGTH_PX)[0])
+        chips.append(
+            surroundings(images[row["file"]], box, side_px=READ_PX, length_px=READ_LENGTH_PX)[0]
+        )
     places = [row["place"].removesuffix("_found") for row, *_ in parts]
     return Read(
         np.stack(chips),
         np.array([edges for _, _, edges, _ in parts], np.float32),
-        np.array([kind_index(row["kind"]) for row, *_ in parts]),
-        np.array([box[2] for _, box, _, _ in parts]),
-        np.array([width for *_, width in parts]),
-        np.array(
+        kind=np.array([kind_index(row["kind"]) for row, *_ in parts]),
+        length_px=np.array([box[2] for _, box, _, _ in parts]),
+        width_px=np.array([width for *_, width in parts]),
+        gsd=np.array(
             [
                 known.get(row["file"], _GSD_OF_SET.get(place, np.nan))
                 for (row, *_), place in zip(parts, places, strict=True)
             ]
         ),
-        np.array(places),
-        np.array([row["file"] for row, *_ in parts]),
-        np.array([row["use"] == "check" for row, *_ in parts]),
+        place=np.array(places),
+        source=np.array([row["file"] for row, *_ in parts]),
+        check=np.array([row["use"] == "check" for row, *_ in parts]),
     )
 
 

@@ -86,7 +86,7 @@ class Move(NamedTuple):
         return np.asarray(self.scale * np.array([[cos, -sin], [sin, cos]]) * self.flip[None])
 
 
-STILL = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
+STILL = Move(np.zeros(2), 1.0, turn=0.0, flip=np.ones(2))
 
 
 def draw_move(rng: np.random.Generator) -> Move:
@@ -95,8 +95,8 @@ def draw_move(rng: np.random.Generator) -> Move:
     return Move(
         _SHIFT * shift,
         float(np.exp(_SCALE * scale[0])),
-        float(_TURN * turn[0]),
-        rng.choice((-1.0, 1.0), 2),
+        turn=float(_TURN * turn[0]),
+        flip=rng.choice((-1.0, 1.0), 2),
     )
 
 

@@ -31,10 +31,10 @@ class CourtNet(nn.Module):
         super().__init__()
         width = _STEM[-1][1]
         self.stem = nn.Sequential(
-            *(_convolution(inputs, outputs, 2, 1) for inputs, outputs in _STEM)
+            *(_convolution(inputs, outputs, stride=2, dilation=1) for inputs, outputs in _STEM)
         )
         self.body = nn.ModuleList(
-            _convolution(width, width, 1, dilation) for dilation in _DILATIONS
+            _convolution(width, width, stride=1, dilation=dilation) for dilation in _DILATIONS
         )
         self.head = nn.Conv2d(width, CHANNELS, 1)
         with torch.no_grad():

@@ -60,10 +60,10 @@ def export(network: CourtNet, out: Path) -> None:
     write_onnx(
         Exported(network),
         (torch.zeros(1, 3, 12 * CELL_PX, 16 * CELL_PX, dtype=torch.uint8),),
-        out,
-        ["tiles"],
-        ["courts"],
-        {"tiles": {0: "n", 2: "h", 3: "w"}, "courts": {0: "n", 2: "rows", 3: "columns"}},
+        out=out,
+        inputs=["tiles"],
+        outputs=["courts"],
+        free={"tiles": {0: "n", 2: "h", 3: "w"}, "courts": {0: "n", 2: "rows", 3: "columns"}},
     )
     write_metadata(out, {"name": "courts", "license": LICENCE})
 

@@ -139,9 +139,9 @@ def _load(path: Path, set_name: str, labels_folder: Path) -> TrainImage:
     return TrainImage(
         set_name,
         np.ascontiguousarray(image[:, :, ::-1]),
-        boxes_from_corners(labels.corners[car]),
-        labels.corners[~car],
-        np.zeros((0, 2)),
+        boxes=boxes_from_corners(labels.corners[car]),
+        ignore=labels.corners[~car],
+        clutter=np.zeros((0, 2)),
     )
 
 
@@ -186,7 +186,9 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
         return np.asarray(points @ forward[:, :2].T + forward[:, 2])
 
     boxes, left_open = _judged(boxes_from_corners(moved(box_corners(sample.boxes))))
-    return Crop(image, boxes, np.concatenate([moved(sample.ignore), left_open]), covered)
+    return Crop(
+        image, boxes, ignore=np.concatenate([moved(sample.ignore), left_open]), covered=covered
+    )
 
 
 def _drawn_scale(rng: np.random.Generator, sample: TrainImage) -> float:
@@ -271,8 +273,8 @@ def lay_over(top: Crop, bottom: Crop) -> Crop:
     return Crop(
         image,
         np.concatenate([top.boxes, below.boxes]),
-        np.concatenate([top.ignore, below.ignore]),
-        top.covered | bottom.covered,
+        ignore=np.concatenate([top.ignore, below.ignore]),
+        covered=top.covered | bottom.covered,
     )
 
 

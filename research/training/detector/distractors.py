@@ -113,7 +113,12 @@ def _zebra(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     long = thick * rng.uniform(3, 9)
     pitch = (long * rng.uniform(1.5, 5), thick * rng.uniform(1.7, 2.4))
     return _rectangles(
-        rng, _ground(rng, image), (long, thick), pitch, [_paint(rng, 180, 255, 6)], 0.0
+        rng,
+        _ground(rng, image),
+        size=(long, thick),
+        pitch=pitch,
+        paints=[_paint(rng, 180, 255, 6)],
+        shadow=0.0,
     )
 
 
@@ -122,7 +127,12 @@ def _posts(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     size = (thick * rng.uniform(1.0, 2.6), thick)
     pitch = (thick * rng.uniform(2.5, 8), thick * rng.uniform(3, 10))
     return _rectangles(
-        rng, _ground(rng, image), size, pitch, [_paint(rng, 130, 255)], float(rng.uniform(0, 1.5))
+        rng,
+        _ground(rng, image),
+        size=size,
+        pitch=pitch,
+        paints=[_paint(rng, 130, 255)],
+        shadow=float(rng.uniform(0, 1.5)),
     )
 
 
@@ -132,7 +142,14 @@ def _slabs(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     size = (thick * rng.uniform(1.2, 4.5), thick)
     pitch = (size[0] * rng.uniform(1.15, 2.0), thick * rng.uniform(1.25, 2.6))
     paints = [_paint(rng, 50, 235, 22) for _ in range(rng.integers(1, 4))]
-    return _rectangles(rng, _ground(rng, image), size, pitch, paints, float(rng.uniform(0, 0.5)))
+    return _rectangles(
+        rng,
+        _ground(rng, image),
+        size=size,
+        pitch=pitch,
+        paints=paints,
+        shadow=float(rng.uniform(0, 0.5)),
+    )
 
 
 def _panels(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
@@ -142,7 +159,12 @@ def _panels(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     pitch = (size[0] * rng.uniform(1.04, 1.4), thick * rng.uniform(1.05, 2.2))
     paint = np.array([rng.uniform(15, 60), rng.uniform(20, 70), rng.uniform(40, 110)], np.float32)
     return _rectangles(
-        rng, _ground(rng, image), size, pitch, [paint, paint * np.float32(1.15)], 0.0
+        rng,
+        _ground(rng, image),
+        size=size,
+        pitch=pitch,
+        paints=[paint, paint * np.float32(1.15)],
+        shadow=0.0,
     )
 
 

@@ -94,10 +94,13 @@ def export(run: Path, out: Path, calibration: dict[str, object]) -> None:
     write_onnx(
         UltralyticsLayout(network, correction),
         (torch.zeros(1, 3, 256, 256),),
-        out,
-        ["images"],
-        ["output0"],
-        {"images": {0: "batch", 2: "height", 3: "width"}, "output0": {0: "batch", 2: "anchors"}},
+        out=out,
+        inputs=["images"],
+        outputs=["output0"],
+        free={
+            "images": {0: "batch", 2: "height", 3: "width"},
+            "output0": {0: "batch", 2: "anchors"},
+        },
     )
     metadata = {
         "description": "VehAnchor oriented-box vehicle detector",

@@ -80,7 +80,7 @@ def main() -> None:
     parser.add_argument("--crops", type=int, default=96)
     chosen = parser.parse_args()
     batches = list(crops(chosen.data / "vehicles", chosen.crops))
-    write_eight_bits(chosen.model, chosen.out, batches, quantised_nodes, {})
+    write_eight_bits(chosen.model, chosen.out, batches=batches, nodes=quantised_nodes, metadata={})
     print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")
 
 

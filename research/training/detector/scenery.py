@@ -37,10 +37,10 @@ def load_scenery(data: Path, table: Path = SCENERY, *, held_out: bool = False) -
         bare = TrainImage(
             place.kind if place.kind == "harbor" else place.set,
             np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8),
-            np.zeros((0, 5)),
-            lorries,
-            np.zeros((0, 2)),
-            CAR_M / place.gsd_m_per_px,
+            boxes=np.zeros((0, 5)),
+            ignore=lorries,
+            clutter=np.zeros((0, 2)),
+            car_px=CAR_M / place.gsd_m_per_px,
         )
         out.append(corrected(bare, known.get(place.path.name, [])))
     return out

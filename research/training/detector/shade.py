@@ -42,9 +42,9 @@ def shaded(
         image = darken_cars(rng, image, boxes)
     if branches:
         for _ in range(int(rng.integers(1, 6))):
-            image = draw_crown(rng, image, _place(rng, image, boxes), car_px)
+            image = draw_crown(rng, image, foot=_place(rng, image, boxes), car_px=car_px)
     if shadow:
-        image = cast_shadow(rng, image, _place(rng, image, boxes), car_px)
+        image = cast_shadow(rng, image, middle=_place(rng, image, boxes), car_px=car_px)
     return image
 
 
@@ -90,7 +90,14 @@ def draw_crown(
     cover = np.zeros(image.shape[:2], np.float32)
     radius = car_px * float(rng.uniform(0.4, 1.3))
     for heading in rng.uniform(0, 2 * np.pi, int(rng.integers(6, 25))):
-        _draw_branch(rng, cover, foot, heading, radius * float(rng.uniform(0.5, 1.0)), car_px)
+        _draw_branch(
+            rng,
+            cover,
+            foot=foot,
+            heading=heading,
+            length_px=radius * float(rng.uniform(0.5, 1.0)),
+            car_px=car_px,
+        )
     way = rng.normal(0, 0.5 * car_px, 2)
     move = np.array([[1, 0, way[0]], [0, 1, way[1]]])
     shadow = np.asarray(cv2.warpAffine(cover, move, image.shape[1::-1]), np.float32)

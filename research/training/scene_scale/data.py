@@ -232,10 +232,10 @@ def _load(source: Source) -> ScaledImage:
     return ScaledImage(
         source.set,
         source.path.name,
-        np.ascontiguousarray(image[:, :, ::-1]),
-        source.gsd_m_per_px,
-        source.label_spread,
-        max(FINEST_M_PER_PX, share * source.gsd_m_per_px),
+        pixels=np.ascontiguousarray(image[:, :, ::-1]),
+        gsd_m_per_px=source.gsd_m_per_px,
+        label_spread=source.label_spread,
+        finest_m_per_px=max(FINEST_M_PER_PX, share * source.gsd_m_per_px),
     )
 
 

@@ -42,10 +42,10 @@ def export(network: SceneScaleNet, out: Path, calibration: dict[str, float]) -> 
     write_onnx(
         FromBytes(network),
         (torch.zeros(2, 3, TILE_PX, TILE_PX, dtype=torch.uint8),),
-        out,
-        ["tiles"],
-        ["log_probs"],
-        {"tiles": {0: "n"}, "log_probs": {0: "n"}},
+        out=out,
+        inputs=["tiles"],
+        outputs=["log_probs"],
+        free={"tiles": {0: "n"}, "log_probs": {0: "n"}},
     )
     metadata = {
         "name": _NAME,

@@ -82,7 +82,9 @@ def see(contract: SamContract, target: Target) -> MaskLogits:
     """Segment as the library does, up to the logits."""
     prompt = Prompt(box=target.box)
     with open_raster(target.image) as raster:
-        window = crop_window(prompt, raster.width_px, raster.height_px, crop_side(prompt))
+        window = crop_window(
+            prompt, raster.width_px, image_height_px=raster.height_px, side_px=crop_side(prompt)
+        )
         size = contract.input_size(window.width_px, window.height_px)
         return contract.predict(read_resized(raster, window, size), window, prompt)
 

@@ -92,11 +92,11 @@ def load_segments(folder: Path, split: str) -> list[MaskImage]:
         MaskImage(
             "real",
             row["category"],
-            group_of(row["image"]),
-            np.ascontiguousarray(_read(folder / row["image"], cv2.IMREAD_COLOR)[:, :, ::-1]).astype(
-                np.uint8
-            ),
-            _read(folder / row["mask"], cv2.IMREAD_UNCHANGED).astype(np.uint16),
+            group=group_of(row["image"]),
+            image=np.ascontiguousarray(
+                _read(folder / row["image"], cv2.IMREAD_COLOR)[:, :, ::-1]
+            ).astype(np.uint8),
+            mask=_read(folder / row["mask"], cv2.IMREAD_UNCHANGED).astype(np.uint16),
         )
         for row in rows
     ]
@@ -111,7 +111,7 @@ def load_scenes(folder: Path) -> list[MaskImage]:
             category = mask.stem.removeprefix(f"{path.stem}_")
             ids = _read(mask, cv2.IMREAD_UNCHANGED).astype(np.uint16)
             if ids.ndim == 2:
-                out.append(MaskImage("scene", category, path.stem, image, ids))
+                out.append(MaskImage("scene", category, group=path.stem, image=image, mask=ids))
     return out
 
 
@@ -122,7 +122,7 @@ def objects_of(images: Sequence[MaskImage], least_side_px: int = LEAST_SIDE_PX) 
         for number in np.unique(sample.mask)[1:]:
             x, y, w, h = cv2.boundingRect((sample.mask == number).astype(np.uint8))
             if min(w, h) >= least_side_px:
-                out.append(MaskObject(index, int(number), x, y, x + w, y + h))
+                out.append(MaskObject(index, int(number), x0=x, y0=y, x1=x + w, y1=y + h))
     return out
 
 
@@ -278,7 +278,10 @@ class CropSize(NamedTuple):
     share: float
 
 
-CROP_SIZES = (CropSize(160, 16, (20.0, 110.0), 0.75), CropSize(256, 6, (70.0, 190.0), 0.25))
+CROP_SIZES = (
+    CropSize(160, 16, length_px=(20.0, 110.0), share=0.75),
+    CropSize(256, 6, length_px=(70.0, 190.0), share=0.25),
+)
 
 
 @dataclass

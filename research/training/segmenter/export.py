@@ -102,16 +102,16 @@ def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Pat
     write_onnx(
         EncoderGraph(network),
         (torch.zeros(INPUT_PX, INPUT_PX, 3),),
-        encoder,
-        ["input_image"],
-        ["image_embeddings"],
+        out=encoder,
+        inputs=["input_image"],
+        outputs=["image_embeddings"],
     )
     write_onnx(
         DecoderGraph(
             network,
             INPUT_PX,
-            float(str(calibration.get("mask_offset", 0.0))),
-            float(str(calibration.get("mask_smoothing", 0.0))),
+            mask_offset=float(str(calibration.get("mask_offset", 0.0))),
+            mask_smoothing=float(str(calibration.get("mask_smoothing", 0.0))),
         ),
         (
             torch.zeros(1, EMBEDDING_CHANNELS, cells, cells),
@@ -121,8 +121,8 @@ def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Pat
             torch.zeros(1),
             torch.tensor([300.0, 400.0]),
         ),
-        decoder,
-        [
+        out=decoder,
+        inputs=[
             "image_embeddings",
             "point_coords",
             "point_labels",
@@ -130,8 +130,8 @@ def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Pat
             "has_mask_input",
             "orig_im_size",
         ],
-        ["masks", "iou_predictions", "low_res_masks"],
-        {
+        outputs=["masks", "iou_predictions", "low_res_masks"],
+        free={
             "point_coords": {1: "num_points"},
             "point_labels": {1: "num_points"},
             "masks": {2: "height", 3: "width"},

@@ -88,9 +88,9 @@ def run_trial(target: Target, method: Callable[[Target], tuple[NDArray[np.bool_]
     return Trial(
         target.category,
         float((mask & target.mask).sum() / either),
-        float(mask.sum() / target.mask.sum()),
-        score,
-        seconds,
+        area_ratio=float(mask.sum() / target.mask.sum()),
+        score=score,
+        seconds=seconds,
     )
 
 

@@ -56,7 +56,7 @@ def fit(logs: NDArray[np.float64], cars: NDArray[np.bool_]) -> tuple[float, floa
     mean = logs.mean()
     spread = logs.std()
     design = np.column_stack([(logs - mean) / spread, np.ones(len(logs))])
-    slope, constant = logistic(design, cars, np.full(len(logs), 1 / len(logs)), _RIDGE)
+    slope, constant = logistic(design, cars, weight=np.full(len(logs), 1 / len(logs)), ridge=_RIDGE)
     return float(constant - slope * mean / spread), float(slope / spread)
 
 

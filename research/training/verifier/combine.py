@@ -44,7 +44,7 @@ def fitted(logits: NDArray[np.float64], found: Candidates) -> Weights:
         found: the candidates.
     """
     design = np.column_stack([_logit(found.scores), logits, np.ones(len(logits))])
-    theta = logistic(design, found.car, weight_of_sets(found.sets), _RIDGE)
+    theta = logistic(design, found.car, weight=weight_of_sets(found.sets), ridge=_RIDGE)
     return Weights(*(float(value) for value in theta))
 
 

@@ -117,12 +117,17 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
             false = rng.permutation(np.flatnonzero(truth == 0))
             truth[false[_MOST_FALSE:]] = -1
             known = truth >= 0
-            chips.append(surroundings(scaled, boxes[known], STORED_PX, CHIP_LENGTH_PX))
+            chips.append(
+                surroundings(scaled, boxes[known], side_px=STORED_PX, length_px=CHIP_LENGTH_PX)
+            )
             car.append(truth[known] == 1)
             scores.append(score[known])
             sets += [sample.set] * int(known.sum())
     return Candidates(
-        np.concatenate(chips), np.concatenate(car), np.concatenate(scores), np.array(sets)
+        np.concatenate(chips),
+        np.concatenate(car),
+        scores=np.concatenate(scores),
+        sets=np.array(sets),
     )
 
 

@@ -39,7 +39,14 @@ def distracted_crops(images: Sequence[TrainImage], count: int, seed: int = 0) ->
     for _ in range(count):
         crop = distracted(rng, draw_crop(rng, images[int(rng.integers(len(images)))]))
         out.append(
-            TrainImage("distracted", crop.image, crop.boxes, crop.ignore, np.zeros((0, 2)), _CAR_PX)
+            TrainImage(
+                "distracted",
+                crop.image,
+                boxes=crop.boxes,
+                ignore=crop.ignore,
+                clutter=np.zeros((0, 2)),
+                car_px=_CAR_PX,
+            )
         )
     return out
 

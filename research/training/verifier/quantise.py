@@ -44,7 +44,7 @@ def main() -> None:
         / 255
     )
     batches = [chips[start : start + _BATCH] for start in range(0, len(chips), _BATCH)]
-    write_eight_bits(chosen.model, chosen.out, batches, quantised_nodes, {})
+    write_eight_bits(chosen.model, chosen.out, batches=batches, nodes=quantised_nodes, metadata={})
     print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")
 
 

@@ -42,7 +42,12 @@ def export(network: VerifierNet, out: Path) -> None:
     """Write a network as ONNX."""
     example = torch.zeros(2, 3, CHIP_PX, CHIP_PX)
     write_onnx(
-        network, (example,), out, ["chips"], ["logit"], {"chips": {0: "n"}, "logit": {0: "n"}}
+        network,
+        (example,),
+        out=out,
+        inputs=["chips"],
+        outputs=["logit"],
+        free={"chips": {0: "n"}, "logit": {0: "n"}},
     )
 
 

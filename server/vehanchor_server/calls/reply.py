@@ -94,7 +94,10 @@ class Reply(Generic[Record]):
         short = None if detail == "full" else short_record(self.records, warnings)
         if kind:
             page = panel_meta(
-                self.picture, self.drawing, None if short is None else whole[0], self.record
+                self.picture,
+                self.drawing,
+                record=None if short is None else whole[0],
+                shown=self.record,
             )
         else:
             page = panel_meta()

@@ -219,4 +219,10 @@ class _PinnedBackend(httpcore.AnyIOBackend):
                 "url_not_allowed",
                 f"host {shortened(host)!r} does not resolve to public addresses. Use another URL.",
             )
-        return await super().connect_tcp(addresses[0], port, timeout, local_address, socket_options)
+        return await super().connect_tcp(
+            addresses[0],
+            port,
+            timeout=timeout,
+            local_address=local_address,
+            socket_options=socket_options,
+        )

@@ -95,7 +95,9 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
             services, ctx, image, chosen, question, more=more_images or (), detail=detail
         )
         if not (more_images or services.settings.never_ask or wanted.kind == "evidence"):
-            asked = request_scale_input(ctx, question.given, reply.record, told.text)
+            asked = request_scale_input(
+                ctx, question.given, estimate=reply.record, answer=told.text
+            )
             if asked is not None:
                 return asked
         return reply.to_result(*told, detail=detail, shown=wanted)
@@ -125,4 +127,4 @@ def _estimate(
     job.stop.check()
     with open_raster(source, options.reading) as raster:
         analysis = services.models.memory.analyse(detector, raster, options)
-        return scale_reply(raster, analysis, asked.wanted, job)
+        return scale_reply(raster, analysis, wanted=asked.wanted, job=job)

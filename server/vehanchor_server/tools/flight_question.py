@@ -79,10 +79,10 @@ def estimate_with_flight(
     options = replace(asked, frame=Frame())
     checked_detector(detector, options)
     job.stop.check()
-    for _ in _open_each(services, source, more, []):  # refuse a path before the search
+    for _ in _open_each(services, source, more=more, opened=[]):  # refuse a path before the search
         job.stop.check()
     opened: list[OpenedImage] = []
-    images = _open_each(services, source, more, opened)
+    images = _open_each(services, source, more=more, opened=opened)
     photographs = search_flight(images, detector, options, featured=not question.subject)
     members = [
         _require_readable(found, each) for found, each in zip(photographs, opened, strict=True)
@@ -91,7 +91,7 @@ def estimate_with_flight(
     flight = conclude(photographs, detector.card, same_scale=question.subject)
     analysis = replace(members[0].analysis, estimate=_estimate_of_image(flight, asked))
     with open_raster(source, asked.reading) if question.wanted.kind else nullcontext() as raster:
-        return scale_reply(raster, analysis, question.wanted, job)
+        return scale_reply(raster, analysis, wanted=question.wanted, job=job)
 
 
 def _open_each(
@@ -165,5 +165,7 @@ def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstima
             "rests on this image alone."
         )
         warnings = (*warnings, Notice(code=NoticeCode.NOT_LINKED, message=message))
-    frame = frame_scale(asked.frame, record.image_width_px, record.gsd_m_per_px, interval)
+    frame = frame_scale(
+        asked.frame, record.image_width_px, gsd=record.gsd_m_per_px, interval=interval
+    )
     return record.model_copy(update={"frame": frame, "warnings": warnings})

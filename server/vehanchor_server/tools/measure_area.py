@@ -102,12 +102,19 @@ def _measure(
     job.stop.check()
     with open_raster(source, options.reading) as raster:
         job.segmenting()
-        found = analyse_objects(raster, prompts, segmenter, scale, options, object_height_m=height)
+        found = analyse_objects(
+            raster,
+            prompts,
+            segmenter=segmenter,
+            scale=scale,
+            options=options,
+            object_height_m=height,
+        )
         picture = draw_picture(
             raster,
             job,
-            wanted,
-            lambda seen, cut: draw_area(seen, *found, cut=cut),
+            wanted=wanted,
+            draw=lambda seen, cut: draw_area(seen, *found, cut=cut),
             scale=found[0].scale,
             usual=cut_to_objects(found).part,
         )

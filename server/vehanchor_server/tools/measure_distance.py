@@ -105,13 +105,13 @@ def _measure(
     height = asked.given.get("object_height_m")
     job.stop.check()
     with open_raster(source, options.reading) as raster:
-        found = analyse_paths(raster, paths, scale, options, object_height_m=height)
+        found = analyse_paths(raster, paths, scale=scale, options=options, object_height_m=height)
         measured = tuple(each.measurement for each in found)
         picture = draw_picture(
             raster,
             job,
-            asked.wanted,
-            lambda seen, cut: draw_distance(seen, *found, cut=cut),
+            wanted=asked.wanted,
+            draw=lambda seen, cut: draw_distance(seen, *found, cut=cut),
             scale=found[0].scale,
             usual=cut_to_lines(measured).part,
         )

@@ -77,7 +77,11 @@ def scale_reply(
     picture = None
     if raster is not None:
         picture = draw_picture(
-            raster, job, wanted, lambda seen, cut: draw_overlay(seen, analysis, cut), scale=analysis
+            raster,
+            job,
+            wanted=wanted,
+            draw=lambda seen, cut: draw_overlay(seen, analysis, cut),
+            scale=analysis,
         )
     drawing = drawing_of(analysis) if wanted.kind == "plain" else None
     return Reply((analysis.estimate,), picture, drawing)
@@ -94,7 +98,7 @@ def part_window(raster: Raster, wanted: PictureRequest) -> Window:
 
     ends = wanted.part
     if ends is None:
-        return Window(0, 0, raster.width_px, raster.height_px)
+        return Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
     coordinates = CoordinateFrame(wanted.frame, raster.width_px, raster.height_px)
     if not coordinates.inside(ends):
         numbers = ", ".join(f"{value:g}" for end in ends for value in end)
@@ -112,4 +116,4 @@ def part_window(raster: Raster, wanted: PictureRequest) -> Window:
             f"{_LEAST_PART_PX} px per side"
             f"{coordinates.other_reading(ends)}"
         )
-    return Window(x, y, width, height)
+    return Window(x, y, width_px=width, height_px=height)

@@ -188,7 +188,7 @@ async def answered(
     The places are the points of the subjects, in the caller's coordinates.
     """
     _check_coordinates(places, question.given)
-    reply = await run_call(services, ctx, image, work, question, more)
+    reply = await run_call(services, ctx, image=image, work=work, question=question, more=more)
     return reply, answer_of(reply.records, _hints(places, question.given, reply.record), detail)
 
 

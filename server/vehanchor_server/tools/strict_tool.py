@@ -125,7 +125,7 @@ class StrictTool(Tool):
             ) from cause
         finally:
             record = result.structured_content if isinstance(result, CallToolResult) else None
-            log_call(self.name, status, time.perf_counter() - started, record)
+            log_call(self.name, status, seconds=time.perf_counter() - started, record=record)
 
     async def show(
         self, arguments: dict[str, Any], context: Context[Any, Any], picture: PictureRequest
@@ -145,7 +145,10 @@ class StrictTool(Tool):
 
     def _complaints(self, error: ValidationError, arguments: dict[str, Any]) -> str:
         words = complaints(
-            error, arguments, self.full_parameters, self.parameters.get("required") or ["image"]
+            error,
+            arguments,
+            schema=self.full_parameters,
+            required=self.parameters.get("required") or ["image"],
         )
         found = self.first_image() if self.first_image is not None else None
         return (

@@ -102,7 +102,10 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
         page: _Page = 1,
     ) -> CallToolResult:
         wanted = PictureRequest(
-            "evidence", long_side_px, part.corners if part else None, Frame(coordinates=coordinates)
+            "evidence",
+            long_side_px,
+            part=part.corners if part else None,
+            frame=Frame(coordinates=coordinates),
         )
         if of is not None:
             named = {} if image is None else {"image": image.model_dump()}
@@ -110,7 +113,7 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
         if image is None:
             names, total = await _list_images(services, page)
             return _with_picture(_list_in_words(names, total, page), None)
-        seen = await run_call(services, ctx, image, _view, wanted)
+        seen = await run_call(services, ctx, image=image, work=_view, question=wanted)
         return _with_picture(_words(seen.record, long_side_px), seen.picture)
 
     return StrictTool.read_only(
@@ -141,9 +144,9 @@ def page_image_tool(services: Services) -> "StrictTool":
             seen = await run_call(
                 services,
                 ctx,
-                image,
-                _view,
-                PictureRequest("plain", long_side_px, part.corners if part else None),
+                image=image,
+                work=_view,
+                question=PictureRequest("plain", long_side_px, part.corners if part else None),
             )
             listed = PageImages()
             picture = seen.picture
@@ -216,7 +219,11 @@ def _view(
         window = part_window(raster, wanted)
         job.stop.check()
         rgb, step_px = draw_grid(
-            raster, window, wanted.long_side_px, _MAX_ENLARGEMENT, wanted.kind == "evidence"
+            raster,
+            window,
+            long_side_px=wanted.long_side_px,
+            max_enlargement=_MAX_ENLARGEMENT,
+            lines=wanted.kind == "evidence",
         )
         jpeg = small_jpeg(rgb)
         shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)

@@ -158,13 +158,13 @@ def search_raster(
     view = View(
         facts,
         NOT_SEARCHED,
-        detector.card,
-        options,
-        detail_share,
-        raster,
-        detector.runtime,
-        prior,
-        tilt,
+        card=detector.card,
+        options=options,
+        measure_detail_share=detail_share,
+        raster=raster,
+        runtime=detector.runtime,
+        prior=prior,
+        tilt=tilt,
     )
     if not any(ruler.needs_search for ruler in rulers):
         if options.by_hand.given:
@@ -172,7 +172,7 @@ def search_raster(
                 f"{options.by_hand.given} needs the ruler vehicles: add it to rulers"
             )
         return view
-    work = ImageSearch(raster, detector, options.search, prior)
+    work = ImageSearch(raster, detector, options=options.search, prior=prior)
     if tilt is None:
         search_until_settled(work, view)
     else:  # lengths vary over the image
@@ -270,12 +270,17 @@ class _Decided(NamedTuple):
 def _by_paper(vehicles: VehicleWitness | None) -> _Decided:
     """Decide by the published method, for the preset ``paper``."""
     if vehicles is None or vehicles.paper.gsd_m_per_px is None:
-        return _Decided(None, None, 0.0, "too_few")
+        return _Decided(None, None, confidence=0.0, reason="too_few")
     paper = vehicles.paper
     rulers = (_ruler_scale(replace(vehicles, gsd_m_per_px=paper.gsd_m_per_px), paper.confidence),)
     reason = paper.reason(vehicles.n)
     return _Decided(
-        paper.gsd_m_per_px, paper.interval, paper.confidence, reason, vehicles.kind, rulers
+        paper.gsd_m_per_px,
+        paper.interval,
+        confidence=paper.confidence,
+        reason=reason,
+        leading=vehicles.kind,
+        rulers=rulers,
     )
 
 
@@ -285,7 +290,7 @@ def _no_scale(witnesses: Sequence[Witness]) -> _Decided:
         each.interval for each in witnesses if not each.sets_scale and each.interval is not None
     ]
     coarse = any(interval.low > GUARD_GSD_M_PER_PX for interval in priors)
-    return _Decided(None, None, 0.0, "too_coarse" if coarse else "too_few")
+    return _Decided(None, None, confidence=0.0, reason="too_coarse" if coarse else "too_few")
 
 
 def _record(
@@ -308,8 +313,8 @@ def _record(
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         tilt=None if view.tilt is None else view.tilt.record(image, gsd),
-        frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
-        scale=make_known_scale(view, gsd, interval, decided.confidence),
+        frame=frame_scale(view.options.frame, image.width_px, gsd=gsd, interval=interval),
+        scale=make_known_scale(view, gsd, interval=interval, confidence=decided.confidence),
         model=view.card.name,
         warnings=warnings,
         details=_details(view, vehicles, witnesses),

@@ -109,7 +109,7 @@ def run_batch(
     told = runtime or Runtime()
     _check(engine, address, workers, chosen)
     tasks = list(map(Task.of, find_images(inputs)))
-    job = _job(detector, classes, chosen, replace(told.idle, threads=1))
+    job = _job(detector, classes, options=chosen, runtime=replace(told.idle, threads=1))
     job = replace(job, known_lengths=lines_in(known_lengths, [task.path for task in tasks]))
     # the table itself stays until the new one is complete
     with open_journal(table, job, anew=overwrite) as journal:
@@ -180,7 +180,9 @@ def _job(
     # its path may differ on other machines of a cluster
     bundled = model.path in bundled_models().values()
     name = model.path.stem if bundled else str(model.path.resolve())
-    return BatchJob(name, networks_sha256(model.card), named, options, runtime)
+    return BatchJob(
+        name, networks_sha256(model.card), classes=named, options=options, runtime=runtime
+    )
 
 
 def _check(engine: str, address: str | None, workers: int | None, options: ScaleOptions) -> None:
@@ -213,7 +215,7 @@ def _rows(
     if not tasks:
         return
     if engine == "ray":
-        yield from ray_rows(job, tasks, workers, address)
+        yield from ray_rows(job, tasks, workers=workers, address=address)
     else:
         yield from local_rows(job, tasks, min(workers or local_workers(len(tasks)), len(tasks)))
 

@@ -89,7 +89,14 @@ def batch(
                 )
             from vehanchor.cli.batch_targets import measure_table
 
-            measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
+            measure_table(
+                inputs,
+                measure,
+                output=output,
+                engine=chosen.engine(),
+                tell=progress,
+                overwrite=overwrite,
+            )
             return
         from vehanchor.batch import run_batch
 

@@ -68,7 +68,9 @@ def measure_table(
     segmenter = engine.segmenter
     for number, (image, targets) in enumerate(wanted.items()):
         tell(number, len(wanted))
-        rows += measure_targets(image, targets, detector, segmenter, options)
+        rows += measure_targets(
+            image, targets, detector=detector, segmenter=segmenter, options=options
+        )
     tell(len(wanted), len(wanted))
     if as_shapes:
         placed = [(feature, row.ground) for row in rows if (feature := row.feature()) is not None]

@@ -68,14 +68,16 @@ def distance(
         )
 
     files = {"line": line, "overlay": overlay}
-    show_measurement(image, analyse, _facts, files, as_json=as_json, strict=strict)
+    show_measurement(image, analyse, facts=_facts, files=files, as_json=as_json, strict=strict)
 
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:
     """List the facts of the record without its scale."""
     low = record.distance_ci95_low_m
     high = record.distance_ci95_high_m
-    distance = with_interval(record.distance_m, low, high, "m", "none: there is no scale")
+    distance = with_interval(
+        record.distance_m, low, high=high, unit="m", missing="none: there is no scale"
+    )
     return [
         ("distance", distance),
         ("line", f"{len(record.path)} points, {record.length_px:.1f} px"),

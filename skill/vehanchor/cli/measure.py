@@ -92,7 +92,7 @@ def measure(
         )
 
     files = {"outline": outline, "overlay": overlay, "mask": mask}
-    show_measurement(image, analyse, _facts, files, as_json=as_json, strict=strict)
+    show_measurement(image, analyse, facts=_facts, files=files, as_json=as_json, strict=strict)
 
 
 def _points(
@@ -110,7 +110,7 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
     none = "none: there is no scale, or no mask"
     low = record.area_ci95_low_m2
     high = record.area_ci95_high_m2
-    facts = [("area", with_interval(record.area_m2, low, high, "m2", none))]
+    facts = [("area", with_interval(record.area_m2, low, high=high, unit="m2", missing=none))]
     if record.area_m2 is not None:
         length = record.length_m or 0
         width = record.width_m or 0
@@ -123,7 +123,10 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
                 f"{significant(length, 4)} x {significant(width, 4)} m, perimeter "
                 f"{significant(perimeter, 4)} m",
             ),
-            ("largest circle", with_interval(record.inscribed_diameter_m, low, high, "m")),
+            (
+                "largest circle",
+                with_interval(record.inscribed_diameter_m, low, high=high, unit="m"),
+            ),
         ]
     facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
     facts += [("or the object", _other_object(each)) for each in record.alternatives]

@@ -196,7 +196,8 @@ def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
     angles = [axis + quarter for axis in turned for quarter in (0.0, math.pi / 2)]
     matched = match(patch.grey, firsts, start, *_FAR, angles)
     matches = [
-        _Match(score, patch, pose, game) for (score, pose), game in zip(matched, games, strict=True)
+        _Match(score, patch, pose=pose, game=game)
+        for (score, pose), game in zip(matched, games, strict=True)
     ]
     return sorted(
         (each for each in matches if each.score >= _WORTH_A_FIT), key=lambda each: -each.score
@@ -215,7 +216,7 @@ def _measured(raster: Raster, found: _Match) -> Court | None:
     )
     if score < _LEAST_SCORE:
         return None
-    fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in templates]
+    fits = [(kind, *_fitted(raster, kind, patch=patch, pose=pose)) for kind in templates]
     template, seen, patch = max(fits, key=lambda each: each[1].coverage)
     corners = patch.in_image(project(seen.matrix, template.outline))
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
@@ -267,9 +268,11 @@ def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch
         int(np.clip(value + half, low + 1, size))
         for value, low, size in ((x, left, width), (y, top, height))
     )
-    pixels = read_reduced_window(raster, Window(left, top, right - left, bottom - top), factor)
+    pixels = read_reduced_window(
+        raster, Window(left, top, width_px=right - left, height_px=bottom - top), factor
+    )
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-    return _Patch(np.asarray(grey, np.float32), factor, left, top)
+    return _Patch(np.asarray(grey, np.float32), factor, left=left, top=top)
 
 
 def _pose(matrix: NDArray[np.float64]) -> Pose:
@@ -440,8 +443,14 @@ class CourtNetwork(LoadedModel):
             pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)))
             tile = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
             described = f"the court network {self.path} fails on {list(tile.shape)}"
-            (seen,) = run_session(self._session, None, {"tiles": tile}, self.runtime, described)
-            found += _peaks(seen[0], factor, window.x_px, window.y_px)
+            (seen,) = run_session(
+                self._session,
+                None,
+                feeds={"tiles": tile},
+                runtime=self.runtime,
+                described=described,
+            )
+            found += _peaks(seen[0], factor, left=window.x_px, top=window.y_px)
         return found
 
 
@@ -467,5 +476,5 @@ def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[
             length_px = _LENGTH_PX * math.exp(min(max(log_length, -1.0), 1.0)) * factor
             x, y = ((left, top) + (np.array((column, row)) + 0.5) * _CELL_PX) * factor - 0.5
             pose = Pose(float(x), float(y), math.atan2(sin, cos) / 2, length_px / LENGTHS_M[which])
-            found.append(Proposal(which, float(shares[row, column]), pose, factor))
+            found.append(Proposal(which, float(shares[row, column]), pose=pose, factor=factor))
     return found

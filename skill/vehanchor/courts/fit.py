@@ -104,7 +104,13 @@ def _cut(template: Template) -> _Pieces:
         which += [index] * count
     first = np.concatenate(starts)
     last = np.concatenate(ends)
-    return _Pieces(first, last, (first + last) / 2, np.hypot(*(last - first).T), np.array(which))
+    return _Pieces(
+        first,
+        last,
+        middles=(first + last) / 2,
+        lengths=np.hypot(*(last - first).T),
+        line=np.array(which),
+    )
 
 
 def fit(
@@ -137,7 +143,9 @@ def fit(
         if np.linalg.cond(normal) < 1e12:
             residual = float(np.sqrt(np.mean(offsets[near] ** 2)))
             log_sd = math.sqrt((max(residual, 0.1) ** 2 * np.linalg.inv(normal))[2, 2])
-    return Fit(matrix, float(covered.sum() / total.sum()), covered / total, log_sd)
+    return Fit(
+        matrix, float(covered.sum() / total.sum()), line_coverage=covered / total, log_sd=log_sd
+    )
 
 
 def _seen(

@@ -102,7 +102,7 @@ def match(
         for template, each in zip(templates, sizes, strict=True)
     ]
     for angle in angles:
-        sums = _turned_sums(grey, start, angle, half_x, half_y)
+        sums = _turned_sums(grey, start, angle=angle, half_x=half_x, half_y=half_y)
         cos = np.cos(angle)
         sin = np.sin(angle)
         for index, template_ends in enumerate(ends):
@@ -239,7 +239,14 @@ def _tennis() -> Template:
     blank += [(-x, side, x, side) for side in (-y - 1.2, y + 1.2)]
     blank += [(end, 0.4 - singles, end, singles - 0.4) for end in (-9.1, 9.1)]
     blank += [(end, -y, end, y) for end in (-x - 1.2, x + 1.2)]
-    return Template("tennis", 23.77, 10.97, np.array(lines), np.array(blank), np.zeros((0, 4)))
+    return Template(
+        "tennis",
+        23.77,
+        width_m=10.97,
+        lines=np.array(lines),
+        blank=np.array(blank),
+        arcs=np.zeros((0, 4)),
+    )
 
 
 def _basketball(kind: str) -> Template:
@@ -271,7 +278,9 @@ def _basketball(kind: str) -> Template:
             np.stack([end * (basket - reach * np.cos(angles)), reach * np.sin(angles)], axis=1)
         )
     pieces = np.concatenate([np.hstack([arc[:-1], arc[1:]]) for arc in arcs])
-    return Template(kind, length, width, np.array(lines), np.array(blank), pieces)
+    return Template(
+        kind, length, width_m=width, lines=np.array(lines), blank=np.array(blank), arcs=pieces
+    )
 
 
 TENNIS = _tennis()

@@ -110,7 +110,9 @@ def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray
     parallel = np.minimum(np.abs(cosine), np.abs(sine)) < _PARALLEL_RAD
     with np.errstate(divide="ignore", invalid="ignore"):  # of boxes without a width
         shared = np.where(
-            parallel, sides[0] * sides[1], _slanted_overlap(half_a, half_b, shift, cosine, sine)
+            parallel,
+            sides[0] * sides[1],
+            _slanted_overlap(half_a, half_b, shift=shift, cosine=cosine, sine=sine),
         )
         iou = shared / (4 * (half_a.prod(axis=0) + half_b.prod(axis=0)) - shared)
     return np.asarray(np.clip(np.nan_to_num(iou, nan=0.0), 0.0, 1.0))
@@ -250,7 +252,9 @@ def oriented_nms(
         best[worse] = False
         kept |= best
         of_best = best[better]
-        open_[_overlapping(rows, better[of_best], worse[of_best], iou_threshold)] = False
+        open_[
+            _overlapping(rows, better[of_best], worse=worse[of_best], iou_threshold=iou_threshold)
+        ] = False
         open_ &= ~best
         both = open_[better] & open_[worse]
         better = better[both]

@@ -265,7 +265,7 @@ def read_detector_card(
     Raises:
         ModelContractError: an entry is invalid, or an auxiliary model belongs to another detector.
     """
-    card = read_card(DetectorCard, path, sha256, metadata, name=path.stem)
+    card = read_card(DetectorCard, path, sha256=sha256, metadata=metadata, name=path.stem)
     lengths = {name: card.reference_length_m * ratio for name, ratio in _REGION_RATIOS.items()}
     regions = {
         name: length

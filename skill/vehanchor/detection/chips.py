@@ -173,8 +173,10 @@ def candidate_chips(raster: Raster, boxes: NDArray[np.float64]) -> NDArray[np.ui
     shorter = min(raster.width_px, raster.height_px)
     for box in boxes:
         factor = 2 ** max(0, math.floor(math.log2(min(box[2] / _LEAST_LENGTH_PX, shorter))))
-        pixels, inside = read_around(raster, box, factor, _REACH)
-        chips.append(middle(surroundings(pixels, inside, CHIP_COLUMNS, CHIP_LENGTH_PX)))
+        pixels, inside = read_around(raster, box, factor=factor, reach=_REACH)
+        chips.append(
+            middle(surroundings(pixels, inside, side_px=CHIP_COLUMNS, length_px=CHIP_LENGTH_PX))
+        )
     return np.concatenate(chips)
 
 

@@ -124,9 +124,9 @@ class Detector(LoadedModel):
         self.card = read_detector_card(
             self.path,
             models_sha256(file),
-            self._session.get_modelmeta().custom_metadata_map,
-            None if self.verifier is None else self.verifier.card,
-            None if self.chips is None else self.chips.card,
+            metadata=self._session.get_modelmeta().custom_metadata_map,
+            verifier=None if self.verifier is None else self.verifier.card,
+            chips=None if self.chips is None else self.chips.card,
         )
         self._input = self._checked_input()
         self._dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
@@ -202,7 +202,11 @@ class Detector(LoadedModel):
     def _run(self, batch: NDArray[Any]) -> list[NDArray[Any]]:
         described = f"the detector {self.path} fails on {list(batch.shape)}"
         outputs = run_session(
-            self._session, None, {self._input.name: batch}, self.runtime, described
+            self._session,
+            None,
+            feeds={self._input.name: batch},
+            runtime=self.runtime,
+            described=described,
         )
         return [np.asarray(output) for output in outputs]
 

@@ -119,7 +119,9 @@ def _chips(
     reach = _REACH * math.sqrt(0.5) * side_px / length_px
     for box in boxes:
         factor = 2 ** max(0, math.floor(math.log2(box[2] / (2 * length_px))))
-        pixels, (x, y, length, breadth, angle) = read_around(raster, box, factor, reach)
+        pixels, (x, y, length, breadth, angle) = read_around(
+            raster, box, factor=factor, reach=reach
+        )
         columns = max(1, round(pixels.shape[1] * width))
         across = columns / pixels.shape[1]
         method = cv2.INTER_AREA if across < 1 else cv2.INTER_LINEAR
@@ -129,5 +131,5 @@ def _chips(
         turned = math.atan2(math.sin(angle), math.cos(angle) * across)
         size = math.sqrt(across)
         moved = [[x * across, y, length * size, breadth * size, turned]]
-        chips.append(surroundings(resized, moved, side_px, length_px)[0])
+        chips.append(surroundings(resized, moved, side_px=side_px, length_px=length_px)[0])
     return np.stack(chips)

@@ -222,9 +222,9 @@ class SceneScaleNetwork(LoadedModel):
                 run_session(
                     self._session,
                     None,
-                    {"tiles": tiles[start : start + _BATCH]},
-                    self.runtime,
-                    described,
+                    feeds={"tiles": tiles[start : start + _BATCH]},
+                    runtime=self.runtime,
+                    described=described,
                 )[0]
                 for start in range(0, len(tiles), _BATCH)
             ]

@@ -249,9 +249,9 @@ def search_levels(
         SearchLevel(
             factor,
             width_px // factor,
-            height_px // factor,
-            0.0 if factor == 1 else shortest,
-            np.inf if factor == factors[-1] else longest,
+            height_px=height_px // factor,
+            shortest_px=0.0 if factor == 1 else shortest,
+            longest_px=np.inf if factor == factors[-1] else longest,
         )
         for factor in factors
     ]
@@ -356,7 +356,9 @@ def tile_prior_map(raster: Raster) -> NDArray[np.float64]:
     for top in range(0, height, _BLOCK):
         parts = []
         for left in range(0, width, _BLOCK):
-            window = Window(left, top, min(_BLOCK, width - left), min(_BLOCK, height - top))
+            window = Window(
+                left, top, width_px=min(_BLOCK, width - left), height_px=min(_BLOCK, height - top)
+            )
             parts.append(car_prior(read_preview(raster, window, _PREVIEW_FACTOR)))
         rows.append(np.concatenate(parts, axis=1))
     return np.concatenate(rows)

@@ -346,14 +346,14 @@ class ImageSearch:
         return Detections(
             vehicles.boxes,
             vehicles.scores,
-            len(parts),
-            sum(part.ran_out for part in parts),
-            1 / factors[kept] if self._search_scales else None,
-            appearance,
-            _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
-            len(self.visits),
-            self._because,
-            self._stretch(vehicles.boxes, few=few) if check_stretch else None,
+            n_tiles=len(parts),
+            n_capped_tiles=sum(part.ran_out for part in parts),
+            reductions=1 / factors[kept] if self._search_scales else None,
+            appearance=appearance,
+            others=_merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
+            n_tiles_total=len(self.visits),
+            stopped_because=self._because,
+            stretch=self._stretch(vehicles.boxes, few=few) if check_stretch else None,
             n_skipped=self._n_skipped,
         )
 

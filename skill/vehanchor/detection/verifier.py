@@ -175,7 +175,9 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
                 f"{', '.join(self.outputs)}, as {self.trained_by} writes them"
             )
         metadata = self._session.get_modelmeta().custom_metadata_map
-        self.card = read_card(self.card_type, self.path, models_sha256(file), metadata)  # type: ignore[assignment]
+        self.card = read_card(
+            self.card_type, self.path, sha256=models_sha256(file), metadata=metadata
+        )  # type: ignore[assignment]
 
     def predict(self, chips: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
         """Run the network on chips.
@@ -194,7 +196,11 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
         batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
         described = f"the {self.named} {self.path} fails on {list(batch.shape)}"
         results = run_session(
-            self._session, list(self.outputs), {_INPUT: batch}, self.runtime, described
+            self._session,
+            list(self.outputs),
+            feeds={_INPUT: batch},
+            runtime=self.runtime,
+            described=described,
         )
         numbers = [np.asarray(each, np.float64) for each in results]
         shapes = [(len(chips), *shape) for shape in self.outputs.values()]

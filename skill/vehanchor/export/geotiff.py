@@ -72,7 +72,7 @@ def write_metric_copy(path: Path, raster: Raster, gsd_m_per_px: float) -> None:
             with rasterio.open(partial, "w", **profile) as copy:
                 for top in range(0, height, _TILE_PX):
                     rows = min(_TILE_PX, height - top)
-                    pixels = raster.read(Window(0, top, width, rows))
+                    pixels = raster.read(Window(0, top, width_px=width, height_px=rows))
                     copy.write(pixels.transpose(2, 0, 1), window=((top, top + rows), (0, width)))
         except rasterio.errors.RasterioError as error:
             raise OutputError(f"cannot write {str(path)!r}: {error}") from error

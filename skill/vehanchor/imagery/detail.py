@@ -109,7 +109,9 @@ def measure_detail_share(
     corners = np.clip(corners, 0, (width - PATCH_PX, height - PATCH_PX))
     return spectrum_share(
         ring_spectrum(
-            read_reduced_window(raster, Window(int(x), int(y), PATCH_PX, PATCH_PX), factor)
+            read_reduced_window(
+                raster, Window(int(x), int(y), width_px=PATCH_PX, height_px=PATCH_PX), factor
+            )
             for x, y in corners
         )
     )

@@ -36,8 +36,8 @@ def image_facts(raster: Raster) -> ImageFacts:
     return ImageFacts(
         raster.width_px,
         raster.height_px,
-        raster.georeference_gsd_m_per_px,
-        raster.warnings,
-        raster.camera,
-        image_id(raster),
+        georeference_gsd_m_per_px=raster.georeference_gsd_m_per_px,
+        notices=raster.warnings,
+        camera=raster.camera,
+        image_id=image_id(raster),
     )

@@ -45,7 +45,7 @@ def image_id(raster: Raster) -> str:
         _update_with_file(digest, raster.encoded)
     for y, height in rows:
         for x, width in columns:
-            digest.update(raster.read(Window(x, y, width, height)).data)
+            digest.update(raster.read(Window(x, y, width_px=width, height_px=height)).data)
     raster.known_id = digest.hexdigest()[:_DIGITS]
     return raster.known_id
 

@@ -125,4 +125,4 @@ def check_header(header: ImageHeader, limits: ImageLimits) -> None:
             "tiled TIFF, which is "
             "read by windows"
         )
-    check_windowed_size(header.format, header.width_px, header.height_px, limits)
+    check_windowed_size(header.format, header.width_px, height_px=header.height_px, limits=limits)

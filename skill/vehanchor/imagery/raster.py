@@ -117,7 +117,7 @@ class Raster(ABC):
             ImageFormatError: the values in this window cannot be converted.
         """
         if window is None:
-            window = Window(0, 0, self.width_px, self.height_px)
+            window = Window(0, 0, width_px=self.width_px, height_px=self.height_px)
         elif not (
             0 <= window.x_px < window.x_px + window.width_px <= self.width_px
             and 0 <= window.y_px < window.y_px + window.height_px <= self.height_px
@@ -127,7 +127,9 @@ class Raster(ABC):
             )
         return self._to_rgb(
             self._read_stored(
-                stored_window(window, self.width_px, self.height_px, self._orientation)
+                stored_window(
+                    window, self.width_px, height_px=self.height_px, orientation=self._orientation
+                )
             )
         )
 
@@ -208,8 +210,8 @@ def stored_window(window: Window, width_px: int, height_px: int, orientation: in
     x = width_px - window.x_px - window.width_px if left_right else window.x_px
     y = height_px - window.y_px - window.height_px if up_down else window.y_px
     if swap:
-        return Window(y, x, window.height_px, window.width_px)
-    return Window(x, y, window.width_px, window.height_px)
+        return Window(y, x, width_px=window.height_px, height_px=window.width_px)
+    return Window(x, y, width_px=window.width_px, height_px=window.height_px)
 
 
 def outer_sides(window: Window, width_px: int, height_px: int) -> tuple[bool, bool, bool, bool]:

@@ -43,7 +43,7 @@ def tile_grid(
     """
     step = round(tile_px * (1 - TILE_OVERLAP)) if stride_px is None else stride_px
     return [
-        Window(x, y, min(tile_px, width_px), min(tile_px, height_px))
+        Window(x, y, width_px=min(tile_px, width_px), height_px=min(tile_px, height_px))
         for y in _starts(height_px, tile_px, step)
         for x in _starts(width_px, tile_px, step)
     ]
@@ -73,7 +73,7 @@ def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[
             columns = min(step, window.width_px - left)
             x = (window.x_px + left) * factor
             y = (window.y_px + top) * factor
-            block = raster.read(Window(x, y, columns * factor, rows * factor))
+            block = raster.read(Window(x, y, width_px=columns * factor, height_px=rows * factor))
             reduced[top : top + rows, left : left + columns] = cv2.resize(
                 block, (columns, rows), interpolation=cv2.INTER_AREA
             )
@@ -101,7 +101,7 @@ def read_around(
     top, bottom = (round(np.clip(y + side * reach * length, 0, height)) for side in (-1, 1))
     left = min(left, width - 1)
     top = min(top, height - 1)
-    window = Window(left, top, max(1, right - left), max(1, bottom - top))
+    window = Window(left, top, width_px=max(1, right - left), height_px=max(1, bottom - top))
     pixels = read_reduced_window(raster, window, factor)
     return pixels, np.array([x - left, y - top, length, breadth, box[4]])
 

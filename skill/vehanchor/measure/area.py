@@ -66,7 +66,8 @@ def analyse_objects(
     """
     options.frame.check(raster.width_px, raster.height_px)
     prompts = [
-        prompt_in_image(each, options.frame, raster.width_px, raster.height_px) for each in prompts
+        prompt_in_image(each, options.frame, width_px=raster.width_px, height_px=raster.height_px)
+        for each in prompts
     ]
     # Masks first: they are faster than the search, and an invalid prompt fails early.
     masks = [segmenter.segment(raster, prompt, limits=options.reading.limits) for prompt in prompts]
@@ -106,7 +107,9 @@ def _conclude(
         area_m2 = n_px * measured**2
         diameter_m = circle.diameter * measured
         area_sd = card.area_log_sd(prompt, found)
-        diameter_sd = _diameter_log_sd(area_sd, n_px, outline_px, circle.diameter)
+        diameter_sd = _diameter_log_sd(
+            area_sd, n_px, perimeter_px=outline_px, diameter_px=circle.diameter
+        )
         area = _Size(area_m2, *scale.spread.times(2).plus(area_sd).around(area_m2))
         diameter = _Size(diameter_m, *scale.spread.plus(diameter_sd).around(diameter_m))
     box = _box(found)
@@ -132,10 +135,13 @@ def _conclude(
         bounding_box=box,
         alternatives=tuple(_other_object(each, scale) for each in found.alternatives),
         outline=_outline(mask, left, top),
-        frame=_frame(options.frame, raster, scale.gsd_m_per_px, box),
+        frame=_frame(options.frame, raster, gsd=scale.gsd_m_per_px, box=box),
         segmenter=card.name,
         segmenter_sha256=card.sha256,
-        warnings=(*scale.notices, *mask_notices(raster, found, prompt, card, width_px)),
+        warnings=(
+            *scale.notices,
+            *mask_notices(raster, found, prompt=prompt, card=card, width_px=width_px),
+        ),
         **scale.fields(raster.width_px, raster.height_px),
     )
 

@@ -191,7 +191,12 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         gsd = stated.gsd_m_per_px
         name = "the stated scale is"
         spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
-        return _given(raster, options, MeasurementScale(gsd, spread, found.chance, "given"), name)
+        return _given(
+            raster,
+            options,
+            MeasurementScale(gsd, spread, confidence=found.chance, source="given"),
+            name,
+        )
     if callable(scale):
         analysis = scale(raster, options)
         record = analysis.estimate
@@ -200,16 +205,19 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         return MeasurementScale(
             record.gsd_m_per_px,
             _spread(record),
-            record.confidence,
-            "estimated",
-            analysis,
-            notices,
-            plane,
-            record.scale,
+            confidence=record.confidence,
+            source="estimated",
+            analysis=analysis,
+            notices=notices,
+            plane=plane,
+            known=record.scale,
         )
     if not isinstance(scale, KnownScale):
         return _given(
-            raster, options, MeasurementScale(scale, Spread(), None, "given"), "the given scale is"
+            raster,
+            options,
+            MeasurementScale(scale, Spread(), confidence=None, source="given"),
+            "the given scale is",
         )
     seen = image_id(raster)
     if seen != scale.image_id:
@@ -221,8 +229,8 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
     reused = MeasurementScale(
         scale.gsd_m_per_px,
         _spread(scale),
-        scale.confidence,
-        "reused",
+        confidence=scale.confidence,
+        source="reused",
         plane=_plane(raster, scale),
         known=scale,
     )
@@ -268,7 +276,9 @@ def _plane(raster: Raster, scale: KnownScale | None) -> GroundPlane | None:
     """Make the ground plane of an estimate; None for an image taken at nadir, or without a scale."""
     if scale is None or scale.plane is None:
         return None
-    plane = ground_plane(scale.plane, raster.width_px, raster.height_px, scale.gsd_m_per_px)
+    plane = ground_plane(
+        scale.plane, raster.width_px, height_px=raster.height_px, gsd_m_per_px=scale.gsd_m_per_px
+    )
     plane.check()
     return plane
 

@@ -119,7 +119,9 @@ def read_targets(path: str | os.PathLike[str]) -> dict[str, tuple[Target, ...]]:
     Raises:
         PromptError: the table cannot be read, or a row is invalid; the message names the row.
     """
-    return read_image_table(path, "targets", _NEEDED, _target, PromptError, optional=_OPTIONAL)
+    return read_image_table(
+        path, "targets", needed=_NEEDED, read_row=_target, error=PromptError, optional=_OPTIONAL
+    )
 
 
 def measure_targets(
@@ -177,12 +179,16 @@ def _measure(
     found: AreaAnalysis | DistanceAnalysis
     try:
         if target.kind == "line":
-            (found,) = analyse_paths(raster, [read_path([given[:2], given[2:]])], scale, options)
+            (found,) = analyse_paths(
+                raster, [read_path([given[:2], given[2:]])], scale=scale, options=options
+            )
         else:
             prompt = (
                 read_prompt(given, None) if target.kind == "box" else read_prompt(None, [given])
             )
-            (found,) = analyse_objects(raster, [prompt], segmenter, scale, options)
+            (found,) = analyse_objects(
+                raster, [prompt], segmenter=segmenter, scale=scale, options=options
+            )
     except PromptError as error:
         return TargetRow(target, error=error)
     return TargetRow(target, found.measurement, raster.ground)

@@ -194,5 +194,7 @@ def declared_options() -> dict[str, DeclaredOption]:
             )
             given = [kind for kind in typing.get_args(kinds[name]) if kind is not type(None)]
             kind = given[0] if type(None) in typing.get_args(kinds[name]) else kinds[name]
-            found[name] = DeclaredOption(name, group, option, annotations[name], kind, default)
+            found[name] = DeclaredOption(
+                name, group, option=option, annotation=annotations[name], kind=kind, default=default
+            )
     return found

@@ -62,9 +62,9 @@ def _draw_lines(rgb: NDArray[np.uint8], part: Window, step: int) -> None:
         _lighten(rgb[at : at + 1])
     capital = min(_MAX_TEXT_PX, max(_MIN_TEXT_PX, max(width, height) // _TEXT_SHARE))
     for x, at in columns:
-        write_on(rgb, f"{x}", (at + 3, capital + 3), capital)
+        write_on(rgb, f"{x}", at=(at + 3, capital + 3), capital_px=capital)
     for y, at in rows:
-        write_on(rgb, f"{y}", (3, at - 3), capital)
+        write_on(rgb, f"{y}", at=(3, at - 3), capital_px=capital)
 
 
 def _round_step(pixels: float) -> int:

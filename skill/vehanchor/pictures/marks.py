@@ -92,4 +92,4 @@ def _write_label(picture: NDArray[np.uint8], label: str, middle: NDArray[np.floa
     capital = max(9, round(_LETTERS * text_px(width)))
     left = int(np.clip(middle[0] + capital // 2, 2, max(2, width - text_width(label, capital) - 4)))
     baseline = int(np.clip(middle[1] - capital // 2, capital + 4, max(capital + 4, height - 4)))
-    write_on(picture, label, (left, baseline), capital)
+    write_on(picture, label, at=(left, baseline), capital_px=capital)

@@ -48,12 +48,12 @@ def draw_area(
     Returns:
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
-    canvas = open_canvas(image, analyses[0].measurement, analyses[0].scale, cut)
+    canvas = open_canvas(image, analyses[0].measurement, scale=analyses[0].scale, cut=cut)
     for analysis in analyses:
         _draw_mask(canvas.picture, analysis, canvas.place)
         _draw_prompt(canvas.picture, analysis, canvas.place)
     for label, analysis in zip(_numbered([""] * len(analyses)), analyses, strict=True):
-        _write_number(canvas.picture, label, analysis, canvas.place)
+        _write_number(canvas.picture, label, analysis=analysis, place=canvas.place)
     return _finished(
         canvas, analyses[0], [_area_text(analysis.measurement) for analysis in analyses]
     )
@@ -86,11 +86,11 @@ def draw_distance(
     A usable length is also written beside the middle of its line. Several lines are numbered.
     Arguments and result are those of ``draw_area``.
     """
-    canvas = open_canvas(image, analyses[0].measurement, analyses[0].scale, cut)
+    canvas = open_canvas(image, analyses[0].measurement, scale=analyses[0].scale, cut=cut)
     records = [analysis.measurement for analysis in analyses]
     labels = _numbered([_label(record) for record in records])
     lines = [Mark(_ends(record), label) for record, label in zip(records, labels, strict=True)]
-    draw_marks(canvas.picture, lines, canvas.place, MEASURED_RGB)
+    draw_marks(canvas.picture, lines, place=canvas.place, colour=MEASURED_RGB)
     return _finished(canvas, analyses[0], [_distance_text(record) for record in records])
 
 
@@ -156,8 +156,8 @@ def _write_number(
         write_on(
             picture,
             number,
-            (round(x) - text_width(number, capital) // 2, round(y) + capital // 2),
-            capital,
+            at=(round(x) - text_width(number, capital) // 2, round(y) + capital // 2),
+            capital_px=capital,
         )
 
 
@@ -167,7 +167,7 @@ def _area_text(record: AreaMeasurement) -> str:
     low = record.area_ci95_low_m2
     high = record.area_ci95_high_m2
     mask = f"{record.mask_area_px} px"
-    size = with_interval(record.area_m2, low, high, "m2", f"{mask}; {NO_SCALE}")
+    size = with_interval(record.area_m2, low, high=high, unit="m2", missing=f"{mask}; {NO_SCALE}")
     pixels = "" if record.area_m2 is None else f"{mask}, "
     low_score = any(notice.code == NoticeCode.MASK_SCORE_LOW for notice in record.warnings)
     return f"{size}; mask {pixels}score {record.mask_score:.2f}{' - low' if low_score else ''}"
@@ -186,7 +186,11 @@ def _distance_text(record: DistanceMeasurement) -> str:
     low = record.distance_ci95_low_m
     high = record.distance_ci95_high_m
     return with_interval(
-        record.distance_m, low, high, "m", f"{record.length_px:.0f} px; {NO_SCALE}"
+        record.distance_m,
+        low,
+        high=high,
+        unit="m",
+        missing=f"{record.length_px:.0f} px; {NO_SCALE}",
     )
 
 

@@ -102,4 +102,4 @@ def part_around(points: NDArray[np.float64], width_px: int, height_px: int) -> W
     size = np.array([width_px, height_px])
     left, top = np.clip(np.floor(low - margin), 0, size - 1).astype(int).tolist()
     right, bottom = np.clip(np.ceil(high + margin), 1, size).astype(int).tolist()
-    return Window(left, top, max(1, right - left), max(1, bottom - top))
+    return Window(left, top, width_px=max(1, right - left), height_px=max(1, bottom - top))

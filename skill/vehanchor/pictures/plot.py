@@ -115,7 +115,7 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
         )
         ends += [low, high]
     axes.set_xlim(0.95 * min(ends), 1.05 * max(ends))
-    _draw_lengths(axes, analysis, 1.05 * max(ends), vehicles.aggregation)
+    _draw_lengths(axes, analysis, right_px=1.05 * max(ends), aggregation=vehicles.aggregation)
     rule = (
         f"$P_{{mode}}$ {mode:.1f} px ({_RULES[vehicles.aggregation]}) = "
         f"{significant(reference_m)} m"
@@ -178,7 +178,9 @@ def _draw_lengths(
     if len(kept) < MIN_KDE_VEHICLES:
         return
     at = np.linspace(*axes.get_xlim(), 800)
-    density = modal_density(at, kept, analysis.detections.scores[analysis.kept], aggregation)
+    density = modal_density(
+        at, kept, scores=analysis.detections.scores[analysis.kept], aggregation=aggregation
+    )
     if density.any():
         curve = np.where(
             density > 1e-3 * density.max(), density * len(kept) * (edges[1] - edges[0]), np.nan

@@ -70,7 +70,7 @@ def draw_overlay(
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
     estimate = analysis.estimate
-    canvas = open_canvas(image, estimate, analysis, cut)
+    canvas = open_canvas(image, estimate, scale=analysis, cut=cut)
     bar = estimate.gsd_m_per_px if estimate.status == "ok" and estimate.tilt is None else None
     return canvas.finished(bar, _caption_lines(analysis))
 
@@ -117,7 +117,7 @@ def open_canvas(
         cut: the part to show; None for all of the image.
     """
     picture = fit_for_eyes(image) if cut is None else cut.sized(image)
-    whole = Window(0, 0, record.image_width_px, record.image_height_px)
+    whole = Window(0, 0, width_px=record.image_width_px, height_px=record.image_height_px)
     place = Placement.of(picture, whole if cut is None else cut.part)
     if scale is not None:
         draw_vehicles(picture, scale, place)
@@ -128,7 +128,7 @@ def open_canvas(
 def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Copy an image at display size: small ones are enlarged, large ones reduced."""
     height, width = image.shape[:2]
-    whole = Cut(Window(0, 0, width, height), MAX_SIDE_PX)
+    whole = Cut(Window(0, 0, width_px=width, height_px=height), MAX_SIDE_PX)
     return whole.sized(image, max(1.0, MIN_WIDTH_PX / width), cv2.INTER_CUBIC)
 
 
@@ -142,7 +142,7 @@ def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8
     Returns:
         ``[h, w, 3]`` RGB, all of the part.
     """
-    part = part or Window(0, 0, raster.width_px, raster.height_px)
+    part = part or Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
     step = max(1, math.ceil(max(part.width_px, part.height_px) / (2 * MAX_SIDE_PX)))
     if step == 1:
         return raster.read(part)
@@ -152,7 +152,9 @@ def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8
     for top in range(0, height, _ROWS_PER_READ // step + 1):
         bottom = min(height, top + _ROWS_PER_READ // step + 1)
         first, last = (round(row * part.height_px / height) for row in (top, bottom))
-        strip = raster.read(Window(part.x_px, part.y_px + first, part.width_px, last - first))
+        strip = raster.read(
+            Window(part.x_px, part.y_px + first, width_px=part.width_px, height_px=last - first)
+        )
         reduced[top:bottom] = cv2.resize(strip, (width, bottom - top), interpolation=cv2.INTER_AREA)
     return reduced
 
@@ -242,7 +244,7 @@ def _write_numbers(picture: NDArray[np.uint8], detections: Detections, place: Pl
         ]
         if covered.size and not covered.any():
             covered[:] = True
-            write_on(picture, text, (left, baseline), capital)
+            write_on(picture, text, at=(left, baseline), capital_px=capital)
 
 
 def _round_length(metres: float) -> float:
@@ -273,7 +275,9 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
             colour,
             cv2.FILLED,
         )
-    write_on(picture, f"{metres:g} m", (left, bottom - thick - rim - capital // 2), capital)
+    write_on(
+        picture, f"{metres:g} m", at=(left, bottom - thick - rim - capital // 2), capital_px=capital
+    )
 
 
 def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:

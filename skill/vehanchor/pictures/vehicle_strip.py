@@ -46,7 +46,7 @@ def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -
         top = i // columns * _CHIP_PX
         left = i % columns * _CHIP_PX
         chip = _draw_vehicle(raster, box, KEPT_RGB if kept else DROPPED_RGB)
-        write_on(chip, str(number), (4, _CAPITAL_PX + 4), _CAPITAL_PX)
+        write_on(chip, str(number), at=(4, _CAPITAL_PX + 4), capital_px=_CAPITAL_PX)
         strip[top : top + chip.shape[0], left : left + chip.shape[1]] = chip
     return strip[:, :width_px]
 
@@ -60,7 +60,10 @@ def _draw_vehicle(
     left = max(0, x - reach)
     top = max(0, y - reach)
     part = Window(
-        left, top, min(raster.width_px, x + reach) - left, min(raster.height_px, y + reach) - top
+        left,
+        top,
+        width_px=min(raster.width_px, x + reach) - left,
+        height_px=min(raster.height_px, y + reach) - top,
     )
     chip = Cut(part, _CHIP_PX).sized(raster.read(part))
     corners = Placement.of(chip, part).pixels(box_corners(box[None]))

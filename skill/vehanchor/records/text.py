@@ -47,7 +47,11 @@ def count(number: int, noun: str) -> str:
 def scale_text(of: GsdEstimate | FrameScale) -> str:
     """Format the scale with its interval, or say that there is none."""
     return with_interval(
-        of.gsd_m_per_px, of.gsd_ci95_low_m_per_px, of.gsd_ci95_high_m_per_px, "m/px", NO_SCALE
+        of.gsd_m_per_px,
+        of.gsd_ci95_low_m_per_px,
+        high=of.gsd_ci95_high_m_per_px,
+        unit="m/px",
+        missing=NO_SCALE,
     )
 
 

@@ -123,7 +123,13 @@ class Camera(Ruler):
         chance_wrong = RELIABILITY[condition].chance_wrong
         errors = [Shared(LENS, seen.log_sd)]
         return point_witness(
-            self.kind, gsd, log_sd, chance_wrong, said, shared=errors, notices=notices
+            self.kind,
+            gsd,
+            log_sd=log_sd,
+            chance_wrong=chance_wrong,
+            said=said,
+            shared=errors,
+            notices=notices,
         )
 
     def _unusable(self, *why: str) -> Witness:

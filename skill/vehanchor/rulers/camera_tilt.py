@@ -72,7 +72,9 @@ class CameraTilt(NamedTuple):
 
     def plane(self, image: ImageFacts, gsd_m_per_px: float = 1.0) -> GroundPlane:
         """Ground plane of an image, with a scale at its centre."""
-        return ground_plane(self, image.width_px, image.height_px, gsd_m_per_px)
+        return ground_plane(
+            self, image.width_px, height_px=image.height_px, gsd_m_per_px=gsd_m_per_px
+        )
 
     def record(self, image: ImageFacts, gsd_m_per_px: float | None) -> TiltEstimate:
         """Tilt as records show it, with the range of scales if the scale at the centre is known."""
@@ -113,7 +115,9 @@ def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None
         return None
     focal_px, known = focal_length(image, options)
     source = "metadata" if known else "metadata; focal length unknown"
-    found = CameraTilt(camera.off_nadir_deg, camera.roll_deg or 0.0, focal_px, source)
+    found = CameraTilt(
+        camera.off_nadir_deg, camera.roll_deg or 0.0, focal_length_px=focal_px, source=source
+    )
     try:
         found.plane(image).check()
     except TooObliqueError as error:
@@ -152,7 +156,7 @@ def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | No
     least = largest = None
     if gsd_m_per_px is not None:
         least, largest = ground_plane(
-            tilt, record.image_width_px, record.image_height_px, gsd_m_per_px
+            tilt, record.image_width_px, height_px=record.image_height_px, gsd_m_per_px=gsd_m_per_px
         ).gsd_range
     return tilt.model_copy(update={"gsd_least_m_per_px": least, "gsd_largest_m_per_px": largest})
 
@@ -162,7 +166,12 @@ def ground_plane(
 ) -> GroundPlane:
     """Ground plane of an image of this size, with a scale at its centre."""
     return GroundPlane(
-        gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, width_px, height_px, tilt.roll_deg
+        gsd_m_per_px,
+        tilt.tilt_deg,
+        focal_px=tilt.focal_length_px,
+        width_px=width_px,
+        height_px=height_px,
+        roll_deg=tilt.roll_deg,
     )
 
 
@@ -234,7 +243,10 @@ def tilt_notice(
         )
         return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
     tilt_deg = suspected_tilt(
-        detections, image.width_px, image.height_px, focal_length(image, options)[0]
+        detections,
+        image.width_px,
+        height_px=image.height_px,
+        focal_px=focal_length(image, options)[0],
     )
     if tilt_deg is None:
         return ()

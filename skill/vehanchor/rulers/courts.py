@@ -67,9 +67,9 @@ def witness_of(courts: Sequence[Court]) -> Witness | None:
     return point_witness(
         Courts.kind,
         math.exp(mean),
-        log_sd,
-        reliability.chance_wrong,
-        f"{_named(kept)} {{}}.",
+        log_sd=log_sd,
+        chance_wrong=reliability.chance_wrong,
+        said=f"{_named(kept)} {{}}.",
         n=len(kept),
         marks=[mark for court in kept for mark in _marks(court)],
     )

@@ -68,9 +68,9 @@ class GivenHeight(Ruler):
         found = point_witness(
             self.kind,
             gsd,
-            math.hypot(log_sd, tilt_log_sd),
-            reliability.chance_wrong,
-            said,
+            log_sd=math.hypot(log_sd, tilt_log_sd),
+            chance_wrong=reliability.chance_wrong,
+            said=said,
             shared=[Shared(LENS, seen.log_sd)],
             marks=[mark_of_height(image, chosen.height_m)],
         )

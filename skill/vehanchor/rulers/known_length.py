@@ -125,7 +125,10 @@ def _drawn(line: KnownLength, view: View) -> _Drawn:
     ends = (line.x1 * across, line.y1 * down), (line.x2 * across, line.y2 * down)
     length_px, tilt_log_sd = _length_at_centre(*ends, view.plane)
     return _Drawn(
-        line, ends, length_px, math.hypot(math.sqrt(2) * _END_SD_PX / line.length_px, tilt_log_sd)
+        line,
+        ends,
+        length_px=length_px,
+        log_sd=math.hypot(math.sqrt(2) * _END_SD_PX / line.length_px, tilt_log_sd),
     )
 
 
@@ -157,7 +160,7 @@ def _witness(drawn: Sequence[_Drawn], region: str | None) -> Witness:
 
 
 def _of_density(right: NDArray[np.float64], chance_wrong: float) -> Witness:
-    return Witness(KnownLengths.kind, quantile(right, 0.5), right, chance_wrong)
+    return Witness(KnownLengths.kind, quantile(right, 0.5), right=right, chance_wrong=chance_wrong)
 
 
 def _mean_length(drawn: Sequence[_Drawn]) -> tuple[float, float]:

@@ -48,7 +48,9 @@ def lines_in(
     """
     if path is None:
         return {}
-    lines = read_image_table(path, "known lengths", _COLUMNS, _line, KnownLengthError)
+    lines = read_image_table(
+        path, "known lengths", needed=_COLUMNS, read_row=_line, error=KnownLengthError
+    )
     strangers = sorted(set(lines) - {where_it_is(image) for image in images})
     if strangers:
         others = len(strangers) - 1

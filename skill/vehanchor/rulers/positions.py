@@ -123,4 +123,11 @@ def baseline(
     reliability = RELIABILITY[Positions.kind]
     log_sd = math.hypot(max(stated_sd, seen_sd), reliability.log_sd)
     said = f"The positions of {n_known} overlapping photographs give {{}}."
-    return point_witness(Positions.kind, gsd, log_sd, reliability.chance_wrong, said, n=n_known)
+    return point_witness(
+        Positions.kind,
+        gsd,
+        log_sd=log_sd,
+        chance_wrong=reliability.chance_wrong,
+        said=said,
+        n=n_known,
+    )

@@ -93,7 +93,11 @@ def _by_appearance(
     log_length = float(appearance.log_lengths.mean())
     if region is None:
         return ReferenceLength(
-            math.exp(log_length), "appearance", APPEARANCE_LOG_SD, APPEARANCE_LOG_MEAN, 0.0
+            math.exp(log_length),
+            "appearance",
+            log_sd=APPEARANCE_LOG_SD,
+            log_mean=APPEARANCE_LOG_MEAN,
+            by_appearance=0.0,
         )
     usual = math.log(bodies.reference_length_m)
     fleet = (len(appearance) * log_length + _USUAL_CARS * usual) / (len(appearance) + _USUAL_CARS)
@@ -102,7 +106,13 @@ def _by_appearance(
     moved = share * (math.log(_region_length(region, bodies.region_lengths_m)) - fleet)
     log_sd = math.sqrt(1 - share) * APPEARANCE_LOG_SD
     log_mean = (1 - share) * APPEARANCE_LOG_MEAN
-    return ReferenceLength(math.exp(log_length + moved), "region", log_sd, log_mean, moved)
+    return ReferenceLength(
+        math.exp(log_length + moved),
+        "region",
+        log_sd=log_sd,
+        log_mean=log_mean,
+        by_appearance=moved,
+    )
 
 
 def _region_length(name: str, known: Mapping[str, float]) -> float:

@@ -168,8 +168,8 @@ def point_witness(
     witness = Witness(
         kind,
         gsd_m_per_px,
-        lognormal(gsd_m_per_px, log_sd),
-        chance_wrong,
+        right=lognormal(gsd_m_per_px, log_sd),
+        chance_wrong=chance_wrong,
         shared=tuple(shared),
         n=n,
         notices=tuple(notices),
@@ -199,7 +199,12 @@ def prior_witness(kind: str, density: NDArray[np.float64], power: float, n: int)
     chance_wrong = float(weighed.min() / flat()[0])
     right = normalised(np.maximum(weighed - weighed.min(), 0.0)) if chance_wrong < 1.0 else flat()
     return Witness(
-        kind, quantile(density, 0.5), right, min(chance_wrong, 1.0), sets_scale=False, n=n
+        kind,
+        quantile(density, 0.5),
+        right=right,
+        chance_wrong=min(chance_wrong, 1.0),
+        sets_scale=False,
+        n=n,
     )
 
 

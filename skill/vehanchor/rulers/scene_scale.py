@@ -27,4 +27,4 @@ class SceneScale(Ruler):
         """Weigh the prior's density; None without a prior or in a tilted view."""
         if view.prior is None or view.plane is not None:
             return None
-        return prior_witness(self.kind, view.prior.density, PRIOR_POWER, view.prior.n_tiles)
+        return prior_witness(self.kind, view.prior.density, power=PRIOR_POWER, n=view.prior.n_tiles)

@@ -37,5 +37,7 @@ def stated_witness(stated: Stated) -> Witness:
     log_sd = stated.tolerance / stated.gsd_m_per_px / Z95
     chance_wrong = RELIABILITY[stated.basis].chance_wrong
     said = f"The stated scale, {stated.basis}, is {{}}."
-    found = point_witness(StatedScale.kind, stated.gsd_m_per_px, log_sd, chance_wrong, said)
+    found = point_witness(
+        StatedScale.kind, stated.gsd_m_per_px, log_sd=log_sd, chance_wrong=chance_wrong, said=said
+    )
     return assumed(found) if stated.basis == "assumed" else found

@@ -181,8 +181,8 @@ class VehicleWitness(Witness):
         return paper_scale(
             self.fleet.lengths,
             self.fleet.scores,
-            (self.mode_length_px, self.aggregation),
-            (self.reference.length_m, self.reference.log_sd * self.reference.length_m),
+            mode=(self.mode_length_px, self.aggregation),
+            reference_m=(self.reference.length_m, self.reference.log_sd * self.reference.length_m),
             reduction=self.fleet.main_reduction or 1.0,
             guard_length_px=self.guard_length_px,
             length_range_px=(max(self.card.min_length_px, shortest_px), longest_px),
@@ -219,7 +219,10 @@ class VehicleWitness(Witness):
         likelihood = self._likelihood(scores, model)
         clear = self._likelihood(np.where(self.fleet.kept, _CLEAR_SCORE, scores), model)
         another = vehicle_likelihood(
-            [np.median(self.fleet.lengths)], [_CLEAR_SCORE], self.reference.length_m, model
+            [np.median(self.fleet.lengths)],
+            [_CLEAR_SCORE],
+            lengths_m=self.reference.length_m,
+            votes=model,
         )
         without: list[tuple[Reason, VehicleWitness, NDArray[np.float64]]] = [
             ("too_coarse", replace(self, detail_share=math.inf), likelihood),
@@ -237,7 +240,15 @@ class VehicleWitness(Witness):
             right=self._widened(likelihood),
             chance_wrong=self._chance_wrong,
             lacks=tuple(
-                Lack(reason, Witness(self.kind, None, each._widened(density), each._chance_wrong))
+                Lack(
+                    reason,
+                    Witness(
+                        self.kind,
+                        None,
+                        right=each._widened(density),
+                        chance_wrong=each._chance_wrong,
+                    ),
+                )
                 for reason, each, density in without
             ),
         )
@@ -258,7 +269,11 @@ class VehicleWitness(Witness):
             log_sds = np.hypot(log_sds, found.corrections.pointed_log_sds)
         voting = self.fleet.kept if self.only_kept else slice(None)
         return vehicle_likelihood(
-            found.boxes[voting, 2], scores[voting], lengths_m[voting], votes, log_sds[voting]
+            found.boxes[voting, 2],
+            scores[voting],
+            lengths_m=lengths_m[voting],
+            votes=votes,
+            log_sds=log_sds[voting],
         )
 
     def _widened(self, likelihood: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -159,10 +159,10 @@ def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
     """
     metres, weights, smoothing = weighted_lengths_m(images)
     mode = kde_mode(metres, weights, smoothing=smoothing)
-    modes = resampled_modes(metres, weights, smoothing, _blocks(images))
+    modes = resampled_modes(metres, weights, smoothing=smoothing, block=_blocks(images))
     low, high = np.percentile(modes, [2.5, 97.5])
     spread = float(np.sqrt(np.mean(np.log(modes / mode) ** 2))) * mode
-    return ModalLength(mode, min(float(low), mode), max(float(high), mode), spread)
+    return ModalLength(mode, min(float(low), mode), high_m=max(float(high), mode), sd_m=spread)
 
 
 def weighted_lengths_m(

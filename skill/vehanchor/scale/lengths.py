@@ -183,7 +183,7 @@ def kde_density(
     bandwidth = smoothing * scott_bandwidth(values, share)
     if bandwidth == 0.0:
         return np.zeros(len(points))
-    return _mixture(points, values, share, bandwidth)
+    return _mixture(points, values, share=share, bandwidth=bandwidth)
 
 
 def _mixture(
@@ -227,7 +227,7 @@ def kde_mode(
     if high - low <= 1e-9 * high or bandwidth <= 1e-9 * high:
         return float(np.sum(share * values))
     points = np.linspace(low, high, int(np.ceil((high - low) / (_GRID_STEP * bandwidth))) + 2)
-    density = _mixture(points, values, share, bandwidth)
+    density = _mixture(points, values, share=share, bandwidth=bandwidth)
     padded = np.pad(density, 1, constant_values=-np.inf)
     peaks = (
         (density >= padded[:-2])
@@ -235,9 +235,12 @@ def kde_mode(
         & (density >= _MAY_BE_HIGHEST * density.max())
     )
     modes = np.array(
-        [_peak(points, int(top), values, share, bandwidth) for top in np.flatnonzero(peaks)]
+        [
+            _peak(points, int(top), values=values, share=share, bandwidth=bandwidth)
+            for top in np.flatnonzero(peaks)
+        ]
     )
-    return float(modes[np.argmax(_mixture(modes, values, share, bandwidth))])
+    return float(modes[np.argmax(_mixture(modes, values, share=share, bandwidth=bandwidth))])
 
 
 def _peak(
@@ -256,7 +259,7 @@ def _peak(
     golden = (np.sqrt(5) - 1) / 2
     while right - left > 1e-5:
         inner = np.array([right - golden * (right - left), left + golden * (right - left)])
-        first, second = _mixture(inner, local, local_share, bandwidth)
+        first, second = _mixture(inner, local, share=local_share, bandwidth=bandwidth)
         left, right = (left, inner[1]) if first >= second else (inner[0], right)
     return float((left + right) / 2)
 

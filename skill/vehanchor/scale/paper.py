@@ -96,21 +96,23 @@ def paper_scale(
     """
     mode_px, aggregation = mode
     if mode_px is None:
-        return PaperScale(None, None, 0.0, Terms(), guarded=False)
+        return PaperScale(None, None, confidence=0.0, terms=Terms(), guarded=False)
     length_m = reference_m[0]
     log_sd = reference_m[1] / reference_m[0]
     gsd = length_m / mode_px
     (resampling, fleet) = statistical_log_sds(lengths, scores, mode_px, aggregation)
     # of a lognormal 95 % interval
     reach = float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + log_sd**2)))
-    terms = confidence_terms(lengths, scores, mode_px * reduction, length_range_px)
+    terms = confidence_terms(
+        lengths, scores, mode_px=mode_px * reduction, length_range_px=length_range_px
+    )
     guarded = mode_px * reduction < guard_length_px
     return PaperScale(
         gsd,
         Interval(gsd / reach, gsd * reach),
-        composite(terms, guarded=guarded),
-        terms,
-        guarded,
+        confidence=composite(terms, guarded=guarded),
+        terms=terms,
+        guarded=guarded,
     )
 
 

@@ -74,27 +74,29 @@ _EXACT = 0.01
 """Standard deviations of the logs of scales by a guess, and of those by tape, plan, survey or rule. Choices."""
 
 RELIABILITY: dict[str, Reliability] = {
-    "vehicles": Reliability(CAR_LOG_SD, 0.01, 1191, _PLACES),
+    "vehicles": Reliability(CAR_LOG_SD, 0.01, n=1191, source=_PLACES),
     "vehicles, too coarse": Reliability(
-        0.5, 0.33, 136, "per log of coarseness; 70 photographs at 0.3 to 0.6 m/px"
+        0.5, 0.33, n=136, source="per log of coarseness; 70 photographs at 0.3 to 0.6 m/px"
     ),
     "courts": Reliability(
-        _EXACT, 0.08, 8, "1 of 8 finds in 1,006 random photographs is false; 30 known ones"
+        _EXACT, 0.08, n=8, source="1 of 8 finds in 1,006 random photographs is false; 30 known ones"
     ),
     "camera": Reliability(
         0.12,
         _NOT_MEASURED,
-        0,
-        "height above take-off, 10 to 15 % between the ground there and below; a choice",
+        n=0,
+        source="height above take-off, 10 to 15 % between the ground there and below; a choice",
     ),
-    "camera, tilt unknown": Reliability(_ROUGH, 0.25, 0, "a choice"),
+    "camera, tilt unknown": Reliability(_ROUGH, 0.25, n=0, source="a choice"),
     "positions": Reliability(
-        0.02, _NOT_MEASURED, 0, "a choice; 31 pairs of photographs agree within 2 %"
+        0.02, _NOT_MEASURED, n=0, source="a choice; 31 pairs of photographs agree within 2 %"
     ),
-    "measured": Reliability(_EXACT, _NOT_MEASURED, 0, "a length by tape, plan or survey; a choice"),
-    "measured height": Reliability(0.05, _NOT_MEASURED, 0, "a choice"),
+    "measured": Reliability(
+        _EXACT, _NOT_MEASURED, n=0, source="a length by tape, plan or survey; a choice"
+    ),
+    "measured height": Reliability(0.05, _NOT_MEASURED, n=0, source="a choice"),
     "assumed": Reliability(
-        _ROUGH, _NOT_MEASURED, 0, "a length or height that the caller assumes; a choice"
+        _ROUGH, _NOT_MEASURED, n=0, source="a length or height that the caller assumes; a choice"
     ),
 }
 """By ruler, and by its condition."""

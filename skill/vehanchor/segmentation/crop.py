@@ -53,8 +53,8 @@ def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_
     return Window(
         min(max(left, 0), image_width_px - width),
         min(max(top, 0), image_height_px - height),
-        width,
-        height,
+        width_px=width,
+        height_px=height,
     )
 
 
@@ -73,7 +73,9 @@ def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArr
     narrow = np.empty((window.height_px, width, 3), np.uint8)
     for top in range(0, window.height_px, _ROWS_PER_STRIP):
         rows = min(_ROWS_PER_STRIP, window.height_px - top)
-        strip = raster.read(Window(window.x_px, window.y_px + top, window.width_px, rows))
+        strip = raster.read(
+            Window(window.x_px, window.y_px + top, width_px=window.width_px, height_px=rows)
+        )
         narrow[top : top + rows] = _resized(strip, width, rows)
     return _resized(narrow, width, height)
 

@@ -71,7 +71,7 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
         found = "neither is given" if box is None else "both are given"
         raise PromptError(f"give a box or points, one of the two: {found}")
     if box is not None:
-        x1, y1, x2, y2 = read_numbers(_as_box(box), (4,), "box", "x1, y1, x2, y2")
+        x1, y1, x2, y2 = read_numbers(_as_box(box), (4,), name="box", wanted="x1, y1, x2, y2")
         if x2 <= x1 or y2 <= y1:
             raise PromptError(
                 f"box is {_numbers((x1, y1, x2, y2))}: x1 < x2 and y1 < y2 are needed, it is "
@@ -81,7 +81,7 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
     read = []
     for each in given:
         x, y, *include = read_numbers(
-            each, (2, 3), "a point", "x, y and whether it is on the object"
+            each, (2, 3), name="a point", wanted="x, y and whether it is on the object"
         )
         read.append((x, y, all(include)))
     if not any(include for _, _, include in read):

@@ -195,7 +195,7 @@ class Segmenter(LoadedModel):
         """
         if prompt.box is None:
             return self._segment_points(raster, prompt, limits)
-        return self._segment_crop(raster, prompt, crop_side(prompt), limits)
+        return self._segment_crop(raster, prompt, side_px=crop_side(prompt), limits=limits)
 
     def _segment_points(self, raster: Raster, prompt: Prompt, limits: ImageLimits) -> Segmentation:
         """Choose among the masks of several crops, and refine the chosen one by its bounding box and the points."""
@@ -210,7 +210,7 @@ class Segmenter(LoadedModel):
         if box is None or min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
             return chosen
         boxed = Prompt(box, prompt.points)
-        refined = self._segment_crop(raster, boxed, crop_side(boxed), limits)
+        refined = self._segment_crop(raster, boxed, side_px=crop_side(boxed), limits=limits)
         best = refined if refined.mask.any() else chosen
         return replace(
             chosen, mask=best.mask, window=best.window, score=min(chosen.score, best.score)
@@ -221,10 +221,12 @@ class Segmenter(LoadedModel):
         found: list[Segmentation] = []
         side = crop_side(prompt)
         while True:
-            window = crop_window(prompt, raster.width_px, raster.height_px, side)
+            window = crop_window(
+                prompt, raster.width_px, image_height_px=raster.height_px, side_px=side
+            )
             if found and (side > MAX_POINT_CROP_PX or not _allowed(window, limits)):
                 return found
-            mask = self._segment_crop(raster, prompt, side, limits)
+            mask = self._segment_crop(raster, prompt, side_px=side, limits=limits)
             if not _runs_into_inner_side(mask, raster):
                 found.append(mask)
             if (window.width_px, window.height_px) == (raster.width_px, raster.height_px):
@@ -234,7 +236,9 @@ class Segmenter(LoadedModel):
     def _segment_crop(
         self, raster: Raster, prompt: Prompt, side_px: int, limits: ImageLimits
     ) -> Segmentation:
-        window = crop_window(prompt, raster.width_px, raster.height_px, side_px)
+        window = crop_window(
+            prompt, raster.width_px, image_height_px=raster.height_px, side_px=side_px
+        )
         if not _allowed(window, limits):
             raise ImageTooLargeError(
                 f"the object's surroundings are {window.width_px} x {window.height_px} px, the "

@@ -74,8 +74,8 @@ def area(request: AreaRequest, chosen: ParsedOptions) -> None:
         run = measure_areas(
             data,
             checked_detector(engine.detector, engine.options),
-            engine.segmenter,
-            engine.options,
+            segmenter=engine.segmenter,
+            options=engine.options,
             logs=request.out,
             classes=chosen.classes,
             limit=request.limit,
@@ -83,5 +83,5 @@ def area(request: AreaRequest, chosen: ParsedOptions) -> None:
             progress=lambda what: partial(tell, name=what),
         )
     print_issues(run.issues)
-    write_area_report(request.out, "area", run.report, run.trials, run.issues)
+    write_area_report(request.out, "area", report=run.report, records=run.trials, issues=run.issues)
     print(area_markdown(run.report), end="")

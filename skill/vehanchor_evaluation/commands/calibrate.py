@@ -122,7 +122,9 @@ def _known_scale(request: CalibrateRequest, chosen: ParsedOptions) -> KnownScale
     from vehanchor_evaluation.photographs import survey_photographs
 
     detector = open_shared(chosen, request.workers).detector
-    data = survey_photographs(request.photographs, detector, chosen.options(), request.lines)
+    data = survey_photographs(
+        request.photographs, detector, options=chosen.options(), known_lengths=request.lines
+    )
     data = data.chosen(limit=request.limit)
     if not data.images:
         print_issues(data.issues)
@@ -155,7 +157,7 @@ def _from_detections(
     data = _known_scale(request, chosen)
     detector = open_shared(chosen, request.workers).detector
     found = request.search(data, detector, options, chosen, request.cache)
-    survey = found_vehicles(data, found, detector.card, options)
+    survey = found_vehicles(data, found, card=detector.card, options=options)
     print_issues(survey.issues)
     return survey, calibrate_found(survey, detector.card)
 

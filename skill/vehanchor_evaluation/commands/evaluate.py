@@ -72,8 +72,8 @@ class ScaleRequest(KnownScaleRequest):
         benchmark = benchmark_scale(
             data,
             found,
-            detector.card,
-            lambda image: with_lines_of(options_of(image), lines, image.path),
+            detector=detector.card,
+            options_of=lambda image: with_lines_of(options_of(image), lines, image.path),
             label_options_of=options_of
             if self.label_reference_length is None
             else lambda _: by_labels,
@@ -123,7 +123,11 @@ def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
     _print_written(
         [
             *write_results(
-                request.out, "gsd", report, [row.model_dump() for row in report.rows], text
+                request.out,
+                "gsd",
+                record=report,
+                rows=[row.model_dump() for row in report.rows],
+                markdown=text,
             ),
             write_trials(request.out / "images.csv", benchmark),
             write_issues(request.out / "issues.csv", benchmark.issues),
@@ -149,7 +153,9 @@ def evaluate_reliability(request: ScaleRequest, chosen: ParsedOptions) -> None:
     print(printable(text, lines=True))
     groups = {"vehicles": (*report.by_vehicles, report.whole), "true m/px": report.by_resolution}
     rows = [{"by": by, **row.model_dump()} for by, some in groups.items() for row in some]
-    _print_written(write_results(request.out, "reliability", report, rows, text))
+    _print_written(
+        write_results(request.out, "reliability", record=report, rows=rows, markdown=text)
+    )
 
 
 @evaluate.command("ablation", cls=FilesCommand)
@@ -166,7 +172,13 @@ def evaluate_ablation(request: ScaleRequest, chosen: ParsedOptions) -> None:
     text = ablation_markdown(report)
     print(printable(text, lines=True))
     _print_written(
-        write_results(request.out, "ablation", report, [row.flat() for row in report.rows], text)
+        write_results(
+            request.out,
+            "ablation",
+            record=report,
+            rows=[row.flat() for row in report.rows],
+            markdown=text,
+        )
     )
 
 

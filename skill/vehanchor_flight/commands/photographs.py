@@ -152,7 +152,10 @@ def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, 
         low = record.gsd_ci95_low_m_per_px
         high = record.gsd_ci95_high_m_per_px
         facts.append(
-            ("scale of all", with_interval(record.gsd_m_per_px, low, high, "m/px", NO_SCALE))
+            (
+                "scale of all",
+                with_interval(record.gsd_m_per_px, low, high=high, unit="m/px", missing=NO_SCALE),
+            )
         )
     facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     facts.append(("vehicles", str(record.n_vehicles)))

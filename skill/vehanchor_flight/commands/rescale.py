@@ -100,7 +100,7 @@ def rescale(
         record = rescaled(
             model, engine=engine, images=images, known_lengths_table=lines, journal=journal
         )
-    written = _write_in_metres(model, record, project, geo)
+    written = _write_in_metres(model, record, project=project, geo=geo)
     if out is not None:
         write_record(out, record)
         written.append(out)

@@ -129,11 +129,15 @@ class LiveEstimator:
             self._prior = self._network.predict(raster)
             self._prior_moved = 0.0
         factor = reduction_factor(self._expected_gsd(), raster.width_px, raster.height_px)
-        window = next_window(raster.width_px, raster.height_px, factor, self._turn, self._cars)
+        window = next_window(
+            raster.width_px, raster.height_px, factor=factor, turn=self._turn, cars=self._cars
+        )
         prior = None if self._prior is None else self._prior.scaled(factor)
         with open_raster(read_reduced_window(raster, window, factor)) as part:
             checks = self._stretch is None or self._turn % _STRETCH_EVERY == 0
-            view = search_raster(part, self._detector, self._options, prior, check_stretch=checks)
+            view = search_raster(
+                part, self._detector, options=self._options, prior=prior, check_stretch=checks
+            )
             if view.detections.stretch is not None:
                 self._stretch = view.detections.stretch
             view = replace(view, detections=replace(view.detections, stretch=self._stretch))
@@ -264,7 +268,12 @@ def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
     log_sd = math.log(high / low) / (2 * Z95)
     common = min(log_sd, vehicles.reference.log_sd)
     own = math.sqrt(max(log_sd**2 - common**2, 0.0))
-    return Measurement(math.log(estimate.gsd_m_per_px / factor), own, common, estimate.confidence)
+    return Measurement(
+        math.log(estimate.gsd_m_per_px / factor),
+        own,
+        common_log_sd=common,
+        chance=estimate.confidence,
+    )
 
 
 def _motion(matched: Match, width_px: int, height_px: int) -> Motion:

@@ -112,7 +112,11 @@ def started(measured: Measurement) -> FilterState:
     """Start the filter from one measurement."""
     variance = max(measured.log_sd, _LEAST_LOG_SD) ** 2
     return FilterState(
-        measured.log_gsd, variance, measured.common_log_sd, _log_odds(measured.chance), 1 / variance
+        measured.log_gsd,
+        variance,
+        common_log_sd=measured.common_log_sd,
+        log_odds=_log_odds(measured.chance),
+        information=1 / variance,
     )
 
 
@@ -174,9 +178,9 @@ def corrected(state: FilterState | None, measured: Measurement) -> FilterState:
     return FilterState(
         state.log_gsd + gain * off,
         state.variance * (1 - gain),
-        measured.common_log_sd,
-        min(_MOST_LOG_ODDS, max(state.log_odds + new * own, own)),
-        1 / variance,
+        common_log_sd=measured.common_log_sd,
+        log_odds=min(_MOST_LOG_ODDS, max(state.log_odds + new * own, own)),
+        information=1 / variance,
     )
 
 

@@ -89,7 +89,10 @@ def read_colmap(folder: Path) -> Reconstruction:
             f"{str(folder)!r} is not a whole model of COLMAP: {error!r}"
         ) from None
     return Reconstruction(
-        "colmap_text" if text else "colmap_binary", folder, shots, points.reshape(-1, 3)
+        "colmap_text" if text else "colmap_binary",
+        folder,
+        shots=shots,
+        points=points.reshape(-1, 3),
     )
 
 
@@ -115,8 +118,10 @@ def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
         _write(target / images.name, _scaled_text(images, 5, factor, every=2))
         _write(target / points.name, _scaled_text(points, 1, factor))
     else:
-        _write(target / images.name, _scaled_binary(images, _image_offsets, 36, factor))
-        _write(target / points.name, _scaled_binary(points, _point_offsets, 8, factor))
+        _write(
+            target / images.name, _scaled_binary(images, _image_offsets, first=36, factor=factor)
+        )
+        _write(target / points.name, _scaled_binary(points, _point_offsets, first=8, factor=factor))
     return target
 
 
@@ -239,7 +244,10 @@ def _shot(name: str, lens: Lens, pose: Sequence[float]) -> Shot:
         raise ValueError(f"the pose of {name!r} is {pose}")
     w, *axis = pose[:4]
     return Shot(
-        name, lens, Rotation.from_quat([*axis, w]).as_matrix(), np.array(pose[4:], dtype=np.float64)
+        name,
+        lens,
+        rotation=Rotation.from_quat([*axis, w]).as_matrix(),
+        translation=np.array(pose[4:], dtype=np.float64),
     )
 
 

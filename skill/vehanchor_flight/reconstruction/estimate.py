@@ -126,7 +126,9 @@ def search_model(
         points = model.points[shot.sees(model.points)]
         kept = None if journal is None else journal.get(key)
         try:
-            result = kept or search_photograph(file, shot, points, whole, silent, own)
+            result = kept or search_photograph(
+                file, shot, points=points, whole=whole, detector=silent, options=own
+            )
             found.append(SeenPhotograph.of(result, shot, points, whole, detector.card, own))
         except VehAnchorError as error:
             found.append(Failure(shot.name, error))

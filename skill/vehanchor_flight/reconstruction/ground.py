@@ -71,7 +71,7 @@ def model_plane(model: Reconstruction) -> Plane:
     distance = float(np.median(np.linalg.norm(points - np.median(centres, axis=0), axis=1)))
     thickness = _THICKNESS * distance
     found = _upwards(_most_common(points, thickness), np.median(centres, axis=0))
-    return _lowest(found, points, thickness, found)
+    return _lowest(found, points, thickness=thickness, whole=found)
 
 
 def plane_below(shot: Shot, points: NDArray[np.float64], whole: Plane) -> Plane:
@@ -96,7 +96,9 @@ def plane_below(shot: Shot, points: NDArray[np.float64], whole: Plane) -> Plane:
     if len(chosen) < _LEAST_POINTS:
         return whole
     thickness = _THICKNESS * height
-    found = _lowest(_most_common(chosen, thickness, whole), chosen, thickness, whole)
+    found = _lowest(
+        _most_common(chosen, thickness, whole), chosen, thickness=thickness, whole=whole
+    )
     holds = _support(whole, chosen, thickness) >= _WHOLE_SHARE * _support(found, chosen, thickness)
     return whole if holds or found.heights(shot.centre[None])[0] <= 0 else found
 

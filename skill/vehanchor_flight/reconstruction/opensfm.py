@@ -46,8 +46,8 @@ def read_opensfm(path: Path) -> Reconstruction:
             Shot(
                 name,
                 lenses[shot["camera"]],
-                _rotation(shot["rotation"]),
-                _vector(shot["translation"]),
+                rotation=_rotation(shot["rotation"]),
+                translation=_vector(shot["translation"]),
             )
             for name, shot in part["shots"].items()
         )
@@ -64,7 +64,14 @@ def read_opensfm(path: Path) -> Reconstruction:
         raise ReconstructionError(
             f"{str(path)!r} is not a whole reconstruction of OpenSfM: {error!r}"
         ) from None
-    return Reconstruction("opensfm", path, shots, points.reshape(-1, 3), len(parts), origin)
+    return Reconstruction(
+        "opensfm",
+        path,
+        shots=shots,
+        points=points.reshape(-1, 3),
+        n_parts=len(parts),
+        origin=origin,
+    )
 
 
 def write_scaled_opensfm(source: Path, target: Path, factor: float) -> Path:

@@ -81,7 +81,10 @@ class Sight(NamedTuple):
         roll = math.degrees(math.atan2(-down[0], down[1])) % 360
         height = float(plane.heights(shot.centre[None])[0])
         return cls(
-            shot, plane, height, CameraTilt(tilt, roll, shot.lens.focal_px, "the reconstruction")
+            shot,
+            plane,
+            height,
+            CameraTilt(tilt, roll, focal_length_px=shot.lens.focal_px, source="the reconstruction"),
         )
 
     @property
@@ -150,9 +153,9 @@ class SeenPhotograph:
         view = View(
             kept.image,
             detections,
-            card,
-            options,
-            lambda _centres, _scale: kept.detail_share,
+            card=card,
+            options=options,
+            measure_detail_share=lambda _centres, _scale: kept.detail_share,
             prior=kept.prior,
         )
         return cls(shot.name, view, kept.others or (), sight, places)
@@ -210,7 +213,9 @@ def search_photograph(
             view = replace(view, tilt=sight.tilt, prior=None)
         others = _measured(view, sight)
         detail_share = Vehicles().measure(view.at_nadir()).detail_share
-    return StoredPhotograph(view.image, view.detections, detail_share, others, view.prior)
+    return StoredPhotograph(
+        view.image, view.detections, detail_share=detail_share, others=others, prior=view.prior
+    )
 
 
 def distinct(seen: Sequence[SeenPhotograph]) -> list[Photograph]:
@@ -276,7 +281,10 @@ def _on_ground(
     nearer = np.ones((len(lengths), 1))
     for _ in range(_DESCENTS):
         heights = local_heights(
-            centre + nearer * (places[steep] - centre), points, sight.plane, sight.height
+            centre + nearer * (places[steep] - centre),
+            points,
+            plane=sight.plane,
+            camera_height=sight.height,
         )
         nearer = np.clip(1 - heights[:, None] / sight.height, 1 - _MOST_RELIEF, 1 + _MOST_RELIEF)
     measured = boxes.copy()

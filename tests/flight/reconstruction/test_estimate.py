@@ -44,7 +44,10 @@ def _rescaled(
     folder: Path, poses: Sequence[Pose], metres_per_unit: float, cars: np.ndarray
 ) -> ModelScale:
     write_opensfm(
-        folder / "project", [pose.painted(cars) for pose in poses], poses, metres_per_unit
+        folder / "project",
+        [pose.painted(cars) for pose in poses],
+        poses=poses,
+        metres_per_unit=metres_per_unit,
     )
     model = read_model(folder / "project")
     return rescale(model, OPTIONS, detector=Detector(write_detector(folder / "detector.onnx")))
@@ -52,7 +55,7 @@ def _rescaled(
 
 def test_the_factor_is_that_of_the_model_whatever_the_views(tmp_path: Path) -> None:
     metres_per_unit = 13.0
-    record = _rescaled(tmp_path, GRID, metres_per_unit, _cars())
+    record = _rescaled(tmp_path, GRID, metres_per_unit=metres_per_unit, cars=_cars())
     assert record.factor == pytest.approx(metres_per_unit, rel=0.015)
     assert record.n_vehicles == 12  # each car counts once, although three photographs show it
     assert record.factor_ci95_low is not None
@@ -69,7 +72,9 @@ def test_a_photograph_of_longer_things_is_an_outlier(tmp_path: Path) -> None:
         [[(500 + 20 * (k % 3), 500 + 15 * (k // 3)) for k in range(9)], [14.0] * 9, [0.3] * 9]
     )
     poses = [*GRID, Pose(520, 515, 70)]
-    record = _rescaled(tmp_path, poses, 1.0, np.concatenate([_cars(), lorries]))
+    record = _rescaled(
+        tmp_path, poses, metres_per_unit=1.0, cars=np.concatenate([_cars(), lorries])
+    )
     assert [each.status for each in record.photographs][-1] == "outlier"
     assert record.factor == pytest.approx(1.0, rel=0.02)
 
@@ -77,7 +82,10 @@ def test_a_photograph_of_longer_things_is_an_outlier(tmp_path: Path) -> None:
 def test_lines_are_measured_where_the_photograph_shows_them(tmp_path: Path) -> None:
     poses = [GRID[1], Pose(98, 125, 70, 30)]  # the second looks at y = 85
     write_opensfm(
-        tmp_path / "project", [pose.painted(np.zeros((0, 4))) for pose in poses], poses, 1 / 0.92
+        tmp_path / "project",
+        [pose.painted(np.zeros((0, 4))) for pose in poses],
+        poses=poses,
+        metres_per_unit=1 / 0.92,
     )
     rows = ["file,x1,y1,x2,y2,metres,basis"]
     for number, pose in enumerate(poses):
@@ -96,13 +104,18 @@ def test_lines_are_measured_where_the_photograph_shows_them(tmp_path: Path) -> N
 
 
 def test_nothing_of_known_size_gives_no_factor(tmp_path: Path) -> None:
-    record = _rescaled(tmp_path, GRID, 1.0, np.zeros((0, 4)))
+    record = _rescaled(tmp_path, GRID, metres_per_unit=1.0, cars=np.zeros((0, 4)))
     assert (record.status, record.factor) == ("no_scale", None)
     assert "nothing of known size" in record.verdict
 
 
 def test_a_missing_photograph_is_told_and_the_others_count(tmp_path: Path) -> None:
-    file = write_opensfm(tmp_path / "project", [pose.painted(_cars()) for pose in GRID], GRID, 1.0)
+    file = write_opensfm(
+        tmp_path / "project",
+        [pose.painted(_cars()) for pose in GRID],
+        poses=GRID,
+        metres_per_unit=1.0,
+    )
     (file.parent / "images" / "1.png").unlink()
     model = read_model(file)
     detector = Detector(write_detector(tmp_path / "detector.onnx"))
@@ -114,7 +127,9 @@ def test_a_missing_photograph_is_told_and_the_others_count(tmp_path: Path) -> No
 
 
 def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
-    file = write_opensfm(tmp_path / "project", [GRID[0].painted(_cars())], GRID[:1], 1.0)
+    file = write_opensfm(
+        tmp_path / "project", [GRID[0].painted(_cars())], poses=GRID[:1], metres_per_unit=1.0
+    )
     parts = json.loads(file.read_text())
     parts[0]["shots"]["../secret.png"] = parts[0]["shots"].pop("0.png")
     file.write_text(json.dumps(parts))
@@ -154,12 +169,12 @@ FACE = np.column_stack([RNG.uniform(20, 60, 700), np.full(700, -60.0), RNG.unifo
 
 
 def _shot(pose: Pose) -> Shot:
-    return Shot("a", LENS, pose.rotation, pose.translation)
+    return Shot("a", LENS, rotation=pose.rotation, translation=pose.translation)
 
 
 def _model(*parts: np.ndarray) -> Reconstruction:
     shots = tuple(_shot(Pose(x, y, 60)) for x, y in ((30, 30), (60, 30), (40, 60)))
-    return Reconstruction("opensfm", Path("a"), shots, np.concatenate(parts))
+    return Reconstruction("opensfm", Path("a"), shots=shots, points=np.concatenate(parts))
 
 
 def test_the_ground_lies_below_roofs_with_more_points_and_beside_faces() -> None:
@@ -207,7 +222,7 @@ def test_points_around_a_car_raise_its_ground() -> None:
     plane = model_plane(_model(GROUND))
     bump = np.column_stack([RNG.uniform(70, 80, 60), -RNG.uniform(70, 80, 60), np.full(60, 4.0)])
     places = np.array([[75.0, -75, 0], [20, -20, 0], [900, 900, 0]])
-    heights = local_heights(places, np.concatenate([GROUND, bump]), plane, 60.0)
+    heights = local_heights(places, np.concatenate([GROUND, bump]), plane=plane, camera_height=60.0)
     assert heights == pytest.approx([4, 0, 0], abs=0.3)
 
 

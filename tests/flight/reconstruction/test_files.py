@@ -112,7 +112,7 @@ def test_damaged_files_are_refused_and_named(tmp_path: Path) -> None:
 def test_opensfm_is_read_and_rescaled(tmp_path: Path) -> None:
     poses = [Pose(50, 60, 40, 12, 30), Pose(70, 60, 44)]
     blank = [pose.painted(np.zeros((0, 4))) for pose in poses]
-    write_opensfm(tmp_path / "project", blank, poses, 0.8)
+    write_opensfm(tmp_path / "project", blank, poses=poses, metres_per_unit=0.8)
     model = read_model(tmp_path / "project")
     assert images_of(model).name == "images"
     assert 0.8 * model.shots[0].centre == pytest.approx([50, -60, 40])
@@ -127,7 +127,10 @@ def test_opensfm_is_read_and_rescaled(tmp_path: Path) -> None:
 def test_geo_txt_moves_the_cameras_apart(tmp_path: Path) -> None:
     poses = [Pose(0, 0, 40), Pose(100, 0, 40), Pose(0, 100, 40), Pose(100, 100, 40)]
     write_opensfm(
-        tmp_path / "project", [pose.painted(np.zeros((0, 4))) for pose in poses], poses, 1.0
+        tmp_path / "project",
+        [pose.painted(np.zeros((0, 4))) for pose in poses],
+        poses=poses,
+        metres_per_unit=1.0,
     )
     write_geo(tmp_path / "geo.txt", read_model(tmp_path / "project"), 1.1)
     first, *rows = (tmp_path / "geo.txt").read_text().splitlines()

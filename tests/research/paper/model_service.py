@@ -145,7 +145,13 @@ def _asked_anthropic(payload: dict[str, Any]) -> Asked:
     tools = [
         {"name": tool["name"], "schema": tool["input_schema"]} for tool in payload.get("tools", [])
     ]
-    return Asked(payload["system"], text["text"], _decoded(image["source"]["data"]), tools, results)
+    return Asked(
+        payload["system"],
+        text["text"],
+        picture=_decoded(image["source"]["data"]),
+        tools=tools,
+        tool_results=results,
+    )
 
 
 def _asked_openai(payload: dict[str, Any]) -> Asked:
@@ -165,7 +171,9 @@ def _asked_openai(payload: dict[str, Any]) -> Asked:
         {"name": tool["function"]["name"], "schema": tool["function"]["parameters"]}
         for tool in payload.get("tools", [])
     ]
-    return Asked(system["content"], text["text"], _decoded(data), tools, results)
+    return Asked(
+        system["content"], text["text"], picture=_decoded(data), tools=tools, tool_results=results
+    )
 
 
 def _anthropic_response(answer: Answer, number: int) -> dict[str, Any]:

@@ -86,7 +86,12 @@ def _run(
 
 def test_deeds_calls_and_tokens_are_counted(asked: list[tuple[Task, Path]]) -> None:
     right, _ = _run(asked)
-    assert agent_score("m", "distance", right.answers, right.calls, right.tokens).acted_rightly == 2
+    assert (
+        agent_score(
+            "m", "distance", answers=right.answers, calls=right.calls, tokens=right.tokens
+        ).acted_rightly
+        == 2
+    )
     assert right.calls == 2
     assert right.tokens > 0
     wrong, _ = _run(asked, factor=1.5)

@@ -88,8 +88,8 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
                 mask = np.zeros(SIZE, bool)
                 mask[place] = True
                 objects.append((category, mask))
-        write_dota_image(folder / "dota", name, blank_image(SIZE[1], SIZE[0]), GSD)
-        write_isaid_pictures(masks, masks, name, SIZE, objects)
+        write_dota_image(folder / "dota", name, image=blank_image(SIZE[1], SIZE[0]), gsd=GSD)
+        write_isaid_pictures(masks, masks, name=name, size=SIZE, objects=objects)
     return folder / "isaid", folder / "dota"
 
 
@@ -184,11 +184,17 @@ def test_an_image_that_lacks_something_is_reported_and_the_others_are_read(tmp_p
     dota = tmp_path / "dota"
     masks = tmp_path / "isaid" / "images"
     for name, gsd in (("P1", 0.2), ("P2", None), ("P3", 0.3), ("P4", 0.3)):
-        write_dota_image(dota, name, blank, gsd)
+        write_dota_image(dota, name, image=blank, gsd=gsd)
     for name in ("P1", "P2", "P4", "P5"):
-        write_isaid_pictures(masks, masks, name, (40, 60), [("swimming-pool", mask)])
+        write_isaid_pictures(
+            masks, masks, name=name, size=(40, 60), objects=[("swimming-pool", mask)]
+        )
     write_isaid_pictures(
-        masks / "again", masks / "again", "P1", (40, 60), [("swimming-pool", mask)]
+        masks / "again",
+        masks / "again",
+        name="P1",
+        size=(40, 60),
+        objects=[("swimming-pool", mask)],
     )
     (masks / "P4_instance_color_RGB.png").write_bytes(b"no picture")
     images, issues = isaid.find_annotated_images(tmp_path / "isaid", survey_dota(dota))
@@ -204,7 +210,7 @@ def test_an_image_that_lacks_something_is_reported_and_the_others_are_read(tmp_p
 
 
 def test_a_folder_without_annotations_is_refused(tmp_path: Path) -> None:
-    write_dota_image(tmp_path / "dota", "P1", np.zeros((20, 20, 3), np.uint8), 0.2)
+    write_dota_image(tmp_path / "dota", "P1", image=np.zeros((20, 20, 3), np.uint8), gsd=0.2)
     (tmp_path / "isaid").mkdir()
     with pytest.raises(InvalidParameterError, match="no iSAID annotations"):
         isaid.find_annotated_images(tmp_path / "isaid", survey_dota(tmp_path / "dota"))

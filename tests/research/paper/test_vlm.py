@@ -165,7 +165,7 @@ def test_the_hint_is_one_more_sentence(run: Any, service: ModelService) -> None:
 @pytest.mark.parametrize(("max_side", "factor"), [(1568, 1.0), (320, 0.5)])
 def test_the_rectangle_is_just_outside_the_box_at_any_size(max_side: int, factor: float) -> None:
     image = np.full((480, 640, 3), 90, np.uint8)
-    question = draw_question(image, 1.0, (120, 200, 216, 296), max_side)
+    question = draw_question(image, 1.0, box=(120, 200, 216, 296), max_side_px=max_side)
     bgr = cv2.imdecode(np.frombuffer(question.jpeg, np.uint8), cv2.IMREAD_COLOR)
     assert bgr is not None
     assert (question.width_px, question.height_px) == (640 * factor, 480 * factor)

@@ -115,16 +115,16 @@ def test_boxes_that_fit_are_cars_and_boxes_between_teach_nothing() -> None:
     sample = TrainImage(
         "estonia",
         np.zeros((120, 120, 3), np.uint8),
-        car,
-        np.zeros((0, 4, 2)),
-        np.zeros((0, 2)),
-        22.5,
+        boxes=car,
+        ignore=np.zeros((0, 4, 2)),
+        clutter=np.zeros((0, 2)),
+        car_px=22.5,
     )
     beside = car + np.array([0, 18, 0, 0, 0])
     doubtful = car + np.array([12, 0, 0, 0, 0])
     boxes = np.concatenate([car + np.array([1, 0, 0, 0, 0]), beside, doubtful])
     rows, known = rows_of(
-        Named(sample, "a.jpg", "estonia", None), boxes, np.full(3, 0.5), np.full(3, 0.5)
+        Named(sample, "a.jpg", set="estonia", labels=None), boxes, np.full(3, 0.5), np.full(3, 0.5)
     )
     assert rows.car.tolist()[:2] == [1, 0]
     assert known.tolist() == [True, True, False]
@@ -157,7 +157,14 @@ def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
     rng = np.random.default_rng(0)
     flat = np.full((400, 400, 3), 120, np.uint8)
     ground = Ground(
-        TrainImage("cannes", flat, np.zeros((0, 5)), np.zeros((0, 4, 2)), np.zeros((0, 2))), 0.1
+        TrainImage(
+            "cannes",
+            flat,
+            boxes=np.zeros((0, 5)),
+            ignore=np.zeros((0, 4, 2)),
+            clutter=np.zeros((0, 2)),
+        ),
+        0.1,
     )
     made = [
         one

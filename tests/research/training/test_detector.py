@@ -36,7 +36,9 @@ def _sample() -> TrainImage:
         cv2.fillPoly(
             image, [np.round((corners - 0.5) * 256).astype(np.int32)], (200, 200, 200), shift=8
         )
-    return TrainImage("ucm", image, boxes, np.zeros((0, 4, 2)), np.zeros((0, 2)))
+    return TrainImage(
+        "ucm", image, boxes=boxes, ignore=np.zeros((0, 4, 2)), clutter=np.zeros((0, 2))
+    )
 
 
 def test_crops_move_picture_and_boxes_alike() -> None:

@@ -67,9 +67,9 @@ def test_its_answers_stay_and_its_last_layer_keeps_its_weights(
     write_eight_bits(
         network,
         out,
-        batches,
-        lambda _model: ["first", "relu"],
-        {"vehanchor.name": "small"},
+        batches=batches,
+        nodes=lambda _model: ["first", "relu"],
+        metadata={"vehanchor.name": "small"},
     )
     plain, small = (onnxruntime.InferenceSession(str(path)) for path in (network, out))
     before, after = (session.run(None, {"images": batches[0]})[0] for session in (plain, small))

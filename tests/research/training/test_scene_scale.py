@@ -35,7 +35,14 @@ def _image(set_name: str, gsd_m_per_px: float, height: int = 400, width: int = 5
     rows, columns = (np.arange(n) * gsd_m_per_px // 4 for n in (height, width))
     pixels = ((rows[:, None] + columns) % 2 * 200 + 20).astype(np.uint8)
     picture = np.ascontiguousarray(np.repeat(pixels[:, :, None], 3, axis=2))
-    return ScaledImage(set_name, f"{set_name}.jpg", picture, gsd_m_per_px, 0.0, 0.75 * gsd_m_per_px)
+    return ScaledImage(
+        set_name,
+        f"{set_name}.jpg",
+        pixels=picture,
+        gsd_m_per_px=gsd_m_per_px,
+        label_spread=0.0,
+        finest_m_per_px=0.75 * gsd_m_per_px,
+    )
 
 
 @pytest.mark.parametrize("gsd", [0.08, 0.1, 0.19])

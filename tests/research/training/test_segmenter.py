@@ -47,7 +47,7 @@ def _sample() -> MaskImage:
     mask[110:140, 80:180] = 3
     image = np.full((200, 240, 3), 30, np.uint8)
     image[mask > 0] = 210
-    return MaskImage("real", "building", "group", image, mask)
+    return MaskImage("real", "building", group="group", image=image, mask=mask)
 
 
 def _prompt(points: list[tuple[float, float]], labels: list[float], side: int) -> Prompt:
@@ -63,7 +63,7 @@ def _prompt(points: list[tuple[float, float]], labels: list[float], side: int) -
 def test_crops_move_picture_and_mask_alike() -> None:
     sample = _sample()
     rng = np.random.default_rng(0)
-    assert objects_of([sample]) == [MaskObject(0, 3, 80, 60, 180, 140)]
+    assert objects_of([sample]) == [MaskObject(0, 3, x0=80, y0=60, x1=180, y1=140)]
     for scale in (0.4, 0.8, 1.7):
         example = cut(rng, sample, 160, scale, (130.0, 100.0), 3)
         inner = example.mask > 0.98

@@ -27,7 +27,9 @@ def _candidates() -> Candidates:
     car = np.arange(60) % 2 == 0
     chips = rng.integers(60, 100, (60, STORED_PX, STORED_PX, 3)).astype(np.uint8)
     chips[car, 32:40, 26:46] = 220
-    return Candidates(chips, car, np.where(car, 0.6, 0.4), np.array(["a", "b", "b"] * 20))
+    return Candidates(
+        chips, car, scores=np.where(car, 0.6, 0.4), sets=np.array(["a", "b", "b"] * 20)
+    )
 
 
 def test_candidates_survive_their_file_and_the_stream_is_seeded(tmp_path: Path) -> None:

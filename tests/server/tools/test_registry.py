@@ -48,7 +48,7 @@ def image_size_tool(services: Services) -> StrictTool:
     async def image_size(
         image: ImageArgument, ctx: Context[Any, Any], detail: DetailArgument = "short"
     ) -> CallToolResult:
-        answer = await run_call(services, ctx, image, _image_size, None)
+        answer = await run_call(services, ctx, image=image, work=_image_size, question=None)
         return answer.to_result(f"{answer.record.width_px} px wide.")
 
     title = "Tell an image's size"

@@ -26,7 +26,9 @@ def _measured(
     middle = image.shape[0] / 2
     pose = Pose(middle + 6, middle - 5, math.radians(degrees + 7), 1.1 / gsd)
     with open_raster(image) as raster:
-        return next(iter(courts_among(raster, [Proposal(which, 0.9, pose, factor)])), None)
+        return next(
+            iter(courts_among(raster, [Proposal(which, 0.9, pose=pose, factor=factor)])), None
+        )
 
 
 @pytest.mark.parametrize(
@@ -95,12 +97,12 @@ def test_what_has_the_lines_of_a_court_is_measured_first_however_unsure_the_netw
     image = np.random.default_rng(3).integers(60, 120, (700, 700, 3)).astype(np.uint8)
     image[380:636, 380:636] = draw_court(TENNIS, 0.2)
     decoys = [
-        Proposal(0, 0.9, Pose(x, y, 0.3, 5.0), 4)
+        Proposal(0, 0.9, pose=Pose(x, y, 0.3, 5.0), factor=4)
         for x in (120.0, 330.0, 560.0)
         for y in (80.0, 180.0, 280.0)
     ]
     # nine are surer, and its angle is wrong
-    court = Proposal(0, 0.3, Pose(512.0, 504.0, 1.0, 5.6), 4)
+    court = Proposal(0, 0.3, pose=Pose(512.0, 504.0, 1.0, 5.6), factor=4)
     with open_raster(image) as raster:
         (found,) = courts_among(raster, [*decoys, court], n_sizes=4)
     assert found.gsd_m_per_px == pytest.approx(0.2, rel=0.005)

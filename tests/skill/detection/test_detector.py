@@ -269,14 +269,14 @@ def test_an_entry_of_an_auxiliary_model_is_refused_by_its_name(
     kind: Any, key: str, text: str | None
 ) -> None:
     metadata = _VERIFIER if kind is VerifierCard else _CHIPS
-    read_card(kind, _PATH, "1" * 64, metadata)
+    read_card(kind, _PATH, sha256="1" * 64, metadata=metadata)
     changed = {**metadata, f"vehanchor.{key}": text}
     with pytest.raises(ModelContractError, match=rf"foreign\.onnx.*vehanchor\.{key}.*expected"):
         read_card(
             kind,
             _PATH,
-            "1" * 64,
-            {name: each for name, each in changed.items() if each is not None},
+            sha256="1" * 64,
+            metadata={name: each for name, each in changed.items() if each is not None},
         )
 
 

@@ -202,7 +202,9 @@ def test_a_coarser_resolution_is_left_out_once_a_finer_one_shows_all_cars_of_a_p
         for level in search_levels(1600, 1400, (9, 64), search_scales=True)
     }
     with open_raster(image) as raster:
-        work = ImageSearch(raster, searching, Search(tile_px=256, stride_px=205), _ground(gsd))
+        work = ImageSearch(
+            raster, searching, options=Search(tile_px=256, stride_px=205), prior=_ground(gsd)
+        )
         for _ in work:
             work.leave_out(narrow / narrow.sum())
         found = work.result()

@@ -45,7 +45,7 @@ def test_a_chip_lies_along_its_candidate(length: float, angle: float) -> None:
 
 
 def test_the_card_takes_the_scores_of_the_verifier() -> None:
-    verifier = read_card(VerifierCard, Path("verifier.onnx"), "b" * 64, _METADATA)
+    verifier = read_card(VerifierCard, Path("verifier.onnx"), sha256="b" * 64, metadata=_METADATA)
     own = {"vehanchor.name": "vehicles", "vehanchor.min_score": "0.4"}
     card = read_detector_card(Path("vehicles.onnx"), "a" * 64, own, verifier=verifier)
     assert (card.min_score, card.verifier_sha256) == (0.5, "b" * 64)

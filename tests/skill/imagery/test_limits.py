@@ -342,7 +342,7 @@ def test_a_tiff_that_takes_too_much_is_read_by_windows_unless_its_strips_do(
     pixel = max(4, bands * np.dtype(dtype).itemsize)
     tight = ImageLimits(max_decoded_bytes=side * side * pixel)
     with open_raster(bombs.zero_tiff(side, dtype, bands, rows=16), Reading(limits=tight)) as raster:
-        assert not raster.read(Window(0, 0, side, side)).any()
+        assert not raster.read(Window(0, 0, width_px=side, height_px=side)).any()
     with pytest.raises(ImageTooLargeError, match="stored in blocks"):
         open_raster(
             data, Reading(limits=ImageLimits(max_decoded_bytes=side * side * pixel // 4 * 3))

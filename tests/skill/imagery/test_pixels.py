@@ -186,7 +186,7 @@ def test_one_bright_pixel_does_not_turn_the_picture_black() -> None:
 def test_a_large_array_is_stretched_from_a_sample_spread_over_all_of_it() -> None:
     ramp = np.linspace(1000, 3000, 1500).astype(np.uint16)
     with open_raster(np.tile(ramp, (1200, 1))) as raster:
-        row = raster.read(Window(0, 600, 1500, 1))[0, :, 0].astype(int)
+        row = raster.read(Window(0, 600, width_px=1500, height_px=1))[0, :, 0].astype(int)
     assert abs(int(np.argmax(row > 0)) - 30) <= 8
     assert abs(int(np.argmax(row == 255)) - 1470) <= 8
 
@@ -205,7 +205,7 @@ def test_a_large_raster_is_stretched_alike_in_all_windows(tmp_path: Path) -> Non
     with open_raster(path) as raster:
         whole = raster.read()
         np.testing.assert_array_equal(
-            raster.read(Window(700, 100, 300, 200)), whole[100:300, 700:1000]
+            raster.read(Window(700, 100, width_px=300, height_px=200)), whole[100:300, 700:1000]
         )
     assert whole[0, 10].max() == 0
     assert whole[0, -10].min() == 255

@@ -55,7 +55,7 @@ def test_the_orientation_tag_is_honoured(make: Callable[[int], bytes], orientati
     with open_raster(make(orientation)) as raster:
         assert (raster.height_px, raster.width_px) == expected.shape[:2]
         assert np.abs(raster.read().astype(int) - expected).max() <= 4
-        window = Window(3, 5, 20, 7)
+        window = Window(3, 5, width_px=20, height_px=7)
         assert np.abs(raster.read(window).astype(int) - expected[5:12, 3:23]).max() <= 4
 
 
@@ -69,11 +69,11 @@ def test_a_tiff_read_by_windows_is_turned_like_one_decoded_whole(orientation: in
 @pytest.mark.parametrize(
     "window",
     [
-        Window(-1, 0, 4, 4),
-        Window(0, 0, WIDTH_PX + 1, 4),
-        Window(0, 37, 4, 4),
-        Window(0, 0, 0, 4),
-        Window(5, 5, 3, -1),
+        Window(-1, 0, width_px=4, height_px=4),
+        Window(0, 0, width_px=WIDTH_PX + 1, height_px=4),
+        Window(0, 37, width_px=4, height_px=4),
+        Window(0, 0, width_px=0, height_px=4),
+        Window(5, 5, width_px=3, height_px=-1),
     ],
 )
 def test_a_window_that_is_not_inside_is_a_wrong_parameter(window: Window) -> None:
@@ -100,7 +100,7 @@ def test_windows_are_slices_of_the_whole(windowed_file: Path, data: st.DataObjec
     h = data.draw(st.integers(1, height - y))
     with open_raster(windowed_file) as raster:
         whole = raster.read()
-        part = raster.read(Window(x, y, w, h))
+        part = raster.read(Window(x, y, width_px=w, height_px=h))
     assert part.flags.c_contiguous
     np.testing.assert_array_equal(part, whole[y : y + h, x : x + w])
 
@@ -141,7 +141,7 @@ def test_a_reduced_window_is_the_mean_of_blocks_and_is_read_in_small_pieces(
         return whole(self, window)
 
     monkeypatch.setattr(Raster, "read", spy)
-    window = Window(3, 5, 2300 // factor - 7, 600 // factor - 9)
+    window = Window(3, 5, width_px=2300 // factor - 7, height_px=600 // factor - 9)
     with open_raster(image) as raster:
         reduced = read_reduced_window(raster, window, factor)
     part = image[: 600 // factor * factor, : 2300 // factor * factor].astype(np.float64)

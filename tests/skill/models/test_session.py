@@ -252,10 +252,16 @@ class _Session:
 )
 def test_want_of_memory_is_not_the_models_fault(error: Exception) -> None:
     with pytest.raises(OutOfMemoryError) as caught:
-        run_session(_Session(error), None, {}, Runtime(), "the model fails")
+        run_session(_Session(error), None, feeds={}, runtime=Runtime(), described="the model fails")
     assert caught.value.code == "out_of_memory"
     with pytest.raises(ModelContractError):
-        run_session(_Session(RuntimeError("Fail")), None, {}, Runtime(), "the model fails")
+        run_session(
+            _Session(RuntimeError("Fail")),
+            None,
+            feeds={},
+            runtime=Runtime(),
+            described="the model fails",
+        )
 
 
 def test_a_cancelled_run_is_no_failure_of_the_model() -> None:
@@ -266,7 +272,7 @@ def test_a_cancelled_run_is_no_failure_of_the_model() -> None:
         run_session(
             _Session(RuntimeError("Exiting")),
             None,
-            {},
-            Runtime(cancellation=cancellation),
-            "the model fails",
+            feeds={},
+            runtime=Runtime(cancellation=cancellation),
+            described="the model fails",
         )

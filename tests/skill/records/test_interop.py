@@ -182,8 +182,10 @@ def test_it_is_the_number_within_half_a_digit_and_has_no_exponent(
 
 
 def test_an_interval_follows_its_value() -> None:
-    assert with_interval(0.12, 0.1, 0.15, "m/px") == "0.1200 m/px  (95 %: 0.1000 to 0.1500)"
-    assert with_interval(12, None, 15, "m") == "12.00 m"
+    assert (
+        with_interval(0.12, 0.1, high=0.15, unit="m/px") == "0.1200 m/px  (95 %: 0.1000 to 0.1500)"
+    )
+    assert with_interval(12, None, high=15, unit="m") == "12.00 m"
 
 
 _ROUNDING = 1e-3  # processors round a network's sums differently

@@ -44,7 +44,11 @@ def record_of(
     )
     card = made_card(5.0).model_copy(update={"votes": votes, "reference_length_sd_m": 0.4})
     view = View(
-        ImageFacts(4000, 3000, camera=camera), found, card, ScaleOptions.of(options), lambda *_: 1.0
+        ImageFacts(4000, 3000, camera=camera),
+        found,
+        card=card,
+        options=ScaleOptions.of(options),
+        measure_detail_share=lambda *_: 1.0,
     )
     return analyse_view(with_tilt(view)).estimate
 

@@ -38,7 +38,13 @@ def _view(
 ) -> View:
     found = Detections(np.zeros((0, 5)), np.zeros(0))
     facts = ImageFacts(width_px, height_px, camera=camera)
-    return View(facts, found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0)
+    return View(
+        facts,
+        found,
+        card=made_card(5.0),
+        options=ScaleOptions.of(options),
+        measure_detail_share=lambda *_: 1.0,
+    )
 
 
 def _measured(

@@ -53,7 +53,7 @@ def _cars(tilt: CameraTilt, n: int = 60) -> Detections:
 
 
 def test_cars_are_of_one_length_on_the_plane() -> None:
-    tilt = CameraTilt(35.0, 20.0, FOCAL, "metadata")
+    tilt = CameraTilt(35.0, 20.0, focal_length_px=FOCAL, source="metadata")
     seen = _cars(tilt)
     assert seen.boxes[:, 2].max() > 1.6 * seen.boxes[:, 2].min()
     assert rectified(seen, tilt.plane(FACTS)).boxes[:, 2] == pytest.approx(CAR_M / GSD, rel=0.01)
@@ -61,7 +61,7 @@ def test_cars_are_of_one_length_on_the_plane() -> None:
 
 def test_boxes_of_the_proportions_of_a_car_seen_from_above_are_of_one_length_on_the_plane() -> None:
     """The detector draws them so at 30 degrees (research/results/notes.md), whichever way the car points."""
-    tilt = CameraTilt(30.0, 0.0, FOCAL, "metadata")
+    tilt = CameraTilt(30.0, 0.0, focal_length_px=FOCAL, source="metadata")
     middle = np.array([WIDTH, HEIGHT]) / 2
     step = tilt.plane(FACTS, GSD).length([middle, middle], middle + np.eye(2))
     across = [WIDTH / 2, HEIGHT / 2, 0.89 * CAR_M / step[0], 1.25 * CAR_WIDTH_M / step[1], 0.0]
@@ -73,8 +73,16 @@ def test_boxes_of_the_proportions_of_a_car_seen_from_above_are_of_one_length_on_
 
 
 def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
-    tilt = CameraTilt(35.0, 0.0, FOCAL, "metadata")
-    view = with_tilt(View(FACTS, _cars(tilt), made_card(CAR_M), ScaleOptions(), lambda *_: 1.0))
+    tilt = CameraTilt(35.0, 0.0, focal_length_px=FOCAL, source="metadata")
+    view = with_tilt(
+        View(
+            FACTS,
+            _cars(tilt),
+            card=made_card(CAR_M),
+            options=ScaleOptions(),
+            measure_detail_share=lambda *_: 1.0,
+        )
+    )
     analysis = analyse_view(view)
     estimate = analysis.estimate
     assert estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
@@ -100,14 +108,18 @@ def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
 
 def _cars_and_parts() -> tuple[View, GroundPlane]:
     """A view of cars and of twice as many halves of them, without the camera's height, and its plane."""
-    tilt = CameraTilt(35.0, 0.0, FOCAL, "metadata")
+    tilt = CameraTilt(35.0, 0.0, focal_length_px=FOCAL, source="metadata")
     cars = _cars(tilt, n=20).boxes
     parts = _cars(tilt, n=40).boxes * [1, 1, 0.5, 0.5, 1]
     boxes = np.concatenate([cars, parts])
     seen = Detections(boxes, np.full(len(boxes), 0.8), reductions=np.ones(len(boxes)))
-    return View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0), tilt.plane(
-        FACTS, GSD
-    )
+    return View(
+        FACTS,
+        seen,
+        card=made_card(CAR_M),
+        options=ScaleOptions(),
+        measure_detail_share=lambda *_: 1.0,
+    ), tilt.plane(FACTS, GSD)
 
 
 def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
@@ -153,11 +165,15 @@ def test_without_tilt_or_of_a_crop_there_is_no_plane(camera: CameraMetadata | No
 
 
 def test_of_a_crop_of_such_a_picture_a_warning_says_so() -> None:
-    cars = _cars(CameraTilt(35.0, 0.0, FOCAL, "metadata"))
+    cars = _cars(CameraTilt(35.0, 0.0, focal_length_px=FOCAL, source="metadata"))
 
     def codes(camera: CameraMetadata) -> list[str]:
         view = View(
-            FACTS._replace(camera=camera), cars, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0
+            FACTS._replace(camera=camera),
+            cars,
+            card=made_card(CAR_M),
+            options=ScaleOptions(),
+            measure_detail_share=lambda *_: 1.0,
         )
         return [each.code for each in analyse_view(with_tilt(view)).estimate.warnings]
 
@@ -195,27 +211,33 @@ def _view(camera: CameraMetadata, **options: object) -> View:
     """A view without cars."""
     facts = FACTS._replace(camera=camera)
     return with_tilt(
-        View(facts, NOT_SEARCHED, made_card(), ScaleOptions.of(options), lambda *_: 1.0)
+        View(
+            facts,
+            NOT_SEARCHED,
+            card=made_card(),
+            options=ScaleOptions.of(options),
+            measure_detail_share=lambda *_: 1.0,
+        )
     )
 
 
 def test_the_height_of_the_camera_is_measured_along_the_tilt() -> None:
     for tilt_deg in (30.0, 33.0):
         found = measured(Camera(), _view(replace(HIGH, off_nadir_deg=tilt_deg)))
-        plane = GroundPlane(1.0, tilt_deg, FOCAL, WIDTH, HEIGHT)
+        plane = GroundPlane(1.0, tilt_deg, focal_px=FOCAL, width_px=WIDTH, height_px=HEIGHT)
         assert found.gsd_m_per_px == pytest.approx(60 / plane.height_m)
     nadir = measured(Camera(), _view(replace(HIGH, off_nadir_deg=None)))
     assert nadir.gsd_m_per_px == pytest.approx(60 / FOCAL)
 
 
 def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
-    plane = GroundPlane(GSD, 35.0, FOCAL, WIDTH, HEIGHT, 5.0)
+    plane = GroundPlane(GSD, 35.0, focal_px=FOCAL, width_px=WIDTH, height_px=HEIGHT, roll_deg=5.0)
     # near the camera: a third of the centre's metres a pixel
     ends = (100.0, HEIGHT - 60.0), (700.0, HEIGHT - 160.0)
     metres = float(plane.length([ends[0]], [ends[1]])[0])
     said = {"known_lengths": [(*ends[0], *ends[1], metres)], "height_m": plane.height_m}
     view = _view(LOW, **said).at_nadir()
-    tilt = CameraTilt(35.0, 5.0, FOCAL, "metadata")
+    tilt = CameraTilt(35.0, 5.0, focal_length_px=FOCAL, source="metadata")
     for ruler in (KnownLengths(), GivenHeight()):
         before = measured(ruler, view)
         moved = measured(ruler, replace(view, tilt=tilt))

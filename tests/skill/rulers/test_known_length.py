@@ -35,9 +35,9 @@ def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
     return View(
         ImageFacts(4000, 3000, camera=camera),
         found,
-        made_card(5.0),
-        ScaleOptions.of(options),
-        lambda *_: 1.0,
+        card=made_card(5.0),
+        options=ScaleOptions.of(options),
+        measure_detail_share=lambda *_: 1.0,
     )
 
 

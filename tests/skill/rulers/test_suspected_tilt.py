@@ -29,7 +29,9 @@ def _cars(
 ) -> Detections:
     """Cars of one fleet all over the image, as a tilted camera sees them."""
     rng = np.random.default_rng(seed)
-    plane = GroundPlane(0.08, tilt_deg, FOCAL_PX, WIDTH, HEIGHT, roll_deg)
+    plane = GroundPlane(
+        0.08, tilt_deg, focal_px=FOCAL_PX, width_px=WIDTH, height_px=HEIGHT, roll_deg=roll_deg
+    )
     places = rng.uniform((60, 60), (WIDTH - 60, HEIGHT - 60), (n, 2))
     sizes = np.exp(rng.normal(0, 0.08, n)) / plane.gsd_at(places)
     sizes[:lorries] *= 2.5
@@ -40,7 +42,7 @@ def _cars(
 
 
 def _suspected(detections: Detections) -> float | None:
-    return suspected_tilt(detections, WIDTH, HEIGHT, FOCAL_PX)
+    return suspected_tilt(detections, WIDTH, height_px=HEIGHT, focal_px=FOCAL_PX)
 
 
 @pytest.mark.parametrize("roll_deg", [0.0, 100.0, 190.0])
@@ -72,9 +74,9 @@ def _view(detections: Detections, **image: Any) -> View:
     return View(
         ImageFacts(WIDTH, HEIGHT, **image),
         detections,
-        made_card(4.6),
-        ScaleOptions(),
-        lambda *_: 1.0,
+        card=made_card(4.6),
+        options=ScaleOptions(),
+        measure_detail_share=lambda *_: 1.0,
     )
 
 
@@ -94,7 +96,9 @@ def test_an_unknown_tilt_is_a_warning_unless_the_file_knows_it() -> None:
 
 def test_pooled_photographs_do_not_repeat_the_doubt() -> None:
     views = [_view(_cars(35.0, seed=seed)) for seed in range(2)]
-    stored = [StoredPhotograph(view.image, view.detections, 1.0, ()) for view in views]
+    stored = [
+        StoredPhotograph(view.image, view.detections, detail_share=1.0, others=()) for view in views
+    ]
     seen = [
         Photograph.of("a", kept, view.card, view.options)
         for kept, view in zip(stored, views, strict=True)

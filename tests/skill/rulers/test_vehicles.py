@@ -32,7 +32,11 @@ def _view(lengths: list[float], **options: Any) -> View:
     )
     found = Detections(boxes, np.full(len(boxes), 0.8))
     return View(
-        ImageFacts(800, 600), found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0
+        ImageFacts(800, 600),
+        found,
+        card=made_card(5.0),
+        options=ScaleOptions.of(options),
+        measure_detail_share=lambda *_: 1.0,
     )
 
 

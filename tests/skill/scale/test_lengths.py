@@ -112,7 +112,9 @@ def test_the_weighted_mode_is_that_of_scipys_density() -> None:
     reference = gaussian_kde(lengths, weights=scores**2 * lengths, bw_method=2 * factor)
     at = np.linspace(20, 40, 20001)
     np.testing.assert_allclose(
-        modal_density(at, lengths, scores, "weighted_kde"), reference(at), rtol=1e-9
+        modal_density(at, lengths, scores=scores, aggregation="weighted_kde"),
+        reference(at),
+        rtol=1e-9,
     )
     assert modal_length(lengths, scores, "weighted_kde")[0] == pytest.approx(
         at[np.argmax(reference(at))], abs=1e-3
@@ -172,13 +174,16 @@ def test_the_binned_votes_are_the_product_of_the_boxes_likelihoods() -> None:
     likelihood = np.prod(1 + odds[:, None] * normal, axis=0)
     expected = likelihood / likelihood.sum()
     np.testing.assert_allclose(
-        vehicle_likelihood(lengths, scores, 4.5, _VOTES), expected, atol=0.03 * expected.max()
+        vehicle_likelihood(lengths, scores, lengths_m=4.5, votes=_VOTES),
+        expected,
+        atol=0.03 * expected.max(),
     )
 
 
 def test_a_box_of_a_low_score_says_less_than_one_of_a_high_score() -> None:
     low, high = (
-        vehicle_likelihood([30.0], [score], 4.5, Votes(-13.76, 17.4)) for score in (0.6, 0.95)
+        vehicle_likelihood([30.0], [score], lengths_m=4.5, votes=Votes(-13.76, 17.4))
+        for score in (0.6, 0.95)
     )
     assert low.max() < high.max()
     assert low.max() < 1.5 * low.min()
@@ -216,14 +221,21 @@ def test_confidence_and_its_terms_lie_between_0_and_1(
     found: list[tuple[float, float]], guarded: bool
 ) -> None:
     lengths, scores = np.array(found).T
-    terms = confidence_terms(lengths, scores, float(np.median(lengths)), _RANGE)
+    terms = confidence_terms(
+        lengths, scores, mode_px=float(np.median(lengths)), length_range_px=_RANGE
+    )
     assert 0 <= composite(terms, guarded=guarded) <= 1
 
 
 def _paper(lengths: list[float], scores: list[float], **more: float) -> PaperScale:
     seen = {"reduction": 1.0, "guard_length_px": 15.0} | more
     return paper_scale(
-        lengths, scores, modal_length(lengths, scores), (4.5, 0.45), length_range_px=_RANGE, **seen
+        lengths,
+        scores,
+        mode=modal_length(lengths, scores),
+        reference_m=(4.5, 0.45),
+        length_range_px=_RANGE,
+        **seen,
     )
 
 
@@ -252,16 +264,20 @@ def test_each_term_falls_with_what_it_watches(worse: dict[str, float], term: str
         n: float = 40, spread: float = 2.0, score: float = 0.7, length: float = 30.0
     ) -> float:
         lengths = length + spread * np.linspace(-1, 1, int(n))
-        found = confidence_terms(lengths, np.full(int(n), score), length, _RANGE)
+        found = confidence_terms(
+            lengths, np.full(int(n), score), mode_px=length, length_range_px=_RANGE
+        )
         return float(getattr(found, term))
 
     assert terms(**worse) < terms()
 
 
 def test_the_guard_caps_at_0_3_and_never_raises() -> None:
-    good = confidence_terms(np.full(60, 30.0), np.full(60, 0.9), 30.0, _RANGE)
+    good = confidence_terms(
+        np.full(60, 30.0), np.full(60, 0.9), mode_px=30.0, length_range_px=_RANGE
+    )
     assert composite(good, guarded=True) == 0.3
-    poor = confidence_terms([30.0], [0.3], 30.0, _RANGE)
+    poor = confidence_terms([30.0], [0.3], mode_px=30.0, length_range_px=_RANGE)
     assert composite(poor, guarded=True) == composite(poor, guarded=False) < 0.3
 
 
@@ -272,7 +288,7 @@ def test_the_guard_follows_the_reference_length_and_the_model() -> None:
 
 
 def _plane(tilt: float, roll: float = 0.0, focal: float = 2000.0, gsd: float = 0.1) -> GroundPlane:
-    return GroundPlane(gsd, tilt, focal, 1600, 1200, roll)
+    return GroundPlane(gsd, tilt, focal_px=focal, width_px=1600, height_px=1200, roll_deg=roll)
 
 
 def _mask(x: int, y: int, side: int = 40) -> np.ndarray:

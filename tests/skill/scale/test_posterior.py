@@ -29,17 +29,22 @@ HEIGHT = Shared("height", 0.12)
 def _point(
     gsd: float, log_sd: float = 0.015, chance_wrong: float = 0.05, kind: str = "line"
 ) -> Witness:
-    return Witness(kind, gsd, lognormal(gsd, log_sd), chance_wrong)
+    return Witness(kind, gsd, right=lognormal(gsd, log_sd), chance_wrong=chance_wrong)
 
 
 def _cars(n: int, gsd: float = 0.12, *, spread: float = 0.1, score: float = 0.95) -> Witness:
     lengths = 4.5 / gsd * np.exp(spread * np.linspace(-1, 1, n) if n > 1 else np.zeros(1))
-    votes = vehicle_likelihood(lengths, np.full(n, score), 4.5, VOTES)
-    return Witness("vehicles", gsd, blurred(votes, APPEARANCE_LOG_SD, APPEARANCE_LOG_MEAN), 0.01)
+    votes = vehicle_likelihood(lengths, np.full(n, score), lengths_m=4.5, votes=VOTES)
+    return Witness(
+        "vehicles",
+        gsd,
+        right=blurred(votes, APPEARANCE_LOG_SD, APPEARANCE_LOG_MEAN),
+        chance_wrong=0.01,
+    )
 
 
 def _prior(gsd: float, log_sd: float = 0.22) -> Witness:
-    return Witness("scene", gsd, lognormal(gsd, log_sd), 0.1, sets_scale=False)
+    return Witness("scene", gsd, right=lognormal(gsd, log_sd), chance_wrong=0.1, sets_scale=False)
 
 
 def _said(found: Answer | None) -> tuple[float, float, float, float]:
@@ -63,7 +68,7 @@ _witnesses = st.builds(
 
 @given(_witnesses, st.floats(0.0, 1.0))
 def test_a_flat_witness_changes_nothing(witnesses: list[Witness], chance_wrong: float) -> None:
-    mute = Witness("mute", 0.1, flat(), chance_wrong)
+    mute = Witness("mute", 0.1, right=flat(), chance_wrong=chance_wrong)
     before = _said(judged(witnesses))
     assume(before[3] > _DECIDED)
     assert _said(judged([*witnesses, mute])) == pytest.approx(before, rel=1e-6)
@@ -82,7 +87,12 @@ def test_a_setting_witness_at_the_value_never_lowers_the_chance(
 ) -> None:
     before = judged(witnesses)
     assert before is not None
-    after = judged([*witnesses, _point(before.gsd_m_per_px, log_sd, chance_wrong, "supporter")])
+    after = judged(
+        [
+            *witnesses,
+            _point(before.gsd_m_per_px, log_sd, chance_wrong=chance_wrong, kind="supporter"),
+        ]
+    )
     assert after is not None
     assert after.chance >= before.chance - 1e-3  # the value can move by a cell
 
@@ -100,7 +110,7 @@ def test_a_witness_that_contradicts_all_others_never_makes_sure(
     assert before is not None
     lie = before.gsd_m_per_px * factor
     assume(on_grid(lie))
-    liar = _point(lie, log_sd, chance_wrong, "liar")
+    liar = _point(lie, log_sd, chance_wrong=chance_wrong, kind="liar")
     assume(all(_contradicts(liar, each) for each in witnesses))
     alone = judged([liar, *(each for each in witnesses if not each.sets_scale)])
     after = judged([*witnesses, liar])
@@ -205,7 +215,12 @@ def test_a_usable_scale_has_no_reason() -> None:
 
 
 def test_a_witness_without_a_floor_does_not_break_the_product() -> None:
-    sure = Witness("sure", 0.1, normalised(np.where(lognormal(0.1, 0.01) > 1e-6, 1.0, 0.0)), 0.0)
+    sure = Witness(
+        "sure",
+        0.1,
+        right=normalised(np.where(lognormal(0.1, 0.01) > 1e-6, 1.0, 0.0)),
+        chance_wrong=0.0,
+    )
     found = answer([sure, _point(0.5)])
     assert found is not None
     assert found.gsd_m_per_px == pytest.approx(0.1, rel=0.05)

@@ -116,7 +116,7 @@ def test_images_smaller_than_the_crop_are_seen_whole_whatever_their_shape(
         image = np.full((height, width, 3), OBJECT_RGB, np.uint8)
         box = (20.9, 12.1, 60.1, 80.9)
         found = segmented(segmenter, image, Prompt(box=box))
-        assert found.window == Window(0, 0, width, height)
+        assert found.window == Window(0, 0, width_px=width, height_px=height)
         assert found.bounding_box == (21, 12, 60, 81)
 
 

@@ -115,10 +115,12 @@ def test_what_names_nothing_in_any_image_is_refused(box: Any, points: Any, messa
 
 
 def test_a_box_that_rounding_took_over_the_edge_is_pulled_in() -> None:
-    assert prompt_in_image(Prompt(box=(-0.9, -0.5, 60.9, 40.3)), WHOLE, 60, 40) == Prompt(
-        box=(0.0, 0.0, 60.0, 40.0)
+    assert prompt_in_image(
+        Prompt(box=(-0.9, -0.5, 60.9, 40.3)), WHOLE, width_px=60, height_px=40
+    ) == Prompt(box=(0.0, 0.0, 60.0, 40.0))
+    framed = prompt_in_image(
+        Prompt(box=(-0.9, 0.0, 30.9, 20.0)), Frame(FrameSize(30, 20)), width_px=60, height_px=40
     )
-    framed = prompt_in_image(Prompt(box=(-0.9, 0.0, 30.9, 20.0)), Frame(FrameSize(30, 20)), 60, 40)
     assert framed == Prompt(box=(0.0, 0.0, 60.0, 40.0))
 
 
@@ -142,7 +144,7 @@ def test_what_names_nothing_in_this_image_is_refused(
     prompt: Prompt, frame: Frame, message: str
 ) -> None:
     with pytest.raises(PromptError, match=message):
-        prompt_in_image(prompt, frame, 60, 40)
+        prompt_in_image(prompt, frame, width_px=60, height_px=40)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +173,7 @@ def test_the_crop_of_a_point_grows_until_the_object_is_in_it(segmenter: Segmente
         np.full((1300, 1300, 3), OBJECT_RGB, np.uint8),
         Prompt(points=((450.0, 650.0, True),)),
     )
-    assert everything.window == Window(0, 0, 1300, 1300)
+    assert everything.window == Window(0, 0, width_px=1300, height_px=1300)
     assert everything.mask.all()
 
 

@@ -56,8 +56,8 @@ _masks = st.integers(0, 10**6).map(
 
 
 def test_the_bounds_are_the_sides_of_the_outer_pixels() -> None:
-    assert mask_bounds(_upright(20, 10, 60, 30)) == (20, 10, 60, 30)
-    assert mask_bounds(_upright(79, 59, 80, 60)) == (79, 59, 80, 60)
+    assert mask_bounds(_upright(20, 10, x2=60, y2=30)) == (20, 10, 60, 30)
+    assert mask_bounds(_upright(79, 59, x2=80, y2=60)) == (79, 59, 80, 60)
     assert mask_bounds(np.zeros((5, 5), dtype=bool)) is None
 
 
@@ -92,7 +92,7 @@ def test_the_perimeter_of_an_upright_rectangle_is_exact_also_at_the_edge(
 
 
 def test_holes_count_towards_the_perimeter() -> None:
-    mask = _upright(20, 10, 60, 30)
+    mask = _upright(20, 10, x2=60, y2=30)
     mask[15:20, 30:40] = False
     assert perimeter(mask) == pytest.approx(120 + 30)
 
@@ -146,7 +146,7 @@ def test_the_inscribed_circle_is_that_of_the_exact_distance(mask: NDArray[np.boo
 
 
 def test_a_huge_mask_misses_a_pixel_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
-    masks = [_disc(150), _rectangle(300, 41, 17), _upright(3, 5, 43, 25)]
+    masks = [_disc(150), _rectangle(300, 41, 17), _upright(3, 5, x2=43, y2=25)]
     exact = [(inscribed_circle(mask), perimeter(mask)) for mask in masks]
     monkeypatch.setattr(area, "_LATTICE_PX", 2_000)
     for mask, (fine, length) in zip(masks, exact, strict=True):
@@ -174,7 +174,7 @@ def _filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def test_the_outline_of_a_rectangle_with_a_hole_runs_along_its_pixels_sides() -> None:
-    mask = _upright(20, 10, 60, 30)
+    mask = _upright(20, 10, x2=60, y2=30)
     mask[15:20, 30:40] = False
     (part,) = outline_parts(mask)
     exterior, hole = part

@@ -321,7 +321,7 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
     (width,) = tags[_TAG_WIDTH]
     (height,) = tags[_TAG_HEIGHT]
     (bands,) = tags.get(_TAG_SAMPLES, (1,))
-    _check_for_preview(read_at, tags, width, height)
+    _check_for_preview(read_at, tags, width=width, height=height)
     for tag in _TAGS_OF_BANDS:
         if len(tags.get(tag, (0,))) not in (1, min(bands, MAX_VALUES)):
             raise ImageDecodeError(

@@ -147,9 +147,9 @@ def _form(read_at: ReadAt) -> _Form:
     (version,) = struct.unpack_from(order + "H", head, 2)
     if version == 43:  # BigTIFF
         (first,) = struct.unpack_from(order + "Q", head, 8)
-        return _Form(order, first, order + "Q", order + "HHQ", 8)
+        return _Form(order, first, n_entries=order + "Q", entry=order + "HHQ", value_bytes=8)
     (first,) = struct.unpack_from(order + "I", head, 4)
-    return _Form(order, first, order + "H", order + "HHI", 4)
+    return _Form(order, first, n_entries=order + "H", entry=order + "HHI", value_bytes=4)
 
 
 def _table(read_at: ReadAt, form: _Form, offset: int) -> tuple[int, int]:

@@ -96,7 +96,7 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
             position = found.start() if found else len(data)
     if frame is None:
         raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
-    return _header(frame, n_scans, orientation, complete, metadata)
+    return _header(frame, n_scans, orientation=orientation, complete=complete, metadata=metadata)
 
 
 def _header(

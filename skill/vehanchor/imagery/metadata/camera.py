@@ -118,9 +118,9 @@ def _combine(
     make = stated.text("Make")
     model = stated.text("Model")
     makers = makers_of(make)
-    height, height_tag = _first(stated, makers, "height", METRES)
-    focal_px, _ = _first(stated, makers, "focal_px", PIXELS)
-    centre_px, _ = _first(stated, makers, "centre_px", PIXELS)
+    height, height_tag = _first(stated, makers, field="height", units=METRES)
+    focal_px, _ = _first(stated, makers, field="focal_px", units=PIXELS)
+    centre_px, _ = _first(stated, makers, field="centre_px", units=PIXELS)
     focal_mm = stated.lens_number("FocalLength")
     for each in makers:
         value, unit = stated.focal(each) if each.focal else (None, "")
@@ -140,7 +140,7 @@ def _combine(
         focal_mm=focal_mm,
         focal_35mm=stated.lens_number("FocalLengthIn35mmFilm"),
         focal_px=focal_px,
-        pixel_mm=_pixel_mm(stated, width if rows else None, make, model),
+        pixel_mm=_pixel_mm(stated, width if rows else None, make=make, model=model),
         taken_width_px=width if width and rows else None,
         taken_height_px=rows if width and rows else None,
         centre_x_px=centre_px,

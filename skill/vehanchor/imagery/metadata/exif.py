@@ -71,11 +71,11 @@ def read_exif(read_at: ReadAt) -> ExifTags:
         return {}
     tags: ExifTags = {}
     (first,) = struct.unpack_from(order + "I", head, 4)
-    further = _read_directory(read_at, order, first, tags, _NAMES)
+    further = _read_directory(read_at, order, offset=first, tags=tags, names=_NAMES)
     for pointer, names in ((_CAMERA_DIRECTORY, _NAMES), (_POSITION_DIRECTORY, _POSITION_NAMES)):
         offset = further.get(pointer)
         if offset is not None and offset != first:
-            _read_directory(read_at, order, offset, tags, names)
+            _read_directory(read_at, order, offset=offset, tags=tags, names=names)
     return tags
 
 

@@ -82,7 +82,7 @@ def dataset_gsd_m_per_px(dataset: Any) -> float | None:
         crs = dataset.crs
         if not crs or transform == _IDENTITY or not all(map(math.isfinite, transform)):
             return None
-        gsd = _gsd_in_crs(transform, crs, dataset.width / 2, dataset.height / 2)
+        gsd = _gsd_in_crs(transform, crs, column=dataset.width / 2, row=dataset.height / 2)
     # PROJ cannot use the system; CRSError is a ValueError
     except (RasterioError, ValueError, ArithmeticError):
         return None

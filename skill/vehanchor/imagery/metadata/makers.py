@@ -82,10 +82,10 @@ MAKERS: tuple[Maker, ...] = (
     Maker(
         "Parrot",
         "http://www.parrot.com/drone-parrot/1.0",
-        "Parrot, embedded photo metadata",
-        "",  # in Pix4D's namespace
-        "CameraPitchDegree",
-        "CameraRollDegree",
+        source="Parrot, embedded photo metadata",
+        height="",  # in Pix4D's namespace
+        pitch="CameraPitchDegree",
+        roll="CameraRollDegree",
     ),
     Maker(
         "MicaSense",

@@ -96,13 +96,15 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
         return _open_path(existing(os.fspath(image)), bands, limits)
     if isinstance(image, bytes | bytearray | memoryview):
         check_bytes(memoryview(image).nbytes, limits)
-        return _open_bytes(bytes(image), "bytes", bands, limits)
+        return _open_bytes(bytes(image), "bytes", bands=bands, limits=limits)
     if is_pillow(image):
         return ArrayRaster(pillow_pixels(image, limits), "image", bands, alpha=True)
     if is_dataset(image):
         return open_dataset(image, bands, limits)
     if hasattr(image, "read"):
-        return _open_bytes(_read_stream(cast("BinaryIO", image), limits), "file", bands, limits)
+        return _open_bytes(
+            _read_stream(cast("BinaryIO", image), limits), "file", bands=bands, limits=limits
+        )
     raise InvalidParameterError(
         "image must be a path, bytes, a binary file, a numpy array, a Pillow image or a "
         "rasterio dataset, got "
@@ -130,11 +132,16 @@ def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
             header = read_checked_header(read_at, limits)
             if n_bytes > limits.max_bytes or _needs_windows(header, limits):
                 return _open_by_windows(
-                    str(Path(path).absolute()), path, header, bands, limits, read_at
+                    str(Path(path).absolute()),
+                    path,
+                    header=header,
+                    bands=bands,
+                    limits=limits,
+                    read_at=read_at,
                 )
         check_bytes(n_bytes, limits)
         data = read_at(0, n_bytes)
-    return _open_bytes(data, path, bands, limits, header)
+    return _open_bytes(data, path, bands=bands, limits=limits, header=header)
 
 
 def _open_bytes(
@@ -148,11 +155,13 @@ def _open_bytes(
     if not data:
         raise ImageDecodeError(f"the image ({source}) is empty: 0 bytes")
     if image_format(data[:32]) == "HEIC":
-        return open_heic(data, source, bands, limits)
+        return open_heic(data, source, bands=bands, limits=limits)
     read_at = in_memory(data)
     header = header or read_checked_header(read_at, limits)
     if _needs_windows(header, limits):
-        return _open_by_windows(data, source, header, bands, limits, read_at)
+        return _open_by_windows(
+            data, source, header=header, bands=bands, limits=limits, read_at=read_at
+        )
     pixels = decode(data, source, header)
     # OpenCV has already applied a TIFF's orientation
     orientation = 1 if header.tiff else header.orientation
@@ -171,7 +180,7 @@ def _open_by_windows(
     read_at: ReadAt,
 ) -> Raster:
     """Open an image that is too large to decode whole, or that OpenCV does not decode."""
-    raster = open_file(file, source, header, bands, limits)
+    raster = open_file(file, source, header=header, bands=bands, limits=limits)
     raster.encoded = file
     raster.camera = read_camera(read_at, header)
     return raster

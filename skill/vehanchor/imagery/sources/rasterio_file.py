@@ -72,7 +72,7 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
         raise InvalidParameterError(
             f"the rasterio dataset {dataset.name!r} is {state}: open it for reading"
         )
-    check_windowed_size("dataset", dataset.width, dataset.height, limits)
+    check_windowed_size("dataset", dataset.width, height_px=dataset.height, limits=limits)
     _check_block(dataset, "dataset", limits)
     inks = _INKS.intersection(each.name for each in dataset.colorinterp)
     if inks:
@@ -108,7 +108,13 @@ def open_file(
             "neither"
             " grey (black is zero), RGB, palette nor YCbCr; convert it to RGB"
         )
-    check_block("JPEG 2000", header.tile_px, header.bands, _OPENJPEG_SAMPLE_BYTES, limits)
+    check_block(
+        "JPEG 2000",
+        header.tile_px,
+        samples=header.bands,
+        sample_bytes=_OPENJPEG_SAMPLE_BYTES,
+        limits=limits,
+    )
     rasterio = _import_rasterio(source, header)
     # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could name
     # any other file.
@@ -129,7 +135,9 @@ def open_file(
                 )
             _check_block(dataset, header.format, limits)
         if layout is not None:
-            check_block("TIFF's mask", layout.mask_block_px, 1, 1, limits)
+            check_block(
+                "TIFF's mask", layout.mask_block_px, samples=1, sample_bytes=1, limits=limits
+            )
         # A geotransform refers to the stored frame, so georeferenced files keep their stored
         # orientation.
         orientation = 1 if layout is not None and layout.georeferenced else header.orientation
@@ -198,9 +206,9 @@ def _check_block(dataset: Any, name: str, limits: ImageLimits) -> None:
     check_block(
         name,
         max(height * width for height, width in dataset.block_shapes),
-        together,
-        sample_bytes,
-        limits,
+        samples=together,
+        sample_bytes=sample_bytes,
+        limits=limits,
     )
 
 
@@ -280,7 +288,9 @@ class DatasetRaster(Raster):
                 for each in (window.x_px, window.y_px, window.width_px, window.height_px)
             )
         )
-        stored = stored_window(full, self.width_px, self.height_px, self._orientation)
+        stored = stored_window(
+            full, self.width_px, height_px=self.height_px, orientation=self._orientation
+        )
         overview = self._to_rgb(
             self._read_stored(stored, (stored.height_px // step, stored.width_px // step))
         )
@@ -363,16 +373,21 @@ class DatasetRaster(Raster):
         width = self._dataset.width
         height = self._dataset.height
         if width * height <= SAMPLE_PX:
-            return [(Window(0, 0, width, height), None)]
+            return [(Window(0, 0, width_px=width, height_px=height), None)]
         if max(rows * columns for rows, columns in self._dataset.block_shapes) > SAMPLE_PX:
             step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
-            return [(Window(0, 0, width, height), (max(1, height // step), max(1, width // step)))]
+            return [
+                (
+                    Window(0, 0, width_px=width, height_px=height),
+                    (max(1, height // step), max(1, width // step)),
+                )
+            ]
         side = math.isqrt(SAMPLE_PX) // _SAMPLE_GRID
         spots = np.linspace(0, 1, _SAMPLE_GRID)
         w = min(side, width)
         h = min(side, height)
         return [
-            (Window(int(x * (width - w)), int(y * (height - h)), w, h), None)
+            (Window(int(x * (width - w)), int(y * (height - h)), width_px=w, height_px=h), None)
             for y in spots
             for x in spots
         ]

@@ -183,7 +183,12 @@ class SamContract(LoadedModel, ABC):
         masks, (width, height) = self._masks(outputs, size)
         grid, score = self._chosen(masks, outputs[self.decoder_outputs[1]], prompt)
         rows, columns = grid.shape
-        return MaskLogits(grid, score, (columns / width * across, rows / height * down), window)
+        return MaskLogits(
+            grid,
+            score,
+            cells_per_px=(columns / width * across, rows / height * down),
+            window=window,
+        )
 
     @abstractmethod
     def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
@@ -203,7 +208,11 @@ class SamContract(LoadedModel, ABC):
         names = [output.name for output in session.get_outputs()]
         shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in inputs.items())
         results = run_session(
-            session, names, inputs, self.runtime, f"the {self.name} segmenter fails on {shapes}"
+            session,
+            names,
+            feeds=inputs,
+            runtime=self.runtime,
+            described=f"the {self.name} segmenter fails on {shapes}",
         )
         return dict(zip(names, (np.asarray(result) for result in results), strict=True))
 

@@ -54,7 +54,9 @@ def test_it_is_read_by_windows_from_a_file_and_from_memory(jp2: bytes, tmp_path:
     for source in (jp2, tmp_path / "photo.jp2"):
         with open_raster(source) as raster:
             assert np.array_equal(raster.read(), NOISE)
-            assert np.array_equal(raster.read(Window(20, 30, 50, 40)), NOISE[30:70, 20:70])
+            assert np.array_equal(
+                raster.read(Window(20, 30, width_px=50, height_px=40)), NOISE[30:70, 20:70]
+            )
     assert vehanchor.find_images(tmp_path) == [str(tmp_path / "photo.jp2")]
 
 
@@ -96,7 +98,7 @@ def test_sizes_are_those_that_the_decoder_allocates_by(jp2: bytes) -> None:
 def test_a_larger_one_than_may_be_decoded_whole_is_read_by_its_tiles() -> None:
     tiled = encoded(np.tile(NOISE, (5, 5, 1)), BLOCKXSIZE="256", BLOCKYSIZE="256")
     with open_raster(tiled, Reading(limits=ImageLimits(max_pixels=200_000))) as raster:
-        assert np.array_equal(raster.read(Window(130, 90, 130, 90)), NOISE)
+        assert np.array_equal(raster.read(Window(130, 90, width_px=130, height_px=90)), NOISE)
 
 
 @pytest.mark.parametrize("kept", [0.01, 0.05, 0.3, 0.7, 0.95])

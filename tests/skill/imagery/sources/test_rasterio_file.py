@@ -157,7 +157,9 @@ def test_an_open_dataset_is_an_image_and_stays_open(tmp_path: Path) -> None:
                 assert raster.georeference_gsd_m_per_px == pytest.approx(0.25)
                 assert (raster.width_px, raster.height_px) == (WIDTH_PX, HEIGHT_PX)
                 np.testing.assert_array_equal(raster.read(), RGB)
-                np.testing.assert_array_equal(raster.read(Window(3, 5, 20, 7)), RGB[5:12, 3:23])
+                np.testing.assert_array_equal(
+                    raster.read(Window(3, 5, width_px=20, height_px=7)), RGB[5:12, 3:23]
+                )
             assert not dataset.closed
         np.testing.assert_array_equal(read_all(dataset, bands=(3, 1, 1)), RGB[..., [2, 0, 0]])
 
@@ -221,27 +223,30 @@ def test_overviews_show_where_to_look_without_reading_the_whole_file(tmp_path: P
         tmp_path / "a.tif", smooth_rgb(1200, 900), tiled=True, blockxsize=256, blockysize=256
     )
     with open_raster(path) as raster:
-        assert raster.read_overview(Window(0, 0, 20, 20), 8) is None
-        expected = read_reduced_window(raster, Window(3, 2, 40, 30), 8)
-        np.testing.assert_array_equal(read_preview(raster, Window(3, 2, 40, 30), 8), expected)
+        assert raster.read_overview(Window(0, 0, width_px=20, height_px=20), 8) is None
+        expected = read_reduced_window(raster, Window(3, 2, width_px=40, height_px=30), 8)
+        np.testing.assert_array_equal(
+            read_preview(raster, Window(3, 2, width_px=40, height_px=30), 8), expected
+        )
     with rasterio.open(path, "r+") as dataset:
         dataset.build_overviews([2, 4, 8], rasterio.enums.Resampling.average)
     with open_raster(path) as raster:
-        seen = raster.read_overview(Window(3, 2, 40, 30), 8)
+        seen = raster.read_overview(Window(3, 2, width_px=40, height_px=30), 8)
         assert seen is not None
         assert np.abs(seen.astype(int) - expected).max() <= 1
         np.testing.assert_array_equal(
-            read_reduced_window(raster, Window(3, 2, 40, 30), 8), expected
+            read_reduced_window(raster, Window(3, 2, width_px=40, height_px=30), 8), expected
         )
-        next_finer = raster.read_overview(Window(3, 2, 30, 20), 16)
+        next_finer = raster.read_overview(Window(3, 2, width_px=30, height_px=20), 16)
         assert next_finer is not None
         assert (
             np.abs(
-                next_finer.astype(int) - read_reduced_window(raster, Window(3, 2, 30, 20), 16)
+                next_finer.astype(int)
+                - read_reduced_window(raster, Window(3, 2, width_px=30, height_px=20), 16)
             ).max()
             <= 1
         )
-        assert raster.read_overview(Window(0, 0, 20, 10), 32) is None
+        assert raster.read_overview(Window(0, 0, width_px=20, height_px=10), 32) is None
 
 
 def test_datasets_that_cannot_be_measured(tmp_path: Path) -> None:
