@@ -35,5 +35,6 @@ FORMER_NAMES = {
     "Looks": "Appearance",
     "Detections.looks": "appearance",
     "Detections.scales": "reductions",
+    "Witness.said": "statement",
     "StoredPhotograph.resolved": "detail_share",
 }

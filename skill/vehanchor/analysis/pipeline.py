@@ -46,7 +46,7 @@ from vehanchor.rulers.vehicles import measured_vehicles
 from vehanchor.rulers.witnesses import disagreements, measure_all, with_doubts
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
-from vehanchor.scale.posterior import Answer, answer, judged
+from vehanchor.scale.posterior import Answer, answer, judge
 from vehanchor.scale.reliability import SAME_NUMBER
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ def _without_repetition(witnesses: tuple[Witness, ...]) -> tuple[Witness, ...]:
         (each for each in witnesses if each.kind == StatedScale.kind and each.found), None
     )
     rest = tuple(each for each in witnesses if each is not stated)
-    found = None if stated is None else judged(rest)
+    found = None if stated is None else judge(rest)
     if stated is None or stated.gsd_m_per_px is None or found is None:
         return witnesses
     repeats = abs(math.log(stated.gsd_m_per_px / found.gsd_m_per_px)) <= SAME_NUMBER
@@ -360,7 +360,7 @@ def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:
         n=witness.n,
         p_right=min(1.0, p_right),
         probably_right=p_right >= PROBABLY_RIGHT,
-        explanation=witness.said,
+        explanation=witness.statement,
     )
 
 

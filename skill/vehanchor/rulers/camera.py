@@ -127,7 +127,7 @@ class Camera(Ruler):
             gsd,
             log_sd=log_sd,
             chance_wrong=chance_wrong,
-            said=said,
+            statement=said,
             shared=errors,
             notices=notices,
         )

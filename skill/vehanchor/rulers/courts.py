@@ -69,7 +69,7 @@ def witness_of(courts: Sequence[Court]) -> Witness | None:
         math.exp(mean),
         log_sd=log_sd,
         chance_wrong=reliability.chance_wrong,
-        said=f"{_named(kept)} {{}}.",
+        statement=f"{_named(kept)} {{}}.",
         n=len(kept),
         marks=[mark for court in kept for mark in _marks(court)],
     )

@@ -70,7 +70,7 @@ class GivenHeight(Ruler):
             gsd,
             log_sd=math.hypot(log_sd, tilt_log_sd),
             chance_wrong=reliability.chance_wrong,
-            said=said,
+            statement=said,
             shared=[Shared(LENS, seen.log_sd)],
             marks=[mark_of_height(image, chosen.height_m)],
         )

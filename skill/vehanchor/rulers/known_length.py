@@ -80,7 +80,7 @@ class KnownLengths(Ruler):
             found,
             n=len(lines),
             notices=_lines_disagree(groups, each),
-            said=f"{given} {in_words(found.gsd_m_per_px, found.interval)}."
+            statement=f"{given} {in_words(found.gsd_m_per_px, found.interval)}."
             + (" This is the scale of the image's centre." if view.plane else ""),
             marks=tuple(Mark(one.ends, _label(one.line)) for one in drawn),
         )

@@ -128,6 +128,6 @@ def baseline(
         gsd,
         log_sd=log_sd,
         chance_wrong=reliability.chance_wrong,
-        said=said,
+        statement=said,
         n=n_known,
     )

@@ -144,7 +144,7 @@ def point_witness(
     gsd_m_per_px: float,
     log_sd: float,
     chance_wrong: float,
-    said: str,
+    statement: str,
     *,
     shared: Sequence[Shared] = (),
     n: int = 1,
@@ -158,7 +158,7 @@ def point_witness(
         gsd_m_per_px: the scale, on the grid (see ``vehanchor.scale.density.on_grid``).
         log_sd: standard deviation of its log, without shared errors.
         chance_wrong: 0..1, chance that it measured something else.
-        said: a sentence with the source and the measurement; ``{}`` in it stands for the scale and
+        statement: a sentence with the source and the measurement; ``{}`` in it stands for the scale and
             its interval.
         shared: errors in common with other witnesses.
         n: number of things measured.
@@ -176,7 +176,8 @@ def point_witness(
         marks=tuple(marks),
     )
     assert witness.interval is not None
-    return replace(witness, said=said.replace("{}", in_words(gsd_m_per_px, witness.interval)))
+    words = in_words(gsd_m_per_px, witness.interval)
+    return replace(witness, statement=statement.replace("{}", words))
 
 
 def assumed(witness: Witness, caller: Shared = CALLER) -> Witness:

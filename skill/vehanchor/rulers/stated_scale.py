@@ -38,6 +38,10 @@ def stated_witness(stated: Stated) -> Witness:
     chance_wrong = RELIABILITY[stated.basis].chance_wrong
     said = f"The stated scale, {stated.basis}, is {{}}."
     found = point_witness(
-        StatedScale.kind, stated.gsd_m_per_px, log_sd=log_sd, chance_wrong=chance_wrong, said=said
+        StatedScale.kind,
+        stated.gsd_m_per_px,
+        log_sd=log_sd,
+        chance_wrong=chance_wrong,
+        statement=said,
     )
     return assumed(found) if stated.basis == "assumed" else found

@@ -14,7 +14,7 @@ from vehanchor.rulers.ruler import unusable
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import product
-from vehanchor.scale.posterior import sharing
+from vehanchor.scale.posterior import with_shared_error
 from vehanchor.scale.reliability import NO_CARS, NO_ONE_SCALE
 
 if TYPE_CHECKING:
@@ -106,13 +106,17 @@ def with_doubts(
     no_one_scale = NoticeCode.STRETCHED in codes or NoticeCode.TILT_SUSPECTED in codes
     found = []
     for each in witnesses:
-        one = sharing(each, NO_ONE_SCALE, "disagree") if no_one_scale and each.found else each
+        one = (
+            with_shared_error(each, NO_ONE_SCALE, removes="disagree")
+            if no_one_scale and each.found
+            else each
+        )
         if (
             NoticeCode.LOOK_ALIKES in codes
             and each.found
             and (each.kind == Vehicles.kind or not each.sets_scale)
         ):
-            one = sharing(one, NO_CARS, "not_cars")
+            one = with_shared_error(one, NO_CARS, removes="not_cars")
         found.append(one)
     return tuple(found)
 

@@ -27,7 +27,7 @@ _GRID_STEP = 0.2  # of a bandwidth; the maximum is then refined between grid poi
 _MAY_BE_HIGHEST = 0.98
 # of Scott's bandwidth; on the train split 1.5 to 3 do alike, 1 jumps between peaks
 _WEIGHTED_SMOOTHING = 2.0
-LEAST_SCORE = 1e-3  # some models give scores of 0
+MIN_SCORE = 1e-3  # some models give scores of 0
 _BOOTSTRAP_REPLICATES = 400
 _BOOTSTRAP_SEED = 20260
 # error of an estimate from one car, false alarms included, fitted on the held-out tenth
@@ -283,7 +283,7 @@ def kernel_weights(
     values = np.asarray(lengths, dtype=np.float64)
     if aggregation != "weighted_kde":
         return np.ones(len(values)), 1.0
-    score = np.maximum(np.asarray(scores, dtype=np.float64), LEAST_SCORE)
+    score = np.maximum(np.asarray(scores, dtype=np.float64), MIN_SCORE)
     return np.asarray(score**2 * values), _WEIGHTED_SMOOTHING
 
 

@@ -70,8 +70,8 @@ def test_height_and_the_equivalent_focal_length_make_a_scale_with_an_honest_inte
     )
     assert (witness.kind, witness.n) == ("camera", 1)
     assert witness.notices == ()
-    assert witness.said is not None
-    assert "100 m (DJI RelativeAltitude) and 26 mm" in witness.said
+    assert witness.statement is not None
+    assert "100 m (DJI RelativeAltitude) and 26 mm" in witness.statement
 
 
 def test_the_sensor_tells_better_than_the_equivalent_and_a_calibration_best() -> None:
@@ -92,8 +92,8 @@ def test_a_listed_sensor_tells_at_every_size_and_shape_of_the_whole_picture(
     taken = _but(taken_width_px=None, taken_height_px=None)
     witness = _measured(taken, *size)
     assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD * 4000 / max(size), rel=1e-3)
-    assert witness.said is not None
-    assert "6.17 mm wide sensor of the FC220" in witness.said
+    assert witness.statement is not None
+    assert "6.17 mm wide sensor of the FC220" in witness.statement
 
 
 def test_a_picture_of_4_3_has_all_rows_of_a_sensor_of_3_2() -> None:
@@ -108,8 +108,8 @@ def test_a_picture_of_4_3_has_all_rows_of_a_sensor_of_3_2() -> None:
 def test_a_listed_sensor_is_not_believed_behind_another_lens() -> None:
     """A drone's second camera may write the same model."""
     other = _measured(_but(focal_mm=13.5, focal_35mm=72.0))
-    assert other.said is not None
-    assert "72 mm (35 mm equivalent)" in other.said
+    assert other.statement is not None
+    assert "72 mm (35 mm equivalent)" in other.statement
 
 
 def test_a_calibration_of_another_size_is_not_believed() -> None:
@@ -163,8 +163,8 @@ def test_an_unknown_pitch_widens_the_interval() -> None:
     unknown = _measured(_but(off_nadir_deg=None))
     assert log_sd(unknown) > log_sd(known)
     assert unknown.chance_wrong > known.chance_wrong
-    assert unknown.said is not None
-    assert "at nadir" in unknown.said
+    assert unknown.statement is not None
+    assert "at nadir" in unknown.statement
 
 
 def test_the_nearer_the_ground_the_less_a_height_says() -> None:

@@ -247,8 +247,8 @@ def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
         assert moved.gsd_m_per_px == pytest.approx(GSD, rel=1e-6)
         assert moved.interval is not None
         assert moved.interval.high / moved.interval.low > before.interval.high / before.interval.low
-        assert moved.said is not None
-        assert moved.said.endswith("This is the scale of the image's centre.")
+        assert moved.statement is not None
+        assert moved.statement.endswith("This is the scale of the image's centre.")
     record = analyse_view(_view(LOW, **said)).estimate
     # the metadata have 30 degrees, and no roll
     assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.1)

@@ -62,8 +62,8 @@ def test_several_lines_are_weighed_by_what_their_pixels_tell() -> None:
     assert both.gsd_m_per_px == pytest.approx(0.05, rel=0.01)
     assert both.n == 2
     assert both.notices == ()
-    assert both.said is not None
-    assert both.said.startswith("The 2 given lines, measured, give 0.05")
+    assert both.statement is not None
+    assert both.statement.startswith("The 2 given lines, measured, give 0.05")
 
 
 def test_lines_that_contradict_each_other_are_told_and_believed_less() -> None:

@@ -18,7 +18,7 @@ from vehanchor.scale.density import (
     on_grid,
     vehicle_likelihood,
 )
-from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judged
+from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judge
 from vehanchor.scale.reliability import APPEARANCE_LOG_MEAN, APPEARANCE_LOG_SD, CALLER, Shared
 
 VOTES = Votes(-13.76, 17.4)
@@ -69,25 +69,25 @@ _witnesses = st.builds(
 @given(_witnesses, st.floats(0.0, 1.0))
 def test_a_flat_witness_changes_nothing(witnesses: list[Witness], chance_wrong: float) -> None:
     mute = Witness("mute", 0.1, right=flat(), chance_wrong=chance_wrong)
-    before = _said(judged(witnesses))
+    before = _said(judge(witnesses))
     assume(before[3] > _DECIDED)
-    assert _said(judged([*witnesses, mute])) == pytest.approx(before, rel=1e-6)
+    assert _said(judge([*witnesses, mute])) == pytest.approx(before, rel=1e-6)
 
 
 @given(_witnesses, st.randoms(use_true_random=False))
 def test_the_order_does_not_matter(witnesses: list[Witness], random: object) -> None:
     mixed = list(witnesses)
     random.shuffle(mixed)  # type: ignore[attr-defined]
-    assert _said(judged(mixed)) == pytest.approx(_said(judged(witnesses)), rel=1e-6)
+    assert _said(judge(mixed)) == pytest.approx(_said(judge(witnesses)), rel=1e-6)
 
 
 @given(_witnesses, st.floats(0.005, 0.15), st.floats(0.0, 0.3))
 def test_a_setting_witness_at_the_value_never_lowers_the_chance(
     witnesses: list[Witness], log_sd: float, chance_wrong: float
 ) -> None:
-    before = judged(witnesses)
+    before = judge(witnesses)
     assert before is not None
-    after = judged(
+    after = judge(
         [
             *witnesses,
             _point(before.gsd_m_per_px, log_sd, chance_wrong=chance_wrong, kind="supporter"),
@@ -106,14 +106,14 @@ def test_a_setting_witness_at_the_value_never_lowers_the_chance(
 def test_a_witness_that_contradicts_all_others_never_makes_sure(
     witnesses: list[Witness], factor: float, log_sd: float, chance_wrong: float
 ) -> None:
-    before = judged(witnesses)
+    before = judge(witnesses)
     assert before is not None
     lie = before.gsd_m_per_px * factor
     assume(on_grid(lie))
     liar = _point(lie, log_sd, chance_wrong=chance_wrong, kind="liar")
     assume(all(_contradicts(liar, each) for each in witnesses))
-    alone = judged([liar, *(each for each in witnesses if not each.sets_scale)])
-    after = judged([*witnesses, liar])
+    alone = judge([liar, *(each for each in witnesses if not each.sets_scale)])
+    after = judge([*witnesses, liar])
     assert alone is not None
     assert after is not None
     assert after.chance <= max(before.chance, alone.chance, _DECIDED) + 0.03
@@ -131,9 +131,7 @@ def _contradicts(one: Witness, other: Witness) -> bool:
 def test_the_value_is_continuous(
     witnesses: list[Witness], gsd: float, log_sd: float, chance_wrong: float
 ) -> None:
-    near, here = (
-        judged([*witnesses, _point(gsd * k, log_sd, chance_wrong)]) for k in (1.0001, 1.0)
-    )
+    near, here = (judge([*witnesses, _point(gsd * k, log_sd, chance_wrong)]) for k in (1.0001, 1.0))
     assert near is not None
     assert here is not None
     assume(max(near.chance, here.chance) > _DECIDED)
