@@ -216,12 +216,15 @@ class VehicleWitness(Witness):
     @cached_property
     def paper(self) -> PaperScale:
         """Scale by the published method, computed on first use; a search does not need it."""
+        reference = self.reference
         shortest_px, longest_px = self.card.length_range_px
         return paper_scale(
             self.fleet.lengths,
             self.fleet.scores,
-            mode=(self.mode_length_px, self.aggregation),
-            reference_m=(self.reference.length_m, self.reference.log_sd * self.reference.length_m),
+            mode_px=self.mode_length_px,
+            aggregation=self.aggregation,
+            reference_length_m=reference.length_m,
+            reference_sd_m=reference.log_sd * reference.length_m,
             reduction=self.fleet.main_reduction or 1.0,
             guard_length_px=self.guard_length_px,
             length_range_px=(max(self.card.min_length_px, shortest_px), longest_px),

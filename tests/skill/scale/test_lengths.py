@@ -229,11 +229,14 @@ def test_confidence_and_its_terms_lie_between_0_and_1(
 
 def _paper(lengths: list[float], scores: list[float], **more: float) -> PaperScale:
     seen = {"reduction": 1.0, "guard_length_px": 15.0} | more
+    mode_px, aggregation = modal_length(lengths, scores)
     return paper_scale(
         lengths,
         scores,
-        mode=modal_length(lengths, scores),
-        reference_m=(4.5, 0.45),
+        mode_px=mode_px,
+        aggregation=aggregation,
+        reference_length_m=4.5,
+        reference_sd_m=0.45,
         length_range_px=_RANGE,
         **seen,
     )
