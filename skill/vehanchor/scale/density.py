@@ -149,7 +149,9 @@ def mass_within(density: NDArray[np.float64], gsd_m_per_px: float) -> float:
 
 
 class Votes(NamedTuple):
-    """Chance that a detector's box is a car, fitted by ``research/training/fusion`` on images of known scale.
+    """Chance that a detector's box is a car, by its score.
+
+    ``research/training/fusion`` fits it on images of known scale.
 
     Attributes:
         share_at_zero: log odds that a box of score 0 is a car; in a new place they are lower than

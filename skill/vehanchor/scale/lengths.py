@@ -1,4 +1,4 @@
-"""Vehicle lengths in pixels to metres per pixel: outlier filter, modal length, scale and interval."""
+"""Lengths of vehicles: the fleet among them, the outlier filter, the modal length and its error."""
 
 from __future__ import annotations
 

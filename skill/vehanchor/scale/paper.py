@@ -161,7 +161,12 @@ def confidence_terms(
 
 
 def composite(terms: Terms, *, guarded: bool) -> float:
-    """Compute C in [0, 1], the weighted sum of the terms (paper, equation 5); guarded at most 0.3."""
+    """Compute C in [0, 1], the weighted sum of the terms (paper, equation 5).
+
+    Args:
+        terms: of the confidence.
+        guarded: whether the resolution guard applies; C is then at most 0.3.
+    """
     total = math.fsum(weight * term for weight, term in zip(_WEIGHTS, terms, strict=True))
     if guarded:
         return min(total, GUARD_CONFIDENCE)

@@ -48,7 +48,10 @@ class GroundPlane:
 
     @property
     def down(self) -> NDArray[np.float64]:
-        """Unit vector ``[3]`` straight down, in the camera's frame: right, image-down, along axis."""
+        """Unit vector ``[3]`` straight down, in the camera's frame.
+
+        The components are to the right, to the lower side, and along the axis.
+        """
         tilt = math.radians(self.tilt_deg)
         roll = math.radians(self.roll_deg)
         sine = math.sin(tilt)

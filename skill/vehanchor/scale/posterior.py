@@ -439,7 +439,7 @@ def _larger_errors(first: Mapping[str, Shared], second: Mapping[str, Shared]) ->
 
 
 def _with_errors(density: NDArray[np.float64], errors: Sequence[Shared]) -> NDArray[np.float64]:
-    """Blur a density ``[g]`` by errors, and mix in the case that one of their causes makes it wrong.
+    """Blur a density ``[g]`` by errors, and mix in the case that one of them makes it wrong.
 
     Args:
         density: of any sum.

@@ -73,7 +73,7 @@ _NOT_MEASURED = 0.05
 
 _ROUGH = 0.10
 _EXACT = 0.01
-"""Standard deviations of the logs of scales by a guess, and by tape, plan, survey or rule. Choices."""
+"""Standard deviations of the log scale by a guess, and by tape, plan, survey or rule. Choices."""
 
 RELIABILITY: dict[str, Reliability] = {
     "vehicles": Reliability(CAR_LOG_SD, 0.01, n=1191, source=_PLACES),
@@ -170,5 +170,5 @@ NO_ONE_SCALE = Shared("stretched or tilted image", 0.0, _DOUBTED)
 larger on one side are tilted, and their scales are 1 to 24 % off."""
 
 NO_CARS = Shared("look-alikes", 0.0, _DOUBTED)
-"""Look-alikes are not cars: their own scale says nothing, nor does a prior that agrees with it. 1 of
-204 fleets is taken for look-alikes."""
+"""Look-alikes are not cars: their own scale says nothing, nor does a prior that agrees with it. Of
+204 fleets 1 is taken for look-alikes."""
