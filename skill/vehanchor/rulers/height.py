@@ -10,7 +10,7 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import uses
 from vehanchor.rulers.camera import LENS, coarsening, cropped
-from vehanchor.rulers.ruler import Ruler, assumed, mark_of_height, point_witness, unusable
+from vehanchor.rulers.ruler import Ruler, as_assumed, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.reliability import RELIABILITY, SAME_NUMBER, Shared
@@ -74,7 +74,7 @@ class GivenHeight(Ruler):
             shared=[Shared(LENS, seen.log_sd)],
             marks=[mark_of_height(image, chosen.height_m)],
         )
-        return assumed(found) if chosen.height_basis == "assumed" else found
+        return as_assumed(found) if chosen.height_basis == "assumed" else found
 
 
 def _unusable(why: str) -> Witness:

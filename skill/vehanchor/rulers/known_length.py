@@ -13,7 +13,7 @@ from vehanchor.errors import KnownLengthError
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import TILT_SD_DEG
-from vehanchor.rulers.ruler import Ruler, assumed, in_words
+from vehanchor.rulers.ruler import Ruler, as_assumed, in_words
 from vehanchor.rulers.standards import Variant, lengths_of
 from vehanchor.scale.density import lognormal, mass_within, on_grid, product, quantile
 from vehanchor.scale.lengths import Z95
@@ -87,7 +87,7 @@ class KnownLengths(Ruler):
         if measured:
             return found
         named = all(group[0].line.what is not None for group in groups)
-        return assumed(found, RECOGNITION if named else CALLER)
+        return as_assumed(found, RECOGNITION if named else CALLER)
 
 
 class _Drawn(NamedTuple):

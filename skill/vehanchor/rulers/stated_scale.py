@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.rulers.ruler import Ruler, assumed, point_witness
+from vehanchor.rulers.ruler import Ruler, as_assumed, point_witness
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.reliability import RELIABILITY
 
@@ -44,4 +44,4 @@ def stated_witness(stated: Stated) -> Witness:
         chance_wrong=chance_wrong,
         statement=said,
     )
-    return assumed(found) if stated.basis == "assumed" else found
+    return as_assumed(found) if stated.basis == "assumed" else found

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.defaults import Aggregation, Reason
-    from vehanchor.scale.density import Votes
+    from vehanchor.scale.density import Density, Votes
     from vehanchor.scale.paper import PaperScale
 
 # Score of a car that is beyond doubt.
@@ -124,9 +124,7 @@ class Fleet:
         return appearance.take(kept)
 
 
-def select(
-    detections: Detections, lengths: Lengths, expected: NDArray[np.float64] | None = None
-) -> Fleet:
+def select(detections: Detections, lengths: Lengths, expected: Density | None = None) -> Fleet:
     """Select the fleet by the outlier filter and, after a search over scales, by one modal length.
 
     Vehicles that the caller states to be cars are always kept, and their lengths choose the fleet.
@@ -155,9 +153,7 @@ def select(
     return Fleet(detections, kept, _main_reduction(detections, kept), rival_share)
 
 
-def _evidence_of_cars(
-    detections: Detections, expected: NDArray[np.float64] | None
-) -> NDArray[np.float64]:
+def _evidence_of_cars(detections: Detections, expected: Density | None) -> NDArray[np.float64]:
     """Weigh each box ``[n]`` by its score, and by how likely it is as long as a car.
 
     Args:
@@ -270,7 +266,7 @@ class VehicleWitness(Witness):
             lacks=self._lacks(likelihood),
         )
 
-    def _likelihood(self, scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _likelihood(self, scores: NDArray[np.float64]) -> Density:
         """Compute the density ``[g]`` of the scale for a known fleet.
 
         A box that is a car has the length of its appearance, or else the reference length.
@@ -302,7 +298,7 @@ class VehicleWitness(Witness):
     def _votes(self) -> Votes:
         return self.card.votes or UNCALIBRATED
 
-    def _widened(self, likelihood: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _widened(self, likelihood: Density) -> Density:
         """Widen a likelihood ``[g]`` by the errors of the fleet and of too coarse vehicles."""
         log_sd = math.hypot(self.reference.log_sd, unresolved(self.coarseness).log_sd)
         return blurred(likelihood, log_sd, self.reference.log_mean)
@@ -320,7 +316,7 @@ class VehicleWitness(Witness):
         chance = max(chance, rival_odds / (1.0 + rival_odds))
         return 1.0 - (1.0 - chance) * (1.0 - unresolved(self.coarseness).chance_wrong)
 
-    def _lacks(self, likelihood: NDArray[np.float64]) -> tuple[Lack, ...]:
+    def _lacks(self, likelihood: Density) -> tuple[Lack, ...]:
         """Compute what the vehicles would be without each of their weaknesses.
 
         Args:
@@ -351,7 +347,7 @@ class VehicleWitness(Witness):
             known_fleet._lack("imprecise", likelihood),
         )
 
-    def _lack(self, reason: Reason, likelihood: NDArray[np.float64]) -> Lack:
+    def _lack(self, reason: Reason, likelihood: Density) -> Lack:
         """Name a lack that this copy of the vehicles does not have."""
         right = self._widened(likelihood)
         return Lack(reason, Witness(self.kind, right=right, chance_wrong=self._chance_wrong))

@@ -7,7 +7,7 @@ per pixel.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from vehanchor.scale.reliability import CAR_LOG_SD
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+Density: TypeAlias = "NDArray[np.float64]"
+"""Probabilities ``[g]`` of the cells of ``GRID``."""
 
 LOG_STEP = 0.005
 # Largest ``|estimated - true| / true`` with which a planner can use a scale.
@@ -38,7 +41,7 @@ _LOG_ODDS_STEP = 0.25
 _SD_STEP = 0.01
 
 
-def flat() -> NDArray[np.float64]:
+def flat() -> Density:
     """Return the flat density: ``[g]`` equal probabilities."""
     return np.full(len(GRID), 1.0 / len(GRID))
 
@@ -50,7 +53,7 @@ def on_grid(gsd_m_per_px: float) -> bool:
     return bool(GRID[0] <= math.log(gsd_m_per_px) <= GRID[-1])
 
 
-def lognormal(gsd_m_per_px: float, log_sd: float) -> NDArray[np.float64]:
+def lognormal(gsd_m_per_px: float, log_sd: float) -> Density:
     """Make a lognormal density.
 
     Args:
@@ -64,14 +67,12 @@ def lognormal(gsd_m_per_px: float, log_sd: float) -> NDArray[np.float64]:
     return normalised(np.exp(-0.5 * deviations**2))
 
 
-def normalised(density: NDArray[np.float64]) -> NDArray[np.float64]:
+def normalised(density: Density) -> Density:
     """Scale a non-negative density ``[g]`` to the sum 1."""
     return np.asarray(density / density.sum())
 
 
-def blurred(
-    density: NDArray[np.float64], log_sd: float, log_mean: float = 0.0
-) -> NDArray[np.float64]:
+def blurred(density: Density, log_sd: float, log_mean: float = 0.0) -> Density:
     """Add a normal error of the log scale.
 
     Args:
@@ -95,7 +96,7 @@ def blurred(
     return np.asarray(density.sum() * normalised(convolved))
 
 
-def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
+def product(*densities: Density) -> Density:
     """Multiply densities.
 
     Args:
@@ -110,27 +111,27 @@ def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
     return normalised(np.exp(log_product - log_product.max()))
 
 
-def shifted(density: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
+def shifted(density: Density, offset: float) -> Density:
     """Shift a density ``[g]`` of log scale down by ``offset``, to another photograph's pixels."""
     if offset == 0:
         return density
     return normalised(np.interp(GRID + offset, GRID, density))
 
 
-def quantile(density: NDArray[np.float64], probability: float) -> float:
+def quantile(density: Density, probability: float) -> float:
     """Compute a quantile of a density ``[g]``, metres per pixel."""
     upper_edges = GRID + LOG_STEP / 2
     log_gsd = np.interp(probability, np.cumsum(density), upper_edges)
     return float(np.exp(log_gsd))
 
 
-def credible_interval(density: NDArray[np.float64], probability: float = 0.95) -> Interval:
+def credible_interval(density: Density, probability: float = 0.95) -> Interval:
     """Compute the central interval of a density ``[g]`` with a probability, metres per pixel."""
     tail = (1.0 - probability) / 2
     return Interval(quantile(density, tail), quantile(density, 1.0 - tail))
 
 
-def mass_within(density: NDArray[np.float64], gsd_m_per_px: float) -> float:
+def mass_within(density: Density, gsd_m_per_px: float) -> float:
     """Compute the mass of the true scales with which an estimate is at most 20 % off.
 
     Args:
@@ -180,7 +181,7 @@ def vehicle_likelihood(
     lengths_m: ArrayLike,
     votes: Votes,
     log_sds: ArrayLike = CAR_LOG_SD,
-) -> NDArray[np.float64]:
+) -> Density:
     """Compute the density of the scale from the votes of all boxes.
 
     The likelihood of a scale g is the product over boxes of ``1 + o N(log length; log(L / g),

@@ -47,9 +47,8 @@ from vehanchor.scale.reliability import MAX_CHANCE, Shared
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from vehanchor.scale.defaults import Reason
+    from vehanchor.scale.density import Density
 
 # Smallest rise of the chance that makes a weakness the reason.
 _MIN_GAIN = 1e-6
@@ -117,7 +116,7 @@ class Witness:
 
     kind: str
     gsd_m_per_px: float | None = None
-    right: NDArray[np.float64] | None = None
+    right: Density | None = None
     chance_wrong: float = 0.0
     sets_scale: bool = True
     assumed: bool = False
@@ -134,7 +133,7 @@ class Witness:
         return self.right is not None
 
     @cached_property
-    def density(self) -> NDArray[np.float64]:
+    def density(self) -> Density:
         """Density ``[g]`` of the scale by this witness alone; flat if nothing was found."""
         if self.right is None:
             return flat()
@@ -151,7 +150,7 @@ class Witness:
         low, high = credible_interval(blurred(self.right, _total_log_sd(self.shared)))
         return Interval(min(low, self.gsd_m_per_px), max(high, self.gsd_m_per_px))
 
-    def factor(self, errors: Sequence[Shared]) -> NDArray[np.float64]:
+    def factor(self, errors: Sequence[Shared]) -> Density:
         """Compute the factor ``[g]`` of the posterior.
 
         Args:
@@ -199,7 +198,7 @@ class Answer:
     gsd_m_per_px: float
     interval: Interval
     chance: float
-    density: NDArray[np.float64] = field(repr=False)
+    density: Density = field(repr=False)
     p_right: tuple[float, ...] = ()
     leading: int = 0
     reason: Reason | None = None
@@ -275,9 +274,7 @@ def judge(witnesses: Sequence[Witness]) -> Answer | None:
     )
 
 
-def _guesses_confirmed_by_priors(
-    witnesses: Sequence[Witness], posterior: _Posterior
-) -> NDArray[np.float64]:
+def _guesses_confirmed_by_priors(witnesses: Sequence[Witness], posterior: _Posterior) -> Density:
     """Compute the mass ``[g]`` that a guess of the caller gains because a prior agrees with it.
 
     A prior may narrow a guess, but not confirm it: a guess near the usual scale is no more likely
@@ -355,9 +352,9 @@ class _Posterior:
         self._log_peak = log_product.max()
         masses = np.exp(log_product - self._log_peak)
         self._total = masses.sum()
-        self.density: NDArray[np.float64] = masses / self._total
+        self.density: Density = masses / self._total
 
-    def part_if_wrong(self, wrong: Collection[int]) -> NDArray[np.float64]:
+    def part_if_wrong(self, wrong: Collection[int]) -> Density:
         """Compute the part ``[g]`` of the posterior in which these witnesses say nothing.
 
         It has the posterior's normalisation: its sum is the probability that all of them are wrong.
@@ -368,7 +365,7 @@ class _Posterior:
         masses = np.exp(self._log_product(wrong) - self._log_peak)
         return np.asarray(masses / self._total)
 
-    def _log_product(self, wrong: Collection[int]) -> NDArray[np.float64]:
+    def _log_product(self, wrong: Collection[int]) -> Density:
         logs = []
         for group in self._groups:
             density = np.maximum(group.density(wrong), MIN_PROBABILITY)
@@ -384,10 +381,10 @@ class _Group(NamedTuple):
         common: errors of two or more members, by name.
     """
 
-    factors: Mapping[int, NDArray[np.float64]]
+    factors: Mapping[int, Density]
     common: Mapping[str, Shared]
 
-    def density(self, wrong: Collection[int]) -> NDArray[np.float64]:
+    def density(self, wrong: Collection[int]) -> Density:
         """Compute the group's factor ``[g]`` of the posterior.
 
         Args:
@@ -438,7 +435,7 @@ def _larger_errors(first: Mapping[str, Shared], second: Mapping[str, Shared]) ->
     return merged
 
 
-def _with_errors(density: NDArray[np.float64], errors: Sequence[Shared]) -> NDArray[np.float64]:
+def _with_errors(density: Density, errors: Sequence[Shared]) -> Density:
     """Blur a density ``[g]`` by errors, and mix in the case that one of them makes it wrong.
 
     Args:

@@ -170,5 +170,5 @@ NO_ONE_SCALE = Shared("stretched or tilted image", 0.0, _DOUBTED)
 larger on one side are tilted, and their scales are 1 to 24 % off."""
 
 NO_CARS = Shared("look-alikes", 0.0, _DOUBTED)
-"""Look-alikes are not cars: their own scale says nothing, nor does a prior that agrees with it. Of
-204 fleets 1 is taken for look-alikes."""
+"""Look-alikes are not cars: their own scale says nothing, nor does a prior that agrees with it. One
+of 204 fleets is taken for look-alikes."""
