@@ -1,4 +1,4 @@
-"""Stated scale as a ruler: metres per pixel from the caller, as of a map or a sister photograph."""
+"""Stated scale as a ruler: metres per pixel from the caller, such as those of a map."""
 
 from __future__ import annotations
 
@@ -34,14 +34,11 @@ class StatedScale(Ruler):
 
 def stated_witness(stated: Stated) -> Witness:
     """Make the witness of a stated scale."""
-    log_sd = stated.tolerance / stated.gsd_m_per_px / Z95
-    chance_wrong = RELIABILITY[stated.basis].chance_wrong
-    said = f"The stated scale, {stated.basis}, is {{}}."
-    found = point_witness(
+    witness = point_witness(
         StatedScale.kind,
         stated.gsd_m_per_px,
-        log_sd=log_sd,
-        chance_wrong=chance_wrong,
-        statement=said,
+        log_sd=stated.tolerance / stated.gsd_m_per_px / Z95,
+        chance_wrong=RELIABILITY[stated.basis].chance_wrong,
+        statement=f"The stated scale, {stated.basis}, is {{}}.",
     )
-    return as_assumed(found) if stated.basis == "assumed" else found
+    return as_assumed(witness) if stated.basis == "assumed" else witness
