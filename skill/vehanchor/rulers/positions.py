@@ -36,7 +36,7 @@ _MEDIAN_OVER_RMS = 0.8326
 
 
 class Positions(Ruler):
-    """Positions in the metadata of a flight's photographs; the flight measures them (``baseline``)."""
+    """Positions in the metadata of photographs; a flight measures them with ``baseline``."""
 
     kind = "positions"
     label = "positions"

@@ -1,4 +1,4 @@
-"""Vehicles as a ruler: the fleet among the detections, its votes for the scale, and doubts about it.
+"""Vehicles as a ruler: the fleet among the detections, its votes for the scale, and its doubts.
 
 1. ``select`` separates the fleet (cars of one image differ by less than a factor of 1.5) from
    things of other sizes.
@@ -257,7 +257,7 @@ class VehicleWitness(Witness):
         return self.coarseness > 1.0 or any(notice.code in _DOUBT_CODES for notice in self.notices)
 
     def with_votes(self) -> VehicleWitness:
-        """Add the evidence: the votes of all boxes, the chance that they are wrong, and the lacks."""
+        """Add the evidence: votes of all boxes, the chance that they are wrong, and the lacks."""
         likelihood = self._likelihood(self.fleet.detections.scores)
         return replace(
             self,

@@ -33,25 +33,25 @@ _UNIT_LOG_RATIO = math.log(100.0)
 _UNIT_LOG_TOLERANCE = math.log(2.0)
 
 
-def measure_all(view: View, known: Sequence[Witness] | None = None) -> tuple[Witness, ...]:
+def measure_all(view: View, earlier: Sequence[Witness] | None = None) -> tuple[Witness, ...]:
     """Measure an image with all rulers that the caller allows.
 
     Args:
         view: view of the image, with its tilt.
-        known: earlier witnesses of all rulers but those that measure the boxes of a flight
+        earlier: witnesses from before, of all rulers but those that measure the boxes of a flight
             together; None without any.
 
     Returns:
         The witnesses; those of boxes first.
     """
     rulers = active_rulers(view.options.rulers)
-    if known is None:
+    if earlier is None:
         independent = [ruler for ruler in rulers if ruler.pooling_gain is not None]
-        known = _measure(independent, view)
+        earlier = _measure(independent, view)
     if view.expected is None and view.plane is not None:
-        view = replace(view, expected=expected_scale(known))
+        view = replace(view, expected=expected_scale(earlier))
     of_boxes = [ruler for ruler in rulers if ruler.pooling_gain is None]
-    return (*_measure(of_boxes, view), *known)
+    return (*_measure(of_boxes, view), *earlier)
 
 
 def expected_scale(witnesses: Iterable[Witness]) -> Density | None:

@@ -13,7 +13,7 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.rulers.camera_tilt import LEAST_CARS, suspected_tilt
+from vehanchor.rulers.camera_tilt import MIN_CARS, suspected_tilt
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
@@ -64,7 +64,7 @@ def test_a_lorry_park_on_one_side_is_no_tilt() -> None:
 
 
 @pytest.mark.parametrize(
-    "detections", [_cars(30.0, n=LEAST_CARS - 1), Detections(np.zeros((0, 5)), np.zeros(0))]
+    "detections", [_cars(30.0, n=MIN_CARS - 1), Detections(np.zeros((0, 5)), np.zeros(0))]
 )
 def test_few_cars_tell_nothing(detections: Detections) -> None:
     assert _suspected(detections) is None
