@@ -102,7 +102,7 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
         so_far = replace(view, detections=search.result(ended=False, check_stretch=False))
         check = convergence(so_far, unseen_share)
         if check.density is not None:
-            # Resolutions at which no car of this scale can be found are left out.
+            # Resolutions that this scale makes superfluous are left out.
             search.leave_out(check.density)
         checks.append(check)
         if has_converged(checks, rule):

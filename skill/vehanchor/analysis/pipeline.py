@@ -133,7 +133,7 @@ def _failures_text(
         shown += f"; and {n_more} more"
     return (
         f"{len(failures)} of {len(results)} images cannot be used: {shown}. Leave them out; "
-        "results of this error has the records of the others"
+        "the attribute results of this error holds the records of the others"
     )
 
 
@@ -257,7 +257,7 @@ def conclude(
     if decided is not None:
         warnings += disagreements(witnesses, decided)
     warnings += georeference_notice(
-        view.image.georeference_gsd_m_per_px, decision.gsd_m_per_px, "the rulers say"
+        view.image.georeference_gsd_m_per_px, decision.gsd_m_per_px, "the rulers give"
     )
     record = _record(view, witnesses, decision, tuple(warnings))
     shown = NOT_SEARCHED if vehicles is None else view.detections
@@ -483,14 +483,14 @@ def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
 
 
 def georeference_notice(
-    own: float | None, gsd_m_per_px: float | None, who_says: str
+    own: float | None, gsd_m_per_px: float | None, source: str
 ) -> list[Notice]:
     """Warn if the file's own scale differs from another by more than a tenth.
 
     Args:
         own: the file's scale, metres per pixel; None without one.
         gsd_m_per_px: the other scale; None without one.
-        who_says: source of the other scale, as the middle of a sentence.
+        source: source of the other scale, as the middle of a sentence.
 
     Returns:
         One notice, or none.
@@ -501,7 +501,7 @@ def georeference_notice(
         return []
     percent = 100 * (gsd_m_per_px / own - 1)
     message = (
-        f"The file's own scale is {own:.4g} m/px, {who_says} {gsd_m_per_px:.4g} m/px: "
+        f"The file's own scale is {own:.4g} m/px, {source} {gsd_m_per_px:.4g} m/px: "
         f"{percent:+.0f} %. Check which of the two is wrong before using either."
     )
     return [Notice(code=NoticeCode.GEOREFERENCE_DIFFERS, message=message)]

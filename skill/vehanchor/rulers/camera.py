@@ -130,7 +130,7 @@ class Camera(Ruler):
         if tilt_deg is None:
             condition = "camera, tilt unknown"
             tilt_log_sd = RELIABILITY[condition].log_sd
-            statement += " The tilt is not stated: this holds at nadir."
+            statement += " The tilt is unknown: this holds at nadir."
         elif tilt_deg > NADIR_TOLERANCE_DEG:
             coarser, tilt_log_sd = coarsening(tilt_deg)
             notices.append(_tilted(tilt_deg))
@@ -138,7 +138,7 @@ class Camera(Ruler):
 
         gsd = height_m / optics.pixels * coarser
         if not on_grid(gsd):
-            return self._unusable(f"{height_m:g} m and {optics.source} would make {gsd:.3g} m/px")
+            return self._unusable(f"{height_m:g} m and {optics.source} would give {gsd:.3g} m/px")
         return point_witness(
             self.kind,
             gsd,

@@ -281,10 +281,9 @@ def tilt_notice(
         if at_nadir or taken_ratio(image, camera) is not None:
             return ()
         message = (
-            f"By its metadata the camera was tilted by {camera.off_nadir_deg:.0f} degrees, and "
-            "the image is a crop at an unknown place of that picture. It is measured as if taken "
-            "at nadir: scales differ over it, and areas and lengths may be wrong. Give the "
-            "original file."
+            f"The metadata state a tilt of {camera.off_nadir_deg:.0f} degrees, and the image is a "
+            "crop from an unknown part of that photograph. It is measured as if taken at nadir: "
+            "the scale varies over it, and areas and lengths may be wrong. Give the original file."
         )
         return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
     focal_px, _ = focal_length(image, options)
@@ -295,7 +294,7 @@ def tilt_notice(
         return ()
     message = (
         f"The camera seems to be tilted by about {tilt_deg:.0f} degrees: cars are larger on one "
-        "side of the image. Scales differ over the image, and areas and lengths far from its "
+        "side of the image. The scale varies over the image, and areas and lengths far from its "
         "centre are wrong. Give the original file, whose metadata state the tilt, or a crop around "
         "the object."
     )

@@ -100,11 +100,11 @@ _GAMES = {
 
 
 def _subject_and_verb(courts: list[Court]) -> str:
-    """Begin a sentence about courts, such as "2 tennis courts say"."""
+    """Begin a sentence about courts, such as "2 tennis courts give"."""
     kinds = {court.kind for court in courts}
     if len(courts) == 1:
-        return f"A {_GAMES[courts[0].kind]} says"
+        return f"A {_GAMES[courts[0].kind]} gives"
     if len(kinds) == 1:
         game, _, rules = _GAMES[courts[0].kind].partition(" court")
-        return f"{len(courts)} {game} courts{rules} say"
-    return f"{len(courts)} sports courts say"
+        return f"{len(courts)} {game} courts{rules} give"
+    return f"{len(courts)} sports courts give"

@@ -103,7 +103,7 @@ def _repeated(height_m: float) -> Notice:
     return Notice(
         code=NoticeCode.HEIGHT_REPEATED,
         message=(
-            f"The given height of {height_m:g} m is the file's own: it counts once, as the file's. "
-            "If it was measured on its own, leave out the metadata."
+            f"The given height of {height_m:g} m repeats that of the file, so that it counts once. "
+            "If it was measured independently, leave out the metadata."
         ),
     )

@@ -127,9 +127,10 @@ class Ruler:
         raise NotImplementedError
 
     @classmethod
-    def says(cls) -> str:
-        """Begin a sentence, as "the courts say"."""
-        return f"the {cls.label} {'say' if cls.plural else 'says'}"
+    def subject_and_verb(cls) -> str:
+        """Begin a sentence, such as "the courts give"."""
+        verb = "give" if cls.plural else "gives"
+        return f"the {cls.label} {verb}"
 
 
 def mark_of_height(image: ImageFacts, height_m: float) -> Mark:

@@ -115,7 +115,9 @@ def check_name(what: str | None) -> None:
     name, slash, country = what.partition("/")
     if name not in standards():
         things = "; ".join(f"{thing.name}: {thing.between}" for thing in standards().values())
-        raise KnownLengthError(f"there is no thing of known size {name!r}. Known are {things}")
+        raise KnownLengthError(
+            f"there is no thing of known size {name!r}. The catalogue has {things}"
+        )
     is_code = len(country) == 2 and country.isascii() and country.isupper()
     if slash and not is_code:
         raise KnownLengthError(

@@ -416,17 +416,17 @@ class Vehicles(Ruler):
 _STRETCHED = Notice(
     code=NoticeCode.STRETCHED,
     message=(
-        "The vehicles have a car's proportions only if the image is made narrower or wider: it was "
-        "stretched in one direction, or taken at a tilt, and its width and height have different "
-        "scales."
+        "The vehicles would have a car's proportions only if the image were narrower or wider. It "
+        "was stretched in one direction or taken at a tilt, so that its width and height have "
+        "different scales."
     ),
 )
 _LOOK_ALIKES = Notice(
     code=NoticeCode.LOOK_ALIKES,
     message=(
-        "The vehicles are more alike than cars of different makes, or unlike all known cars: they "
-        "may be equal lorries, caravans, containers, roof units or boats, and the scale wrong by "
-        "the ratio of their length to a car's."
+        "The vehicles are more alike than cars of different makes, or unlike any known car. They "
+        "may be lorries, caravans or containers of one model, roof units or boats. The scale is "
+        "then wrong by the ratio of their length to a car's."
     ),
 )
 _DOUBT_CODES = (_STRETCHED.code, _LOOK_ALIKES.code)
@@ -502,7 +502,8 @@ def _detail_missing(vehicles: VehicleWitness) -> tuple[Notice, ...]:
         return ()
     finest_px = 1 / vehicles.detail_share
     message = (
-        f"The image has no detail finer than {finest_px:.2g} px, as after enlarging or blur: "
+        f"The image has no detail finer than {finest_px:.2g} px, such as after enlargement or "
+        f"blur: "
         f"vehicles of {length_px:.1f} px have the detail of {detailed_px:.1f} px, and "
         f"{guard_px:.1f} px are needed. Give the original image."
     )

@@ -150,7 +150,7 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
     if len(setting) > 1:
         for witness in doubted:
             message = (
-                f"{_says(witness)} m/px, and all rulers together {answer.gsd_m_per_px:.2g}. "
+                f"{_stated_scale(witness)} m/px, and all rulers together {answer.gsd_m_per_px:.2g}. "
                 "Check which is wrong before using either."
             )
             notices.append(Notice(code=NoticeCode.RULERS_DISAGREE, message=message))
@@ -173,13 +173,14 @@ def _unit_notices(witnesses: Sequence[Witness]) -> list[Notice]:
             comparison = "less"
             remedy = "give metres, not centimetres"
         message = (
-            f"{_says(fact)} m/px, another ruler {other.gsd_m_per_px:.2g}: some 100 times "
+            f"{_stated_scale(fact)} m/px, another ruler {other.gsd_m_per_px:.2g}: some 100 times "
             f"{comparison}. Its unit is probably wrong: {remedy}."
         )
         notices[fact.kind] = Notice(code=NoticeCode.UNIT_MISTYPED, message=message)
     return list(notices.values())
 
 
-def _says(witness: Witness) -> str:
-    """Begin a sentence with a ruler and its scale, such as "The courts say 0.1"."""
-    return f"{ruler_class(witness.kind).says().capitalize()} {witness.gsd_m_per_px:.2g}"
+def _stated_scale(witness: Witness) -> str:
+    """Begin a sentence with a ruler and its scale, such as "The courts give 0.1"."""
+    subject_and_verb = ruler_class(witness.kind).subject_and_verb()
+    return f"{subject_and_verb.capitalize()} {witness.gsd_m_per_px:.2g}"

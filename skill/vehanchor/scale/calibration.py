@@ -230,9 +230,9 @@ def _check_lengths(mode_m: float, spread_m: float) -> None:
     plausible = LEAST_VEHICLE_M <= mode_m <= LARGEST_VEHICLE_M
     if not plausible or spread_m > mode_m:
         raise CalibrationRefusedError(
-            f"the vehicles are {mode_m:.3g} m long (sd {spread_m:.3g} m), as no fleet is: "
-            f"{LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m. Check the images' scales, and what "
-            "the labels are of"
+            f"the vehicles are {mode_m:.3g} m long (sd {spread_m:.3g} m), but fleets "
+            f"are {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m long. Check the images' scales, "
+            "and what the labels show"
         )
 
 

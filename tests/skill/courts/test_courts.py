@@ -127,7 +127,7 @@ def test_courts_are_a_witness_with_their_measured_sides() -> None:
     assert witness.interval is not None
     assert 0.295 < witness.interval.low < 0.301 < witness.interval.high < 0.307
     assert witness.statement is not None
-    assert witness.statement.startswith("2 tennis courts say 0.301 m/px")
+    assert witness.statement.startswith("2 tennis courts give 0.301 m/px")
     outline, long_side, short_side = witness.marks[:3]
     assert outline.closed
     assert len(outline.points) == 4

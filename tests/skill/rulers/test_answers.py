@@ -171,7 +171,7 @@ def test_one_liar_of_three_is_named_and_the_scale_stays_that_of_the_others() -> 
     (warning,) = record.warnings
     assert warning.code == "rulers_disagree"
     assert warning.message.startswith(
-        "The known length says 0.2 m/px, and all rulers together 0.03"
+        "The known length gives 0.2 m/px, and all rulers together 0.03"
     )
 
 
