@@ -482,9 +482,7 @@ def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
     return tuple(Notice(code=note.code, message=note.message) for note in notes)
 
 
-def georeference_notice(
-    own: float | None, gsd_m_per_px: float | None, source: str
-) -> list[Notice]:
+def georeference_notice(own: float | None, gsd_m_per_px: float | None, source: str) -> list[Notice]:
     """Warn if the file's own scale differs from another by more than a tenth.
 
     Args:

@@ -393,8 +393,9 @@ class _Group(NamedTuple):
         """
         used = []
         for k, factor in self.factors.items():
-            floor = np.full_like(factor, factor.min())
-            used.append(floor if k in wrong else factor)
+            if k in wrong:
+                factor = np.full_like(factor, factor.min())
+            used.append(factor)
         if len(used) == 1:
             return used[0]
         # The whole product scales the part, so that the part stays below the whole.
