@@ -1,3 +1,5 @@
+"""Camera metadata as a ruler: height, lens, tilt, and what is refused."""
+
 from __future__ import annotations
 
 import math

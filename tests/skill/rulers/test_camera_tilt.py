@@ -1,3 +1,5 @@
+"""Tilted cameras: the ground plane, and rulers that measure along it."""
+
 from __future__ import annotations
 
 from dataclasses import replace

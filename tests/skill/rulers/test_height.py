@@ -48,16 +48,22 @@ def test_a_height_without_a_focal_length_asks_for_one(view: View) -> None:
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]
 
 
-def test_a_given_height_is_no_ruler_of_a_crop_whose_metadata_say_that_it_is_one() -> None:
-    crop = replace(MAVIC, taken_width_px=5472, taken_height_px=3078, height_m=None)
-    for options in ({"height_m": 100}, {"height_m": 100, "focal_35mm": 26}):
-        witness = measured(GivenHeight(), _view(crop, **options))
-        assert witness.gsd_m_per_px is None
-        assert [notice.code for notice in witness.notices] == ["camera_unusable"]
-    told = measured(GivenHeight(), _view(crop, height_m=100, focal_35mm=26, metadata=False))
-    assert told.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
+CROP = replace(MAVIC, taken_width_px=5472, taken_height_px=3078, height_m=None)
 
 
-def test_a_height_that_would_make_an_impossible_scale_is_told() -> None:
+@pytest.mark.parametrize("options", [{"height_m": 100}, {"height_m": 100, "focal_35mm": 26}])
+def test_a_given_height_does_not_measure_a_crop(options: dict[str, Any]) -> None:
+    witness = measured(GivenHeight(), _view(CROP, **options))
+    assert witness.gsd_m_per_px is None
+    assert [notice.code for notice in witness.notices] == ["camera_unusable"]
+
+
+def test_without_metadata_a_crop_counts_as_a_whole_image() -> None:
+    view = _view(CROP, height_m=100, focal_35mm=26, metadata=False)
+    witness = measured(GivenHeight(), view)
+    assert witness.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
+
+
+def test_a_height_that_would_give_an_impossible_scale_gives_a_notice() -> None:
     witness = measured(GivenHeight(), _view(height_m=20_000, focal_35mm=1))
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]

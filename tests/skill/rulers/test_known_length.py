@@ -33,7 +33,7 @@ def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
     )
 
 
-def test_a_line_says_its_metres_over_its_pixels() -> None:
+def test_the_scale_of_a_line_is_its_metres_over_its_pixels() -> None:
     witness = measured(KnownLengths(), _view(known_lengths=[(100, 100, 400, 500, 25, "measured")]))
     assert witness.gsd_m_per_px == pytest.approx(25 / 500, rel=1e-3)
     assert log_sd(witness) == pytest.approx(math.hypot(math.sqrt(2) / 500, 0.01), rel=0.02)
@@ -48,7 +48,7 @@ def test_a_line_drawn_in_a_copy_is_read_in_its_pixels() -> None:
     assert log_sd(witness) == pytest.approx(math.hypot(math.sqrt(2) / 125, 0.01), rel=0.02)
 
 
-def test_several_lines_are_weighed_by_what_their_pixels_tell() -> None:
+def test_several_lines_are_weighed_by_the_errors_of_their_ends() -> None:
     lines = [(0, 0, 1000, 0, 50.0, "measured"), (0, 0, 20, 0, 1.1, "measured")]
     both = measured(KnownLengths(), _view(known_lengths=lines))
     assert both.gsd_m_per_px == pytest.approx(0.05, rel=0.01)
@@ -58,34 +58,42 @@ def test_several_lines_are_weighed_by_what_their_pixels_tell() -> None:
     assert both.statement.startswith("The 2 given lines, measured, give 0.05")
 
 
-def test_lines_that_contradict_each_other_are_told_and_believed_less() -> None:
-    lines = [(0, 0, 1000, 0, 50.0), (0, 0, 0, 1000, 80.0)]
-    witness = measured(KnownLengths(), _view(known_lengths=lines))
+CONTRADICTORY_LINES = [(0, 0, 1000, 0, 50.0), (0, 0, 0, 1000, 80.0)]
+
+
+def test_lines_that_contradict_each_other_give_a_notice() -> None:
+    witness = measured(KnownLengths(), _view(known_lengths=CONTRADICTORY_LINES))
     assert [notice.code for notice in witness.notices] == ["known_lengths_disagree"]
+
+
+def test_the_interval_of_contradictory_lines_holds_both_scales() -> None:
+    witness = measured(KnownLengths(), _view(known_lengths=CONTRADICTORY_LINES))
     assert witness.interval is not None
     assert witness.interval.low < 0.05 < 0.08 < witness.interval.high
-    three = measured(KnownLengths(), _view(known_lengths=[*lines, (0, 10, 1000, 10, 51.0)]))
-    assert "Without the line 80 m (0.08 m/px) they agree" in three.notices[0].message
+
+
+def test_the_one_line_of_three_that_contradicts_the_others_is_named() -> None:
+    lines = [*CONTRADICTORY_LINES, (0, 10, 1000, 10, 51.0)]
+    witness = measured(KnownLengths(), _view(known_lengths=lines))
+    assert "Without the line 80 m (0.08 m/px) they agree" in witness.notices[0].message
 
 
 @pytest.mark.parametrize(
     "line", [(10, 10, 11, 10, 5), (10, 10, 10, 10, 5), (10, 10, 5000, 10, 5), (-3, 10, 90, 10, 5)]
 )
-def test_a_line_of_one_pixel_or_out_of_the_picture_is_refused_by_its_code(
-    tmp_path: Any, line: Any
-) -> None:
+def test_a_line_of_one_pixel_or_outside_the_image_is_refused(tmp_path: Any, line: Any) -> None:
     detector = write_detector(tmp_path / "detector.onnx")
     with pytest.raises(KnownLengthError) as refused:
         vehanchor.estimate_gsd(blank_image(200, 100), detector=str(detector), known_lengths=[line])
     assert refused.value.code == "invalid_known_length"
 
 
-def test_a_line_that_would_make_an_impossible_scale_is_refused() -> None:
+def test_a_line_that_would_give_an_impossible_scale_is_refused() -> None:
     with pytest.raises(KnownLengthError, match="m/px"):
         measured(KnownLengths(), _view(known_lengths=[(0, 0, 10, 0, 5000)]))
 
 
-def test_without_a_word_from_the_caller_both_are_silent() -> None:
+def test_without_facts_of_the_caller_their_rulers_are_left_out() -> None:
     kinds = {ruler.kind for ruler in active_rulers(_view().options.rulers)}
     assert kinds.isdisjoint({KnownLengths.kind, GivenHeight.kind})
 

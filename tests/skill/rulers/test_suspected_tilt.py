@@ -1,3 +1,5 @@
+"""A tilt that the sizes of the cars show."""
+
 from __future__ import annotations
 
 from typing import Any

@@ -1,3 +1,5 @@
+"""Fleet calibration: the measurement, its file, its use and its command."""
+
 from __future__ import annotations
 
 import json
