@@ -25,16 +25,30 @@ def _fleet(seed: int, n: int = 60) -> np.ndarray:
 
 @given(st.integers(1, 200), st.floats(0.5, 3))
 @settings(max_examples=30)
-def test_the_interval_holds_the_estimate_and_scales_with_it(n: int, factor: float) -> None:
+def test_the_interval_scales_with_the_lengths(n: int, factor: float) -> None:
     lengths = _fleet(n, n)
-    found, scaled = (_paper(each.tolist(), [0.9] * n) for each in (lengths, factor * lengths))
-    assert found.gsd_m_per_px is not None
-    assert found.interval is not None
+    paper = _paper(lengths.tolist(), [0.9] * n)
+    scaled = _paper((factor * lengths).tolist(), [0.9] * n)
+    assert paper.interval is not None
     assert scaled.interval is not None
-    assert 0 < found.interval.low < found.gsd_m_per_px < found.interval.high
     # a length on a histogram cell's edge may round
-    assert scaled.interval.low == pytest.approx(found.interval.low / factor, rel=5e-3)
-    assert _paper(lengths.tolist(), [0.9] * n) == found
+    assert scaled.interval.low == pytest.approx(paper.interval.low / factor, rel=5e-3)
+
+
+@given(st.integers(1, 200))
+@settings(max_examples=30)
+def test_the_interval_holds_the_estimate(n: int) -> None:
+    paper = _paper(_fleet(n, n).tolist(), [0.9] * n)
+    assert paper.gsd_m_per_px is not None
+    assert paper.interval is not None
+    assert 0 < paper.interval.low < paper.gsd_m_per_px < paper.interval.high
+
+
+@given(st.integers(1, 200))
+@settings(max_examples=30)
+def test_the_same_lengths_give_the_same_scale(n: int) -> None:
+    lengths = _fleet(n, n).tolist()
+    assert _paper(lengths, [0.9] * n) == _paper(lengths, [0.9] * n)
 
 
 _RANGE = (12.0, 64.0)
@@ -43,10 +57,10 @@ _RANGE = (12.0, 64.0)
 @given(
     st.lists(st.tuples(st.floats(1, 500), st.floats(0, 1)), min_size=1, max_size=80), st.booleans()
 )
-def test_confidence_and_its_terms_lie_between_0_and_1(
-    found: list[tuple[float, float]], guarded: bool
+def test_the_confidence_lies_between_0_and_1(
+    vehicles: list[tuple[float, float]], guarded: bool
 ) -> None:
-    lengths, scores = np.array(found).T
+    lengths, scores = np.array(vehicles).T
     terms = confidence_terms(
         lengths, scores, mode_px=float(np.median(lengths)), length_range_px=_RANGE
     )
@@ -88,7 +102,7 @@ def test_the_reason_of_a_confidence_below_one_half(n: int, length_px: float, rea
         ({"length": 90.0}, "plausibility"),
     ],
 )
-def test_each_term_falls_with_what_it_watches(worse: dict[str, float], term: str) -> None:
+def test_each_term_falls_with_its_quantity(worse: dict[str, float], term: str) -> None:
     def terms(
         n: float = 40, spread: float = 2.0, score: float = 0.7, length: float = 30.0
     ) -> float:
@@ -101,10 +115,13 @@ def test_each_term_falls_with_what_it_watches(worse: dict[str, float], term: str
     assert terms(**worse) < terms()
 
 
-def test_the_guard_caps_at_0_3_and_never_raises() -> None:
+def test_the_guard_limits_a_good_confidence_to_0_3() -> None:
     good = confidence_terms(
         np.full(60, 30.0), np.full(60, 0.9), mode_px=30.0, length_range_px=_RANGE
     )
     assert composite(good, guarded=True) == 0.3
+
+
+def test_the_guard_never_raises_a_poor_confidence() -> None:
     poor = confidence_terms([30.0], [0.3], mode_px=30.0, length_range_px=_RANGE)
     assert composite(poor, guarded=True) == composite(poor, guarded=False) < 0.3

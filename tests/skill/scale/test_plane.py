@@ -51,10 +51,13 @@ def test_all_of_the_ground_lies_in_one_plane_at_the_cameras_height(
     assert np.linalg.norm(plane.down) == pytest.approx(1.0)
 
 
-def test_the_upper_side_of_a_picture_shows_what_is_farther() -> None:
+def test_without_roll_the_upper_side_is_farther() -> None:
     upper, centre, lower = _plane(40.0).gsd_at([[800, 100], [800, 600], [800, 1100]])
     assert upper > centre > lower
     assert centre == pytest.approx(0.1)
+
+
+def test_with_a_roll_of_90_degrees_the_right_side_is_farther() -> None:
     left, _, right = _plane(40.0, roll=90.0).gsd_at([[300, 600], [800, 600], [1300, 600]])
     assert right > left
 
@@ -69,18 +72,25 @@ def test_the_area_under_a_mask_is_that_of_the_ground_between_its_corners(x: int,
     assert plane.area(_mask(x, y, 200)) == pytest.approx(between, rel=1e-4)
 
 
-def test_a_mask_of_a_part_of_the_image_lies_where_it_is_said_to() -> None:
+def test_a_mask_of_a_part_lies_at_its_place_in_the_image() -> None:
     plane = _plane(45.0)
-    assert plane.area(_mask(0, 0, 20)[5:, 3:], left=3, top=5) == pytest.approx(
-        plane.area(_mask(0, 0, 20)) - plane.area(_mask(0, 0, 20) & ~_mask(3, 5, 40)), rel=1e-9
-    )
+    whole = _mask(0, 0, 20)
+    outside_part = whole & ~_mask(3, 5, 40)
+    part = plane.area(whole[5:, 3:], left=3, top=5)
+    assert part == pytest.approx(plane.area(whole) - plane.area(outside_part), rel=1e-9)
 
 
-def test_a_horizon_in_sight_is_refused() -> None:
+def test_an_image_with_the_horizon_is_refused() -> None:
     with pytest.raises(TooObliqueError, match="horizon") as caught:
         _plane(80.0).check()
     assert caught.value.code == "too_oblique"
+
+
+def test_an_image_below_the_horizon_is_accepted() -> None:
     _plane(45.0).check()
+
+
+def test_only_points_above_the_horizon_are_refused() -> None:
     with pytest.raises(TooObliqueError):
         _plane(80.0).gsd_at([[800, 0]])
     assert _plane(80.0).gsd_at([[800, 1100]])[0] > 0
