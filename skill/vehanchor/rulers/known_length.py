@@ -59,7 +59,7 @@ class KnownLengths(Ruler):
         measured = [
             witness
             for witness, group in zip(witnesses, groups, strict=True)
-            if group[0].line.basis == "measured"
+            if group[0].known_length.basis == "measured"
         ]
         basis = "measured" if measured else "assumed"
         combined = _combined(measured or witnesses)
@@ -77,11 +77,11 @@ class KnownLengths(Ruler):
             n=len(lines),
             notices=_disagreement(groups, witnesses),
             statement=statement,
-            marks=tuple(Mark(line.ends, _label(line.line)) for line in drawn),
+            marks=tuple(Mark(line.ends, _label(line.known_length)) for line in drawn),
         )
         if measured:
             return witness
-        all_named = all(group[0].line.what is not None for group in groups)
+        all_named = all(group[0].known_length.what is not None for group in groups)
         return as_assumed(witness, RECOGNITION if all_named else CALLER)
 
 
@@ -89,13 +89,13 @@ class _DrawnLine(NamedTuple):
     """Line in pixels of the image.
 
     Attributes:
-        line: the line as the caller gives it.
+        known_length: the line as the caller gives it.
         ends: x, y of its ends.
         length_px: its length, in pixels of the image's centre.
         log_sd: standard deviation of the log of that length.
     """
 
-    line: KnownLength
+    known_length: KnownLength
     ends: tuple[tuple[float, float], tuple[float, float]]
     length_px: float
     log_sd: float
@@ -152,8 +152,13 @@ def _groups(drawn: Sequence[_DrawnLine]) -> list[list[_DrawnLine]]:
     """
     groups: dict[object, list[_DrawnLine]] = {}
     for line in drawn:
-        groups.setdefault(line.line.what or line.line, []).append(line)
-    return [group if group[0].line.what else group[:1] for group in groups.values()]
+        thing = line.known_length.what
+        if thing:
+            groups.setdefault(thing, []).append(line)
+        else:
+            # The same line again finds its group, and adds nothing.
+            groups.setdefault(line.known_length, [line])
+    return list(groups.values())
 
 
 def _label(line: KnownLength) -> str:
@@ -175,7 +180,7 @@ def _witness(group: Sequence[_DrawnLine], region: str | None) -> Witness:
     Raises:
         KnownLengthError: the lines give an impossible scale.
     """
-    line = group[0].line
+    line = group[0].known_length
     variants: tuple[Variant, ...]
     if line.length_m is not None:
         log_sd = RELIABILITY[line.basis].log_sd
@@ -273,7 +278,7 @@ def _disagreement(
         suspects = [k for k in range(len(witnesses)) if all(k in pair for pair in contradictions)]
     if len(suspects) == 1:
         suspect = suspects[0]
-        label = _label(groups[suspect][0].line)
+        label = _label(groups[suspect][0].known_length)
         cause = (
             f"Without the line {label} ({witnesses[suspect].gsd_m_per_px:.4g} m/px) they agree: "
             "check it."

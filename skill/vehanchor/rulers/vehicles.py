@@ -154,7 +154,9 @@ def select(detections: Detections, lengths: Lengths, expected: Density | None = 
 
 
 def _evidence_of_cars(detections: Detections, expected: Density | None) -> NDArray[np.float64]:
-    """Weigh each box ``[n]`` by its score, and by how likely it is as long as a car.
+    """Weigh each box ``[n]`` by its squared score, and by how likely it is as long as a car.
+
+    The square reduces the weight of false alarms, most of which have low scores.
 
     Args:
         detections: vehicles in pixels of the image.
@@ -175,10 +177,10 @@ def _main_reduction(detections: Detections, kept: NDArray[np.bool_]) -> float | 
         return None
     if detections.reductions is None:
         return 1.0
-    # The negative sorts finer copies first; argmax takes the first of equals.
-    coarseness, inverse = np.unique(-detections.reductions[kept], return_inverse=True)
+    # Negative reductions sort finer copies first; argmax takes the first of equals.
+    negative, inverse = np.unique(-detections.reductions[kept], return_inverse=True)
     scores = np.bincount(inverse, weights=detections.scores[kept])
-    return float(-coarseness[np.argmax(scores)])
+    return float(-negative[np.argmax(scores)])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -296,6 +298,7 @@ class VehicleWitness(Witness):
 
     @property
     def _votes(self) -> Votes:
+        """Votes of the detector; a default if nobody has fitted any."""
         return self.card.votes or UNCALIBRATED
 
     def _widened(self, likelihood: Density) -> Density:

@@ -150,8 +150,8 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
     if len(setting) > 1:
         for witness in doubted:
             message = (
-                f"{_stated_scale(witness)} m/px, and all rulers together {answer.gsd_m_per_px:.2g}. "
-                "Check which is wrong before using either."
+                f"{_stated_scale(witness)} m/px, and all rulers together "
+                f"{answer.gsd_m_per_px:.2g}. Check which is wrong before using either."
             )
             notices.append(Notice(code=NoticeCode.RULERS_DISAGREE, message=message))
     return notices + _unit_notices(informative)

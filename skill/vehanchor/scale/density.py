@@ -144,9 +144,11 @@ def mass_within(density: Density, gsd_m_per_px: float) -> float:
     # |estimated - true| / true <= 0.2 holds from estimated / 1.2 to estimated / 0.8.
     low = np.log(gsd_m_per_px / (1 + TOLERANCE))
     high = np.log(gsd_m_per_px / (1 - TOLERANCE))
-    edges = np.concatenate([GRID - LOG_STEP / 2, [GRID[-1] + LOG_STEP / 2]])
-    mass_below = np.concatenate([[0.0], np.cumsum(density)])
-    return float(np.interp(high, edges, mass_below) - np.interp(low, edges, mass_below))
+    half_cell = LOG_STEP / 2
+    edges = np.append(GRID - half_cell, GRID[-1] + half_cell)
+    mass_below = np.append(0.0, np.cumsum(density))
+    below_low, below_high = np.interp([low, high], edges, mass_below)
+    return float(below_high - below_low)
 
 
 class Votes(NamedTuple):

@@ -1,4 +1,4 @@
-"""Records of photographs with several rulers: who leads, what is doubted, and what is never made sure."""
+"""Records of photographs with several rulers: which leads, and which is doubted."""
 
 from __future__ import annotations
 

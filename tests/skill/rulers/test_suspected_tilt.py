@@ -37,9 +37,8 @@ def _cars(
     places = rng.uniform((60, 60), (WIDTH - 60, HEIGHT - 60), (n, 2))
     sizes = np.exp(rng.normal(0, 0.08, n)) / plane.gsd_at(places)
     sizes[:lorries] *= 2.5
-    boxes = np.column_stack(
-        [places, 4.5 * sizes, 1.8 * sizes * np.exp(rng.normal(0, 0.1, n)), rng.uniform(0, 3, n)]
-    )
+    widths = 1.8 * sizes * np.exp(rng.normal(0, 0.1, n))
+    boxes = np.column_stack([places, 4.5 * sizes, widths, rng.uniform(0, 3, n)])
     return Detections(boxes, np.full(n, 0.9))
 
 
@@ -59,9 +58,11 @@ def test_at_nadir_no_fleet_seems_tilted() -> None:
 
 def test_a_lorry_park_on_one_side_is_no_tilt() -> None:
     detections = _cars(0.0, lorries=9)
-    order = np.argsort(detections.boxes[:, 1])
+    # The nine lorries change places with the nine uppermost vehicles.
+    uppermost = np.argsort(detections.boxes[:, 1])[:9]
     boxes = detections.boxes.copy()
-    boxes[:9, :2], boxes[order[:9], :2] = detections.boxes[order[:9], :2], detections.boxes[:9, :2]
+    boxes[:9, :2] = detections.boxes[uppermost, :2]
+    boxes[uppermost, :2] = detections.boxes[:9, :2]
     assert _suspected(Detections(boxes, detections.scores)) is None
 
 

@@ -29,9 +29,8 @@ _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
 
 
 def _view(lengths: list[float], **options: Any) -> View:
-    boxes = np.array([[99.0 * k, 50, length, 18, 0] for k, length in enumerate(lengths)]).reshape(
-        -1, 5
-    )
+    rows = [[99.0 * k, 50, length, 18, 0] for k, length in enumerate(lengths)]
+    boxes = np.array(rows).reshape(-1, 5)
     found = Detections(boxes, np.full(len(boxes), 0.8))
     return View(
         ImageFacts(800, 600),

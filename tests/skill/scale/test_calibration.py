@@ -238,8 +238,8 @@ def calibration(folder: Path) -> Path:
     """Made with the detector, as a user would."""
     out = folder / "calibration.json"
     result = _run(
-        "calibrate", "--table", folder / "table.csv", "--detector", folder / "detector.onnx", "--out", out,
-        "--plot", folder / "plot.png",
+        "calibrate", "--table", folder / "table.csv", "--detector", folder / "detector.onnx",
+        "--out", out, "--plot", folder / "plot.png",
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     assert "132 found" in result.stdout

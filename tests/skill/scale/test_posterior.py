@@ -33,7 +33,10 @@ def _point(
 
 
 def _cars(n: int, gsd: float = 0.12, *, spread: float = 0.1, score: float = 0.95) -> Witness:
-    lengths = 4.5 / gsd * np.exp(spread * np.linspace(-1, 1, n) if n > 1 else np.zeros(1))
+    log_offsets = np.zeros(1)
+    if n > 1:
+        log_offsets = spread * np.linspace(-1, 1, n)
+    lengths = 4.5 / gsd * np.exp(log_offsets)
     votes = vehicle_likelihood(lengths, np.full(n, score), lengths_m=4.5, votes=VOTES)
     return Witness(
         "vehicles",
@@ -122,7 +125,7 @@ def test_a_witness_that_contradicts_all_others_never_makes_sure(
 
 
 def _contradicts(one: Witness, other: Witness) -> bool:
-    """Whether the other witness is ten times likelier to be wrong than to be right where this one is."""
+    """Whether, where this witness is, the other is ten times likelier to be wrong than right."""
     assert one.right is not None
     assert other.right is not None
     right = float((one.right * other.right).sum())
