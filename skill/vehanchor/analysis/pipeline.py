@@ -249,7 +249,7 @@ def conclude(
         decision = _decision_by_paper(vehicles)
     else:
         decided = answer(witnesses)
-        decision = _no_scale(witnesses) if decided is None else _decision(decided, witnesses)
+        decision = _decision(decided, witnesses)
 
     warnings = [*notices_of(view.image.notices)]
     warnings += notices_of(notice for witness in witnesses for notice in witness.notices)
@@ -301,8 +301,10 @@ class _Decision(NamedTuple):
     rulers: tuple[RulerScale, ...] = ()
 
 
-def _decision(decided: Answer, witnesses: Sequence[Witness]) -> _Decision:
-    """Take the decision of the posterior."""
+def _decision(decided: Answer | None, witnesses: Sequence[Witness]) -> _Decision:
+    """Take the decision of the posterior; None means that there is no scale."""
+    if decided is None:
+        return _no_scale(witnesses)
     informative = [witness for witness in witnesses if witness.found]
     rulers = [
         _ruler_scale(witness, p_right)
@@ -356,19 +358,27 @@ def _record(
     vehicles = measured_vehicles(witnesses)
     gsd = decision.gsd_m_per_px
     interval = decision.interval
+    n_vehicles = None
+    mode_length_px = None
+    if vehicles is not None:
+        n_vehicles = vehicles.n
+        mode_length_px = vehicles.mode_length_px
+    tilt = None
+    if view.tilt is not None:
+        tilt = view.tilt.record(image, gsd)
     return GsdEstimate(
         status=_status(decision),
         **_with_ci95(gsd, interval),
         confidence=decision.confidence,
-        n_vehicles=None if vehicles is None else vehicles.n,
-        mode_length_px=None if vehicles is None else vehicles.mode_length_px,
+        n_vehicles=n_vehicles,
+        mode_length_px=mode_length_px,
         reason=decision.reason,
         leading_ruler=decision.leading,
         rulers=decision.rulers,
         image_width_px=image.width_px,
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
-        tilt=None if view.tilt is None else view.tilt.record(image, gsd),
+        tilt=tilt,
         frame=frame_scale(view.options.frame, image.width_px, gsd=gsd, interval=interval),
         scale=make_known_scale(view, gsd, interval=interval, confidence=decision.confidence),
         model=view.card.name,

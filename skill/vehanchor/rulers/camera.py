@@ -97,7 +97,7 @@ class Camera(Ruler):
     ) -> Witness | None:
         """Report that the focal length is missing; not if the caller measures by a height."""
         if tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG:
-            return unusable(self.kind, _tilted(tilt_deg, unusable=True))
+            return unusable(self.kind, _tilted(tilt_deg, is_usable=False))
         if view.options.rulers.height_m is not None and not camera.refused:
             return None
         cause = f"the height is {height_m:g} m, but the focal length is missing: give focal_35mm"
@@ -115,7 +115,7 @@ class Camera(Ruler):
             tilt_deg: angle between the camera's axis and straight down; None if unknown.
         """
         if tilt_deg is not None and tilt_deg >= _MAX_TILT_DEG:
-            return unusable(self.kind, _tilted(tilt_deg, unusable=True))
+            return unusable(self.kind, _tilted(tilt_deg, is_usable=False))
         statement = (
             f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and "
             f"{optics.source}."
@@ -179,11 +179,10 @@ def height_log_sd(height_m: float) -> float:
     return math.hypot(RELIABILITY[Camera.kind].log_sd, _HEIGHT_SD_M / height_m)
 
 
-def _tilted(tilt_deg: float, *, unusable: bool = False) -> Notice:
+def _tilted(tilt_deg: float, *, is_usable: bool = True) -> Notice:
     """Warn of a tilted camera, and of the consequence."""
-    if unusable:
-        consequence = "without height and focal length, its metadata are not usable."
-    else:
+    consequence = "without height and focal length, its metadata are not usable."
+    if is_usable:
         consequence = (
             "the scale varies over the image. The given scale is that of the centre; areas and "
             "distances are measured on the ground plane."

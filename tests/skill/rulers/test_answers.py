@@ -33,7 +33,7 @@ def record_of(
     stretch: float | None = None,
     **options: Any,
 ) -> GsdEstimate:
-    """Cars of 5 m and some pixels in an image of 4000 x 3000 px."""
+    """Analyse cars of 5 m in an image of 4000 x 3000 px."""
     factors = np.ones(cars)
     if cars > 1:
         factors = np.exp(0.08 * np.linspace(-1.5, 1.5, cars))
