@@ -505,9 +505,8 @@ def _detail_missing(vehicles: VehicleWitness) -> tuple[Notice, ...]:
         return ()
     finest_px = 1 / vehicles.detail_share
     message = (
-        f"The image has no detail finer than {finest_px:.2g} px, such as after enlargement or "
-        f"blur: "
-        f"vehicles of {length_px:.1f} px have the detail of {detailed_px:.1f} px, and "
+        f"The image has no detail finer than {finest_px:.2g} px, perhaps because it was enlarged "
+        f"or blurred: vehicles of {length_px:.1f} px have the detail of {detailed_px:.1f} px, and "
         f"{guard_px:.1f} px are needed. Give the original image."
     )
     return (Notice(code=NoticeCode.DETAIL_MISSING, message=message),)

@@ -1,15 +1,16 @@
 """Decide on the scale from all evidence by one rule: a witness is right, or it says nothing.
 
 A witness measured what it is meant to measure, or something else. In the second case it says
-nothing about the scale. All densities are over the log of the ground sampling distance::
+nothing: all scales are equally likely, and its density is flat. All densities are over the log of
+the ground sampling distance::
 
-    factor    = (1 - c) right + c flat                    a witness that is wrong with chance c
+    factor    = (1 - c) right + c flat                       a witness that is wrong with chance c
     group     = (1 - s) blur(product of factors) + s flat    witnesses that share an error
     posterior = product of all factors and groups, normalised
 
 Witnesses share an error if it has one cause, such as one lens, one height or one caller. Therefore
-they do not confirm each other beyond that error: it blurs their product (log standard deviation),
-and with the chance s it makes all of them wrong.
+they do not confirm each other beyond that error: its standard deviation blurs their product, and
+with the chance s the error makes all of them wrong.
 
 The answer follows from this posterior alone:
 
