@@ -155,7 +155,8 @@ def _fit(pixels: NDArray[np.complex128], metres: NDArray[np.complex128]) -> _Fit
         spread_m2 = float(weights @ np.abs(in_m) ** 2)
         if spread_px2 <= 0 or spread_m2 <= 0:
             return None
-        # Its angle is the rotation, its size the correlation. Rounding can lift that above 1.
+        # The angle of the product is the rotation, and its size gives the correlation of both sets.
+        # Rounding can lift the correlation above 1.
         product = complex(weights @ (np.conj(in_px) * in_m))
         agreement = min(1.0, abs(product) / math.sqrt(spread_px2 * spread_m2))
         # Both sets have errors: the geometric mean of the two regressions.
